@@ -7,6 +7,11 @@ pub const ID_PATTERN: &str =
 /// Largest number of characters of an id.
 pub const MAX_ID_LENGTH: usize = 100;
 
+/// Largest number of characters of a name.
+pub const MAX_NAME_LENGTH: usize = 1000;
+/// Largest number of digits in a message.
+const MAX_NUMBER_LENGTH: usize = 24;
+
 /// Checks that an id can name a file: at most [`MAX_ID_LENGTH`] visible letters, digits, `_`, `-`, `.`
 /// and inner spaces, and neither `.` nor `..`. The error completes the sentence "The id …".
 pub fn check_id(id: &str) -> Result<(), String> {
@@ -28,6 +33,32 @@ pub fn check_id(id: &str) -> Result<(), String> {
         return Ok(());
     };
     Err(format!("'{}' {reason}", printable(id)))
+}
+
+/// Checks a name that is shown, such as a scene's: a line of at most [`MAX_NAME_LENGTH`] printable characters. The
+/// error completes the sentence "The name …".
+pub fn check_name(name: &str) -> Result<(), String> {
+    if name.chars().count() <= MAX_NAME_LENGTH && name.chars().all(is_printable) {
+        return Ok(());
+    }
+    Err(format!("must be a line of at most {MAX_NAME_LENGTH} printable characters"))
+}
+
+/// A number in a message: with an exponent, if its digits would fill the line.
+pub(crate) fn number(value: impl std::fmt::Display) -> String {
+    let text = value.to_string();
+    match text.parse::<f64>() {
+        Ok(value) if text.len() > MAX_NUMBER_LENGTH => format!("{value:e}"),
+        _ => text,
+    }
+}
+
+/// Two times of a message, seconds: with as many decimals as tell them apart, at least 4.
+pub(crate) fn distinct_s([a, b]: [f64; 2]) -> [String; 2] {
+    let decimals =
+        (4..MAX_NUMBER_LENGTH).find(|n| a == b || format!("{a:.n$}") != format!("{b:.n$}"));
+    let decimals = decimals.unwrap_or(4);
+    [a, b].map(|value| number(format!("{value:.decimals$}")))
 }
 
 /// Shortens a value for a message, to [`MAX_ID_LENGTH`] characters. Control characters are not escaped:
@@ -97,6 +128,29 @@ mod tests {
         let hidden = ('\0'..=char::MAX).filter(|c| c.is_alphanumeric() && !is_printable(*c));
         let named: String = hidden.map(|c| format!(r"\u{:04X}", c as u32)).collect();
         assert!(ID_PATTERN.contains(&format!("(?!.*[{named}])")), "{named}");
+    }
+
+    #[test]
+    fn names_are_printable_lines() {
+        for name in ["", "Süd <3>, \"a\"", &"x".repeat(MAX_NAME_LENGTH)] {
+            assert_eq!(check_name(name), Ok(()), "{name}");
+        }
+        for name in ["a\nb", "\u{1b}[31m", "a\u{202e}b", &"x".repeat(MAX_NAME_LENGTH + 1)] {
+            assert!(check_name(name).is_err(), "{name}");
+        }
+    }
+
+    #[test]
+    fn numbers_are_short_and_told_apart() {
+        for (value, text) in
+            [(0.5, "0.5"), (1e155, "1e155"), (-1e-200, "-1e-200"), (1e6, "1000000")]
+        {
+            assert_eq!(number(value), text);
+        }
+        assert_eq!(number(u64::MAX), u64::MAX.to_string());
+        assert_eq!(distinct_s([0.07391, 0.07394]), ["0.07391", "0.07394"]);
+        assert_eq!(distinct_s([0.1, 0.2]), ["0.1000", "0.2000"]);
+        assert_eq!(distinct_s([1e100, 0.0]), ["1e100", "0.0000"]);
     }
 
     #[test]

@@ -125,6 +125,15 @@ fn ids_of_a_truth_and_of_a_rig_are_names_too() {
     assert_refused(&output, 2, "truth.json: offsets[0].id: ");
     assert!(is_plain(&stderr(&output)));
 
+    for (field, hostile) in [("scene", "a\u{1b}[31m"), ("rig", "a\u{202e}b"), ("rig", "a\nb")] {
+        let mut truth = truth.clone();
+        (truth["offsets"], truth[field]) = (json!([]), json!(hostile));
+        std::fs::write(folder.path().join("truth/truth.json"), truth.to_string()).unwrap();
+        let output = run(&["compare", text(folder.path())]);
+        assert_refused(&output, 2, &format!("truth.json: {field}: must be a line"));
+        assert!(is_plain(&stderr(&output)));
+    }
+
     let mut rig = read_json(&common::root().join("rigs/linear8.json"));
     rig["cameras"][0]["id"] = json!("x".repeat(101));
     let file = folder.path().join("rig.json");

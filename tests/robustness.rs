@@ -176,8 +176,7 @@ fn odd_views(scene: &Scene) -> Vec<Value> {
         v["params"] = json!([100.0, 100.0, 48.0, 36.0, distortion, distortion, 0.1, distortion]);
         views.push(v);
     }
-    for at in [[0.0, 0.0, -2.0], [0.0, 0.0, -50.0], [1e300, 0.0, 0.0], [0.0, 0.0, 1e6], [1e154; 3]]
-    {
+    for at in [[0.0, 0.0, -2.0], [0.0, 0.0, -50.0], [1e12, 0.0, 0.0], [0.0, 0.0, 1e6], [1e12; 3]] {
         let mut v = scene.camera([0.0; 3]);
         v["cam_from_world"]["translation"] = json!(at);
         views.push(v);

@@ -11,6 +11,7 @@
 
 use super::{Camera, CameraModel};
 use crate::raster::MAX_PIXELS;
+use crate::text::number;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -47,7 +48,7 @@ pub enum CameraFormatError {
     /// Width or height is 0 or too large.
     #[error("{field}: is {value}, must be from 1 to {max}")]
     Size { field: &'static str, value: u32, max: u32 },
-    /// The image has more than [`MAX_PIXELS`].
+    /// The image has more than [`MAX_PIXELS`], or the view more than [`MAX_VIEW_PIXELS`].
     #[error("width: {width}×{height} are more pixels than {max}")]
     Pixels { width: u32, height: u32, max: u64 },
     /// The model's name is unknown, or its number of parameters wrong.
@@ -57,10 +58,10 @@ pub enum CameraFormatError {
     #[error("params: must be finite, and the focal lengths positive")]
     Params,
     /// The quaternion is not of unit length.
-    #[error("cam_from_world.rotation_wxyz: has length {length}, must be of unit length to 1e-3")]
+    #[error("cam_from_world.rotation_wxyz: has length {}, must be of unit length to 1e-3", number(.length))]
     Quaternion { length: f64 },
-    /// A coordinate of the translation is not finite.
-    #[error("cam_from_world.translation: must be finite")]
+    /// A coordinate of the translation is not finite or too large.
+    #[error("cam_from_world.translation: must be within {MAX_TRANSLATION_M:e} of 0")]
     Translation,
 }
 
@@ -71,10 +72,24 @@ fn known_models() -> String {
 
 /// Maximum width and height of an image, pixels.
 const MAX_SIZE_PX: u32 = 65_536;
+/// Maximum coordinate of a translation, metres: the powers that views compute of it are finite.
+const MAX_TRANSLATION_M: f64 = 1e12;
+/// Maximum number of pixels of a view: those of cinema's 8K. Rendering takes about 32 bytes a pixel.
+const MAX_VIEW_PIXELS: u64 = 8192 * 4320;
 /// Maximum difference of a quaternion's length from 1: Blender's are single precision.
 pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
 impl CameraFormat {
+    /// As [`Self::camera`], for a view to render, which has fewer pixels than an image that is read.
+    pub fn view(&self) -> Result<Camera, CameraFormatError> {
+        let camera = self.camera()?;
+        if (camera.width as u64) * (camera.height as u64) > MAX_VIEW_PIXELS {
+            let (width, height) = (self.width, self.height);
+            return Err(CameraFormatError::Pixels { width, height, max: MAX_VIEW_PIXELS });
+        }
+        Ok(camera)
+    }
+
     /// Checks every field and converts to a camera.
     pub fn camera(&self) -> Result<Camera, CameraFormatError> {
         for (field, value) in [("width", self.width), ("height", self.height)] {
@@ -111,7 +126,7 @@ impl PoseFormat {
         if !((length - 1.0).abs() <= MAX_QUATERNION_ERROR) {
             return Err(CameraFormatError::Quaternion { length });
         }
-        if self.translation.iter().any(|t| !t.is_finite()) {
+        if self.translation.iter().any(|t| !(t.abs() <= MAX_TRANSLATION_M)) {
             return Err(CameraFormatError::Translation);
         }
         let [tx, ty, tz] = self.translation;
@@ -158,7 +173,7 @@ mod tests {
     #[test]
     fn wrong_fields_are_refused_by_name() {
         type Break = fn(&mut CameraFormat);
-        let cases: [(Break, &str); 7] = [
+        let cases: [(Break, &str); 8] = [
             (|c| c.width = 0, "width"),
             (|c| (c.width, c.height) = (65_536, 65_536), "width"),
             (|c| c.model = "FISHEYE".into(), "model"),
@@ -166,6 +181,7 @@ mod tests {
             (|c| c.params[0] = -1.0, "params"),
             (|c| c.cam_from_world.rotation_wxyz = [0.9, 0.0, 0.0, 0.0], "cam_from_world.rotation"),
             (|c| c.cam_from_world.translation[1] = f64::NAN, "cam_from_world.translation"),
+            (|c| c.cam_from_world.translation[1] = 1e155, "cam_from_world.translation"),
         ];
         for (make_wrong, field) in cases {
             let mut wrong = format();
@@ -173,6 +189,23 @@ mod tests {
             let message = wrong.camera().unwrap_err().to_string();
             assert!(message.starts_with(field), "{message}");
         }
+    }
+
+    #[test]
+    fn a_view_has_at_most_the_pixels_of_8k() {
+        let view = |width, height| CameraFormat { width, height, ..format() };
+        assert!(view(8192, 4320).view().is_ok() && view(8192, 8192).camera().is_ok());
+        for wrong in [view(8192, 8192), view(65_536, 1024)] {
+            let message = wrong.view().unwrap_err().to_string();
+            assert!(message.ends_with("are more pixels than 35389440"), "{message}");
+        }
+    }
+
+    #[test]
+    fn numbers_of_a_hundred_digits_are_short() {
+        let mut f = format();
+        f.cam_from_world.rotation_wxyz = [1e150, 0.0, 0.0, 0.0];
+        assert!(f.camera().unwrap_err().to_string().contains("has length 1e150, must"));
     }
 
     #[test]

@@ -5,7 +5,7 @@ use super::video::VideoFile;
 use super::{CaptureError, CaptureSource, Clock, FilmedCamera, frames, require_size};
 use crate::camera::{CameraFormat, PoseFormat};
 use crate::raster::{BitDepth, read_header};
-use crate::text::{ID_PATTERN, MAX_ID_LENGTH, check_id, printable, short};
+use crate::text::{ID_PATTERN, MAX_ID_LENGTH, MAX_NAME_LENGTH, check_id, check_name, short};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
@@ -87,9 +87,6 @@ pub struct ClockFormat {
     pub lost: bool,
 }
 
-/// Longest name of a capture, characters.
-const MAX_NAME_LENGTH: usize = 1000;
-
 impl CaptureFormat {
     /// Checks everything that needs no frames; returns the index of the reference camera. The error is a reason.
     pub(super) fn check(&self) -> Result<usize, String> {
@@ -102,11 +99,7 @@ impl CaptureFormat {
         if self.cameras.is_empty() {
             return Err("cameras: a capture has at least one camera".into());
         }
-        if self.name.chars().count() > MAX_NAME_LENGTH || printable(&self.name) != self.name {
-            return Err(format!(
-                "name: must be a line of at most {MAX_NAME_LENGTH} printable characters"
-            ));
-        }
+        check_name(&self.name).map_err(|reason| format!("name: {reason}"))?;
         let mut ids = HashSet::new();
         for (index, camera) in self.cameras.iter().enumerate() {
             check_id(&camera.id).map_err(|reason| format!("cameras[{index}].id: {reason}"))?;

@@ -1,6 +1,10 @@
 //! A camera's frame files, which lie inside the capture's folder.
 
+use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
+
+/// Files and folders that the program writes into a capture.
+const RESERVED: [&str; 5] = [super::CAPTURE_FILE, "offsets.json", "offsets.svg", ".stlfr", ".film"];
 
 /// A printf pattern with one integer field, split at it: `cam0/%04d.png` is `cam0/`, 4, `.png`.
 #[derive(Debug, PartialEq)]
@@ -90,7 +94,13 @@ pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> 
 
 /// A file in `root`, links followed; `None` if it doesn't exist. The error is a reason.
 fn file(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
-    let Ok(real) = root.join(name).canonicalize() else { return Ok(None) };
+    let real = match root.join(name).canonicalize() {
+        Ok(real) => real,
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
+            return Ok(None);
+        }
+        Err(error) => return Err(format!("'{name}' can't be read ({error})")),
+    };
     if !real.starts_with(root) {
         return Err(format!("'{name}' leads out of the capture"));
     }
@@ -102,10 +112,15 @@ fn file(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
 
 fn must_be_relative(name: &str) -> Result<(), String> {
     let inside = |c: Component| matches!(c, Component::Normal(_) | Component::CurDir);
-    if Path::new(name).components().all(inside) && !name.is_empty() {
-        return Ok(());
+    if !Path::new(name).components().all(inside) || name.is_empty() {
+        return Err(format!("'{name}' must be relative to the capture and stay inside it"));
     }
-    Err(format!("'{name}' must be relative to the capture and stay inside it"))
+    let mut parts = Path::new(name).components().filter(|c| *c != Component::CurDir);
+    let first = parts.next().and_then(|first| first.as_os_str().to_str()).unwrap_or_default();
+    if RESERVED.contains(&first) {
+        return Err(format!("'{name}' is where the program writes {first}"));
+    }
+    Ok(())
 }
 
 /// The number of the first file after a gap that begins at `missing`; `None` if there is no such file.
@@ -150,6 +165,10 @@ mod tests {
         assert!(find(&root, "../x%d.png").unwrap_err().contains("stay inside"));
         assert!(find(&root, "/x%d.png").unwrap_err().contains("stay inside"));
         assert!(find(&root, "d/%d.png").unwrap_err().contains("does not exist"));
+
+        for name in ["offsets.json/%04d.png", "./.stlfr/%d.png"] {
+            assert!(find(&root, name).unwrap_err().contains("where the program writes"), "{name}");
+        }
 
         let outside = tempfile::NamedTempFile::new().unwrap();
         std::os::unix::fs::symlink(outside.path(), root.join("c/f2.png")).unwrap();

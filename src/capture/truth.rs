@@ -45,7 +45,7 @@ use crate::camera::{Camera, CameraFormat};
 use crate::host::{file_hash, lock, read_bytes, read_hashed};
 use crate::json::{self, JsonError};
 use crate::raster::{Image, read_hashed_image};
-use crate::text::check_id;
+use crate::text::{check_id, check_name};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
@@ -162,13 +162,16 @@ impl Truth {
         Ok(Some(truth))
     }
 
-    /// Refuses another format, ids that `capture.json` couldn't have, and wrong cameras. The error is a reason.
+    /// Refuses another format, ids and names that `capture.json` couldn't have, and wrong cameras. The error is a reason.
     fn check(&self) -> Result<(), String> {
         if self.format != "stlfr-truth" || self.version != 1 {
             return Err("format and version must be 'stlfr-truth' and 1".into());
         }
         if self.views.len() > MAX_VIEWS {
             return Err(format!("views: are {}, at most {MAX_VIEWS} are read", self.views.len()));
+        }
+        for (field, name) in [("scene", &self.scene), ("rig", &self.rig)] {
+            check_name(name).map_err(|reason| format!("{field}: {reason}"))?;
         }
         let offsets = self.offsets.iter().map(|o| &o.id).enumerate();
         let shutter = self.shutter.iter().map(|s| &s.id).enumerate();

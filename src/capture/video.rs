@@ -10,6 +10,7 @@
 use super::{CaptureError, CaptureSource};
 use crate::host::temporary::Temporary;
 use crate::host::{CacheKind, DiskCache, HeldFile, file_hashes, remove_special, write_json};
+use crate::text::number;
 use crate::video::{self, VideoError, VideoLimits, frame_name};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -180,7 +181,8 @@ impl VideoFile {
         };
         let offer = self.offer();
         Err(format!(
-            "rate_hz is {rate_hz}, but the video's own time stamps {contradiction}; {offer}"
+            "rate_hz is {}, but the video's own time stamps {contradiction}; {offer}",
+            number(rate_hz)
         ))
     }
 

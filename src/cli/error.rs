@@ -154,6 +154,8 @@ mod tests {
         for failed in [
             CliError::from(CaptureError::Write { path: path(), source: full() }),
             CliError::from(ExchangeError::Write { path: path(), source: full() }),
+            CliError::from(RenderError::from(CaptureError::Write { path: path(), source: full() })),
+            CliError::from(CompareError::Write { path: path(), source: full() }),
         ] {
             assert!(matches!(failed, CliError::Failure(_)), "{failed:?}");
         }

@@ -89,7 +89,7 @@ impl OptionsArgs {
 pub fn read_view(path: &Path) -> Result<Camera, CliError> {
     let format: CameraFormat =
         json::read_within(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
-    format.camera().map_err(|error| wrong(path, error))
+    format.view().map_err(|error| wrong(path, error))
 }
 
 fn wrong(path: &Path, error: impl std::fmt::Display) -> CliError {

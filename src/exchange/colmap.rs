@@ -2,6 +2,7 @@
 
 use super::{ExchangeError, MAX_MODEL_BYTES, NamedCamera, check_count, checked, content, write};
 use crate::camera::{CameraFormat, CameraModel, MAX_QUATERNION_ERROR};
+use crate::text::number as number_of;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use std::collections::{BTreeMap, HashMap};
 use std::fmt::Write as _;
@@ -59,7 +60,8 @@ fn named(lenses: &Lenses, image: ModelImage) -> Result<NamedCamera, String> {
     let [w, x, y, z] = image.rotation_wxyz;
     let rotation = Quaternion::new(w, x, y, z);
     if !((rotation.norm() - 1.0).abs() <= MAX_QUATERNION_ERROR) {
-        return Err(format!("its quaternion has length {}, must be of 1", rotation.norm()));
+        let length = number_of(rotation.norm());
+        return Err(format!("its quaternion has length {length}, must be of 1"));
     }
     let translation = Translation3::from(image.translation);
     let pose = Isometry3::from_parts(translation, UnitQuaternion::from_quaternion(rotation));

@@ -4,6 +4,7 @@
 use super::{LiveError, PictureRequest, Place, ViewDirection};
 use crate::camera::{Camera, CameraModel};
 use crate::capture::Capture;
+use crate::text::number;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 /// Margin of viewpoints beyond the outermost cameras, as a fraction of the rig's extent.
@@ -129,10 +130,9 @@ impl RigFrame {
             (low[k] - slack..=high[k] + slack).contains(&place[k])
         });
         if !is_inside {
-            let [x, y, z] = place;
+            let [x, y, z] = place.map(|metres| number(format!("{metres:.3}")));
             return Err(LiveError::Request(format!(
-                "the viewpoint is too far from the cameras: {x:.3} m to the right, {y:.3} m up and {z:.3} m ahead of \
-                 their middle"
+                "the viewpoint is too far from the cameras: {x} m to the right, {y} m up and {z} m ahead of their middle"
             )));
         }
         let center = self.world_from_rig * Point3::new(place[0], -place[1], place[2]);
@@ -188,7 +188,7 @@ impl RigFrame {
         let wrong = |what: String| Err(LiveError::Request(what));
         if !ZOOMS.contains(&view.zoom) {
             let (low, high) = (ZOOMS.start(), ZOOMS.end());
-            return wrong(format!("zoom: is {}, must be from {low} to {high}", view.zoom));
+            return wrong(format!("zoom: is {}, must be from {low} to {high}", number(view.zoom)));
         }
         if !view.turn_deg.iter().all(|t| t.abs() <= MAX_TURN_DEG) {
             return wrong(format!("turn: must be at most {MAX_TURN_DEG} degrees"));

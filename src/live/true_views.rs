@@ -6,6 +6,7 @@ use crate::capture::{Capture, CaptureError, Truth, require_size};
 use crate::host::Memo;
 use crate::lumigraph::{BlendOptions, DepthMap, Rendered, Source, blend};
 use crate::raster::{Image, read_image};
+use crate::text::distinct_s;
 use nalgebra::{Isometry3, Translation3};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -68,9 +69,9 @@ impl TrueViews {
         let view =
             self.views.get(index).ok_or_else(|| LiveError::Request("at: no such truth".into()))?;
         if !((view.time_s - request.time_s).abs() <= SAME_INSTANT_S) {
+            let [own_s, wanted_s] = distinct_s([view.time_s, request.time_s]);
             return Err(LiveError::Request(format!(
-                "the truth at this place is of {:.4} s, not of {:.4} s",
-                view.time_s, request.time_s
+                "the truth at this place is of {own_s} s, not of {wanted_s} s"
             )));
         }
         let image = self.image(index, view)?;

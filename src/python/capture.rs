@@ -218,7 +218,7 @@ impl PyMoment {
 /// Converts a camera object, a dict as in `capture.json`, to a camera.
 fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
     let format: CameraFormat = from_python(object, "camera")?;
-    format.camera().map_err(|e| value_error(format!("camera: {e}")))
+    format.view().map_err(|e| value_error(format!("camera: {e}")))
 }
 
 /// Pixels of world points through a camera object; NaN where a point has no image.

@@ -6,7 +6,7 @@ use crate::camera::{MAX_QUATERNION_ERROR, PoseFormat};
 use crate::host::read_text;
 use crate::json::{self, JsonError};
 use crate::raster::MAX_PIXELS;
-use crate::text::MAX_ID_LENGTH;
+use crate::text::{MAX_ID_LENGTH, number};
 use nalgebra::Point2;
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -90,7 +90,7 @@ fn within<T: PartialOrd + Display>(field: &str, value: T, range: &RangeInclusive
         return Ok(());
     }
     let (min, max) = (range.start(), range.end());
-    wrong(field, format!("must be a number from {min} to {max}, not {value}"))
+    wrong(field, format!("must be a number from {min} to {max}, not {}", number(value)))
 }
 
 fn identifier(field: &str, value: &str) -> FieldCheck {

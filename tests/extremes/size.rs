@@ -4,8 +4,8 @@
 
 use crate::common::scores::rms;
 use crate::common::swing::{RATE_HZ, Swing};
-use crate::common::wall::{by_plane, field_of};
-use crate::common::{peak, read_json, stlfr};
+use crate::common::wall::{Scene, by_plane, field_of};
+use crate::common::{assert_refused, peak, read_json, run, stlfr, text};
 use crate::naive;
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
@@ -267,5 +267,34 @@ fn a_hundred_thousand_edges() {
         let bound_px = 0.01 + naive::MORPH_TOLERANCE_PX;
         assert!((found - exact).norm() < bound_px, "{at}: {found} {exact}");
         assert!(x == 0 || y == 0 || (found - at - moved(at)).norm() < 0.5, "{at}: {found}");
+    }
+}
+
+/// From far away, the scene is smaller than a pixel.
+#[test]
+fn a_view_from_far_away_is_no_full_picture() {
+    let scene = Scene { shared: [true; 3], ..Scene::default() };
+    let folder = scene.film();
+    let (capture, out) = (text(folder.path()), folder.path().join("out.png"));
+    let file = folder.path().join("view.json");
+    for far_m in [1e3, 1e6, 1e9, 1e12, 1e13, 1e155] {
+        for center_m in [[0.0, 0.0, -far_m], [far_m, 0.0, 0.0], [0.0, far_m, -far_m]] {
+            std::fs::write(&file, scene.camera(center_m).to_string()).unwrap();
+            for proxy in ["plane", "mesh", "depth"] {
+                let arguments = ["--camera", text(&file), "--time", "0.05", "-o", text(&out)];
+                let command = ["-q", "render", capture, "--proxy", proxy];
+                let output = run(&[&command[..], &arguments].concat());
+                if output.status.success() {
+                    let image = image::open(&out).unwrap().into_rgba16();
+                    let seen = image.pixels().filter(|pixel| pixel[3] > 0).count();
+                    assert!(far_m < 1e4 && seen <= 9, "{far_m:e}, {proxy}: {seen} pixels");
+                } else if far_m <= 1e12 {
+                    assert_refused(&output, 2, "no camera sees any pixel of this view");
+                } else {
+                    assert_refused(&output, 2, "translation: must be within 1e12 of 0");
+                }
+                let _ = std::fs::remove_file(&out);
+            }
+        }
     }
 }
