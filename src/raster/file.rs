@@ -72,6 +72,8 @@ impl<R: BufRead + Seek + 'static> OpenedImage<R> {
             let (size, bytes) = (reader.info().size(), png::bytes_per_sample(&reader));
             (Decoder::Png(Box::new(reader)), size, bytes)
         } else {
+            pnm_header(file.fill_buf().map_err(read_error(path))?)
+                .map_err(|reason| image_error(path, reason))?;
             let mut reader =
                 ImageReader::new(file).with_guessed_format().map_err(read_error(path))?;
             let mut limits = Limits::default();
@@ -105,6 +107,35 @@ impl<R: BufRead + Seek + 'static> OpenedImage<R> {
             }
         }
     }
+}
+
+/// Maximum length of a PNM file's header with its comments, bytes; no more than a buffered reader reads at first.
+const MAX_PNM_HEADER: usize = 4096;
+
+/// Refuses a PNM file whose header is too long: its decoder reads comments byte by byte. `start` are the file's first
+/// bytes. The error is a reason.
+fn pnm_header(start: &[u8]) -> Result<(), String> {
+    let (Some(header), [b'P', kind @ b'1'..=b'7', ..]) = (start.get(..MAX_PNM_HEADER), start)
+    else {
+        return Ok(());
+    };
+    let is_whole = match kind {
+        b'7' => header.windows(6).any(|word| word == b"ENDHDR"),
+        _ => pnm_words(&header[2..]) > 2,
+    };
+    if is_whole { Ok(()) } else { Err(format!("has a header of more than {MAX_PNM_HEADER} bytes")) }
+}
+
+/// The number of words outside of comments.
+fn pnm_words(header: &[u8]) -> usize {
+    let (mut words, mut in_word, mut in_comment) = (0, false, false);
+    for byte in header {
+        in_comment = *byte == b'#' || in_comment && *byte != b'\n';
+        let is_of_word = !in_comment && !byte.is_ascii_whitespace();
+        words += usize::from(is_of_word && !in_word);
+        in_word = is_of_word;
+    }
+    words
 }
 
 pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
@@ -269,5 +300,28 @@ mod tests {
         std::fs::write(&path, b"not a picture").unwrap();
         assert!(read_image(&path).unwrap_err().to_string().contains("a.png"));
         assert!(read_image(&folder.path().join("none.png")).is_err());
+    }
+
+    #[test]
+    fn a_pnm_file_of_comments_is_refused_unread() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.ppm");
+        let file = |comment: usize| {
+            let comment = "x".repeat(comment);
+            let start = std::time::Instant::now();
+            std::fs::write(&path, format!("P6 2\n# {comment}\n 1 255 abcdef")).unwrap();
+            let read = read_header(&path).map(|header| (header.width, header.height));
+            assert!(start.elapsed() < std::time::Duration::from_secs(1));
+            read
+        };
+        for short in [0, 1000, 4000] {
+            assert_eq!(file(short).unwrap(), (2, 1));
+        }
+        for long in [MAX_PNM_HEADER, 20 << 20] {
+            let message = file(long).err().unwrap().to_string();
+            assert!(message.ends_with("has a header of more than 4096 bytes"), "{message}");
+        }
+        std::fs::write(&path, ["P6 64 32 255 ".as_bytes(), &[b'#'; 3 * 64 * 32]].concat()).unwrap();
+        assert_eq!(read_image(&path).unwrap().0.width(), 64);
     }
 }
