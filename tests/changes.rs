@@ -25,7 +25,7 @@ fn changes() -> usize {
     std::env::var("STLFR_CHANGES").ok().and_then(|n| n.parse().ok()).unwrap_or(CHANGES)
 }
 
-/// Commands that store results in the capture, and where their own result is: in `out`, else on stdout.
+/// Commands that store results in the capture. Their own result is in the file that they end with, else on stdout.
 const COMMANDS: [&str; 4] = [
     "offsets capture --json",
     "prepare capture",
@@ -33,12 +33,15 @@ const COMMANDS: [&str; 4] = [
     "render capture --like cam1 --time 0.07 --sync auto --proxy auto --blend auto -o out",
 ];
 
+/// A command that reads frames one after the other, as the clocks are known, and stores nothing.
+const LONG: &str = "render capture --like cam1 --times 0.01:0.11:25 -o video";
+
 /// The command whose result depends on all that is stored.
 const LATER: &str = COMMANDS[3];
 
 /// The wall with one motion or another, as image sequences or as videos.
-fn film(velocity: [f64; 2], as_videos: bool) -> TempDir {
-    let folder = Scene { frames: FRAMES, velocity, ..Scene::default() }.film();
+fn film(velocity: [f64; 2], as_videos: bool, shared: bool) -> TempDir {
+    let folder = Scene { frames: FRAMES, velocity, shared: [shared; 3], ..Scene::default() }.film();
     for c in (0..3).filter(|_| as_videos) {
         let frames = folder.path().join(format!("cam{c}"));
         let read = |k| read_image(&frames.join(format!("{k}.png"))).unwrap().0;
@@ -61,10 +64,14 @@ fn film(velocity: [f64; 2], as_videos: bool) -> TempDir {
     folder
 }
 
+const IMAGE: &str = "out.png";
+const VIDEO: &str = "out.mkv";
+
 fn command(folder: &Path, words: &str) -> Command {
     let mut command = stlfr();
     command.current_dir(folder).arg("-q").args(words.split(' ').map(|word| match word {
-        "out" => "out.png",
+        "out" => IMAGE,
+        "video" => VIDEO,
         word => word,
     }));
     command.stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -74,9 +81,12 @@ fn command(folder: &Path, words: &str) -> Command {
 /// The result of a command, or its sentence.
 fn result(folder: &Path, words: &str, output: std::process::Output) -> Result<Vec<u8>, String> {
     if output.status.success() {
-        let of_file = words.ends_with("out");
-        let printed = if words.starts_with("prepare") { Vec::new() } else { output.stdout };
-        return Ok(if of_file { std::fs::read(folder.join("out.png")).unwrap() } else { printed });
+        return Ok(match words.rsplit(' ').next() {
+            Some("out") => std::fs::read(folder.join(IMAGE)).unwrap(),
+            Some("video") => std::fs::read(folder.join(VIDEO)).unwrap(),
+            _ if words.starts_with("prepare") => Vec::new(), // prints times
+            _ => output.stdout,
+        });
     }
     let sentence = String::from_utf8(output.stderr).unwrap();
     assert!(matches!(output.status.code(), Some(1 | 2)), "{words}: {:?}", output.status);
@@ -183,10 +193,10 @@ fn try_change(words: &str, captures: &[TempDir; 2], took: Duration, change: &Cha
     assert_eq!(later, from_nothing(&capture, LATER), "{words}: stored wrongly, {change:?}");
 }
 
-fn try_changes(as_videos: bool) {
-    let captures = [[0.3, 1.0], [-0.4, 0.7]].map(|velocity| film(velocity, as_videos));
-    let mut random = Random::new(36 + u64::from(as_videos));
-    for words in COMMANDS {
+fn try_changes(commands: &[&str], as_videos: bool, shared: bool) {
+    let captures = [[0.3, 1.0], [-0.4, 0.7]].map(|velocity| film(velocity, as_videos, shared));
+    let mut random = Random::new(36);
+    for words in commands {
         let start = Instant::now();
         let first = from_nothing(captures[0].path(), words);
         let took = start.elapsed();
@@ -200,10 +210,11 @@ fn try_changes(as_videos: bool) {
 
 #[test]
 fn images_that_change_under_a_command_are_told_or_change_nothing() {
-    try_changes(false);
+    try_changes(&COMMANDS, false, false);
+    try_changes(&[LONG], false, true);
 }
 
 #[test]
 fn videos_that_change_under_a_command_are_told_or_change_nothing() {
-    try_changes(true);
+    try_changes(&COMMANDS, true, false);
 }
