@@ -109,11 +109,11 @@
 //!
 //! `stlfr COMMAND --help` has the options and examples. Exit codes: 0 done, 2 something given is wrong,
 //! 1 the work failed. An error is one sentence on stderr. `--quiet` silences progress and notes.
-//! An output replaces a regular file or nothing, and never what belongs to a capture
-//! ([`capture::OutputGuard`]). It appears when it is whole. An interrupted command removes what it has
+//! An output replaces a regular file or nothing, never what belongs to a capture ([`capture::OutputGuard`]), and
+//! nothing through a link inside its folder. It appears when it is whole. An interrupted command removes what it has
 //! begun; what a killed one left is removed by the next that writes into the same folder.
 //! What is read is a regular file of a bounded size: a pipe, a device or a file of gigabytes is refused
-//! before it is read. Decoded videos, registered frames, plans and measurements are cached in `CAPTURE/.stlfr/cache`. A
+//! before it is read. A capture that changes under a command is told. Decoded videos, registered frames, plans and measurements are cached in `CAPTURE/.stlfr/cache`. A
 //! damaged entry is noted and computed again; `stlfr info` lists and deletes them. `offsets.json` may be edited
 //! ([`offset::file`]).
 //! Times are seconds on the reference camera's clock. Outside of what the cameras recorded there is no

@@ -48,7 +48,7 @@ pub enum CameraFormatError {
     /// Width or height is 0 or too large.
     #[error("{field}: is {value}, must be from 1 to {max}")]
     Size { field: &'static str, value: u32, max: u32 },
-    /// The image has more than [`MAX_PIXELS`], or the view more than [`MAX_VIEW_PIXELS`].
+    /// The image has more than [`MAX_PIXELS`], or a view more than cinema's 8K.
     #[error("width: {width}×{height} are more pixels than {max}")]
     Pixels { width: u32, height: u32, max: u64 },
     /// The model's name is unknown, or its number of parameters wrong.

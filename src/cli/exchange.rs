@@ -62,7 +62,7 @@ enum Format {
     Colmap,
     /// COLMAP's model in text files.
     ColmapText,
-    /// LLFF's poses_bounds.npy.
+    /// LLFF's poses_bounds.npy, in the order of the numbers in the cameras' ids.
     Llff,
     /// NeRF's transforms.json.
     Nerf,

@@ -25,6 +25,7 @@ pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};
 
 use crate::camera::{Camera, CameraFormat, CameraModel, PoseFormat};
+use crate::text::number;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
 
@@ -86,6 +87,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {
 fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
     for side in [width, height] {
         if !(side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0) {
+            let [width, height] = [width, height].map(number);
             return Err(format!("an image can't be {width}×{height} pixels"));
         }
     }

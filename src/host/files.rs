@@ -49,9 +49,10 @@ impl FileState {
         Self(identity, [found.mtime(), found.mtime_nsec()], [found.ctime(), found.ctime_nsec()])
     }
 
-    /// Whether all is the same but the time of the last change of metadata, such as permissions.
+    /// Whether size and time of the last change of content are the same. Permissions may differ, and so may the inode,
+    /// which some network file systems number anew.
     pub fn has_content_of(&self, other: &Self) -> bool {
-        (self.0, self.1) == (other.0, other.1)
+        (self.0[2], self.1) == (other.0[2], other.1)
     }
 
     /// The later of the two times: seconds and nanoseconds.

@@ -7,6 +7,7 @@ use crate::camera::PoseFormat;
 use crate::capture::MAX_DRIFT_PPM;
 use crate::method::methods;
 use crate::random::Random;
+use crate::text::number;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::num::NonZeroUsize;
@@ -233,14 +234,17 @@ impl RigOptions {
         }
         let drift_ppm = self.max_drift_ppm;
         if !(0.0..=MAX_DRIFT_PPM).contains(&drift_ppm) {
-            let reason = format!("must be from 0 to {MAX_DRIFT_PPM} ppm, not {drift_ppm}");
+            let reason =
+                format!("must be from 0 to {MAX_DRIFT_PPM} ppm, not {}", number(drift_ppm));
             return wrong("the largest drift", reason);
         }
         if let RigLayout::Arc { count, distance_m } = self.layout {
             let half_width_m = 0.5 * self.spacing_m.abs() * (count.get() - 1) as f64;
             if !(distance_m > half_width_m && distance_m.is_finite()) {
-                let reason =
-                    format!("needs a distance over half the array's width, not {distance_m} m");
+                let reason = format!(
+                    "needs a distance over half the array's width, not {} m",
+                    number(distance_m)
+                );
                 return wrong("an arc", reason);
             }
         }

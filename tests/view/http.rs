@@ -316,6 +316,24 @@ fn a_capture_deleted_under_it_is_said_and_the_server_goes_on() {
 }
 
 #[test]
+fn frames_replaced_under_it_are_said_and_no_picture_mixes_two_recordings() {
+    let copy = copy();
+    let served = Served::start(copy.path());
+    assert_eq!(served.get("picture?w=160&h=120&t=0.02").status, 200);
+    for entry in std::fs::read_dir(copy.path()).unwrap().flatten() {
+        for frame in std::fs::read_dir(entry.path()).into_iter().flatten().flatten() {
+            let other = copy.path().join("other");
+            std::fs::copy(frame.path(), &other).unwrap();
+            std::fs::rename(&other, frame.path()).unwrap();
+        }
+    }
+    let response = served.get("picture?w=160&h=120&t=0.13");
+    assert_eq!(response.status, 500);
+    assert!(response.text().contains("changed while it was being used"), "{}", response.text());
+    assert_eq!(response.text().lines().count(), 1);
+}
+
+#[test]
 fn many_viewers_share_one_light_field() {
     let served = Served::start(capture());
     let all: Vec<u16> = std::thread::scope(|scope| {
