@@ -12,7 +12,8 @@ use stlfr::light_field::PREPARED;
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
 
-/// Register all frame pairs of a capture beforehand, so that views need not.
+/// Register all frame pairs of a capture beforehand, so that views need not; with --set proxy.method=scene-flow, depth and
+/// motion of all frames too.
 ///
 /// render, view and compare then find them in the capture's folder, under .stlfr/cache. Images stay the same to
 /// the byte. Stopped at any time, the same command continues. Other frames, offsets or registration options need
@@ -55,21 +56,24 @@ pub fn run(args: &PrepareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     let options = args.options.read()?;
     let capture = open_capture(&args.capture, None, reporter)?;
     let field = pipeline::open_field(capture, &options, reporter)?;
-    let (pairs, bytes) = field.preparation_size(&options);
-    reporter.note(&format!(
-        "{pairs} frame pairs to register take at most {:.0} MB of disk.",
-        bytes as f64 / MB
-    ));
-    let task = reporter.task("Registering frames", pairs);
+    let (steps, bytes) = field.preparation_size(&options);
+    reporter.note(&format!("What is prepared takes at most {:.0} MB of disk.", bytes as f64 / MB));
+    let task = reporter.task("Preparing frames", steps);
     let start = Instant::now();
     let prepared = field.prepare(&options, |done| task.set(done))?;
     let seconds = start.elapsed().as_secs_f64();
     drop(task);
+    if prepared.maps > 0 {
+        page.line(format_args!(
+            "Depth and motion of {} frames are stored; of {} of them they were before.",
+            prepared.maps, prepared.maps_found,
+        ));
+    }
     page.line(format_args!(
-        "{} frame pairs with motion are registered, {:.1} MB; {} of them were before. {seconds:.1} s.",
+        "{} frame pairs with motion are registered; {} of them were before. {:.1} MB, {seconds:.1} s.",
         prepared.pairs,
-        prepared.bytes as f64 / MB,
         prepared.found,
+        prepared.bytes as f64 / MB,
     ));
     Ok(())
 }

@@ -131,6 +131,17 @@ impl Memo {
         Ok(value)
     }
 
+    /// Caches a result that was computed together with others.
+    pub fn insert<T: Any + Send + Sync>(
+        &self,
+        stage: &'static str,
+        inputs: &impl Serialize,
+        value: Arc<T>,
+        bytes: usize,
+    ) {
+        self.0.insert(memo_key(stage, inputs), value, bytes);
+    }
+
     /// Drops the results of the stages whose names pass a test.
     pub fn forget(&self, passes: impl Fn(&str) -> bool) {
         self.0.retain(|(stage, _)| !passes(stage));

@@ -96,10 +96,24 @@ impl LightField {
         stage: &S,
         context: &Context,
     ) -> Result<Arc<S::Output>, RenderError> {
-        self.memo.get_or(S::NAME, stage, S::bytes, || {
-            let stored = self.capture.load_stored(S::KIND, &self.stored_inputs(stage));
-            stored.map_or_else(|| stage.compute(self, context), Ok)
-        })
+        self.found(stage).map_or_else(|| self.get(stage, context), Ok)
+    }
+
+    /// The result of a stage from memory, else from disk.
+    pub(super) fn found<S: StoredStage>(&self, stage: &S) -> Option<Arc<S::Output>> {
+        let stored = || self.capture.load_stored(S::KIND, &self.stored_inputs(stage)).ok_or(());
+        self.memo.get_or(S::NAME, stage, S::bytes, stored).ok()
+    }
+
+    /// Caches the result of a stage in memory that was computed together with others.
+    pub(super) fn insert<S: Stage>(&self, stage: &S, value: Arc<S::Output>) {
+        let bytes = S::bytes(&value);
+        self.memo.insert(S::NAME, stage, value, bytes);
+    }
+
+    /// Whether the result of a stage is on disk.
+    pub(super) fn is_stored<S: StoredStage>(&self, stage: &S) -> bool {
+        self.capture.load_stored::<S::Output>(S::KIND, &self.stored_inputs(stage)).is_some()
     }
 
     /// Stores the result of a stage on disk, unless it is there.

@@ -22,7 +22,7 @@
 //! | `depth.rs` | depth per pixel, for the cameras |
 //! | `geometry.rs` | the depths of a view, and what is occluded in the cameras |
 //! | `view.rs` | §6: the blended view |
-//! | `scene_flow.rs` | depth and motion of frames, and views from them |
+//! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, which are found together, and views from them |
 //! | `all_cameras.rs` | a camera's image from all cameras |
 //! | `request.rs` | the request of a view |
 //! | `render.rs`, `trail.rs` | a view, and Fig. 1: temporal integration |
@@ -42,6 +42,7 @@ mod prepare;
 mod render;
 mod request;
 mod scene_flow;
+mod slots;
 mod stages;
 mod timeline;
 mod trail;

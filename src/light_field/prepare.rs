@@ -1,11 +1,14 @@
-//! Computes the tracks of all frame pairs and the cameras' gains beforehand, and stores them on disk for later views.
+//! Computes what depends on frames alone beforehand, and stores it on disk for later views: the tracks of all frame pairs
+//! and the cameras' gains, or depth and motion of all frames.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, StoredStage};
-use super::stages::PairTracks;
+use super::scene_flow::store_slot;
+use super::stages::{FlowOptions, FrameFlow, PairTracks};
 use super::{Context, RenderError};
-use crate::options::RenderOptions;
+use crate::options::{ProxyMethod, RenderOptions};
 use crate::registration::{Gains, Track};
+use crate::scene_flow::FlowMap;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
@@ -13,7 +16,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 const ENTRY_BYTES: usize = 64;
 
 /// The kinds of entries in a capture's cache that [`LightField::prepare`] stores.
-pub const PREPARED: [&str; 2] = [PairTracks::KIND.name, Gains::KIND.name];
+pub const PREPARED: [&str; 3] = [PairTracks::KIND.name, Gains::KIND.name, FrameFlow::KIND.name];
 
 /// Result of [`LightField::prepare`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -22,22 +25,37 @@ pub struct Preparation {
     pub pairs: usize,
     /// Number of these frame pairs whose tracks had been stored before.
     pub found: usize,
-    /// Size of all stored tracks and gains, bytes.
+    /// Number of frames whose depth and motion are stored, if the options render by them.
+    pub maps: usize,
+    /// Number of these frames whose depth and motion had been stored before.
+    pub maps_found: usize,
+    /// Size of all that is stored, bytes.
     pub bytes: u64,
 }
 
 impl LightField {
-    /// The number of frame pairs, and an upper bound on the size that [`Self::prepare`] takes on disk, bytes.
+    /// The number of frame pairs, and of frames with depth and motion, and an upper bound on the size that
+    /// [`Self::prepare`] takes on disk, bytes.
     pub fn preparation_size(&self, options: &RenderOptions) -> (usize, u64) {
         let cameras = self.capture().cameras.len();
         let pairs: usize = (0..cameras).map(|c| self.times_s(c).len().saturating_sub(1)).sum();
         let tracks = 2 * options.registration.max_corners;
         let gains = cameras * size_of::<[f64; 3]>();
-        (pairs, (pairs * (tracks * size_of::<Track>() + ENTRY_BYTES) + gains + ENTRY_BYTES) as u64)
+        let mut bytes = pairs * (tracks * size_of::<Track>() + ENTRY_BYTES) + gains + ENTRY_BYTES;
+        let mut steps = pairs;
+        if options.proxy.method == ProxyMethod::SceneFlow {
+            for (c, filmed) in self.capture().cameras.iter().enumerate() {
+                let frames = self.times_s(c).len();
+                steps += frames;
+                bytes += frames * FlowMap::max_stored_bytes(&filmed.camera);
+            }
+        }
+        (steps, bytes as u64)
     }
 
-    /// Registers all frame pairs in which something moves, and stores their tracks on disk. Pairs that are stored
-    /// already are skipped. `progress` is called with the number of finished pairs.
+    /// Registers all frame pairs in which something moves, and stores their tracks on disk; likewise depth and motion of
+    /// all frames, if the options render by them. What is stored already is skipped. `progress` is called with the number
+    /// of finished pairs and frames.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read, or nothing can be written.
@@ -70,7 +88,31 @@ impl LightField {
                 Ok::<(), RenderError>(())
             })?;
         }
-        let [pairs, found] = [pairs, found].map(AtomicUsize::into_inner);
-        Ok(Preparation { pairs, found, bytes: bytes.into_inner() })
+        let [pairs, found, done] = [pairs, found, done].map(AtomicUsize::into_inner);
+        let mut prepared =
+            Preparation { pairs, found, bytes: bytes.into_inner(), ..Preparation::default() };
+        if options.proxy.method == ProxyMethod::SceneFlow {
+            self.prepare_maps(options, &mut prepared, |maps| progress(done + maps))?;
+        }
+        Ok(prepared)
+    }
+
+    /// Stores depth and motion of all frames. `progress` is called with the number of finished frames.
+    fn prepare_maps(
+        &self,
+        options: &RenderOptions,
+        prepared: &mut Preparation,
+        progress: impl Fn(usize) + Sync,
+    ) -> Result<(), RenderError> {
+        for slot in self.slots() {
+            let stored = store_slot(self, slot, FlowOptions::new(options), &Context::unattended())?;
+            for stored in stored {
+                prepared.maps += 1;
+                prepared.maps_found += usize::from(stored.was_there);
+                prepared.bytes += stored.bytes;
+            }
+            progress(prepared.maps);
+        }
+        Ok(())
     }
 }

@@ -1,14 +1,20 @@
 //! Beyond the paper: views from the depth and motion of frames, each at its own time.
 
 use super::depth::{range, scene_points};
-use super::graph::{LightField, Stage};
+use super::graph::{LightField, Stage, StoredStage};
 use super::points::nearest;
-use super::stages::{Instant, SceneFlow, Undistorted};
+use super::slots::{FrameId, Slot};
+use super::stages::{FlowConfidences, FlowOptions, FrameFlow, Instant, Undistorted};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
+use crate::capture::Stored;
+use crate::host::CacheKind;
 use crate::lumigraph::DepthMap;
 use crate::raster::Image;
-use crate::scene_flow::{Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, blend};
+use crate::scene_flow::{
+    Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, MatchingImage, PyramidFrame,
+    blend, confidences,
+};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -21,9 +27,6 @@ const MAX_PARTNERS: usize = 7;
 const MAX_SPEED: f64 = 0.125;
 /// Factor by which the search extends the range of the features' inverse depths, at both ends.
 const DEPTH_MARGIN: f64 = 1.5;
-
-/// A frame of the capture.
-type FrameId = (usize, usize);
 
 impl Stage for Undistorted<'_> {
     type Output = FlowFrame;
@@ -43,70 +46,166 @@ impl Stage for Undistorted<'_> {
     }
 }
 
-impl Stage for SceneFlow<'_> {
-    /// One map a frame; `None` if nothing is known of the scene's depths.
-    type Output = Option<Vec<FlowMap>>;
-    const NAME: &'static str = "scene flow";
-
-    fn bytes(maps: &Self::Output) -> usize {
-        maps.as_ref().map_or(1, |maps| maps.iter().map(FlowMap::bytes).sum())
-    }
-
-    fn compute(&self, field: &LightField, context: &Context) -> Result<Self::Output, RenderError> {
-        let mapped = self.frames;
-        let others: Vec<Vec<FrameId>> = mapped.iter().map(|&id| matched_with(field, id)).collect();
-        let Some(limits) = self.limits(field)? else { return Ok(None) };
-        let needed: BTreeSet<FrameId> =
-            mapped.iter().chain(others.iter().flatten()).copied().collect();
-        let load = |&(camera, frame): &FrameId| {
-            context.check()?;
-            let stage = Undistorted { camera, frame, registration: self.registration };
-            Ok(((camera, frame), field.get(&stage, context)?))
-        };
-        let needed: Vec<FrameId> = needed.into_iter().collect();
-        let frames: BTreeMap<FrameId, Arc<FlowFrame>> =
-            needed.par_iter().map(load).collect::<Result<_, RenderError>>()?;
-        let list: Vec<(&FlowFrame, Vec<&FlowFrame>)> = mapped
-            .iter()
-            .zip(&others)
-            .map(|(id, others)| (&*frames[id], others.iter().map(|o| &*frames[o]).collect()))
-            .collect();
-        let baseline_m = 2.0 * field.spacing_m();
-        let proceed = || context.check().is_ok();
-        let maps = Estimation { frames: &list, limits, baseline_m }.run(&proceed);
+/// Depth and motion of the frames of a slot. `None` if nothing is known of the scene's depths.
+fn slot_maps(
+    field: &LightField,
+    slot: Slot,
+    options: FlowOptions,
+    context: &Context,
+) -> Result<Option<Vec<(FrameId, Arc<FlowMap>)>>, RenderError> {
+    let mapped = field.frames_of(slot);
+    let others: Vec<Vec<FrameId>> = mapped.iter().map(|&id| matched_with(field, id)).collect();
+    let Some(limits) = limits(field, &mapped, options)? else { return Ok(None) };
+    let needed: BTreeSet<FrameId> = mapped.iter().chain(others.iter().flatten()).copied().collect();
+    let load = |&(camera, frame): &FrameId| {
         context.check()?;
-        Ok(Some(maps))
+        let undistorted = Undistorted { camera, frame, registration: options.registration };
+        let flow_frame = field.get(&undistorted, context)?;
+        // Each is used in two or three slots: computing it takes less than caching it would displace.
+        let pyramid = flow_frame.pyramid();
+        Ok(((camera, frame), (flow_frame, pyramid)))
+    };
+    let needed: Vec<FrameId> = needed.into_iter().collect();
+    let frames: BTreeMap<FrameId, (Arc<FlowFrame>, Vec<MatchingImage>)> =
+        needed.par_iter().map(load).collect::<Result<_, RenderError>>()?;
+    let with_pyramid = |id: &FrameId| {
+        let (frame, levels) = &frames[id];
+        PyramidFrame { frame, levels }
+    };
+    let list: Vec<(PyramidFrame, Vec<PyramidFrame>)> = mapped
+        .iter()
+        .zip(&others)
+        .map(|(id, others)| (with_pyramid(id), others.iter().map(with_pyramid).collect()))
+        .collect();
+    let baseline_m = 2.0 * field.spacing_m();
+    let proceed = || context.check().is_ok();
+    let maps = Estimation { frames: &list, limits, baseline_m }.run(&proceed);
+    context.check()?;
+    Ok(Some(mapped.into_iter().zip(maps.into_iter().map(Arc::new)).collect()))
+}
+
+impl Stage for FrameFlow<'_> {
+    type Output = FlowMap;
+    const NAME: &'static str = "scene flow of a frame";
+
+    fn bytes(map: &FlowMap) -> usize {
+        map.bytes()
+    }
+
+    fn compute(&self, field: &LightField, context: &Context) -> Result<FlowMap, RenderError> {
+        let Self { frame, options } = *self;
+        let loaded = load(field, &[frame], options, context)?;
+        let map = loaded.and_then(|mut loaded| loaded.pop()).map(|loaded| loaded.map);
+        map.map(Arc::unwrap_or_clone).ok_or(RenderError::NoPoints)
     }
 }
 
-impl SceneFlow<'_> {
-    /// The ranges of the search, from the features at the time of one of the frames. `None` if there are none, or if all
-    /// cameras stand at one place.
-    fn limits(&self, field: &LightField) -> Result<Option<Limits>, RenderError> {
-        let Some(&(camera, frame)) = self.frames.get(self.frames.len() / 2) else {
-            return Ok(None);
-        };
-        let time_s = field.times_s(camera)[frame];
-        if field.spacing_m() == 0.0 {
-            return Ok(None);
+impl StoredStage for FrameFlow<'_> {
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 1 };
+}
+
+impl Stage for FlowConfidences<'_> {
+    /// One list a frame, of one value a pixel.
+    type Output = Vec<Vec<u8>>;
+    const NAME: &'static str = "confidences";
+
+    fn bytes(confidences: &Self::Output) -> usize {
+        confidences.iter().map(Vec::len).sum()
+    }
+
+    fn compute(&self, _: &LightField, context: &Context) -> Result<Self::Output, RenderError> {
+        context.check()?;
+        Ok(confidences(self.mapped))
+    }
+}
+
+/// Stores the maps of a slot's frames on disk, unless they are there.
+pub(super) fn store_slot(
+    field: &LightField,
+    slot: Slot,
+    options: FlowOptions,
+    context: &Context,
+) -> Result<Vec<Stored>, RenderError> {
+    let frames = field.frames_of(slot);
+    let flow = |frame: FrameId| FrameFlow { frame, options };
+    if !frames.iter().all(|&frame| field.is_stored(&flow(frame))) {
+        let maps = slot_maps(field, slot, options, context)?.ok_or(RenderError::NoPoints)?;
+        for (frame, map) in maps {
+            field.insert(&flow(frame), map);
         }
-        let Self { registration, still_change, .. } = *self;
-        let instant = Instant { time_s, registration, still_change };
-        let filmed = &field.capture().cameras;
-        let points = scene_points(field, &filmed[camera].camera, instant, self.proxy)?;
-        let Some(points) = points else { return Ok(None) };
-        let cameras: BTreeSet<usize> = self.frames.iter().map(|id| id.0).collect();
-        let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
-        let both = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-        let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
-        let max_speed = (MAX_SPEED * side.max().unwrap_or(0) as f64) as f32;
-        Ok(both.map(|[min, max]| Limits {
-            inverse_depth: [(min / DEPTH_MARGIN) as f32, (max * DEPTH_MARGIN) as f32],
-            max_speed,
-        }))
+    }
+    frames.into_par_iter().map(|frame| field.store(&flow(frame), context)).collect()
+}
+
+/// A frame and its map.
+struct LoadedFrame {
+    frame: Arc<FlowFrame>,
+    map: Arc<FlowMap>,
+}
+
+impl LoadedFrame {
+    fn mapped(&self) -> MappedFrame<'_> {
+        MappedFrame { frame: &self.frame, map: &self.map }
     }
 }
 
+/// Frames with their maps, from memory or disk, else computed. `None` if nothing is known of the scene's depths.
+fn load(
+    field: &LightField,
+    frames: &[FrameId],
+    options: FlowOptions,
+    context: &Context,
+) -> Result<Option<Vec<LoadedFrame>>, RenderError> {
+    let stored = |&frame: &FrameId| field.found(&FrameFlow { frame, options });
+    let stored: Vec<Option<Arc<FlowMap>>> = frames.par_iter().map(stored).collect();
+    let mut computed: BTreeMap<FrameId, Arc<FlowMap>> = BTreeMap::new();
+    let mut all = Vec::with_capacity(frames.len());
+    for (&id, stored) in frames.iter().zip(stored) {
+        if stored.is_none() && !computed.contains_key(&id) {
+            let maps = slot_maps(field, field.slot_of(id), options, context)?;
+            let Some(maps) = maps else { return Ok(None) };
+            computed.extend(maps);
+        }
+        all.extend(stored.or_else(|| computed.get(&id).cloned()).map(|map| (id, map)));
+    }
+    // After all slots are computed, since each displaces much of what is cached.
+    for (frame, map) in computed {
+        field.insert(&FrameFlow { frame, options }, map);
+    }
+    let load = |((camera, frame), map): (FrameId, Arc<FlowMap>)| {
+        let undistorted = Undistorted { camera, frame, registration: options.registration };
+        Ok(LoadedFrame { frame: field.get(&undistorted, context)?, map })
+    };
+    Ok(Some(all.into_par_iter().map(load).collect::<Result<_, RenderError>>()?))
+}
+
+/// The ranges of the search, from the features at the time of one of the frames. `None` if there are none, or if all
+/// cameras stand at one place.
+fn limits(
+    field: &LightField,
+    frames: &[FrameId],
+    options: FlowOptions,
+) -> Result<Option<Limits>, RenderError> {
+    let Some(&(camera, frame)) = frames.get(frames.len() / 2) else { return Ok(None) };
+    let time_s = field.times_s(camera)[frame];
+    if field.spacing_m() == 0.0 {
+        return Ok(None);
+    }
+    let FlowOptions { registration, still_change, proxy } = options;
+    let instant = Instant { time_s, registration, still_change };
+    let filmed = &field.capture().cameras;
+    let points = scene_points(field, &filmed[camera].camera, instant, proxy)?;
+    let Some(points) = points else { return Ok(None) };
+    let cameras: BTreeSet<usize> = frames.iter().map(|id| id.0).collect();
+    let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
+    let both = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+    let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
+    let max_speed = (MAX_SPEED * side.max().unwrap_or(0) as f64) as f32;
+    Ok(both.map(|[min, max]| Limits {
+        inverse_depth: [(min / DEPTH_MARGIN) as f32, (max * DEPTH_MARGIN) as f32],
+        max_speed,
+    }))
+}
 /// The frames that a frame is matched with: its own camera's before and after, and of the nearest other cameras the one
 /// nearest in time.
 fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
@@ -135,30 +234,19 @@ pub(super) fn flow_view(
     context: &Context,
 ) -> Result<Option<FlowView>, RenderError> {
     let &Request { time_s, options, .. } = request;
-    let registration = &options.registration;
     let mut cameras = nearest(field.capture(), &field.usable(time_s), target.center());
     cameras.truncate(MAX_CAMERAS);
     let frame = |c: usize| field.nearest_frame(c, time_s).map(|k| (c, k));
     let mut frames: Vec<FrameId> = cameras.into_iter().filter_map(frame).collect();
     // Sorted, so that views from other places share them.
     frames.sort_unstable();
-    let stage = SceneFlow {
-        frames: &frames,
-        registration,
-        still_change: options.interpolation.still_change,
-        proxy: &options.proxy,
-    };
-    let maps = field.get(&stage, context)?;
-    let Some(maps) = maps.as_ref() else { return Ok(None) };
-    let undistorted = |&(camera, frame): &FrameId| {
-        field.get(&Undistorted { camera, frame, registration }, context)
-    };
-    let frames: Vec<Arc<FlowFrame>> =
-        frames.iter().map(undistorted).collect::<Result<_, RenderError>>()?;
+    let options = FlowOptions::new(options);
+    let Some(loaded) = load(field, &frames, options, context)? else { return Ok(None) };
+    let mapped: Vec<MappedFrame> = loaded.iter().map(LoadedFrame::mapped).collect();
+    let stage = FlowConfidences { frames: &frames, options, mapped: &mapped };
+    let confidences = field.get(&stage, context)?;
     context.check()?;
-    let mapped: Vec<MappedFrame> =
-        frames.iter().zip(maps).map(|(frame, map)| MappedFrame { frame, map }).collect();
-    Ok(Some(blend(&mapped, target, field.in_frames(time_s))))
+    Ok(Some(blend(&mapped, &confidences, target, field.in_frames(time_s))))
 }
 
 /// A filming camera's image: its own frame where it has one at that very time, else the view from its place. Pixels that no

@@ -2,11 +2,13 @@
 //! else. The memo's keys are these inputs, serialized.
 
 use super::graph::{LightField, Stage};
+use super::slots::FrameId;
 use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
 use crate::lumigraph::{BlendMethod, BlendOptions};
 use crate::options::{ProxyOptions, RenderOptions};
 use crate::raster::Image;
 use crate::registration::{Gains, RegistrationOptions};
+use crate::scene_flow::MappedFrame;
 use serde::{Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
 
@@ -250,21 +252,44 @@ pub(super) struct OcclusionDepths<'a> {
 }
 
 /// A frame without lens distortion, as bright as the reference camera records it.
-#[derive(Serialize)]
+#[derive(Clone, Copy, Serialize)]
 pub(super) struct Undistorted<'a> {
     pub camera: usize,
     pub frame: usize,
     pub registration: &'a RegistrationOptions,
 }
 
-/// Depth and motion of frames of several cameras, which are found together.
+/// Depth and motion of one frame, which are found together with those of the other frames of its slot.
 #[derive(Serialize)]
-pub(super) struct SceneFlow<'a> {
+pub(super) struct FrameFlow<'a> {
+    pub frame: FrameId,
+    pub options: FlowOptions<'a>,
+}
+
+/// How far the maps of a view's frames agree.
+#[derive(Serialize)]
+pub(super) struct FlowConfidences<'a> {
     /// Cameras and frames, ascending.
-    pub frames: &'a [(usize, usize)],
+    pub frames: &'a [FrameId],
+    pub options: FlowOptions<'a>,
+    /// These frames, with their maps.
+    #[serde(skip)]
+    pub mapped: &'a [MappedFrame<'a>],
+}
+
+/// The options that depth and motion of frames depend on.
+#[derive(Clone, Copy, Serialize)]
+pub(super) struct FlowOptions<'a> {
     pub registration: &'a RegistrationOptions,
     pub still_change: f32,
     pub proxy: &'a ProxyOptions,
+}
+
+impl<'a> FlowOptions<'a> {
+    pub fn new(options: &'a RenderOptions) -> Self {
+        let still_change = options.interpolation.still_change;
+        Self { registration: &options.registration, still_change, proxy: &options.proxy }
+    }
 }
 
 /// Stages whose results belong to an instant.

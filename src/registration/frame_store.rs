@@ -21,7 +21,7 @@ pub struct FrameStore {
 /// Minimum size of the default memo, bytes. From here to [`MAX_BYTES`], it grows with the cameras' images.
 const MIN_BYTES: usize = 208 << 20;
 /// Maximum size of the default memo, bytes.
-const MAX_BYTES: usize = 512 << 20;
+const MAX_BYTES: usize = 1 << 30;
 
 /// Size of the default memo, in frames of each camera: enough for all data that views at one instant are rendered from.
 const FRAMES_OF_INSTANT: usize = 3;

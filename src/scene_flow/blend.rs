@@ -52,12 +52,21 @@ pub struct FlowView {
     pub depths: DepthMap,
 }
 
-/// The view at an instant, frames of the reference since the capture's start.
+/// The view at an instant, frames of the reference since the capture's start, from frames with their maps and these maps'
+/// confidences ([`confidences`](super::confidences)).
 ///
 /// Pixels that no map has, but some camera filmed, get the colour of what is behind; others are not covered.
-pub fn blend(mapped: &[MappedFrame], view: &Camera, time: f64) -> FlowView {
-    let splats: Vec<(MappedFrame, Vec<SplatPixel>)> =
-        mapped.par_iter().filter_map(|m| Some((*m, splat(*m, view, time)?))).collect();
+pub fn blend(
+    mapped: &[MappedFrame],
+    confidences: &[Vec<u8>],
+    view: &Camera,
+    time: f64,
+) -> FlowView {
+    let splats: Vec<(MappedFrame, Vec<SplatPixel>)> = mapped
+        .par_iter()
+        .zip(confidences)
+        .filter_map(|(m, c)| Some((*m, splat(*m, c, view, time)?)))
+        .collect();
     let baseline = |m: &MappedFrame| (m.frame.view.center() - view.center()).norm() as f32;
     let baselines: Vec<f32> = splats.iter().map(|(m, _)| baseline(m)).collect();
     let focal = view.focal_px() as f32;
@@ -150,7 +159,7 @@ impl<'a> Behind<'a> {
                 continue;
             }
             is_filmed = true;
-            let in_front = map.pixels()[k].inverse_depth - q;
+            let in_front = map.element(&map.pixels()[k]).inverse_depth - q;
             if in_front * map.disparity_px < CLUSTER_PX {
                 frame.image.sample_cubic(u, v, &mut pixel.color);
                 pixel.color = pixel.color.map(|c| c.clamp(0.0, 1.0));

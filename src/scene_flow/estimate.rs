@@ -1,11 +1,11 @@
 //! Maps of several frames together, from coarse to fine.
 
 use super::element::Element;
-use super::frame::FlowFrame;
+use super::frame::{FlowFrame, PyramidFrame};
 use super::map::{ElementMap, FlowMap};
 use super::matching::{MAX_OBSERVATIONS, ObservingFrame, PatchMatcher};
 use super::sweep::{Limits, Pass};
-use super::transfer::{Proposals, confidence};
+use super::transfer::Proposals;
 use crate::random::Random;
 use rayon::prelude::*;
 
@@ -17,7 +17,7 @@ const CHANCES: [usize; 4] = [1, 2, 10, 50];
 /// Maps to estimate together, so that each proposes to the others.
 pub struct Estimation<'a> {
     /// The frames that get a map, and for each of them the frames that it is matched with: the first 16 count.
-    pub frames: &'a [(&'a FlowFrame, Vec<&'a FlowFrame>)],
+    pub frames: &'a [(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)],
     pub limits: Limits,
     /// Twice the distance of neighbouring cameras, metres: that of the cameras between which disparities are stated.
     pub baseline_m: f64,
@@ -28,7 +28,7 @@ impl Estimation<'_> {
     /// no.
     pub fn run(&self, proceed: &(dyn Fn() -> bool + Sync)) -> Vec<FlowMap> {
         let disparity_px = |f: &FlowFrame| (f.view.focal_px() * self.baseline_m) as f32;
-        let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| *f).collect();
+        let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| f.frame).collect();
         let disparities_px: Vec<f32> = frames.iter().map(|f| disparity_px(f)).collect();
         let observations: Vec<Vec<ObservingFrame>> = self
             .frames
@@ -36,7 +36,7 @@ impl Estimation<'_> {
             .map(|(f, others)| {
                 others
                     .iter()
-                    .filter_map(|o| ObservingFrame::new(f, o))
+                    .filter_map(|o| ObservingFrame::new(*f, *o))
                     .take(MAX_OBSERVATIONS)
                     .collect()
             })
@@ -60,7 +60,7 @@ impl Estimation<'_> {
                 maps.par_iter_mut().zip(&proposals).enumerate().for_each(
                     |(f, (map, proposals))| {
                         let matcher = PatchMatcher {
-                            own: &frames[f].levels[level],
+                            own: &self.frames[f].0.levels[level],
                             observations: &observations[f],
                             level,
                             scale: map.scale,
@@ -82,11 +82,8 @@ impl Estimation<'_> {
                 );
             }
         }
-        let packed = |f: usize| {
-            let disparity_px = disparities_px[f];
-            let confidence = confidence(&frames, &maps, f, disparity_px);
-            FlowMap::new(&maps[f], &confidence, disparity_px)
-        };
+        let packed =
+            |f: usize| FlowMap::new(&maps[f], self.limits.inverse_depth, disparities_px[f]);
         (0..maps.len()).into_par_iter().map(packed).collect()
     }
 

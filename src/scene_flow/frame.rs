@@ -58,6 +58,11 @@ impl MatchingImage {
         Self { width, height, samples }
     }
 
+    /// Its size in memory, bytes.
+    pub fn bytes(&self) -> usize {
+        size_of_val(self.samples.as_slice())
+    }
+
     #[inline(always)]
     pub fn pixel(&self, x: usize, y: usize) -> MatchingSample {
         self.samples[y * self.width + x]
@@ -75,18 +80,6 @@ impl MatchingImage {
     pub fn quad(&self, x: usize, y: usize) -> [&[MatchingSample]; 2] {
         let k = y * self.width + x;
         [&self.samples[k..k + 2], &self.samples[k + self.width..][..2]]
-    }
-
-    /// Bilinear sample at a position from the first pixel's centre, from 0 to [`Self::limit`].
-    pub fn sample(&self, x: f32, y: f32) -> MatchingSample {
-        let (column, row) = (x as usize, y as usize);
-        let (fx, fy) = (x - column as f32, y - row as f32);
-        let [upper, lower] = self.quad(column, row);
-        std::array::from_fn(|c| {
-            let top = upper[0][c] + fx * (upper[1][c] - upper[0][c]);
-            let bottom = lower[0][c] + fx * (lower[1][c] - lower[0][c]);
-            top + fy * (bottom - top)
-        })
     }
 }
 
@@ -113,8 +106,13 @@ pub struct FlowFrame {
     pub image: Image,
     /// Whether the camera filmed the pixel; `None`: it filmed all of them.
     pub is_filmed: Option<Vec<bool>>,
-    /// Finest first.
-    pub levels: Vec<MatchingImage>,
+}
+
+/// A frame with its pyramid ([`FlowFrame::pyramid`]).
+#[derive(Clone, Copy)]
+pub struct PyramidFrame<'a> {
+    pub frame: &'a FlowFrame,
+    pub levels: &'a [MatchingImage],
 }
 
 /// Images are halved until their shorter side would be less than this, pixels.
@@ -141,14 +139,17 @@ impl FlowFrame {
             let (image, is_filmed) = undistorted(camera, &view, &image);
             (image, Some(is_filmed))
         };
-        let levels = MatchingImage::pyramid(&image, levels(camera.width, camera.height));
-        Self { view, time, is_color, image, is_filmed, levels }
+        Self { view, time, is_color, image, is_filmed }
+    }
+
+    /// The images that are matched, finest first.
+    pub fn pyramid(&self) -> Vec<MatchingImage> {
+        MatchingImage::pyramid(&self.image, levels(self.view.width, self.view.height))
     }
 
     /// Its size in memory, bytes.
     pub fn bytes(&self) -> usize {
-        let pixels: usize = self.levels.iter().map(|l| l.width * l.height).sum();
-        size_of_val(self.image.data()) + pixels * size_of::<MatchingSample>()
+        size_of_val(self.image.data()) + self.is_filmed.as_ref().map_or(0, Vec::len)
     }
 }
 

@@ -2,7 +2,6 @@
 
 use super::element::Element;
 use super::frame::FlowFrame;
-use serde::{Deserialize, Serialize};
 
 /// A frame's surface elements while they are estimated, one a pixel.
 #[derive(Clone)]
@@ -38,39 +37,64 @@ impl ElementMap {
 
 /// Quantization steps a pixel: of velocity, acceleration, and the rate of the inverse depth as disparity.
 const STEPS: f32 = 64.0;
+/// Quantization steps of the inverse depth in its range.
+const DEPTH_STEPS: f32 = u16::MAX as f32;
 /// Sum of the differences in disparity and in motion above which two neighbours are on different surfaces, pixels.
 const MAX_JUMP_PX: f32 = 1.0;
 /// Time over which their motions are compared, frames.
 const JUMP_FRAMES: f32 = 0.5;
 
-/// A frame's depth and motion as views need them: 16 bytes a pixel.
+/// A frame's depth and motion as views need them: 14 bytes a pixel, and about a third of that on disk.
 ///
-/// Disparities, velocities and accelerations are rounded to 1/64 pixel, and depths to 1/1000 pixel of disparity or less.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// Disparities, velocities and accelerations are rounded to 1/64 pixel, and inverse depths to 1/65535 of the search's
+/// range.
+#[derive(Clone, Debug, PartialEq)]
 pub struct FlowMap {
     pub width: usize,
     pub height: usize,
     /// Pixels of disparity of an inverse depth of 1/m, for cameras as far apart as the rig's next but one.
     pub disparity_px: f32,
-    pixels: Vec<FlowPixel>,
+    /// Smallest and largest inverse depth, 1/m.
+    pub(super) inverse_depth: [f32; 2],
+    pub(super) pixels: Vec<FlowPixel>,
 }
 
 /// The element of a pixel.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FlowPixel {
-    /// 1/m.
-    pub inverse_depth: f32,
+    inverse_depth: u16,
     velocity: [i16; 2],
     acceleration: [i16; 2],
     rate: i16,
-    confidence: u8,
     /// Whether the neighbours to the left, to the right, above and below are of other surfaces, one bit each.
     edges: u8,
 }
 
 impl FlowPixel {
-    pub fn confidence(&self) -> f32 {
-        f32::from(self.confidence) / 255.0
+    /// Number of channels of 16 bits.
+    pub(super) const CHANNELS: usize = 6;
+    /// Its size on disk before it is compressed.
+    pub(super) const BYTES: usize = 2 * Self::CHANNELS + 1;
+
+    pub(super) fn new(channels: [u16; Self::CHANNELS], edges: u8) -> Self {
+        let [inverse_depth, u, v, a, b, rate] = channels;
+        let signed = |v: u16| v as i16;
+        Self {
+            inverse_depth,
+            velocity: [signed(u), signed(v)],
+            acceleration: [signed(a), signed(b)],
+            rate: signed(rate),
+            edges,
+        }
+    }
+
+    pub(super) fn channels(&self) -> [u16; Self::CHANNELS] {
+        let [[u, v], [a, b]] = [self.velocity, self.acceleration].map(|p| p.map(|v| v as u16));
+        [self.inverse_depth, u, v, a, b, self.rate as u16]
+    }
+
+    pub(super) fn edges(&self) -> u8 {
+        self.edges
     }
 
     /// Bit 0: to the left, 1: to the right, 2: above, 3: below.
@@ -80,9 +104,12 @@ impl FlowPixel {
 }
 
 impl FlowMap {
-    /// A map that holds an estimate's elements, which has one a pixel of the frame.
-    pub fn new(map: &ElementMap, confidence: &[f32], disparity_px: f32) -> Self {
+    /// A map that holds an estimate's elements, which has one a pixel of the frame. Their inverse depths lie in this range.
+    pub fn new(map: &ElementMap, inverse_depth: [f32; 2], disparity_px: f32) -> Self {
         let rounded = |v: f32| (v * STEPS).round() as i16; // saturates
+        let [min, max] = inverse_depth;
+        // Without a range, all depths are its only one.
+        let per_step = (max - min).max(f32::MIN_POSITIVE) / DEPTH_STEPS;
         let pixel = |(k, e): (usize, &Element)| {
             let (x, y) = (k % map.width, k / map.width);
             let mut edges = 0;
@@ -94,28 +121,31 @@ impl FlowMap {
                 }
             }
             FlowPixel {
-                inverse_depth: e.inverse_depth,
+                inverse_depth: ((e.inverse_depth - min) / per_step).round() as u16, // saturates
                 velocity: e.velocity.map(rounded),
                 acceleration: e.acceleration.map(rounded),
                 rate: rounded(e.inverse_depth_rate * disparity_px),
-                confidence: (confidence[k] * 255.0).round().clamp(1.0, 255.0) as u8,
                 edges,
             }
         };
         let pixels = map.elements.iter().enumerate().map(pixel).collect();
-        Self { width: map.width, height: map.height, disparity_px, pixels }
+        Self { width: map.width, height: map.height, disparity_px, inverse_depth, pixels }
     }
 
     pub fn pixels(&self) -> &[FlowPixel] {
         &self.pixels
     }
 
-    /// A pixel's element, parallel to the image.
-    #[inline(always)]
+    /// The centre of a pixel.
+    pub fn center(&self, k: usize) -> [f32; 2] {
+        [(k % self.width) as f32 + 0.5, (k / self.width) as f32 + 0.5]
+    }
+
     pub fn element(&self, pixel: &FlowPixel) -> Element {
         let value = |v: i16| f32::from(v) / STEPS;
+        let [min, max] = self.inverse_depth;
         Element {
-            inverse_depth: pixel.inverse_depth,
+            inverse_depth: min + (max - min) * (f32::from(pixel.inverse_depth) / DEPTH_STEPS),
             velocity: pixel.velocity.map(value),
             acceleration: pixel.acceleration.map(value),
             inverse_depth_rate: value(pixel.rate) / self.disparity_px,

@@ -1,7 +1,7 @@
 //! How well the frames of all cameras, each at its own time, agree on a surface element.
 
 use super::element::Element;
-use super::frame::{FlowFrame, MatchingImage, MatchingSample, WEIGHTS};
+use super::frame::{MatchingImage, MatchingSample, PyramidFrame, WEIGHTS};
 use super::geometry::Projection;
 use crate::simd::{F32x8, LANES, multiversion};
 
@@ -13,6 +13,8 @@ const PATCH_COLOR: f32 = 0.08;
 const PATCH_FINEST: (i32, i32) = (4, 2);
 /// Half-width of a patch at all other levels, and the step between its pixels; pixels of the level.
 const PATCH_COARSE: (i32, i32) = (2, 1);
+/// Smallest weight of a patch's pixel: others are of another surface, or too far away to matter.
+const MIN_WEIGHT: f32 = 0.05;
 /// Residual of brightness at which a pixel of a patch counts half in a Gauss–Newton step.
 const RESIDUAL: f32 = 0.05;
 /// Largest number of pixels of a patch.
@@ -43,15 +45,15 @@ pub struct ObservingFrame<'a> {
 
 impl<'a> ObservingFrame<'a> {
     /// `None` if a camera has no inverse.
-    pub fn new(of: &FlowFrame, by: &'a FlowFrame) -> Option<Self> {
+    pub fn new(of: PyramidFrame, by: PyramidFrame<'a>) -> Option<Self> {
         let mut truncation = TRUNCATION;
-        if !(of.is_color && by.is_color) {
+        if !(of.frame.is_color && by.frame.is_color) {
             truncation[1] = 0.0;
         }
         Some(Self {
-            dt: (by.time - of.time) as f32,
-            projection: Projection::new(&of.view, &by.view)?,
-            levels: &by.levels,
+            dt: (by.frame.time - of.frame.time) as f32,
+            projection: Projection::new(&of.frame.view, &by.frame.view)?,
+            levels: by.levels,
             truncation,
         })
     }
@@ -64,6 +66,8 @@ pub struct Patch {
     samples: [MatchingSample; PADDED_PIXELS],
     /// Each pixel's weight, once a channel.
     weights: [MatchingSample; PADDED_PIXELS],
+    /// Each pixel's weight.
+    weight: [f32; PADDED_PIXELS],
     count: usize,
     /// One over the sum of all weights.
     normalization: f32,
@@ -76,6 +80,7 @@ impl Patch {
             offset_y: [0.0; PADDED_PIXELS],
             samples: [[0.0; 4]; PADDED_PIXELS],
             weights: [[0.0; 4]; PADDED_PIXELS],
+            weight: [0.0; PADDED_PIXELS],
             count: 0,
             normalization: 0.0,
         }
@@ -119,14 +124,103 @@ struct Footprint {
     down: [f32; 2],
 }
 
-impl Footprint {
+/// An element at a pixel of the frame.
+struct PlacedElement<'a> {
+    matcher: &'a PatchMatcher<'a>,
+    element: &'a Element,
+    x: f32,
+    y: f32,
+}
+
+impl PlacedElement<'_> {
     #[inline(always)]
-    fn at(&self, [dx, dy]: [f32; 2]) -> [f32; 2] {
-        [
-            self.center[0] + dx * self.right[0] + dy * self.down[0],
-            self.center[1] + dx * self.right[1] + dy * self.down[1],
-        ]
+    fn footprint(&self, o: &ObservingFrame) -> Footprint {
+        let s = self.matcher.scale;
+        let inverse = 1.0 / s; // a power of two
+        let center = self.place(o, 0.0, 0.0, inverse);
+        let [right, down] = [self.place(o, s, 0.0, inverse), self.place(o, 0.0, s, inverse)];
+        Footprint {
+            center,
+            right: [right[0] - center[0], right[1] - center[1]],
+            down: [down[0] - center[0], down[1] - center[1]],
+        }
     }
+
+    #[inline(always)]
+    fn place(&self, o: &ObservingFrame, dx: f32, dy: f32, inverse: f32) -> [f32; 2] {
+        let [mx, my, q] = self.element.at(dx, dy).moved(self.x + dx, self.y + dy, o.dt);
+        let [u, v, _] = o.projection.project(mx, my, q);
+        [u * inverse - 0.5, v * inverse - 0.5]
+    }
+}
+
+/// Costs of the observations so far, ascending.
+struct SortedCosts {
+    sorted: [f32; MAX_OBSERVATIONS],
+    count: usize,
+    /// How many of them have the element inside their image.
+    inside: usize,
+}
+
+impl SortedCosts {
+    #[inline(always)]
+    fn add(&mut self, cost: f32) {
+        let mut j = self.count;
+        while j > 0 && self.sorted[j - 1] > cost {
+            self.sorted[j] = self.sorted[j - 1];
+            j -= 1;
+        }
+        self.sorted[j] = cost;
+        self.count += 1;
+        self.inside += usize::from(cost < OUTSIDE);
+    }
+
+    /// Mean of the smallest costs, of a fraction of the `n` frames in which the element is inside, if it costs nothing in
+    /// all further frames.
+    #[inline(always)]
+    fn mean(&self, n: usize, is_finest: bool) -> f32 {
+        let free = n - self.count;
+        let inside = self.inside + free;
+        let best = ((inside as f32 * BEST_FRACTION).round() as usize).max(MIN_BEST).min(n);
+        let mut sum = 0.0;
+        let mut k = 0;
+        while k + free < best {
+            let cost = self.sorted[k];
+            // At the finest level what matches so badly is as good as outside; at coarser ones it may still improve.
+            let counts = cost < OUTSIDE && !is_finest;
+            sum += if counts { cost } else { cost.min(OUTSIDE_COST) };
+            k += 1;
+        }
+        let outside = (n - inside) as f32 / n.max(1) as f32;
+        sum / best.max(1) as f32 + OUTSIDE_PENALTY * outside
+    }
+}
+
+/// The cost of an element ([`PatchMatcher::cost`]).
+#[inline(always)]
+fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut Costs) -> f32 {
+    let matcher = placed.matcher;
+    let (n, is_finest) = (matcher.observations.len(), matcher.level == 0);
+    let mut sorted = SortedCosts { sorted: [0.0; MAX_OBSERVATIONS], count: 0, inside: 0 };
+    let mut k = 0;
+    while k < n {
+        let o = &matcher.observations[k];
+        let image = &o.levels[matcher.level];
+        let footprint = placed.footprint(o);
+        let [u, v] = footprint.center;
+        let [max_u, max_v] = image.limit();
+        costs[k] = if u > 0.0 && v > 0.0 && u < max_u && v < max_v {
+            differences::<V>(image, &footprint, patch, &o.truncation) * patch.normalization
+        } else {
+            2.0 * OUTSIDE
+        };
+        sorted.add(costs[k]);
+        k += 1;
+        if 2 * k > n && k < n && sorted.mean(n, is_finest) > limit {
+            return f32::INFINITY;
+        }
+    }
+    sorted.mean(n, is_finest)
 }
 
 /// Difference of two pixels' brightnesses and colours.
@@ -144,35 +238,118 @@ fn differences<V: F32x8>(
     patch: &Patch,
     truncation: &MatchingSample,
 ) -> f32 {
-    let [max_u, max_v] = image.limit().map(V::splat);
-    let [center_u, center_v] = footprint.center.map(V::splat);
-    let [right_u, right_v] = footprint.right.map(V::splat);
-    let [down_u, down_v] = footprint.down.map(V::splat);
     let truncation = V::from_array(&eight(&[*truncation, *truncation], 0));
     let mut sum = V::zero();
     for first in (0..patch.count).step_by(LANES) {
-        let dx = V::from_array(&std::array::from_fn(|l| patch.offset_x[first + l]));
-        let dy = V::from_array(&std::array::from_fn(|l| patch.offset_y[first + l]));
-        let u = center_u + dx * right_u + dy * down_u;
-        let v = center_v + dx * right_v + dy * down_v;
-        let (columns, fx) = u.simd_max(V::zero()).simd_min(max_u).floor_and_fraction();
-        let (rows, fy) = v.simd_max(V::zero()).simd_min(max_v).floor_and_fraction();
-        let (fx, fy) = (fx.to_array(), fy.to_array());
-        // Two pixels of four channels at a time.
+        let places = footprint.places::<V>(image, patch, first);
         for l in (0..LANES.min(patch.count - first)).step_by(2) {
-            let a = between_rows::<V>(image, [columns[l], rows[l]], fy[l]);
-            let b = between_rows::<V>(image, [columns[l + 1], rows[l + 1]], fy[l + 1]);
-            let left = V::from_array(&[a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]);
-            let right = V::from_array(&[a[4], a[5], a[6], a[7], b[4], b[5], b[6], b[7]]);
-            let (fa, fb) = (fx[l], fx[l + 1]);
-            let fraction = V::from_array(&[fa, fa, fa, fa, fb, fb, fb, fb]);
-            let sampled = left + (right - left) * fraction;
+            let sampled = places.two_samples::<V>(image, l);
             let own = V::from_array(&eight(&patch.samples, first + l));
             let weights = V::from_array(&eight(&patch.weights, first + l));
             sum = sum + (sampled - own).abs().simd_min(truncation) * weights;
         }
     }
     sum.sum() as f32
+}
+
+/// Sums over the patch of the products of gradients, `xx`, `xy`, `yy`, and of gradients and residuals, `x`, `y`.
+/// Places outside of the image count nothing.
+#[inline(always)]
+fn gradient_sums<V: F32x8>(
+    image: &MatchingImage,
+    footprint: &Footprint,
+    patch: &Patch,
+) -> [f32; 5] {
+    let mut sums = [V::zero(); 5];
+    let [max_u, max_v] = image.limit();
+    let [max_u, max_v] = [V::splat(max_u), V::splat(max_v)];
+    let [half_x, half_y] = [V::splat(0.5 / WEIGHTS[2]), V::splat(0.5 / WEIGHTS[3])];
+    let (zero, one) = (V::zero(), V::splat(1.0));
+    let narrowing = V::splat(1.0 / (WEIGHTS[0] * RESIDUAL));
+    for first in (0..patch.count).step_by(LANES) {
+        let places = footprint.places::<V>(image, patch, first);
+        let mut sampled = [[0.0f32; LANES]; 4];
+        for l in (0..LANES.min(patch.count - first)).step_by(2) {
+            let two = places.two_samples::<V>(image, l).to_array();
+            let mut c = 0;
+            while c < 4 {
+                sampled[c][l] = two[c];
+                sampled[c][l + 1] = two[4 + c];
+                c += 1;
+            }
+        }
+        let mut own = [[0.0f32; LANES]; 4];
+        let mut l = 0;
+        while l < LANES {
+            let mut c = 0;
+            while c < 4 {
+                own[c][l] = patch.samples[first + l][c];
+                c += 1;
+            }
+            l += 1;
+        }
+        let weight = V::load(&patch.weight, first);
+        let weight = zero.if_below(places.u, weight, zero);
+        let weight = zero.if_below(places.v, weight, zero);
+        let weight = places.u.if_below(max_u, weight, zero);
+        let weight = places.v.if_below(max_v, weight, zero);
+        let residual = V::from_array(&sampled[0]) - V::from_array(&own[0]);
+        let gx = (V::from_array(&sampled[2]) + V::from_array(&own[2])) * half_x;
+        let gy = (V::from_array(&sampled[3]) + V::from_array(&own[3])) * half_y;
+        let relative = residual * narrowing;
+        let weight = weight / (one + relative * relative);
+        let (wx, wy) = (weight * gx, weight * gy);
+        sums[0] = sums[0] + wx * gx;
+        sums[1] = sums[1] + wx * gy;
+        sums[2] = sums[2] + wy * gy;
+        sums[3] = sums[3] + wx * residual;
+        sums[4] = sums[4] + wy * residual;
+    }
+    let sums = V::sums(&sums);
+    let by = 1.0 / WEIGHTS[0];
+    [sums[0] as f32, sums[1] as f32, sums[2] as f32, sums[3] as f32 * by, sums[4] as f32 * by]
+}
+
+/// Where eight pixels of a patch are in an image.
+struct Places<V> {
+    u: V,
+    v: V,
+    columns: [i32; LANES],
+    rows: [i32; LANES],
+    fx: [f32; LANES],
+    fy: [f32; LANES],
+}
+
+impl Footprint {
+    /// The places of eight pixels, from the first on; those outside of the image are moved to its border.
+    #[inline(always)]
+    fn places<V: F32x8>(&self, image: &MatchingImage, patch: &Patch, first: usize) -> Places<V> {
+        let [max_u, max_v] = image.limit();
+        let dx = V::load(&patch.offset_x, first);
+        let dy = V::load(&patch.offset_y, first);
+        let u =
+            V::splat(self.center[0]) + dx * V::splat(self.right[0]) + dy * V::splat(self.down[0]);
+        let v =
+            V::splat(self.center[1]) + dx * V::splat(self.right[1]) + dy * V::splat(self.down[1]);
+        let (columns, fx) = u.simd_max(V::zero()).simd_min(V::splat(max_u)).floor_and_fraction();
+        let (rows, fy) = v.simd_max(V::zero()).simd_min(V::splat(max_v)).floor_and_fraction();
+        Places { u, v, columns, rows, fx: fx.to_array(), fy: fy.to_array() }
+    }
+}
+
+impl<W> Places<W> {
+    /// Bilinear samples of a pixel and the next.
+    #[inline(always)]
+    fn two_samples<V: F32x8>(&self, image: &MatchingImage, l: usize) -> V {
+        let Self { columns, rows, fx, fy, .. } = self;
+        let a = between_rows::<V>(image, [columns[l], rows[l]], fy[l]);
+        let b = between_rows::<V>(image, [columns[l + 1], rows[l + 1]], fy[l + 1]);
+        let left = V::from_array(&[a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]);
+        let right = V::from_array(&[a[4], a[5], a[6], a[7], b[4], b[5], b[6], b[7]]);
+        let (fa, fb) = (fx[l], fx[l + 1]);
+        let fraction = V::from_array(&[fa, fa, fa, fa, fb, fb, fb, fb]);
+        left + (right - left) * fraction
+    }
 }
 
 /// Two horizontal neighbours, from this pixel on, at a fraction of the way to the row below.
@@ -191,12 +368,11 @@ fn eight(samples: &[MatchingSample], first: usize) -> [f32; LANES] {
 }
 
 multiversion! {
-    fn patch_difference(
-        image: &MatchingImage,
-        footprint: &Footprint,
-        patch: &Patch,
-        truncation: &MatchingSample,
-    ) -> f32 = differences::<V>
+    fn cost_below(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut Costs) -> f32 = cost::<V>
+}
+
+multiversion! {
+    fn patch_gradients(image: &MatchingImage, footprint: &Footprint, patch: &Patch) -> [f32; 5] = gradient_sums::<V>
 }
 
 impl PatchMatcher<'_> {
@@ -220,6 +396,10 @@ impl PatchMatcher<'_> {
                 let distance = (dx * dx + dy * dy) as f32 / (radius * radius) as f32;
                 let difference = color_difference(&sample, &center) / PATCH_COLOR;
                 let weight = (-difference - 0.5 * distance).exp();
+                if weight < MIN_WEIGHT {
+                    continue;
+                }
+                patch.weight[count] = weight;
                 (patch.offset_x[count], patch.offset_y[count]) = (dx as f32, dy as f32);
                 (patch.samples[count], patch.weights[count]) = (sample, [weight; 4]);
                 count += 1;
@@ -227,63 +407,35 @@ impl PatchMatcher<'_> {
             }
         }
         patch.weights[count..].fill([0.0; 4]);
+        patch.weight[count..].fill(0.0);
         patch.count = count;
         // The centre's weight is 1.
         patch.normalization = 1.0 / sum;
     }
 
+    /// The cost of an element: the mean of those observations that agree best. `costs` gets that of each. Infinite as soon
+    /// as it is known to be above the limit.
     #[inline(always)]
-    fn footprint(&self, o: &ObservingFrame, e: &Element, x: usize, y: usize) -> Footprint {
+    pub fn cost(
+        &self,
+        e: &Element,
+        (x, y): (usize, usize),
+        patch: &Patch,
+        limit: f32,
+        costs: &mut Costs,
+    ) -> f32 {
+        cost_below(&self.placed(e, x, y), patch, limit, costs)
+    }
+
+    #[inline(always)]
+    fn placed<'a>(&'a self, e: &'a Element, x: usize, y: usize) -> PlacedElement<'a> {
         let s = self.scale;
-        let (cx, cy) = ((x as f32 + 0.5) * s, (y as f32 + 0.5) * s);
-        let place = |dx: f32, dy: f32| {
-            let [mx, my, q] = e.at(dx, dy).moved(cx + dx, cy + dy, o.dt);
-            let [u, v, _] = o.projection.project(mx, my, q);
-            [u / s - 0.5, v / s - 0.5]
-        };
-        let (center, right, down) = (place(0.0, 0.0), place(s, 0.0), place(0.0, s));
-        let from_center = |p: [f32; 2]| [p[0] - center[0], p[1] - center[1]];
-        Footprint { center, right: from_center(right), down: from_center(down) }
-    }
-
-    /// The cost of an element: the mean of those observations that agree best. `costs` gets that of each.
-    #[inline(always)]
-    pub fn cost(&self, e: &Element, x: usize, y: usize, patch: &Patch, costs: &mut Costs) -> f32 {
-        for (o, cost) in self.observations.iter().zip(costs.iter_mut()) {
-            let image = &o.levels[self.level];
-            let footprint = self.footprint(o, e, x, y);
-            let [u, v] = footprint.center;
-            let [max_u, max_v] = image.limit();
-            if !(u > 0.0 && v > 0.0 && u < max_u && v < max_v) {
-                *cost = 2.0 * OUTSIDE;
-                continue;
-            }
-            *cost = patch_difference(image, &footprint, patch, &o.truncation) * patch.normalization;
+        PlacedElement {
+            matcher: self,
+            element: e,
+            x: (x as f32 + 0.5) * s,
+            y: (y as f32 + 0.5) * s,
         }
-        self.best(costs)
-    }
-
-    /// The mean of the smallest costs: of a fraction of the frames in which the element is inside.
-    #[inline(always)]
-    fn best(&self, costs: &Costs) -> f32 {
-        let n = self.observations.len();
-        let inside = costs[..n].iter().filter(|c| **c < OUTSIDE).count();
-        let count = ((inside as f32 * BEST_FRACTION).round() as usize).max(MIN_BEST).min(n);
-        let mut sorted = [f32::MAX; MAX_OBSERVATIONS];
-        for (k, &cost) in costs[..n].iter().enumerate() {
-            let mut j = k;
-            while j > 0 && sorted[j - 1] > cost {
-                sorted[j] = sorted[j - 1];
-                j -= 1;
-            }
-            sorted[j] = cost;
-        }
-        // At the finest level what matches so badly is as good as outside; at coarser ones it may still improve.
-        let is_finest = self.level == 0;
-        let cost = |c: &f32| if *c < OUTSIDE && !is_finest { *c } else { c.min(OUTSIDE_COST) };
-        let outside = (n - inside) as f32 / n.max(1) as f32;
-        sorted[..count].iter().map(cost).sum::<f32>() / count.max(1) as f32
-            + OUTSIDE_PENALTY * outside
     }
 
     /// Calls `f` for every observation that sees the element, with its part of the normal equations: sums over the
@@ -298,27 +450,9 @@ impl PatchMatcher<'_> {
         let &MatchedElement { element, pixel: (x, y), patch, costs, .. } = matched;
         for (o, _) in self.observations.iter().zip(costs).filter(|(_, c)| **c <= max_cost) {
             let image = &o.levels[self.level];
-            let footprint = self.footprint(o, element, x, y);
-            let limit = image.limit();
-            let (mut products, mut residuals) = ([0.0f32; 3], [0.0f32; 2]);
-            for k in 0..patch.count {
-                let own = patch.samples[k];
-                let [u, v] = footprint.at([patch.offset_x[k], patch.offset_y[k]]);
-                if !(u > 0.0 && v > 0.0 && u < limit[0] && v < limit[1]) {
-                    continue;
-                }
-                let s = image.sample(u, v);
-                let residual = (s[0] - own[0]) / WEIGHTS[0];
-                let gx = 0.5 * (s[2] + own[2]) / WEIGHTS[2];
-                let gy = 0.5 * (s[3] + own[3]) / WEIGHTS[3];
-                let weight = patch.weights[k][0] / (1.0 + (residual / RESIDUAL).powi(2));
-                products[0] += weight * gx * gx;
-                products[1] += weight * gx * gy;
-                products[2] += weight * gy * gy;
-                residuals[0] += weight * gx * residual;
-                residuals[1] += weight * gy * residual;
-            }
-            f(o, products, residuals);
+            let footprint = self.placed(element, x, y).footprint(o);
+            let [xx, xy, yy, x, y] = patch_gradients(image, &footprint, patch);
+            f(o, [xx, xy, yy], [x, y]);
         }
     }
 

@@ -20,13 +20,15 @@
 //! | `matching.rs` | how well all frames agree on an element |
 //! | `gauss_newton.rs`, `affine_fit.rs` | an element made better by gradients, and by its neighbours |
 //! | `sweep.rs` | a pass of PatchMatch over a map |
-//! | `transfer.rs` | what other frames' maps propose, and confirm |
+//! | `transfer.rs` | what other frames' maps propose |
 //! | `estimate.rs` | these steps in order, for several frames together |
-//! | `map.rs` | a frame's depth and motion |
+//! | `map.rs`, `packed.rs` | a frame's depth and motion, and how they are stored |
+//! | `confidence.rs` | whether the maps of a view's frames agree |
 //! | `splat.rs`, `blend.rs` | the view of several maps |
 
 mod affine_fit;
 mod blend;
+mod confidence;
 mod element;
 mod estimate;
 mod frame;
@@ -34,6 +36,7 @@ mod gauss_newton;
 mod geometry;
 mod map;
 mod matching;
+mod packed;
 mod splat;
 mod sweep;
 mod transfer;
@@ -42,7 +45,8 @@ mod transfer;
 mod tests;
 
 pub use blend::{FlowView, blend};
+pub use confidence::confidences;
 pub use estimate::Estimation;
-pub use frame::{FlowFrame, levels};
+pub use frame::{FlowFrame, MatchingImage, PyramidFrame};
 pub use map::{FlowMap, MappedFrame};
 pub use sweep::Limits;

@@ -29,9 +29,14 @@ pub struct SplatPixel {
     distance: f32,
 }
 
-/// A map in a view at an instant, frames of the reference since the capture's start: one candidate a pixel of the view.
+/// A map, with its confidences, in a view at an instant, frames of the reference since the capture's start: one candidate a pixel of the view.
 /// `None` if the frame's camera has no inverse.
-pub fn splat(mapped: MappedFrame, view: &Camera, time: f64) -> Option<Vec<SplatPixel>> {
+pub fn splat(
+    mapped: MappedFrame,
+    confidences: &[u8],
+    view: &Camera,
+    time: f64,
+) -> Option<Vec<SplatPixel>> {
     let MappedFrame { frame, map } = mapped;
     let projection = Projection::new(&frame.view, view)?;
     let (width, height) = (view.width, view.height);
@@ -74,7 +79,7 @@ pub fn splat(mapped: MappedFrame, view: &Camera, time: f64) -> Option<Vec<SplatP
                     *old = SplatPixel {
                         inverse_depth,
                         source: [px + dx / scale, py + dy / scale],
-                        confidence: pixel.confidence(),
+                        confidence: f32::from(confidences[k]) / 255.0,
                         speed: element.speed(),
                         distance,
                     };

@@ -97,7 +97,8 @@ impl Best<'_, '_> {
             return;
         }
         let mut costs = [0.0; MAX_OBSERVATIONS];
-        let match_cost = self.matcher.cost(&proposal, x, y, self.patch, &mut costs);
+        let match_cost =
+            self.matcher.cost(&proposal, (x, y), self.patch, self.cost - roughness, &mut costs);
         if match_cost + roughness < self.cost {
             self.element = proposal;
             (self.match_cost, self.cost) = (match_cost, match_cost + roughness);
@@ -243,7 +244,13 @@ impl PatchMatcher<'_> {
             self.fill_patch(x, y, &mut patch);
             let element = map.elements[k];
             let mut costs = [0.0; MAX_OBSERVATIONS];
-            let match_cost = self.cost(&element, x, y, &patch, &mut costs);
+            // Costs of this level are known from the pass before.
+            let is_known = pass.turn > 0;
+            let match_cost = if is_known {
+                map.costs[k]
+            } else {
+                self.cost(&element, (x, y), &patch, f32::INFINITY, &mut costs)
+            };
             let cost = match_cost + self.roughness(map, &element, x, y);
             let mut best = Best {
                 matcher: self,
@@ -272,7 +279,12 @@ impl PatchMatcher<'_> {
             }
             best.consider_fit(pass);
             let has_changed = self.distance(&element, &best.element) > 0.0;
-            if pass.turn == 0 || has_changed || pass.is_last {
+            let wants = pass.is_last || has_changed || (is_settled && pass.turn == 0);
+            if wants {
+                if is_known && !has_changed {
+                    let element = best.element;
+                    self.cost(&element, (x, y), &patch, f32::INFINITY, &mut best.costs);
+                }
                 best.consider_step();
             }
             (map.elements[k], map.costs[k]) = (best.element, best.match_cost);

@@ -1,5 +1,6 @@
 //! Scenes in closed form: textured walls that move, filmed by cameras that are not synchronized.
 
+use super::frame::levels;
 use super::geometry::Projection;
 use super::*;
 use crate::camera::{Camera, CameraModel};
@@ -89,8 +90,26 @@ fn maps(recording: &[[FlowFrame; 3]]) -> Vec<FlowMap> {
         (&own[1], [&own[0], &own[2]].into_iter().chain(nearest).collect())
     };
     let frames: Vec<(&FlowFrame, Vec<&FlowFrame>)> = (0..recording.len()).map(matched).collect();
+    estimated(&frames, &|| true)
+}
+
+fn estimated(
+    frames: &[(&FlowFrame, Vec<&FlowFrame>)],
+    proceed: &(dyn Fn() -> bool + Sync),
+) -> Vec<FlowMap> {
+    let all = frames.iter().map(|(f, others)| [&[*f], &others[..]].concat());
+    let all: Vec<Vec<&FlowFrame>> = all.collect();
+    let levels: Vec<Vec<Vec<MatchingImage>>> =
+        all.iter().map(|f| f.iter().map(|f| f.pyramid()).collect()).collect();
+    let mut list = Vec::new();
+    for (frames, levels) in all.iter().zip(&levels) {
+        let mut both =
+            frames.iter().zip(levels).map(|(frame, levels)| PyramidFrame { frame, levels });
+        let own = both.next().unwrap();
+        list.push((own, both.collect()));
+    }
     let limits = Limits { inverse_depth: [0.2, 1.0], max_speed: 12.0 };
-    Estimation { frames: &frames, limits, baseline_m: 2.0 * SPACING_M }.run(&|| true)
+    Estimation { frames: &list, limits, baseline_m: 2.0 * SPACING_M }.run(proceed)
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
@@ -135,7 +154,7 @@ fn a_view_between_cameras_and_frames_is_the_true_one() {
     let mapped: Vec<MappedFrame> =
         recording.iter().zip(&maps).map(|(f, map)| MappedFrame { frame: &f[1], map }).collect();
     let (view, time) = (camera_at(0.15, 0.02), 1.4);
-    let FlowView { rendered, depths } = blend(&mapped, &view, time);
+    let FlowView { rendered, depths } = blend(&mapped, &confidences(&mapped), &view, time);
     let truth = filmed(&view, &walls, time);
     let (mut error, mut count) = (0.0, 0.0);
     for y in 8..SIZE[1] - 8 {
@@ -167,9 +186,7 @@ fn any_number_of_threads_gives_the_same_maps() {
 fn an_estimation_that_may_not_go_on_has_no_maps() {
     let recording = recording(&[STILL]);
     let frames = [(&recording[0][1], vec![&recording[1][1]])];
-    let limits = Limits { inverse_depth: [0.2, 1.0], max_speed: 12.0 };
-    let estimation = Estimation { frames: &frames, limits, baseline_m: 0.2 };
-    assert!(estimation.run(&|| false).is_empty());
+    assert!(estimated(&frames, &|| false).is_empty());
 }
 
 #[test]
@@ -221,4 +238,15 @@ fn images_of_any_size_have_levels() {
     {
         assert_eq!(levels(width, height), expected, "{width}×{height}");
     }
+}
+
+#[test]
+fn a_stored_map_is_the_same_and_a_damaged_one_is_refused() {
+    let recording = recording(&[MOVING, STILL]);
+    let map = maps(&recording).remove(0);
+    let mut stored = postcard::to_allocvec(&map).unwrap();
+    assert!(2 * stored.len() < map.bytes(), "{} of {} bytes", stored.len(), map.bytes());
+    assert_eq!(postcard::from_bytes::<FlowMap>(&stored).unwrap(), map);
+    stored.truncate(stored.len() / 2);
+    assert!(postcard::from_bytes::<FlowMap>(&stored).is_err());
 }

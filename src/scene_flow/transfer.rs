@@ -1,4 +1,4 @@
-//! What the maps of other frames say about a frame: elements to try, and whether they agree.
+//! Elements that the maps of other frames propose for a frame.
 
 use super::element::Element;
 use super::frame::FlowFrame;
@@ -11,21 +11,6 @@ const MAX_PROPOSAL_DT: f32 = 1.1;
 const COST_PER_FRAME: f32 = 0.01;
 /// Largest cost of an element that is proposed because it is the nearest.
 const MAX_NEAR_COST: f32 = 0.1;
-/// Frames farther away in time confirm nothing.
-const MAX_CONFIRMING_DT: f32 = 0.8;
-/// Largest difference in disparity between an element and the one that confirms it, pixels.
-const MAX_DISPARITY_ERROR_PX: f32 = 1.5;
-/// Largest difference of their velocities, pixels a frame, without the part by [`MAX_MOTION_ERROR`].
-const MAX_MOTION_ERROR_PX: f32 = 2.0;
-/// The part of the largest difference of velocities that grows with the speed, as a fraction of it.
-const MAX_MOTION_ERROR: f32 = 0.15;
-/// Weight of a map in which something is in front of the element, where a map that contradicts the element has weight 1.
-const HIDDEN: f32 = 0.3;
-/// Number of confirming maps that is added to those found, so that an element that no map could confirm has a confidence.
-const PRIOR_CONFIRMED: f32 = 0.1;
-/// Number of all maps that is added to those found.
-const PRIOR_ALL: f32 = 0.5;
-
 /// Elements that other frames' maps propose for a map's pixels: the cheapest, and the nearest.
 pub struct Proposals {
     cheapest: Vec<Option<(f32, Element)>>,
@@ -67,44 +52,4 @@ impl Proposals {
         }
         proposals
     }
-}
-
-/// For each pixel of a map, the fraction of the other maps near in time that confirm it, of those that could.
-pub fn confidence(
-    frames: &[&FlowFrame],
-    maps: &[ElementMap],
-    of: usize,
-    disparity_px: f32,
-) -> Vec<f32> {
-    let own = &maps[of];
-    let (mut confirmed, mut all) =
-        (vec![0.0f32; own.elements.len()], vec![0.0f32; own.elements.len()]);
-    for (other, map) in maps.iter().enumerate() {
-        let dt = (frames[other].time - frames[of].time) as f32;
-        let projection = Projection::new(&frames[of].view, &frames[other].view);
-        let Some(projection) = projection.filter(|_| other != of && dt.abs() <= MAX_CONFIRMING_DT)
-        else {
-            continue;
-        };
-        for (k, element) in own.elements.iter().enumerate() {
-            let [x, y] = own.center(k);
-            let (pixel, here) = element.transferred(x, y, dt, &projection);
-            let Some(t) = map.index(pixel) else { continue };
-            let there = map.element_at(t, pixel);
-            let disparity = (there.inverse_depth - here.inverse_depth) * disparity_px;
-            let motion =
-                (there.velocity[0] - here.velocity[0]).hypot(there.velocity[1] - here.velocity[1]);
-            let max_motion = MAX_MOTION_ERROR_PX + MAX_MOTION_ERROR * here.speed();
-            if disparity.abs() < MAX_DISPARITY_ERROR_PX && motion < max_motion {
-                confirmed[k] += 1.0;
-                all[k] += 1.0;
-            } else if disparity < MAX_DISPARITY_ERROR_PX {
-                all[k] += 1.0;
-            } else {
-                all[k] += HIDDEN;
-            }
-        }
-    }
-    let fraction = |(c, a): (&f32, &f32)| (c + PRIOR_CONFIRMED) / (a + PRIOR_ALL);
-    confirmed.iter().zip(&all).map(fraction).collect()
 }

@@ -1,0 +1,96 @@
+//! A map as it is stored: compressed without loss.
+
+use super::map::{FlowMap, FlowPixel};
+use crate::camera::Camera;
+use flate2::Compression;
+use flate2::read::DeflateDecoder;
+use flate2::write::DeflateEncoder;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::io::{Read, Write};
+
+/// Deflate's level: higher ones take three times as long for a twentieth less.
+const LEVEL: u32 = 3;
+
+/// A map whose pixels are compressed. One channel after another, low bytes before high ones; each value as the difference
+/// from the pixel before.
+#[derive(Serialize, Deserialize)]
+struct PackedMap {
+    width: usize,
+    height: usize,
+    disparity_px: f32,
+    inverse_depth: [f32; 2],
+    deflated: Vec<u8>,
+}
+
+impl PackedMap {
+    fn new(map: &FlowMap) -> Self {
+        let mut planes = Vec::with_capacity(map.pixels.len() * FlowPixel::BYTES);
+        for channel in 0..FlowPixel::CHANNELS {
+            let mut before = 0u16;
+            let differences: Vec<u16> = map
+                .pixels
+                .iter()
+                .map(|p| {
+                    let value = p.channels()[channel];
+                    value.wrapping_sub(std::mem::replace(&mut before, value))
+                })
+                .collect();
+            planes.extend(differences.iter().map(|d| d.to_le_bytes()[0]));
+            planes.extend(differences.iter().map(|d| d.to_le_bytes()[1]));
+        }
+        planes.extend(map.pixels.iter().map(FlowPixel::edges));
+        let mut encoder = DeflateEncoder::new(Vec::new(), Compression::new(LEVEL));
+        // Writing to memory doesn't fail.
+        let deflated = encoder.write_all(&planes).and_then(|()| encoder.finish());
+        let &FlowMap { width, height, disparity_px, inverse_depth, .. } = map;
+        Self { width, height, disparity_px, inverse_depth, deflated: deflated.unwrap_or_default() }
+    }
+
+    /// The map; `None` if its bytes are damaged.
+    fn unpacked(self) -> Option<FlowMap> {
+        let Self { width, height, disparity_px, inverse_depth, deflated } = self;
+        let count = width.checked_mul(height)?;
+        let expected = count.checked_mul(FlowPixel::BYTES)?;
+        let mut planes = Vec::new();
+        let mut decoder = DeflateDecoder::new(&*deflated).take(expected as u64 + 1);
+        decoder.read_to_end(&mut planes).ok()?;
+        if planes.len() != expected {
+            return None;
+        }
+        let mut channels = vec![[0u16; FlowPixel::CHANNELS]; count];
+        for (channel, bytes) in planes.chunks_exact(2 * count.max(1)).enumerate() {
+            let (low, high) = bytes.split_at(count);
+            let mut value = 0u16;
+            for ((pixel, low), high) in channels.iter_mut().zip(low).zip(high) {
+                value = value.wrapping_add(u16::from_le_bytes([*low, *high]));
+                pixel[channel] = value;
+            }
+        }
+        let edges = &planes[2 * FlowPixel::CHANNELS * count..];
+        let pixels = channels.iter().zip(edges).map(|(c, e)| FlowPixel::new(*c, *e)).collect();
+        Some(FlowMap { width, height, disparity_px, inverse_depth, pixels })
+    }
+}
+
+impl FlowMap {
+    /// Largest size of a camera's stored map, bytes.
+    pub fn max_stored_bytes(camera: &Camera) -> usize {
+        let bytes = camera.width * camera.height * FlowPixel::BYTES;
+        // Deflate adds at most 5 bytes to every 16 KiB that it can't compress.
+        bytes + bytes / 1024 + 1024
+    }
+}
+
+impl Serialize for FlowMap {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        PackedMap::new(self).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for FlowMap {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let packed = PackedMap::deserialize(deserializer)?;
+        packed.unpacked().ok_or_else(|| D::Error::custom("a map that is damaged"))
+    }
+}
