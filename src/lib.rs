@@ -174,8 +174,8 @@
 //! - Thin things that move further than they are thick, as a pendulum's rod, vanish between two frames.
 //! - In narrow gaps between bodies that move along the line of cameras, what is behind them gets their
 //!   motion. There, OpenCV's DIS interpolates up to 0.5 dB better.
-//! - `--proxy scene-flow` takes 35 to 45 processor seconds for eight cameras at 640×480, until other frames are nearest
-//!   to the instant, and 1 GB of memory. `prepare`, `plan` and the presets don't use it yet.
+//! - `--proxy scene-flow` takes 35 to 45 processor seconds for a new instant of eight cameras at 640×480 that `prepare` has
+//!   not prepared, and 1 GB of memory. `stlfr view` uses what `prepare` stored, or depth per pixel.
 //! - A body that bounces between two frames is misplaced in a camera's image. `--sync all-cameras` takes it
 //!   from cameras that filmed it then.
 //! - `capture --engine workbench` films instants. A camera with an exposure time needs Cycles.

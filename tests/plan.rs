@@ -245,21 +245,26 @@ fn a_plan_is_kept_for_the_same_capture_and_options() {
 }
 
 #[test]
-fn held_out_frames_decide_the_weights_if_asked() {
+fn held_out_frames_decide_the_weights_and_scene_flow_if_asked() {
     let folder = tiny_copy();
     let field = open_field(open(&folder), &auto(), &Reporter::silent()).unwrap();
     let by = |sync: bool, blend: bool| {
         let mut options = auto();
-        (options.auto.sync, options.auto.blend) = (sync, blend);
+        options.auto = AutoOptions { sync, blend, proxy: sync || blend, ..AutoOptions::default() };
+        options.proxy.method = ProxyMethod::Depth;
         options.blend.method = BlendMethod::Uniform;
         plan(&field, &options, &Reporter::silent()).unwrap()
     };
     let all = by(true, true);
     assert!([SyncMethod::Refined, SyncMethod::AllCameras].contains(&all.options.sync), "{all:?}");
-    let decision = decision(&all, "blend");
+    let decision = self::decision(&all, "blend");
     let is_better = decision.measured.expect("held-out frames were compared") > 0.0;
     let chosen = if is_better { BlendMethod::SpaceTime } else { BlendMethod::Lumigraph };
     assert_eq!((decision.method, all.options.blend.method), (chosen.name(), chosen));
+    let proxy = self::decision(&all, "proxy");
+    let gains = proxy.measured.expect("held-out frames were compared") > proxy.limit.unwrap();
+    let chosen = if gains { ProxyMethod::SceneFlow } else { ProxyMethod::Depth };
+    assert_eq!((proxy.method, all.options.proxy.method), (chosen.name(), chosen));
     let sync_only = by(true, false);
     assert_eq!(sync_only.options.blend.method, BlendMethod::Uniform);
     // Nothing is rendered for what isn't asked for.

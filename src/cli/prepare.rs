@@ -56,6 +56,7 @@ pub fn run(args: &PrepareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     let options = args.options.read()?;
     let capture = open_capture(&args.capture, None, reporter)?;
     let field = pipeline::open_field(capture, &options, reporter)?;
+    let options = pipeline::resolved(&field, &options, reporter)?;
     let (steps, bytes) = field.preparation_size(&options);
     reporter.note(&format!("What is prepared takes at most {:.0} MB of disk.", bytes as f64 / MB));
     let task = reporter.task("Preparing frames", steps);

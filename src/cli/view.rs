@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use stlfr::host;
 use stlfr::live::{Server, Studio};
+use stlfr::options::ProxyMethod;
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
 
@@ -39,7 +40,16 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     // The port is bound before long work, which would be in vain without it.
     let server = Server::bind(args.port).map_err(|error| refused(args.port, &error))?;
     let field = pipeline::open_field(capture, &options, reporter)?;
-    let options = pipeline::resolved(&field, &options, reporter)?;
+    let mut planned = pipeline::resolved(&field, &options, reporter)?;
+    let is_slow = planned.proxy.method == ProxyMethod::SceneFlow && options.auto.proxy;
+    if is_slow && !field.has_prepared_maps(&planned) {
+        planned.proxy.method = ProxyMethod::Depth;
+        reporter.note(
+            "Pictures are by depth per pixel: scene flow takes half a minute for a new instant, until stlfr prepare \
+             with the same options has run.",
+        );
+    }
+    let options = planned;
     let studio = Studio::new(&field, &options, args.options.words(), reporter);
     let address = server.address();
     let mut stdout = std::io::stdout().lock();

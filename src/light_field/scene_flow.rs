@@ -46,13 +46,16 @@ impl Stage for Undistorted<'_> {
     }
 }
 
+/// The maps of a slot's frames.
+type SlotMaps = Vec<(FrameId, Arc<FlowMap>)>;
+
 /// Depth and motion of the frames of a slot. `None` if nothing is known of the scene's depths.
 fn slot_maps(
     field: &LightField,
     slot: Slot,
     options: FlowOptions,
     context: &Context,
-) -> Result<Option<Vec<(FrameId, Arc<FlowMap>)>>, RenderError> {
+) -> Result<Option<SlotMaps>, RenderError> {
     let mapped = field.frames_of(slot);
     let others: Vec<Vec<FrameId>> = mapped.iter().map(|&id| matched_with(field, id)).collect();
     let Some(limits) = limits(field, &mapped, options)? else { return Ok(None) };

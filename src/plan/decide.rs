@@ -150,6 +150,18 @@ pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, D
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
+/// Decides between depth per pixel of synchronized images, and depth and motion of frames. `gain_db` is the gain of the
+/// latter on held-out frames.
+pub fn scene_flow(gain_db: f64, frames: &str, budget_db: f64) -> (ProxyMethod, Decision) {
+    let method = if gain_db > budget_db { ProxyMethod::SceneFlow } else { ProxyMethod::Depth };
+    let because = format!(
+        "Where frames change, views by depth and motion of the frames are {} than by depth of synchronized images \
+         (held-out frames: {frames}).",
+        better_or_worse(gain_db)
+    );
+    (method, Decision::new("proxy", method.name(), because).by(gain_db, budget_db))
+}
+
 fn better_or_worse(gain_db: f64) -> String {
     let word = if gain_db < 0.0 { "worse" } else { "better" };
     format!("{:.2} dB {word}", gain_db.abs())
@@ -315,6 +327,14 @@ mod tests {
         assert_eq!(weights(Some(-0.01)).0, Some(BlendMethod::default()));
         assert_eq!(weights(None).0, None);
         assert_eq!(weights(None).1.method, "as given");
+    }
+
+    #[test]
+    fn held_out_frames_decide_on_scene_flow() {
+        let proxy = |gain_db| scene_flow(gain_db, "cam1's 3", 0.07);
+        assert_eq!(proxy(0.05).0, ProxyMethod::Depth);
+        assert_eq!(proxy(2.0).0, ProxyMethod::SceneFlow);
+        assert!(proxy(-0.25).1.because.contains("0.25 dB worse"), "{}", proxy(-0.25).1.because);
     }
 
     #[test]

@@ -7,6 +7,7 @@
 //! | does anything move? | features' motion, blocks that change ([`Motion`]) | the sync method |
 //! | can refinement gain enough? | views between cameras by both methods, held-out frames ([`Probe`]) | the sync method |
 //! | do images from all cameras gain enough? | held-out frames by both methods ([`Probe`]) | the sync method |
+//! | do depth and motion of frames gain over depth of synchronized images? | held-out frames by both ([`Probe`]) | the proxy method |
 //! | do blending weights in time gain? | held-out frames with and without them ([`Probe`]) | the blend's method |
 //! | does something move in every frame pair? | frame pairs of which no block changes | whether still pairs are registered |
 //! | are trajectories straight? | curvature of trajectories through four frames | curved trajectories |
@@ -79,12 +80,16 @@ pub fn plan(
         interpolation.still_change = interpolation.still_change.max(still_change);
     }
     let shape = Shape::survey(field, &decided)?;
-    let (proxy, of_proxy) = decide::proxy(shape.as_ref(), budget_px);
+    let (proxy, mut of_proxy) = decide::proxy(shape.as_ref(), budget_px);
     if options.auto.proxy {
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
     }
-    let ByViews { sync: (sync, of_sync), blend: (blend, of_blend) } =
+    let ByViews { sync: (sync, of_sync), blend: (blend, of_blend), proxy } =
         by_views(field, &decided, (sync, of_sync))?;
+    if let Some((proxy, decision)) = proxy {
+        decided.proxy.method = proxy;
+        of_proxy = decision;
+    }
     if options.auto.sync {
         decided.sync = sync;
     }
@@ -111,20 +116,23 @@ struct ByViews {
     sync: (SyncMethod, Decision),
     /// The blend's method; `None` if the blend stays as it is.
     blend: (Option<BlendMethod>, Decision),
+    /// The proxy; `None` if it stays as it is.
+    proxy: Option<(ProxyMethod, Decision)>,
 }
 
-/// Chooses the sync method and the blend by rendered test views, each only if `options.auto` leaves it open. Methods other
-/// than refinement, which the motion has chosen as `sync`, are returned as they are.
+/// Chooses the sync method, the blend, and between depth per pixel and scene flow by rendered test views, each only if
+/// `options.auto` leaves it open. Methods other than refinement, which the motion has chosen as `sync`, are returned as they are.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,
     mut sync: (SyncMethod, Decision),
 ) -> Result<ByViews, RenderError> {
     let AutoOptions { budget_db, .. } = options.auto;
-    let is_probed = sync.0 == SyncMethod::Refined && (options.auto.sync || options.auto.blend);
+    let is_probed = sync.0 == SyncMethod::Refined
+        && (options.auto.sync || options.auto.blend || options.auto.proxy);
     let probe = if is_probed { Probe::open(field, &options.registration)? } else { None };
     let Some(probe) = probe else {
-        return Ok(ByViews { sync, blend: decide::blend(None, "") });
+        return Ok(ByViews { sync, blend: decide::blend(None, ""), proxy: None });
     };
     let frames = probe.names();
     let by = |sync: &SyncMethod| RenderOptions { sync: *sync, ..options.clone() };
@@ -146,8 +154,12 @@ fn by_views(
         }
         _ => &[],
     };
-    let options_of: Vec<RenderOptions> = candidates.iter().map(by).collect();
-    let errors = probe.errors(&options_of)?.unwrap_or_default();
+    let mut options_of: Vec<RenderOptions> = candidates.iter().map(by).collect();
+    if options.auto.proxy && !candidates.is_empty() {
+        options_of.push(by_scene_flow(options));
+    }
+    let mut errors = probe.errors(&options_of)?.unwrap_or_default();
+    let of_scene_flow = if errors.len() > candidates.len() { errors.pop() } else { None };
     if let [refined, all] = errors.as_slice() {
         let compared = [refined, all].map(|e| e.by(options.blend.method, options.auto.blend));
         if let Some(gain_db) = gain_db(compared) {
@@ -158,7 +170,17 @@ fn by_views(
     let of_chosen = candidates.iter().zip(&errors).find(|(method, _)| **method == chosen);
     let space_time_gain_db =
         of_chosen.and_then(|(_, e)| gain_db([e.in_space, e.in_space_and_time]));
-    Ok(ByViews { sync, blend: decide::blend(space_time_gain_db, &frames) })
+    let errors = of_chosen.map(|(_, e)| e.by(options.blend.method, options.auto.blend));
+    let flow_gain_db = errors.zip(of_scene_flow).and_then(|(e, flow)| gain_db([e, flow.in_space]));
+    let proxy = flow_gain_db.map(|gain_db| decide::scene_flow(gain_db, &frames, budget_db));
+    Ok(ByViews { sync, blend: decide::blend(space_time_gain_db, &frames), proxy })
+}
+
+/// These options with depth and motion of the frames in place of a proxy.
+fn by_scene_flow(options: &RenderOptions) -> RenderOptions {
+    let mut options = options.clone();
+    options.proxy.method = ProxyMethod::SceneFlow;
+    options
 }
 
 /// The gain in PSNR from the first of two squared errors to the second, decibels; `None` if an error is 0.

@@ -6,7 +6,7 @@ use super::map::MappedFrame;
 use super::splat::{SplatPixel, splat};
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
-use crate::raster::Image;
+use crate::raster::{Image, Sampling, sample};
 use nalgebra::Point2;
 use rayon::prelude::*;
 
@@ -27,6 +27,8 @@ const FRONT: f32 = 0.12;
 const OPAQUE: f32 = 0.25;
 /// Fraction of all weights that a cluster behind needs to show through.
 const BEHIND: f32 = 0.05;
+/// Fraction of the largest weight of a cluster below which a frame counts nothing.
+const MIN_SHARE: f32 = 0.02;
 /// Difference of a colour from the mean at which it counts a quarter.
 const COLOR: f32 = 0.06;
 
@@ -76,6 +78,7 @@ pub fn blend(
     let mut pixels = vec![Pixel::default(); width * height];
     pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
         let mut candidates = Vec::with_capacity(splats.len());
+        let mut colors = Vec::with_capacity(splats.len());
         for (x, pixel) in row.iter_mut().enumerate() {
             candidates.clear();
             for ((mapped, splat), baseline) in splats.iter().zip(&baselines) {
@@ -92,7 +95,7 @@ pub fn blend(
                     candidates.push(Weighted { frame, candidate, weight });
                 }
             }
-            if let Some(found) = pixel_of(&candidates, reach) {
+            if let Some(found) = pixel_of(&candidates, reach, &mut colors) {
                 *pixel = found;
             }
         }
@@ -161,7 +164,7 @@ impl<'a> Behind<'a> {
             is_filmed = true;
             let in_front = map.element(&map.pixels()[k]).inverse_depth - q;
             if in_front * map.disparity_px < CLUSTER_PX {
-                frame.image.sample_cubic(u, v, &mut pixel.color);
+                pixel.color = sample(&frame.image, u, v, Sampling::Cubic);
                 pixel.color = pixel.color.map(|c| c.clamp(0.0, 1.0));
                 return;
             }
@@ -172,30 +175,37 @@ impl<'a> Behind<'a> {
     }
 }
 
-/// The pixel of the nearest cluster with enough weight, and what shows through it. `None` without candidates.
-fn pixel_of(candidates: &[Weighted], reach: f32) -> Option<Pixel> {
+/// Colours of a cluster, with their weights.
+type WeightedColors = Vec<([f32; 3], f32)>;
+
+/// The pixel of the nearest cluster with enough weight, and what shows through it. `None` without candidates. `colors` is
+/// room for the colours.
+fn pixel_of(candidates: &[Weighted], reach: f32, colors: &mut WeightedColors) -> Option<Pixel> {
+    let depths = || candidates.iter().map(|c| c.candidate.inverse_depth);
+    let nearest = depths().fold(f32::NEG_INFINITY, f32::max);
+    if nearest - depths().fold(f32::INFINITY, f32::min) < reach {
+        return mean_of(candidates, nearest, reach, colors);
+    }
     let total: f32 = candidates.iter().map(|c| c.weight).sum();
     let support = |q: f32| -> f32 {
         let near = candidates.iter().filter(|c| (c.candidate.inverse_depth - q).abs() < reach);
         near.map(|c| c.weight).sum()
     };
     let heaviest = |min: f32, max: f32| {
-        let within = candidates.iter().map(|c| c.candidate.inverse_depth);
-        let supports = within.filter(|q| *q > min && *q < max).map(|q| (q, support(q)));
+        let supports = depths().filter(|q| *q > min && *q < max).map(|q| (q, support(q)));
         supports.fold((0.0, 0.0), |best, new| if new.1 > best.1 { new } else { best })
     };
     let (mut q, mut weight) = heaviest(f32::NEG_INFINITY, f32::INFINITY);
-    let in_front = candidates.iter().map(|c| c.candidate.inverse_depth);
-    let front = in_front.filter(|f| *f > q && support(*f) > FRONT * total).fold(q, f32::max);
+    let front = depths().filter(|f| *f > q && support(*f) > FRONT * total).fold(q, f32::max);
     if front > q {
         (q, weight) = heaviest(front - reach, front + reach);
     }
-    let mut pixel = mean_of(candidates, q, reach)?;
+    let mut pixel = mean_of(candidates, q, reach, colors)?;
     let (behind, weight_behind) = heaviest(f32::NEG_INFINITY, q - 2.0 * reach);
     if weight_behind > BEHIND * total {
         let opacity = ((weight / total - FRONT) / (OPAQUE - FRONT)).clamp(0.0, 1.0);
         if opacity < 1.0
-            && let Some(back) = mean_of(candidates, behind, reach)
+            && let Some(back) = mean_of(candidates, behind, reach, colors)
         {
             for (color, back) in pixel.color.iter_mut().zip(back.color) {
                 *color = opacity * *color + (1.0 - opacity) * back;
@@ -206,47 +216,55 @@ fn pixel_of(candidates: &[Weighted], reach: f32) -> Option<Pixel> {
 }
 
 /// The mean of a cluster; colours that differ count less.
-fn mean_of(candidates: &[Weighted], q: f32, reach: f32) -> Option<Pixel> {
-    let mut colors: Vec<([f32; 3], f32)> = Vec::with_capacity(candidates.len());
-    let (mut depths, mut weights) = (0.0, 0.0);
+fn mean_of(candidates: &[Weighted], q: f32, reach: f32, colors: &mut WeightedColors) -> Option<Pixel> {
     let cluster = || candidates.iter().filter(|c| (c.candidate.inverse_depth - q).abs() < reach);
     // Grey cameras say nothing of colour.
     let has_color = cluster().any(|c| c.frame.is_color);
-    for c in cluster().filter(|c| c.frame.is_color == has_color) {
+    let cluster = || cluster().filter(|c| c.frame.is_color == has_color);
+    let most = cluster().map(|c| c.weight).fold(0.0, f32::max);
+    let (mut depths, mut weights) = (0.0, 0.0);
+    colors.clear();
+    for c in cluster().filter(|c| c.weight >= MIN_SHARE * most) {
         let [x, y] = c.candidate.source;
-        let mut color = [0.0; 3];
-        c.frame.image.sample_cubic(x, y, &mut color);
-        colors.push((color, c.weight));
+        colors.push((sample(&c.frame.image, x, y, Sampling::Cubic), c.weight));
         depths += c.weight * c.candidate.inverse_depth;
         weights += c.weight;
     }
     if colors.is_empty() {
         return None;
     }
-    let mean = |factor: &dyn Fn(&[f32; 3]) -> f32| {
-        let (mut sum, mut weights) = ([0.0f32; 3], 0.0f32);
-        for (color, weight) in &colors {
-            let weight = weight * factor(color);
-            (0..3).for_each(|c| sum[c] += weight * color[c]);
-            weights += weight;
-        }
-        sum.map(|v| v / weights)
-    };
-    let mut color = mean(&|_| 1.0);
+    let mut color = weighted_mean(colors, |_| 1.0);
     for _ in 0..2 {
-        color = mean(&|c| {
-            let difference: f32 = (0..3).map(|k| (c[k] - color[k]).powi(2)).sum();
-            1.0 / (1.0 + difference / (COLOR * COLOR)).powi(2)
+        color = weighted_mean(colors, |c| {
+            let difference: f32 = (0..3).map(|k| (c[k] - color[k]) * (c[k] - color[k])).sum();
+            let kept = 1.0 / (1.0 + difference / (COLOR * COLOR));
+            kept * kept
         });
     }
     let color = color.map(|c| c.clamp(0.0, 1.0));
     Some(Pixel { color, inverse_depth: depths / weights, is_mapped: true })
 }
 
+/// The mean by weight and factor, both positive.
+#[inline(always)]
+fn weighted_mean(colors: &WeightedColors, factor: impl Fn(&[f32; 3]) -> f32) -> [f32; 3] {
+    let (mut sum, mut weights) = ([0.0f32; 3], 0.0f32);
+    for (color, weight) in colors {
+        let weight = weight * factor(color);
+        (0..3).for_each(|c| sum[c] += weight * color[c]);
+        weights += weight;
+    }
+    let inverse = 1.0 / weights;
+    sum.map(|v| v * inverse)
+}
+
 /// Fills what no map has from what is behind it, ring by ring.
 fn fill(pixels: &mut [Pixel], width: usize) {
     let height = pixels.len() / width;
     let mut open: Vec<usize> = (0..pixels.len()).filter(|&k| !pixels[k].is_mapped).collect();
+    if open.is_empty() {
+        return;
+    }
     let mut filled: Vec<bool> = pixels.iter().map(|p| p.is_mapped).collect();
     loop {
         let mut ring = Vec::new();

@@ -48,8 +48,8 @@ fn confidence(mapped: &[MappedFrame], of: usize) -> Vec<u8> {
             }
             let there = map.element(&map.pixels()[v as usize * map.width + u as usize]);
             let disparity = (there.inverse_depth - here.inverse_depth) * own.disparity_px;
-            let motion =
-                (there.velocity[0] - here.velocity[0]).hypot(there.velocity[1] - here.velocity[1]);
+            let [du, dv] = [0, 1].map(|c| there.velocity[c] - here.velocity[c]);
+            let motion = (du * du + dv * dv).sqrt();
             let max_motion = MAX_MOTION_ERROR_PX + MAX_MOTION_ERROR * here.speed();
             if disparity.abs() < MAX_DISPARITY_ERROR_PX && motion < max_motion {
                 confirmed[k] += 1.0;

@@ -53,7 +53,8 @@ impl Element {
     /// Pixels a frame.
     #[inline(always)]
     pub fn speed(&self) -> f32 {
-        self.velocity[0].hypot(self.velocity[1])
+        // Pixels don't overflow when squared.
+        (self.velocity[0] * self.velocity[0] + self.velocity[1] * self.velocity[1]).sqrt()
     }
 
     /// Where the element at pixel `(x, y)` is after `dt` frames: pixel, and inverse depth.

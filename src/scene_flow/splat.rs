@@ -101,9 +101,9 @@ fn distorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
     Some([pixel.x as f32, pixel.y as f32])
 }
 
-/// The pixels whose centres lie between two positions.
+/// The pixels whose centres lie between two positions, or on the second.
+#[inline(always)]
 fn pixels_between(from: f32, to: f32, size: usize) -> std::ops::Range<usize> {
-    let first = (from - 0.5).ceil().max(0.0) as usize;
-    let end = (to - 0.5).floor() + 1.0;
-    first..(end.max(0.0) as usize).min(size)
+    // Casts saturate: what is left of the image begins and ends at 0.
+    (from + 0.5) as usize..((to + 0.5) as usize).min(size)
 }
