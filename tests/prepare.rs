@@ -6,11 +6,12 @@ use common::bodies::{Recording, World, board_before_wall, pose};
 use common::worlds::line_rig;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use stlfr::capture::Capture;
 use stlfr::host::DiskCache;
 use stlfr::light_field::{LightField, PREPARED, Preparation};
 use stlfr::offset::Offsets;
-use stlfr::options::RenderOptions;
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::raster::Image;
 use stlfr::registration::{Gains, RegistrationOptions, Track};
 use tempfile::TempDir;
@@ -62,7 +63,8 @@ fn delete_prepared(folder: &Path) -> std::io::Result<bool> {
 /// All files of tracks, by name, and that of the gains.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let folders = PREPARED.map(|kind| folder.join(".stlfr/cache").join(kind));
-    let all = folders.iter().flat_map(|folder| std::fs::read_dir(folder).expect("a folder"));
+    // Depth and motion have a folder only if they were prepared.
+    let all = folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten();
     let mut all: Vec<PathBuf> = all.map(|entry| entry.unwrap().path()).collect();
     all.sort_by_key(|file| !file.starts_with(&folders[0]));
     all
@@ -91,6 +93,36 @@ fn views_are_the_same_bytes_and_what_is_there_is_kept() {
     let again = prepared(&opened(folder.path()));
     assert_eq!(again, Preparation { found: 7, ..first });
     assert_eq!(std::fs::read(&all[3]).unwrap(), before);
+}
+
+#[test]
+fn views_by_prepared_maps_are_the_same_bytes() {
+    let folder = filmed();
+    let mut options = RenderOptions::default();
+    options.proxy.method = ProxyMethod::SceneFlow;
+    let view = |field: &LightField| {
+        let time_s = 1.6 / 30.0 - field.capture().time_origin_s;
+        field.view(&field.capture().cameras[1].camera, time_s, &options).expect("a view").image
+    };
+    let expected = view(&opened(folder.path()));
+    let field = opened(folder.path());
+    let (steps, bytes) = field.preparation_size(&options);
+    assert!(!field.has_prepared_maps(&options));
+    let last = AtomicUsize::new(0);
+    let first = field.prepare(&options, |done| last.store(done, Ordering::Relaxed)).unwrap();
+    assert_eq!((first.maps, first.maps_found, steps, last.into_inner()), (12, 0, 21, 21));
+    assert!(first.bytes <= bytes && field.has_prepared_maps(&options));
+    assert_eq!(view(&opened(folder.path())), expected);
+
+    // One is missing: as after a command that was stopped.
+    let maps = folder.path().join(".stlfr/cache").join(PREPARED[2]);
+    let file = std::fs::read_dir(maps).unwrap().next().unwrap().unwrap().path();
+    let before = std::fs::read(&file).unwrap();
+    std::fs::remove_file(&file).unwrap();
+    assert_eq!(view(&opened(folder.path())), expected);
+    let again = opened(folder.path()).prepare(&options, |_| ()).unwrap();
+    assert_eq!((again.maps, again.maps_found), (12, 11));
+    assert_eq!(std::fs::read(&file).unwrap(), before);
 }
 
 #[test]

@@ -216,7 +216,12 @@ fn pixel_of(candidates: &[Weighted], reach: f32, colors: &mut WeightedColors) ->
 }
 
 /// The mean of a cluster; colours that differ count less.
-fn mean_of(candidates: &[Weighted], q: f32, reach: f32, colors: &mut WeightedColors) -> Option<Pixel> {
+fn mean_of(
+    candidates: &[Weighted],
+    q: f32,
+    reach: f32,
+    colors: &mut WeightedColors,
+) -> Option<Pixel> {
     let cluster = || candidates.iter().filter(|c| (c.candidate.inverse_depth - q).abs() < reach);
     // Grey cameras say nothing of colour.
     let has_color = cluster().any(|c| c.frame.is_color);
