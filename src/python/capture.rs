@@ -3,7 +3,7 @@
 use super::convert::{
     checked, from_python, image_to_python, to_python, value_error, view_to_python,
 };
-use crate::camera::{Camera, CameraFormat};
+use crate::camera::{Camera, ViewFormat};
 use crate::capture::{Capture, Opening};
 use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
 use crate::offset::offsets_from_images;
@@ -217,8 +217,8 @@ impl PyMoment {
 
 /// Converts a camera object, a dict as in `capture.json`, to a camera.
 fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
-    let format: CameraFormat = from_python(object, "camera")?;
-    format.view().map_err(|e| value_error(format!("camera: {e}")))
+    let format: ViewFormat = from_python(object, "camera")?;
+    format.camera().map_err(|e| value_error(format!("camera: {e}")))
 }
 
 /// Pixels of world points through a camera object; NaN where a point has no image.
