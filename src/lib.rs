@@ -165,8 +165,7 @@
 //!   or end may be missed. Several cameras that lose a frame at nearly the same time hide each other's
 //!   losses: their offsets are unknown where several places fit.
 //! - COLMAP confirms a calibration only as finely as the images show it. With small, noisy or distant
-//!   images, larger errors pass the check. It says how large. With few features and much noise it can name
-//!   cameras that are right.
+//!   images, larger errors pass the check. It says how large. With few features it can't tell, and says so.
 //! - Cameras' gains and white balances are corrected by one factor a channel for the whole recording.
 //!   Automatic exposure is not followed.
 //! - Bodies that move by more than 60 pixels a frame lose their tracks. They are blurred, and their depth is
