@@ -135,16 +135,16 @@ def check_model(
         "tolerance_px": model.TOLERANCE_PX,
         "blender_tolerance_px": model.BLENDER_TOLERANCE_PX,
     }
-    off, own = [], []
+    off, inconsistent = [], []
     if not capture_px <= model.TOLERANCE_PX:
         off.append(f"its COLMAP model projects points {capture_px:.3g} px elsewhere")
     pycolmap_px = max(*lenses_px.values(), *(d.pycolmap_px for d in blender))
     if not pycolmap_px <= model.TOLERANCE_PX:
-        own.append(f"pycolmap projects points {pycolmap_px:.3g} px elsewhere")
+        inconsistent.append(f"pycolmap projects points {pycolmap_px:.3g} px elsewhere")
     blender_px = max(d.blender_px for d in blender)
     if not blender_px <= model.BLENDER_TOLERANCE_PX:
-        own.append(f"Blender projects points {blender_px:.3g} px elsewhere")
-    return found, off, own
+        inconsistent.append(f"Blender projects points {blender_px:.3g} px elsewhere")
+    return found, off, inconsistent
 
 
 def finite(distances_px: list[float]) -> float | None:
