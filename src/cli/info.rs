@@ -3,7 +3,7 @@
 use super::CliError;
 use super::error::of_io;
 use super::files::must_be_a_file;
-use super::print::Page;
+use super::print::{Page, decimals};
 use super::viewpoint::{example, rounded};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -277,7 +277,8 @@ impl CameraInfo {
 
     fn offset(&self) -> String {
         let ms = |seconds: Option<f64>| 1e3 * seconds.unwrap_or(f64::NAN);
-        format!("{:.4} ± {:.4} ms", ms(self.offset_s), ms(self.std_err_s))
+        let digits = decimals(self.std_err_s.map(|s| 1e3 * s));
+        format!("{:.digits$} ± {:.digits$} ms", ms(self.offset_s), ms(self.std_err_s))
     }
 }
 
