@@ -1,7 +1,7 @@
 """Film a scene with a simulated camera rig, into a capture folder.
 
 Run as `python -I blender/capture.py RIG --scene NAME -o CAPTURE`. Stdout carries JSON lines with the
-progress and nothing else; an error is one sentence on stderr, with exit code 2 for bad input and 1
+progress and notes, and nothing else; an error is one sentence on stderr, with exit code 2 for bad input and 1
 for a failure. Stopped at any time, the same command goes on where it was.
 """
 
@@ -249,20 +249,24 @@ def capture(arguments: argparse.Namespace) -> None:
         return
     (target / plans.CAPTURE_FILE).unlink(missing_ok=True)  # not whole any more
 
+    def on_notes(notes: list[str]) -> None:
+        for note in notes:
+            report(done, total, "starting Blender", note)
+
     def on_done(what: str) -> None:
         nonlocal done
         done += 1
         report(done, total, what)
 
-    report(done, total, "starting Blender")
-    scratch = folder.scratch_folder(target)
-    shutil.rmtree(scratch, ignore_errors=True)
-    scratch.mkdir()
     cores = (
         len(os.sched_getaffinity(0))
         if hasattr(os, "sched_getaffinity")
         else os.cpu_count() or 1
     )
+    report(done, total, "starting Blender", expected(plan, jobs, cores))
+    scratch = folder.scratch_folder(target)
+    shutil.rmtree(scratch, ignore_errors=True)
+    scratch.mkdir()
     workers = min(arguments.workers or cores, max(1, len(jobs)))
     crews = importlib.import_module("stlfr_extension.workers")
     command = [sys.executable, "-I", str(HERE), "--worker"]
@@ -270,7 +274,7 @@ def capture(arguments: argparse.Namespace) -> None:
         command[-1:] = ["--worker-in", arguments.blender]
     try:
         with crews.Crew(plan, target, command, workers, cores) as crew:
-            cameras = crew.film(jobs, lambda job: on_done(job.what))
+            cameras = crew.film(jobs, lambda job: on_done(job.what), on_notes)
     except errors.BadInputError:
         plans.release(target)
         raise
@@ -280,9 +284,26 @@ def capture(arguments: argparse.Namespace) -> None:
     folder.write_all(plan, cameras, target)
 
 
-def report(done: int, total: int, what: str) -> None:
-    """Print one line of progress."""
-    print(json.dumps({"done": done, "total": total, "what": what}), flush=True)
+CYCLES_SAMPLE_S = 1.1e-6
+"""Time of one core for a sample of a pixel, in the project's scenes."""
+
+IMAGE_S = 0.3
+"""Time of one core for an image besides its samples, and by Workbench altogether."""
+
+
+def expected(plan: Any, jobs: list[Any], cores: int) -> str:
+    """How long filming may take."""
+    samples = sum(job.width_px * job.height_px * job.samples for job in jobs)
+    by_sample = CYCLES_SAMPLE_S * samples if plan.options.engine == "cycles" else 0.0
+    minutes = (by_sample + IMAGE_S * len(jobs)) / cores / 60
+    time = f"{minutes:.0f} minutes" if minutes >= 1.5 else "a minute"
+    return f"Filming {len(jobs)} images may take {time}, and longer in a heavy scene."
+
+
+def report(done: int, total: int, what: str, note: str | None = None) -> None:
+    """Print one line of progress, with a sentence for the user if there is one."""
+    line = {"done": done, "total": total, "what": what}
+    print(json.dumps(line | ({"note": note} if note else {})), flush=True)
 
 
 def stop(*_: object) -> NoReturn:

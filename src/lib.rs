@@ -133,8 +133,8 @@
 //!
 //! # From Python
 //!
-//! `stlfr setup` installs the module `stlfr` into `.venv`. It has type stubs, releases the GIL, and
-//! runs in one process with `bpy`.
+//! `stlfr setup` installs the module `stlfr` into `.venv`; `pip install ./blender`, in this project's folder, builds it
+//! into any other Python from 3.11 on. It has type stubs, releases the GIL, and runs in one process with `bpy`.
 //!
 //! ```python
 //! import numpy as np
@@ -147,7 +147,8 @@
 //! # As `stlfr offsets --json` prints them.
 //! offsets = capture.offsets()
 //! # As `stlfr render` writes it; `camera={...}` gives any other view.
-//! image = capture.render(0.1, like="cam3")
+//! image = capture.render(0.1, like="cam3", preset="best", options={"proxy": "depth"}, alpha=False)
+//! first_s, last_s = capture.covered_s()
 //! ```
 //!
 //! `stlfr.methods()` lists the methods of each stage, `stlfr.options()` all options with their defaults,
@@ -165,8 +166,7 @@
 //!   or end may be missed. Several cameras that lose a frame at nearly the same time hide each other's
 //!   losses: their offsets are unknown where several places fit.
 //! - COLMAP confirms a calibration only as finely as the images show it. With small, noisy or distant
-//!   images, larger errors pass the check. It says how large. With few features and much noise it can name
-//!   cameras that are right.
+//!   images, larger errors pass the check. It says how large. With few features it can't tell, and says so.
 //! - Cameras' gains and white balances are corrected by one factor a channel for the whole recording.
 //!   Automatic exposure is not followed.
 //! - Bodies that move by more than 60 pixels a frame lose their tracks. They are blurred, and their depth is

@@ -1,12 +1,14 @@
-//! Progress reports: a bar with time left on a terminal, or JSON lines for another program.
+//! Progress reports: a bar with time left on a terminal, a line every half minute in a log, or JSON lines for another
+//! program.
 
 use crate::text::printable;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
-/// Receives progress: bars on standard error if that is a terminal, or lines on standard output.
+/// Receives progress: on standard error, bars if that is a terminal, else lines; or JSON lines on standard output.
 #[derive(Clone, Copy, Debug)]
 pub struct Reporter {
     to: Listener,
@@ -16,6 +18,8 @@ pub struct Reporter {
 enum Listener {
     Nobody,
     Terminal,
+    /// Standard error that is no terminal.
+    Log,
     Lines,
 }
 
@@ -23,14 +27,25 @@ enum Listener {
 pub struct Task {
     bar: ProgressBar,
     in_lines: bool,
+    /// Ends the lines in a log when it is dropped.
+    _log: Option<Sender<()>>,
 }
+
+/// Interval of the lines in a log.
+const LOG_INTERVAL: Duration = Duration::from_secs(30);
 
 /// Interval at which the spinner of a phase moves.
 const TICK: Duration = Duration::from_millis(200);
 
 impl Reporter {
     pub fn new(quiet: bool) -> Self {
-        Self { to: if quiet { Listener::Nobody } else { Listener::Terminal } }
+        Self {
+            to: match quiet {
+                true => Listener::Nobody,
+                false if std::io::stderr().is_terminal() => Listener::Terminal,
+                false => Listener::Log,
+            },
+        }
     }
 
     /// A reporter that prints nothing.
@@ -47,7 +62,7 @@ impl Reporter {
     pub fn task(&self, label: &str, total: usize) -> Task {
         let template = "{msg:28} {bar:30} {pos}/{len}  {eta} left";
         let bar = self.bar(label, Some(total as u64), template);
-        let task = Task { bar, in_lines: self.to == Listener::Lines };
+        let task = Task { in_lines: self.to == Listener::Lines, _log: self.log(&bar), bar };
         task.say();
         task
     }
@@ -58,13 +73,23 @@ impl Reporter {
         if self.to == Listener::Terminal {
             bar.enable_steady_tick(TICK);
         }
-        Task { bar, in_lines: false }
+        Task { in_lines: false, _log: self.log(&bar), bar }
+    }
+
+    /// Starts the lines in a log, until the sender is dropped.
+    fn log(&self, bar: &ProgressBar) -> Option<Sender<()>> {
+        (self.to == Listener::Log).then(|| {
+            follow(bar.clone(), LOG_INTERVAL, |line| {
+                // A line is lost if standard error can't be written.
+                let _ = writeln!(std::io::stderr(), "{}", printable(&line));
+            })
+        })
     }
 
     fn bar(&self, label: &str, total: Option<u64>, template: &str) -> ProgressBar {
         let target = match self.to {
             Listener::Terminal => ProgressDrawTarget::stderr(),
-            Listener::Nobody | Listener::Lines => ProgressDrawTarget::hidden(),
+            _ => ProgressDrawTarget::hidden(),
         };
         let style = ProgressStyle::with_template(template).expect("the template is a constant");
         let bar = ProgressBar::with_draw_target(total, target).with_message(label.to_owned());
@@ -73,7 +98,7 @@ impl Reporter {
 
     /// Shows one sentence to the user.
     pub fn note(&self, sentence: &str) {
-        if self.to == Listener::Terminal {
+        if matches!(self.to, Listener::Terminal | Listener::Log) {
             // A note is lost if standard error can't be written.
             let _ = writeln!(std::io::stderr(), "{}", printable(sentence));
         }
@@ -120,5 +145,64 @@ impl Task {
 impl Drop for Task {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
+    }
+}
+
+/// Writes the state of a bar in every interval, until the bar is finished or the sender is dropped.
+fn follow(
+    bar: ProgressBar,
+    interval: Duration,
+    write: impl Fn(String) + Send + 'static,
+) -> Sender<()> {
+    let (sender, ended) = channel();
+    std::thread::spawn(move || {
+        while ended.recv_timeout(interval) == Err(RecvTimeoutError::Timeout) && !bar.is_finished() {
+            write(state(&bar));
+        }
+    });
+    sender
+}
+
+/// A duration in words, such as `3 minutes`.
+pub fn in_words(seconds: f64) -> String {
+    HumanDuration(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)).to_string()
+}
+
+/// The state of a bar in one line.
+fn state(bar: &ProgressBar) -> String {
+    let (label, done) = (bar.message(), bar.position());
+    match bar.length() {
+        Some(total) if done > 0 => {
+            format!("{label}: {done} of {total}, {} left", HumanDuration(bar.eta()))
+        }
+        Some(total) => format!("{label}: {done} of {total}"),
+        None => format!("{label}: {} so far", HumanDuration(bar.elapsed())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Mutex;
+
+    #[test]
+    fn a_log_has_a_line_in_every_interval_until_the_task_ends() {
+        let bar = ProgressBar::hidden().with_message("filming");
+        bar.set_length(8);
+        let (send, lines) = channel();
+        let send = Mutex::new(send);
+        let log = follow(bar.clone(), Duration::from_millis(5), move |line| {
+            let _ = send.lock().unwrap().send(line);
+        });
+        assert_eq!(lines.recv().unwrap(), "filming: 0 of 8");
+        bar.set_position(2);
+        assert!(lines.iter().any(|line| line.starts_with("filming: 2 of 8, ")), "{bar:?}");
+        drop(log);
+        // The thread's sender is dropped with it.
+        assert!(lines.iter().all(|line| line.starts_with("filming: 2 of 8, ")));
+        assert!(
+            state(&ProgressBar::new_spinner().with_message("check"))
+                .contains("check: 0 seconds so far")
+        );
     }
 }

@@ -89,6 +89,9 @@ fn wrong_commands_are_one_sentence() {
     assert_refused(&run(&["rig", "ring"]), 2, "ring");
     assert_refused(&run(&["rig", "line", "--count", "0"]), 2, "--count");
     assert_refused(&run(&["rig", "line", "--count", "2000"]), 2, "from 1 to 1000");
+    assert_refused(&run(&["rig", "grid", "--count", "9"]), 2, "--count: a grid has --rows");
+    assert_refused(&run(&["rig", "line", "--rows", "3"]), 2, "--rows and --columns: ");
+    assert_refused(&run(&["rig", "line", "--distance", "2"]), 2, "--distance: only an arc");
     assert_refused(&run(&["rig", "line", "--rate", "30,0"]), 2, "cameras[1].rate_hz");
     assert_refused(&run(&["rig", "line", "--distortion=1,2"]), 2, "four numbers");
     assert_refused(&run(&["rig", "line", "--delays", "soon"]), 2, "soon");

@@ -48,6 +48,8 @@ class EstimatedPose(Pose):
     rotation_std_err_deg: float = 0.0
     centre_std_err: float = 0.0
     """In that world's unit of length."""
+    points: int = 0
+    """Points of the reconstruction that the camera sees."""
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -12,9 +12,11 @@ from .capture import Camera, exported_model, lens_of, pose_of, read_json
 from .frames import pictures_of_one_instant
 from .mapping import poses_from_pixels
 from .residuals import (
+    MIN_POINTS,
     POSITION_TOLERANCE_MM,
     ROTATION_TOLERANCE_DEG,
     STANDARD_ERRORS,
+    Residual,
     residuals,
 )
 
@@ -23,6 +25,7 @@ PIXEL_FIELDS = (
     "rotation_std_err_deg",
     "position_mm",
     "position_std_err_mm",
+    "points",
 )
 """What the pixels say of a camera."""
 
@@ -39,17 +42,49 @@ def check(
 ) -> dict[str, Any]:
     """Model and pixels. `capture` is the `stlfr` module's, `conversion` the extension's module `described`."""
     cameras: list[Camera] = read_json(folder / "capture.json")["cameras"]
-    checked_model, problems = check_model(
+    checked_model, off, own = check_model(
         folder, cameras, project, pycolmap, conversion
     )
-    checked_pixels, more = check_pixels(folder, capture, cameras, pycolmap)
-    problems += more
+    checked_pixels, found = check_pixels(folder, capture, cameras, pycolmap)
+    missing = [c["id"] for c in cameras if c["id"] not in {r.id for r in found}]
+    verdict, reason = judged(off, own, found, missing)
     return {
         "model": checked_model,
         **checked_pixels,
-        "ok": not problems,
-        "reason": "; ".join(problems) or None,
+        "verdict": verdict,
+        "ok": verdict == "right",
+        "reason": reason,
     }
+
+
+def judged(
+    off: list[str], own: list[str], found: list[Residual], missing: list[str]
+) -> tuple[str, str]:
+    """The verdict, `right`, `off` or `unknown`, and why.
+
+    `off` says how the capture's projections differ, `own` how the program's do.
+    """
+    if own:
+        return "unknown", f"the program itself is inconsistent: {'; '.join(own)}"
+    if named := [r.id for r in found if r.is_off]:
+        off = [
+            *off,
+            f"the images put {', '.join(named)} elsewhere than the capture does",
+        ]
+    if off:
+        return "off", "; ".join(off)
+    if missing:
+        which = ", ".join(missing) if found else "any camera"
+        return "unknown", f"pycolmap can't place {which} by the images' features"
+    fewest = min(found, key=lambda r: r.points)
+    if not fewest.is_told:
+        return "unknown", (
+            f"{fewest.id} sees {fewest.points} points, and {MIN_POINTS} are needed:"
+            " a textured scene or larger images have more"
+        )
+    rotation_deg = max(r.rotation_limit_deg for r in found)
+    position_mm = max(r.position_limit_mm for r in found)
+    return "right", f"to {rotation_deg:.2f} deg and {position_mm:.1f} mm"
 
 
 def check_model(
@@ -58,8 +93,10 @@ def check_model(
     project: model.Projector,
     pycolmap: Any,
     conversion: Any,
-) -> tuple[dict[str, Any], list[str]]:
-    """Projections of this capture's cameras, of every lens model, and of every kind of Blender camera.
+) -> tuple[dict[str, Any], list[str], list[str]]:
+    """Projections of this capture's cameras; of every lens model, and of every kind of Blender camera.
+
+    With them come what is wrong with the capture, and what is wrong with the program.
 
     pycolmap reads the capture's COLMAP model where it has one, so that both exports are checked
     against each other; else capture.json's numbers.
@@ -98,20 +135,16 @@ def check_model(
         "tolerance_px": model.TOLERANCE_PX,
         "blender_tolerance_px": model.BLENDER_TOLERANCE_PX,
     }
-    pycolmap_px = max(
-        capture_px, *lenses_px.values(), *(d.pycolmap_px for d in blender)
-    )
-    problems = []
+    off, inconsistent = [], []
+    if not capture_px <= model.TOLERANCE_PX:
+        off.append(f"its COLMAP model projects points {capture_px:.3g} px elsewhere")
+    pycolmap_px = max(*lenses_px.values(), *(d.pycolmap_px for d in blender))
     if not pycolmap_px <= model.TOLERANCE_PX:
-        problems.append(
-            f"pycolmap and stlfr project points up to {pycolmap_px:.3g} px apart"
-        )
+        inconsistent.append(f"pycolmap projects points {pycolmap_px:.3g} px elsewhere")
     blender_px = max(d.blender_px for d in blender)
     if not blender_px <= model.BLENDER_TOLERANCE_PX:
-        problems.append(
-            f"Blender and stlfr project points up to {blender_px:.3g} px apart"
-        )
-    return found, problems
+        inconsistent.append(f"Blender projects points {blender_px:.3g} px elsewhere")
+    return found, off, inconsistent
 
 
 def finite(distances_px: list[float]) -> float | None:
@@ -122,7 +155,7 @@ def finite(distances_px: list[float]) -> float | None:
 
 def check_pixels(
     folder: Path, capture: Any, cameras: list[Camera], pycolmap: Any
-) -> tuple[dict[str, Any], list[str]]:
+) -> tuple[dict[str, Any], list[Residual]]:
     """Where the images of one instant put each camera, against where the capture does."""
     entries: list[dict[str, Any]] = [
         {"id": c["id"], **dict.fromkeys(PIXEL_FIELDS)} for c in cameras
@@ -141,46 +174,48 @@ def check_pixels(
     )
     estimated = poses_from_pixels(pictures, cameras, pycolmap)
     exported = {c["id"]: pose_of(c, pycolmap) for c in cameras}
-    by_id = {}
-    if len(estimated) > 1:
-        by_id = {r.id: r for r in residuals(exported, estimated)}
+    differing = residuals(exported, estimated) if len(estimated) > 1 else []
+    by_id = {r.id: r for r in differing}
     for entry in entries:
         if entry["id"] in by_id:
             residual = by_id[entry["id"]]
             entry.update({name: getattr(residual, name) for name in PIXEL_FIELDS})
-    problems = []
-    missing = [c["id"] for c in cameras if c["id"] not in by_id]
-    if missing:
-        problems.append(
-            f"pycolmap could not place {', '.join(missing)} from the images"
-        )
-    off = [r.id for r in by_id.values() if r.is_off]
-    if off:
-        problems.append(
-            f"the images put {', '.join(off)} elsewhere than the capture does"
-        )
-    return found, problems
+    return found, differing
 
 
 # For people
 
 
+VERDICTS = {
+    "right": "the calibration is right",
+    "off": "the calibration is off:",
+    "unknown": "the check can't tell whether the calibration is right:",
+}
+
+
+def closing(result: dict[str, Any]) -> str:
+    """The verdict in one line."""
+    return f"{VERDICTS[result['verdict']]} {result['reason']}"
+
+
 def table(result: dict[str, Any]) -> str:
-    """Pixels first, because they differ from capture to capture; then the models."""
-    return "\n".join([*pixels_table(result), "", *model_table(result["model"])])
+    """The capture first, then the program's own consistency, and the verdict last."""
+    return "\n".join(
+        [*pixels_table(result), "", *model_table(result["model"]), "", closing(result)]
+    )
 
 
 def pixels_table(result: dict[str, Any]) -> list[str]:
     """One line for each camera."""
     lines = [
-        f"{'camera':<12} {'rotation':>10} {'std. error':>10} {'position':>10} {'std. error':>10}"
+        f"{'camera':<12} {'rotation':>10} {'std. error':>10} {'position':>10} {'std. error':>10} {'points':>7}"
     ]
     for camera in result["cameras"]:
         values = [camera[name] for name in PIXEL_FIELDS]
-        cells = [" " * 9 + "-"] * 4
+        cells = [" " * 9 + "-"] * 4 + [" " * 6 + "-"]
         if values[0] is not None:
             cells = [f"{v:>6.3f} deg" for v in values[:2]]
-            cells += [f"{v:>7.2f} mm" for v in values[2:]]
+            cells += [f"{v:>7.2f} mm" for v in values[2:4]] + [f"{values[4]:>7}"]
         lines.append(" ".join([f"{camera['id']:<12}", *cells]))
     lines += [
         f"{'tolerance':<12} {result['rotation_tolerance_deg']:>6.3f} deg {'':>10}"
@@ -192,24 +227,26 @@ def pixels_table(result: dict[str, Any]) -> list[str]:
 
 
 def model_table(found: dict[str, Any]) -> list[str]:
-    """The largest difference of a projection: by lens model, and by image format and sensor fit."""
-    source = "its COLMAP model" if found["colmap_folder"] else "its numbers"
-    lines = [
-        f"{'stlfr against pycolmap':<36} tolerance {found['tolerance_px']:.0e} px",
-        f"  {f'this capture, by {source}':<34} {shown(found['capture_px'])}",
-    ]
-    for lens in found["lenses"]:
-        lines.append(f"  {lens['model']:<34} {shown(lens['pycolmap_px'])}")
-    lines += [
-        f"  {'Blender cameras':<34} {shown(found['blender_pycolmap_px'])}",
-        f"{'stlfr against Blender':<36} tolerance {found['blender_tolerance_px']:.0e} px",
-        f"  {'':<10}" + "".join(f" {fit:>12}" for fit in FITS),
-    ]
-    by_kind = {(d["format"], d["fit"]): d["blender_px"] for d in found["blender"]}
-    for name in FORMATS:
-        cells = "".join(f" {shown(by_kind[name, fit]):>12}" for fit in FITS)
-        lines.append(f"  {name:<10}{cells}")
+    """The largest difference of a projection: of this capture, and of the program, whatever the capture."""
+    lines = []
+    if found["colmap_folder"]:
+        lines.append(
+            f"colmap/ against capture.json: {shown(found['capture_px'])} at most"
+        )
+    lenses = [lens["pycolmap_px"] for lens in found["lenses"]]
+    ours = [*lenses, found["blender_pycolmap_px"]]
+    theirs = [kind["blender_px"] for kind in found["blender"]]
+    lines.append(
+        f"the program's own consistency: {largest(ours)} from pycolmap's projections"
+        f" ({len(lenses)} lens models), {largest(theirs)} from Blender's ({len(theirs)} kinds of camera)"
+    )
     return lines
+
+
+def largest(distances_px: list[float | None]) -> str:
+    """The largest distance as text."""
+    known = [px for px in distances_px if px is not None]
+    return shown(max(known) if len(known) == len(distances_px) else None)
 
 
 def shown(distance_px: float | None) -> str:

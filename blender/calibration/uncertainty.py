@@ -35,8 +35,8 @@ class Sight:
     by_point: Array
 
 
-def standard_errors(model: Any) -> dict[str, tuple[float, float]]:
-    """For each image of pycolmap's `model`, by name: of its rotation, in degrees, and of its centre.
+def standard_errors(model: Any) -> dict[str, tuple[float, float, int]]:
+    """For each image of pycolmap's `model`, by name: of its rotation, in degrees, and of its centre; and its points.
 
     Both along their worst axis. Empty if there are too few points to tell.
     """
@@ -60,7 +60,8 @@ def standard_errors(model: Any) -> dict[str, tuple[float, float]]:
     for number, image in enumerate(images):
         turn, move = (slice(6 * number + k, 6 * number + k + 3) for k in (0, 3))
         rotation_deg = np.degrees(_worst(covariance[turn, turn]))
-        found[image.name] = float(rotation_deg), _worst(covariance[move, move])
+        centre = _worst(covariance[move, move])
+        found[image.name] = float(rotation_deg), centre, len(errors_px[number])
     return found
 
 

@@ -17,7 +17,7 @@ def main(capture: str, module_folder: str, options: str) -> int:
 
     try:
         found = stlfr.compare(capture, options=json.loads(options), lines=True)
-    except ValueError as error:
+    except (ValueError, FileNotFoundError) as error:
         print(error, file=sys.stderr)
         return 2
     print(json.dumps({"result": found}))

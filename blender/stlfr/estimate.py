@@ -16,7 +16,7 @@ def main(capture: str, module_folder: str) -> int:
 
     try:
         print(json.dumps({"result": stlfr.open(capture).offsets()}))
-    except ValueError as error:
+    except (ValueError, FileNotFoundError) as error:
         print(error, file=sys.stderr)
         return 2
     return 0

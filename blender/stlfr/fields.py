@@ -48,7 +48,7 @@ def _own_errors() -> Iterator[None]:
         yield
     except InterruptedError:
         raise StoppedError from None
-    except ValueError as error:
+    except (ValueError, FileNotFoundError) as error:
         raise BadInputError(words.in_blender(str(error))) from None
 
 

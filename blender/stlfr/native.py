@@ -24,7 +24,7 @@ def _own_errors() -> Iterator[None]:
         yield
     except ImportError as error:
         raise FailureError(f"the module stlfr can't be loaded ({error})") from None
-    except ValueError as error:
+    except (ValueError, FileNotFoundError) as error:
         raise BadInputError(str(error)) from None
 
 

@@ -90,8 +90,16 @@ class Crew:
         for process in self.processes:
             process.wait()
 
-    def film(self, jobs: list[Job], on_done: Callable[[Job], None]) -> Cameras:
-        """Do all jobs, whichever worker is free; gives every view's camera as Blender has it."""
+    def film(
+        self,
+        jobs: list[Job],
+        on_done: Callable[[Job], None],
+        on_notes: Callable[[list[str]], None],
+    ) -> Cameras:
+        """Do all jobs, whichever worker is free; gives every view's camera as Blender has it.
+
+        The notes are the first worker's on the scene, before it films.
+        """
         waiting = list(reversed(jobs))
         busy: dict[int, Job] = {}
         cameras: Cameras = {}
@@ -103,7 +111,10 @@ class Crew:
         idle = 0
         while idle < len(self.processes):
             process, line = answers.get()
-            cameras.update(_content(process, line, self.hint).get("cameras", {}))
+            content = _content(process, line, self.hint)
+            if not cameras:
+                on_notes(content.get("notes", []))
+            cameras.update(content.get("cameras", {}))
             if process.pid in busy:
                 on_done(busy.pop(process.pid))
             if waiting:
@@ -171,7 +182,7 @@ def work() -> None:
 def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
     setting = json.loads(orders.readline())
     options = Options(**setting["options"])
-    from . import film, scenes, tracks
+    from . import film, scenes, tracks, workbench
 
     rig = rigs.from_content(setting["rig"])
     if options.size_px is not None:
@@ -182,7 +193,10 @@ def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
     studio = film.Studio(
         scene, (*rig.cameras, *rig.views), setting["threads"], options.engine
     )
-    answer({"cameras": {view_id: studio.describe(view_id) for view_id in studio.views}})
+    cameras = {view_id: studio.describe(view_id) for view_id in studio.views}
+    is_workbench = options.engine == "workbench"
+    notes = workbench.lost_textures(scene) if is_workbench else []
+    answer({"cameras": cameras, "notes": notes})
     capture = Path(setting["capture"])
     scratch = scratch_folder(capture)
     for line in orders:

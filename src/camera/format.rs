@@ -1,7 +1,7 @@
 //! A camera object in JSON: in a capture, and as a view to render.
 //!
-//! A view's file holds one camera as `capture.json` has them, without `id`, `frames`, `color` and
-//! `clock`. Lengths are metres. The axes are COLMAP's: x right, y down, z forward.
+//! A view's file holds one camera as `capture.json` has them; its `id`, `frames`, `color` and `clock` may be left out,
+//! and are not read. Lengths are metres. The axes are COLMAP's: x right, y down, z forward.
 //!
 //! ```json
 //! { "width": 320, "height": 240, "model": "PINHOLE", "params": [343.1, 343.1, 160.0, 120.0],
@@ -14,6 +14,7 @@ use crate::raster::MAX_PIXELS;
 use crate::text::number;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 /// A pose in JSON, which maps points of the world (or of the rig) to the camera's frame.
@@ -26,7 +27,7 @@ pub struct PoseFormat {
     pub translation: [f64; 3],
 }
 
-/// A view to render, in JSON.
+/// Lens and pose of a camera, in JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraFormat {
@@ -40,6 +41,25 @@ pub struct CameraFormat {
     pub params: Vec<f64>,
     /// Pose, from the world to the camera's frame.
     pub cam_from_world: PoseFormat,
+}
+
+/// A view to render, in JSON: lens and pose, and what a camera of `capture.json` has besides.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ViewFormat {
+    width: u32,
+    height: u32,
+    model: String,
+    params: Vec<f64>,
+    cam_from_world: PoseFormat,
+    #[serde(default, rename = "id")]
+    _id: IgnoredAny,
+    #[serde(default, rename = "frames")]
+    _frames: IgnoredAny,
+    #[serde(default, rename = "color")]
+    _color: IgnoredAny,
+    #[serde(default, rename = "clock")]
+    _clock: IgnoredAny,
 }
 
 /// An error of a camera object. The message starts with the field.
@@ -79,17 +99,19 @@ const MAX_VIEW_PIXELS: u64 = 8192 * 4320;
 /// Maximum difference of a quaternion's length from 1: Blender's are single precision.
 pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
-impl CameraFormat {
-    /// As [`Self::camera`], for a view to render, which has fewer pixels than an image that is read.
-    pub fn view(&self) -> Result<Camera, CameraFormatError> {
-        let camera = self.camera()?;
-        if (camera.width as u64) * (camera.height as u64) > MAX_VIEW_PIXELS {
-            let (width, height) = (self.width, self.height);
+impl ViewFormat {
+    /// As [`CameraFormat::camera`]. A view has fewer pixels than an image that is read.
+    pub fn camera(self) -> Result<Camera, CameraFormatError> {
+        let Self { width, height, model, params, cam_from_world, .. } = self;
+        let camera = CameraFormat { width, height, model, params, cam_from_world }.camera()?;
+        if u64::from(width) * u64::from(height) > MAX_VIEW_PIXELS {
             return Err(CameraFormatError::Pixels { width, height, max: MAX_VIEW_PIXELS });
         }
         Ok(camera)
     }
+}
 
+impl CameraFormat {
     /// Checks every field and converts to a camera.
     pub fn camera(&self) -> Result<Camera, CameraFormatError> {
         for (field, value) in [("width", self.width), ("height", self.height)] {
@@ -193,10 +215,14 @@ mod tests {
 
     #[test]
     fn a_view_has_at_most_the_pixels_of_8k() {
-        let view = |width, height| CameraFormat { width, height, ..format() };
-        assert!(view(8192, 4320).view().is_ok() && view(8192, 8192).camera().is_ok());
+        let sized = |width, height| CameraFormat { width, height, ..format() };
+        let view = |width, height| {
+            let json = serde_json::to_value(sized(width, height)).unwrap();
+            serde_json::from_value::<ViewFormat>(json).unwrap().camera()
+        };
+        assert!(view(8192, 4320).is_ok() && sized(8192, 8192).camera().is_ok());
         for wrong in [view(8192, 8192), view(65_536, 1024)] {
-            let message = wrong.view().unwrap_err().to_string();
+            let message = wrong.unwrap_err().to_string();
             assert!(message.ends_with("are more pixels than 35389440"), "{message}");
         }
     }

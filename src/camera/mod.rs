@@ -14,10 +14,10 @@ mod format;
 mod model;
 
 pub use epipolar::{EpipolarGeometry, EpipolarLine};
-pub use format::{CameraFormat, CameraFormatError, MAX_QUATERNION_ERROR, PoseFormat};
+pub use format::{CameraFormat, CameraFormatError, MAX_QUATERNION_ERROR, PoseFormat, ViewFormat};
 pub use model::CameraModel;
 
-use nalgebra::{Isometry3, Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Translation3, Vector3};
 
 /// A calibrated camera: image size, lens model, and pose.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,6 +81,12 @@ impl Camera {
     /// The centre of projection, metres in the world.
     pub fn center(&self) -> Point3<f64> {
         self.cam_from_world.inverse_transform_point(&Point3::origin())
+    }
+
+    /// The camera at another place, `shift_m` metres away along its own axes: right, down and ahead.
+    pub fn shifted(&self, shift_m: Vector3<f64>) -> Self {
+        let cam_from_world = Translation3::from(-shift_m) * self.cam_from_world;
+        Self { cam_from_world, ..self.clone() }
     }
 
     /// The optical axis, unit length, in the world.

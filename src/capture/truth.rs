@@ -1,4 +1,5 @@
-//! `truth/`: the ground truth of a simulated capture. Only `compare` and `tradeoff` read it.
+//! `truth/`: the ground truth of a simulated capture. Only `compare` and `tradeoff` read it, and `render --like` the
+//! place of a true view.
 //!
 //! # A benchmark of sub-frame synchronization
 //!

@@ -6,7 +6,7 @@ use super::print::Page;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
-use stlfr::compare::results::Headline;
+use stlfr::compare::results::{Headline, MethodHeadline, ViewMethod};
 use stlfr::compare::video::VideoOptions;
 use stlfr::compare::{
     CompareOptions, ComparedLightField, FILES, Renderer, Summary, compare, errors_frames,
@@ -14,6 +14,7 @@ use stlfr::compare::{
 };
 use stlfr::json;
 use stlfr::method::Method;
+use stlfr::metrics::Scores;
 use stlfr::offset::{MAX_OFFSETS_BYTES, Offsets};
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
@@ -164,21 +165,84 @@ fn lines(headline: &Headline) -> Vec<String> {
             shown(sync.least_gain_db, "dB", 2),
         ),
     ];
-    lines.extend(headline.views.iter().map(|view| {
-        let is_above = view.gap_moving_db.is_some_and(|gap_db| gap_db < 0.0);
-        format!(
-            "views, {} proxy: {} over traditional LFR on the moving part, {} {} perfect sync",
-            view.proxy.name(),
-            shown(view.gain_moving_db, "dB", 2),
-            shown(view.gap_moving_db.map(f64::abs), "dB", 2),
-            if is_above { "above" } else { "below" },
-        )
-    }));
+    lines.extend(table(&headline.methods));
     if headline.missing_images > 0 {
+        let reason = headline.missing_reason.as_deref().unwrap_or_default();
+        let remedy = if reason.contains("clock is unknown") {
+            "; film more motion and texture, or write the offset into offsets.json"
+        } else {
+            ""
+        };
         lines.push(format!(
-            "{} images could not be made; the report says which and why",
-            headline.missing_images
+            "{} of {} images could not be made, most often because {reason}{remedy}; the report says which",
+            headline.missing_images, headline.wanted_images
         ));
     }
     lines
+}
+
+/// Scores of the views: the baseline, ST-LFR through every proxy, and perfect sync through that of `render`.
+fn table(methods: &[MethodHeadline]) -> Vec<String> {
+    let Some(baseline) = methods.first() else { return Vec::new() };
+    let rendered = methods.iter().find(|m| m.is_rendered).map(|m| m.proxy);
+    let number = |value: Option<f64>, width: usize, decimals: usize| match value {
+        Some(value) => format!("{value:>width$.decimals$}"),
+        None => format!("{:>width$}", "-"),
+    };
+    let cells =
+        |s: &Scores| [number(s.psnr_db, 8, 2), number(s.ssim, 7, 3), number(s.flip, 7, 3)].concat();
+    let row = |m: &MethodHeadline| {
+        let mark = if m.is_rendered { "*" } else { "" };
+        let name = format!("{mark:<2}{}, {}", m.method.help(), m.proxy.name());
+        format!("{name:<30}{}{}", cells(&m.scores.moving), cells(&m.scores.whole))
+    };
+    let shown = |m: &&MethodHeadline| match m.method {
+        ViewMethod::TraditionalLfr => m.proxy == baseline.proxy,
+        ViewMethod::StLfr => true,
+        ViewMethod::PerfectSync => Some(m.proxy) == rendered,
+    };
+    let head = format!(
+        "{:<30}{:>22}{:>22}",
+        format!("median of {} views", baseline.views),
+        "moving: dB, SSIM, FLIP",
+        "whole: dB, SSIM, FLIP"
+    );
+    let rows = methods.iter().filter(shown).map(row);
+    let note =
+        "* what render uses with these options; the first row is the same whatever the options";
+    std::iter::once(head).chain(rows).chain([note.to_owned()]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use stlfr::metrics::RegionScores;
+    use stlfr::options::ProxyMethod;
+
+    #[test]
+    fn the_table_has_one_baseline_and_marks_what_render_uses() {
+        let mut methods = Vec::new();
+        for method in ViewMethod::ALL {
+            for proxy in [ProxyMethod::Plane, ProxyMethod::Mesh] {
+                let whole = Scores { psnr_db: Some(31.0), ..Scores::default() };
+                let moving = Scores { psnr_db: Some(25.5), ssim: Some(0.9), ..whole };
+                methods.push(MethodHeadline {
+                    proxy,
+                    method: *method,
+                    is_rendered: *method == ViewMethod::StLfr && proxy == ProxyMethod::Mesh,
+                    scores: RegionScores { whole, moving },
+                    views: 2,
+                });
+            }
+        }
+        let lines = table(&methods);
+        assert_eq!(lines.iter().filter(|l| l.contains("Traditional LFR")).count(), 1);
+        let marked: Vec<_> = lines.iter().filter(|l| l.starts_with("* ST-LFR, mesh")).collect();
+        assert!(
+            marked.len() == 1 && marked[0].contains("25.50  0.900      -   31.00"),
+            "{lines:?}"
+        );
+        assert!(lines.iter().any(|l| l.contains("Perfect sync, mesh")) && lines.len() == 6);
+        assert!(table(&[]).is_empty());
+    }
 }

@@ -32,6 +32,16 @@ impl Display for CliError {
     }
 }
 
+impl CliError {
+    /// The error of a flag's value.
+    pub fn of_flag(self, flag: &str) -> Self {
+        match self {
+            Self::BadInput(sentence) => Self::BadInput(format!("{flag}: {sentence}")),
+            failure => failure,
+        }
+    }
+}
+
 impl<E: Error + 'static> From<E> for CliError {
     fn from(error: E) -> Self {
         let sentence = error.to_string();

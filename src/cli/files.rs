@@ -5,7 +5,7 @@ use super::error::written;
 use super::values::{ImageOutput, method};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use stlfr::camera::{Camera, CameraFormat};
+use stlfr::camera::{Camera, ViewFormat};
 use stlfr::capture::{Capture, Opening, OutputGuard};
 use stlfr::host::{open_file, read_text, try_folder};
 use stlfr::json;
@@ -87,9 +87,9 @@ impl OptionsArgs {
 
 /// Reads the camera of a view from a JSON file.
 pub fn read_view(path: &Path) -> Result<Camera, CliError> {
-    let format: CameraFormat =
+    let format: ViewFormat =
         json::read_within(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
-    format.view().map_err(|error| wrong(path, error))
+    format.camera().map_err(|error| wrong(path, error))
 }
 
 fn wrong(path: &Path, error: impl std::fmt::Display) -> CliError {
@@ -162,6 +162,9 @@ mod tests {
             read_view(&path)
         };
         assert_eq!(view("PINHOLE", "").unwrap().width, 64);
+        let filming =
+            r#", "id": "a", "frames": "a/%d.png", "color": "rgb", "clock": {"shared": true}"#;
+        assert_eq!(view("PINHOLE", filming).unwrap(), view("PINHOLE", "").unwrap());
         for (result, field) in
             [(view("FISHEYE", ""), "model"), (view("PINHOLE", r#", "fov": 1"#), "fov")]
         {

@@ -3,7 +3,8 @@
 use super::CliError;
 use super::error::of_io;
 use super::files::must_be_a_file;
-use super::print::Page;
+use super::print::{Page, decimals};
+use super::viewpoint::{example, rounded};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -84,6 +85,8 @@ struct Info {
     truth: BTreeMap<String, Vec<f64>>,
     offsets: OffsetsState,
     cache: Vec<CacheUse>,
+    /// A command that renders a view; `None` while videos aren't decoded.
+    example: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -193,6 +196,7 @@ impl Info {
             truth: true_times_s(folder)?,
             offsets: state,
             cache: DiskCache::new(folder, |_| ()).listing(),
+            example: capture.as_ref().map(|capture| example(capture, folder)),
         })
     }
 
@@ -235,6 +239,12 @@ impl Info {
                 folder.display()
             ));
         }
+        list(
+            page,
+            "Example",
+            "none: videos aren't decoded yet",
+            self.example.clone().into_iter().collect(),
+        );
     }
 }
 
@@ -267,7 +277,8 @@ impl CameraInfo {
 
     fn offset(&self) -> String {
         let ms = |seconds: Option<f64>| 1e3 * seconds.unwrap_or(f64::NAN);
-        format!("{:.4} ± {:.4} ms", ms(self.offset_s), ms(self.std_err_s))
+        let digits = decimals(self.std_err_s.map(|s| 1e3 * s));
+        format!("{:.digits$} ± {:.digits$} ms", ms(self.offset_s), ms(self.std_err_s))
     }
 }
 
@@ -340,12 +351,6 @@ fn times_of(times_s: &[f64]) -> String {
     let more = times_s.len().saturating_sub(SHOWN);
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
     format!("{} s{more}", shown.join(", "))
-}
-
-/// Formats a number with at most four decimals.
-fn rounded(value: f64) -> String {
-    let text = format!("{value:.4}");
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 fn entries(count: usize) -> &'static str {

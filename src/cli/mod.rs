@@ -16,6 +16,7 @@ mod toolchain;
 mod tradeoff;
 mod values;
 mod view;
+mod viewpoint;
 
 pub use error::{exit, usage};
 

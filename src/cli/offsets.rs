@@ -2,7 +2,7 @@
 
 use super::CliError;
 use super::files::{OptionsArgs, open_capture};
-use super::print::Page;
+use super::print::{Page, decimals};
 use std::path::PathBuf;
 use stlfr::offset::{Offsets, offsets_from_images};
 use stlfr::progress::Reporter;
@@ -64,12 +64,15 @@ fn print_table(offsets: &Offsets, frame_s: f64, page: &mut Page) {
             page.line(format_args!("{:<12} unknown: {reason}", camera.id));
             continue;
         };
+        let digits = decimals(camera.std_err_s.map(|s| 1e3 * s));
+        let in_frames = |s: f64| if frame_s > 0.0 { s / frame_s } else { 0.0 };
+        let frame_digits = decimals(camera.std_err_s.map(in_frames));
         let mut line = format!(
-            "{:<12} {:>9.4} ms {:>9.4} ms {:>10.4}",
+            "{:<12} {:>9.digits$} ms {:>9.digits$} ms {:>10.frame_digits$}",
             camera.id,
             1e3 * offset_s,
             1e3 * camera.std_err_s.unwrap_or(f64::NAN),
-            if frame_s > 0.0 { offset_s / frame_s } else { 0.0 },
+            in_frames(offset_s),
         );
         if drifts {
             let rate = camera.rate_ppm.zip(camera.rate_std_err_ppm);

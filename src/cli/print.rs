@@ -35,6 +35,12 @@ impl Page {
     }
 }
 
+/// Decimals that show two digits of a standard error, at most 4.
+pub fn decimals(std_err: Option<f64>) -> usize {
+    let digits = |error: f64| (1.0 - error.log10().floor()).clamp(0.0, 4.0) as usize;
+    std_err.filter(|error| *error > 0.0).map_or(4, digits)
+}
+
 /// The result of printing; a closed pipe is not an error.
 pub fn heard(printed: Result<()>) -> std::result::Result<(), CliError> {
     match printed {
@@ -42,5 +48,18 @@ pub fn heard(printed: Result<()>) -> std::result::Result<(), CliError> {
             Err(CliError::Failure(format!("stdout: can't be written ({error})")))
         }
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn as_many_decimals_as_the_error_has_digits() {
+        for (error, wanted) in [(0.4, 2), (0.0012, 4), (1e-9, 4), (0.0, 4), (2.5, 1), (70.0, 0)] {
+            assert_eq!(decimals(Some(error)), wanted, "{error}");
+        }
+        assert_eq!((decimals(None), decimals(Some(f64::NAN))), (4, 4));
     }
 }

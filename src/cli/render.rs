@@ -1,13 +1,13 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture, read_view};
+use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
 use super::values::{AUTO, ImageOutput, Times, method, method_or_auto};
+use super::viewpoint::{ViewpointArgs, far_outside};
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
-use stlfr::camera::Camera;
-use stlfr::capture::Capture;
+use stlfr::capture::{Capture, NamedView};
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::{
     Context, RenderError, Request, Viewpoint, check_times_before_offsets, render,
@@ -22,30 +22,20 @@ use stlfr::video::{Codec, VideoFormat, VideoWriter};
 /// Render the view of any camera at any instant, or over a span of time.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    stlfr render .captures/demo --like cam3 --time 0.1 -o cam3.png\n  \
+    stlfr render .captures/demo --like between --time 0.1 -o between.png\n  \
+    stlfr render .captures/demo --like cam3 --shift 0.03,0,0 --time 0.1 -o right.png\n  \
     stlfr render .captures/demo --camera view.json --time 0.1 -o view.png\n  \
     stlfr render .captures/demo --camera view.json --times 0.05:0.25:60 -o out/%04d.png\n  \
     stlfr render .captures/demo --like cam3 --times 0.05:0.25:60 -o slow.mkv\n  \
-    stlfr render .captures/demo --like cam3 --time 0.1 --preset draft -o cam3.png\n  \
-    stlfr render .captures/demo --like cam3 --time 0.1 --sync auto --proxy auto -o cam3.png\n  \
+    stlfr render .captures/demo --like between --time 0.1 --preset draft -o between.png\n  \
+    stlfr render .captures/demo --like between --time 0.1 --sync auto --proxy auto -o between.png\n  \
     stlfr render .captures/demo --like cam3 --time 0.2 --trail 0.15 --trail-instants 31 -o trail.png\n\n\
-    A view is a camera object as in capture.json:\n  \
-    {\"width\": 640, \"height\": 480, \"model\": \"PINHOLE\", \"params\": [686.2, 686.2, 320, 240],\n   \
-    \"cam_from_world\": {\"rotation_wxyz\": [1, 0, 0, 0], \"translation\": [0, 0, 0]}}")]
+    stlfr info prints an example for your capture. A view's file holds a camera as capture.json has it.")]
 pub struct RenderArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// The view, a JSON file.
-    #[arg(
-        long,
-        value_name = "VIEW.json",
-        required_unless_present = "like",
-        conflicts_with = "like"
-    )]
-    camera: Option<PathBuf>,
-    /// A camera of the capture whose view is rendered, also at an instant at which it took no frame.
-    #[arg(long, value_name = "CAMERA")]
-    like: Option<String>,
+    #[command(flatten)]
+    viewpoint: ViewpointArgs,
     /// The instant, seconds on the reference camera's clock.
     #[arg(
         long,
@@ -83,15 +73,6 @@ pub struct RenderArgs {
     options: OptionsArgs,
 }
 
-/// What is to be rendered, checked as far as it can be without the capture.
-#[derive(Debug)]
-struct RenderRequest {
-    /// The camera of the view; `None` if it is a camera of the capture.
-    camera: Option<Camera>,
-    /// Seconds on the reference's clock as its file has it: subtract the capture's origin.
-    times_s: Vec<f64>,
-}
-
 impl RenderArgs {
     /// The preset's options, overridden by the file's, overridden by the command line's.
     fn render_options(&self) -> Result<RenderOptions, CliError> {
@@ -115,10 +96,10 @@ impl RenderArgs {
         Ok(options)
     }
 
-    /// The views to render, checked.
-    fn request(&self) -> Result<RenderRequest, CliError> {
+    /// The instants, checked: seconds on the reference's clock as its file has it, without the capture's origin.
+    fn times_s(&self) -> Result<Vec<f64>, CliError> {
         let wrong = |sentence: &str| Err(CliError::BadInput(sentence.to_owned()));
-        let times_s = match (self.time, &self.times, &self.output) {
+        Ok(match (self.time, &self.times, &self.output) {
             (Some(time_s), _, _) if !time_s.is_finite() => return wrong("--time: must be finite"),
             (Some(time_s), _, ImageOutput::Image(_)) => vec![time_s],
             (Some(_), ..) => return wrong("--time gives one image: -o must name a .png"),
@@ -127,32 +108,29 @@ impl RenderArgs {
             }
             (None, Some(Times(times_s)), _) => times_s.clone(),
             (None, None, _) => return wrong("--time or --times must be given"),
-        };
-        let camera = self.camera.as_deref().map(read_view).transpose()?;
-        Ok(RenderRequest { camera, times_s })
+        })
     }
 }
 
 pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
-    let request = args.request()?;
+    let times_s = args.times_s()?;
+    let given = args.viewpoint.camera()?;
     let options = args.render_options()?;
-    let output = CommandOutput::Images(&args.output, request.times_s.len());
+    let output = CommandOutput::Images(&args.output, times_s.len());
     let capture = open_capture(&args.capture, Some(output), reporter)?;
-    let like = args.like.as_ref().map(|id| {
-        capture.camera_index(id).ok_or_else(|| {
-            CliError::BadInput(format!("--like: no camera of this capture has the id '{id}'"))
-        })
-    });
-    let like = like.transpose()?;
-    let times_s: Vec<f64> = request.times_s.iter().map(|t| t - capture.time_origin_s).collect();
-    check_times_before_offsets(&capture, like, &times_s)?;
-    let writer = Writer::new(&args.output, &capture)?;
+    let view = args.viewpoint.view(given, &capture)?;
+    let times_s: Vec<f64> = times_s.iter().map(|t| t - capture.time_origin_s).collect();
+    let (from, filming) = match &view {
+        NamedView::Filming(index) => (Viewpoint::Like(*index), Some(*index)),
+        NamedView::Free(camera) => (Viewpoint::View(camera), None),
+    };
+    check_times_before_offsets(&capture, filming, &times_s)?;
+    if let Viewpoint::View(camera) = from {
+        far_outside(camera, &capture).inspect(|note| reporter.note(note));
+    }
+    let writer = Writer::new(&args.output, &capture, reporter)?;
 
     let field = pipeline::open_field(capture, &options, reporter)?;
-    let from = match &request.camera {
-        Some(camera) => Viewpoint::View(camera),
-        None => Viewpoint::Like(like.unwrap_or_default()),
-    };
     field.check_times(from, &times_s)?;
     let options = pipeline::resolved(&field, &options, reporter)?;
     let instants = options.trail.count();
@@ -178,16 +156,26 @@ struct Writer<'a> {
     ffmpeg: Option<PathBuf>,
     /// The video, from its first frame on.
     video: Option<VideoWriter>,
+    /// The smallest fraction of a view's pixels that cameras see.
+    seen_fraction: f64,
+    reporter: &'a Reporter,
 }
 
+/// Fraction of a view's pixels that cameras must see, or else a note says how few they see.
+const MIN_SEEN_FRACTION: f64 = 0.5;
+
 impl<'a> Writer<'a> {
-    fn new(output: &'a ImageOutput, capture: &Capture) -> Result<Self, CliError> {
+    fn new(
+        output: &'a ImageOutput,
+        capture: &Capture,
+        reporter: &'a Reporter,
+    ) -> Result<Self, CliError> {
         let is_video = matches!(output, ImageOutput::Video(_));
         let ffmpeg = is_video.then(|| ffmpeg_for("a video")).transpose()?;
         let frame_s = capture.frame_s();
         let rate_hz = if frame_s > 0.0 { 1.0 / frame_s } else { 30.0 };
         let format = VideoFormat { depth: capture.bit_depth(), rate_hz, codec: Codec::Ffv1 };
-        Ok(Self { output, format, ffmpeg, video: None })
+        Ok(Self { output, format, ffmpeg, video: None, seen_fraction: 1.0, reporter })
     }
 
     /// Writes views while the next ones are rendered. Views before an error are written, but no video is finished then.
@@ -201,6 +189,12 @@ impl<'a> Writer<'a> {
             let writing = scope.spawn(move || {
                 for (index, view) in received.into_iter().enumerate() {
                     self.write(index, &view?)?;
+                }
+                if self.seen_fraction < MIN_SEEN_FRACTION {
+                    self.reporter.note(&format!(
+                        "Cameras see only {:.0} % of the view; stlfr info prints one that they see.",
+                        100.0 * self.seen_fraction
+                    ));
                 }
                 self.video.map_or(Ok(()), |video| Ok(video.finish()?))
             });
@@ -218,6 +212,8 @@ impl<'a> Writer<'a> {
 
     fn write(&mut self, index: usize, view: &Rendered) -> Result<(), CliError> {
         let path = self.output.file(index).unwrap_or_default();
+        let seen = view.coverage.iter().filter(|is_seen| **is_seen).count();
+        self.seen_fraction = self.seen_fraction.min(seen as f64 / view.coverage.len() as f64);
         let Some(ffmpeg) = &self.ffmpeg else {
             let coverage = view.coverage.contains(&false).then_some(view.coverage.as_slice());
             return Ok(write_image(&path, &view.image, coverage, self.format.depth)?);
@@ -246,28 +242,25 @@ mod tests {
         Ok(Program::try_parse_from(words).map_err(|e| e.to_string())?.args)
     }
 
-    fn request(line: &str) -> Result<RenderRequest, String> {
-        parsed(line)?.request().map_err(|e| e.to_string())
+    fn times_s(line: &str) -> Result<Vec<f64>, String> {
+        let args = parsed(line)?;
+        args.viewpoint.camera().and_then(|_| args.times_s()).map_err(|e| e.to_string())
     }
 
     #[test]
     fn one_image_or_many() {
-        let line = "c --like cam3 --time -0.1 -o a.png";
-        assert_eq!(parsed(line).unwrap().like.as_deref(), Some("cam3"));
-        let one = request(line).unwrap();
-        assert_eq!(one.times_s, [-0.1]);
-        assert!(one.camera.is_none());
-        assert_eq!(
-            request("c --like a --times -1:1:3 -o o/%d.png").unwrap().times_s,
-            [-1.0, 0.0, 1.0]
-        );
-        assert_eq!(request("c --like a --times 0:1:2 -o o.mkv").unwrap().times_s, [0.0, 1.0]);
+        assert_eq!(times_s("c --like cam3 --time -0.1 -o a.png").unwrap(), [-0.1]);
+        assert_eq!(times_s("c --like a --times -1:1:3 -o o/%d.png").unwrap(), [-1.0, 0.0, 1.0]);
+        assert_eq!(times_s("c --like a --times 0:1:2 -o o.mkv").unwrap(), [0.0, 1.0]);
+        assert!(times_s("c --like a --shift -0.1,0,0 --time 0 -o a.png").is_ok());
     }
 
     #[test]
     fn what_does_not_go_together_is_refused() {
         for (line, words) in [
-            ("c --time 0 -o a.png", "--camera"),
+            ("c --time 0 -o a.png", "--camera <VIEW.json>|--like <NAME>"),
+            ("c --shift 0,0,0 --time 0 -o a.png", "--camera <VIEW.json>|--like <NAME>"),
+            ("c --like a --shift 0,0 --time 0 -o a.png", "0.03,0,0"),
             ("c --like a --camera b --time 0 -o a.png", "cannot be used with"),
             ("c --like a -o a.png", "--time"),
             ("c --like a --time 0 --times 0:1:2 -o a.png", "cannot be used with"),
@@ -278,7 +271,7 @@ mod tests {
             ("c --like a --time 0 -o a.jpg", ".mkv"),
             ("c --camera /nowhere.json --time 0 -o a.png", "/nowhere.json"),
         ] {
-            let message = request(line).unwrap_err();
+            let message = times_s(line).unwrap_err();
             assert!(message.contains(words), "{line}: {message}");
         }
     }

@@ -72,21 +72,21 @@ enum SchemaName {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Places and lenses")]
 struct PlaceArgs {
-    /// Cameras of a line or an arc.
-    #[arg(long, value_name = "N", default_value = "8", value_parser = number_of)]
-    count: NonZeroUsize,
-    /// Rows of a grid.
-    #[arg(long, value_name = "N", default_value = "2", value_parser = number_of)]
-    rows: NonZeroUsize,
-    /// Columns of a grid.
-    #[arg(long, value_name = "N", default_value = "4", value_parser = number_of)]
-    columns: NonZeroUsize,
+    /// Cameras of a line or an arc [default: 8].
+    #[arg(long, value_name = "N", value_parser = number_of)]
+    count: Option<NonZeroUsize>,
+    /// Rows of a grid [default: 2].
+    #[arg(long, value_name = "N", value_parser = number_of)]
+    rows: Option<NonZeroUsize>,
+    /// Columns of a grid [default: 4].
+    #[arg(long, value_name = "N", value_parser = number_of)]
+    columns: Option<NonZeroUsize>,
     /// Distance between neighbours, metres.
     #[arg(long, value_name = "M", default_value_t = 0.06)]
     spacing: f64,
-    /// Distance to the point that the cameras of an arc look at, metres.
-    #[arg(long, value_name = "M", default_value_t = 1.8)]
-    distance: f64,
+    /// Distance to the point that the cameras of an arc look at, metres [default: 1.8].
+    #[arg(long, value_name = "M")]
+    distance: Option<f64>,
     /// Image sizes.
     #[arg(long, value_name = "WxH,…", default_value = "640x480", value_delimiter = ',',
         value_parser = image_size)]
@@ -173,7 +173,7 @@ pub fn run(args: &RigArgs, page: &mut Page) -> Result<(), CliError> {
         page.line(format_args!("{}: {cameras} cameras, {views} views", file.display()));
         return Ok(());
     }
-    let rig = args.options().generate()?;
+    let rig = args.options()?.generate()?;
     let text = rig.to_json();
     match &args.output {
         None => page.text(text),
@@ -186,19 +186,11 @@ pub fn run(args: &RigArgs, page: &mut Page) -> Result<(), CliError> {
 }
 
 impl RigArgs {
-    fn options(&self) -> RigOptions {
+    fn options(&self) -> Result<RigOptions, CliError> {
         let (place, clock, sensor) = (&self.place, &self.clock, &self.sensor);
-        RigOptions {
+        Ok(RigOptions {
             name: self.name(),
-            layout: match self.layout {
-                Some(LayoutName::Grid) => {
-                    RigLayout::Grid { rows: place.rows, columns: place.columns }
-                }
-                Some(LayoutName::Arc) => {
-                    RigLayout::Arc { count: place.count, distance_m: place.distance }
-                }
-                Some(LayoutName::Line) | None => RigLayout::Line { count: place.count },
-            },
+            layout: place.layout(self.layout.unwrap_or(LayoutName::Line))?,
             spacing_m: place.spacing,
             sizes_px: place.size.clone(),
             lenses_mm: place.lens.clone(),
@@ -221,7 +213,7 @@ impl RigArgs {
             colors: sensor.color.clone(),
             bit_depth: sensor.bit_depth,
             seed: self.seed,
-        }
+        })
     }
 
     /// The given name, else the stem of the output file.
@@ -231,6 +223,33 @@ impl RigArgs {
             Some(stem.chars().take(MAX_ID_LENGTH).collect())
         };
         self.name.clone().or_else(stem).unwrap_or_else(|| "rig".into())
+    }
+}
+
+impl PlaceArgs {
+    /// The layout, without arguments that it doesn't have.
+    fn layout(&self, name: LayoutName) -> Result<RigLayout, CliError> {
+        let is_grid = matches!(name, LayoutName::Grid);
+        let wrong = if is_grid && self.count.is_some() {
+            Some("--count: a grid has --rows and --columns instead")
+        } else if !is_grid && (self.rows.is_some() || self.columns.is_some()) {
+            Some("--rows and --columns: a line and an arc have --count instead")
+        } else if !matches!(name, LayoutName::Arc) && self.distance.is_some() {
+            Some("--distance: only an arc has one")
+        } else {
+            None
+        };
+        if let Some(sentence) = wrong {
+            return Err(CliError::BadInput(sentence.into()));
+        }
+        let or = |given: Option<NonZeroUsize>, default| given.or(NonZeroUsize::new(default));
+        let [count, rows, columns] = [(self.count, 8), (self.rows, 2), (self.columns, 4)]
+            .map(|(given, default)| or(given, default).unwrap_or(NonZeroUsize::MIN));
+        Ok(match name {
+            LayoutName::Line => RigLayout::Line { count },
+            LayoutName::Grid => RigLayout::Grid { rows, columns },
+            LayoutName::Arc => RigLayout::Arc { count, distance_m: self.distance.unwrap_or(1.8) },
+        })
     }
 }
 

@@ -14,7 +14,8 @@ use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::rig::Rig;
 use stlfr::toolchain::{
-    Check, FilmOptions, FilmedScene, build_extension, check, ensure_environment, film, project_root,
+    Check, CheckVerdict, FilmOptions, FilmedScene, build_extension, check, ensure_environment,
+    film, project_root,
 };
 
 /// Set up the pinned Python environment, once; `demo`, `capture` and `check` do it by themselves.
@@ -145,6 +146,8 @@ impl CaptureArgs {
 
 /// Check a capture's calibration against COLMAP: projections, and a reconstruction from the pixels
 /// of one instant.
+///
+/// The last line is the verdict: the calibration is right, it is off, or the images can't tell.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr check .captures/demo\n  \
@@ -168,15 +171,12 @@ pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Resu
     for line in &check.table {
         page.line(line);
     }
-    verdict(check)
+    if check.verdict == CheckVerdict::Right { Ok(()) } else { Err(refuted(check)) }
 }
 
-/// An error if the calibration is off.
-fn verdict(check: Check) -> Result<(), CliError> {
-    match check.failure {
-        Some(reason) => Err(CliError::Failure(format!("the calibration is off: {reason}"))),
-        None => Ok(()),
-    }
+/// The error of a calibration that isn't confirmed.
+fn refuted(mut check: Check) -> CliError {
+    CliError::Failure(check.table.pop().unwrap_or_default())
 }
 
 /// Everything, end to end: set up, film a scene with eight cameras that are not synchronized,
@@ -236,8 +236,8 @@ impl DemoArgs {
         for line in &check.table {
             reporter.note(line);
         }
-        verdict(check)?;
-        Ok(capture)
+        // Images that can't tell don't refute what was filmed.
+        if check.verdict == CheckVerdict::Off { Err(refuted(check)) } else { Ok(capture) }
     }
 
     /// The capture's folder name, which differs for other options.

@@ -32,6 +32,26 @@ pub fn image_size(text: &str) -> Result<(u32, u32), String> {
         .ok_or_else(|| "is no size like 320x240, at least 8x8".into())
 }
 
+/// `X,Y,Z`: metres right, down and ahead.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shift(pub [f64; 3]);
+
+/// Maximum of a shift's metres, so that the view's pose is finite.
+const MAX_SHIFT_M: f64 = 1e9;
+
+impl FromStr for Shift {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let metres: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+        let shift = metres.ok().and_then(|metres| <[f64; 3]>::try_from(metres).ok());
+        shift
+            .filter(|shift| shift.iter().all(|m| m.abs() <= MAX_SHIFT_M))
+            .map(Self)
+            .ok_or_else(|| "is no shift like 0.03,0,0: metres right, down and ahead".into())
+    }
+}
+
 /// `START:END:N`: N instants evenly from START to END, both included, in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Times(pub Vec<f64>);
@@ -151,6 +171,14 @@ mod tests {
         for wrong in ["", "1:2", "1:2:0", "nan:1:2", "0:inf:2", "0:1:2:3", "0:1:-4", "0:1:9999999"]
         {
             assert!(wrong.parse::<Times>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn shifts() {
+        assert_eq!("-0.03, 0,1e-3".parse(), Ok(Shift([-0.03, 0.0, 0.001])));
+        for wrong in ["", "1", "1,2", "1,2,3,4", "nan,0,0", "1e10,0,0", "right,0,0"] {
+            assert!(wrong.parse::<Shift>().is_err(), "{wrong}");
         }
     }
 

@@ -48,6 +48,7 @@ pub fn compare(
     drop(task);
 
     let offsets = offset_results(renderer, truth);
+    let rendered = renderer.options().proxy.method;
     let metrics = Metrics {
         format: "stlfr-metrics",
         version: 2,
@@ -55,7 +56,7 @@ pub fn compare(
         capture: facts(capture, truth),
         options: options.clone(),
         renderer: serde_json::to_value(renderer.options()).unwrap_or_default(),
-        headline: headline(options, &offsets, &results.sync, &results.views),
+        headline: headline(options, rendered, &offsets, &results.sync, &results.views),
         offsets,
         sync: results.sync,
         views: results.views,

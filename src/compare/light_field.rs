@@ -1,10 +1,10 @@
 //! A light field as a [`Renderer`].
 
 use super::results::StageTime;
-use super::{ComparedView, Renderer};
+use super::{ComparedView, Renderer, TRADITIONAL};
 use crate::capture::Capture;
 use crate::interpolation::{SyncMethod, Synchronized};
-use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
+use crate::light_field::{Context, Images, LightField, RenderError, Request, Viewpoint, render};
 use crate::lumigraph::Rendered;
 use crate::options::{RenderOptions, TrailOptions};
 use crate::pipeline;
@@ -51,6 +51,11 @@ impl Renderer for ComparedLightField {
     fn view(&self, view: &ComparedView) -> Result<Rendered, String> {
         // An instant is compared with the truth, without a trail.
         let mut options = RenderOptions { trail: TrailOptions::default(), ..self.options.clone() };
+        // The baseline is the same whatever the options.
+        if matches!(view.images, Images::By(TRADITIONAL)) && options.sync != TRADITIONAL {
+            let RenderOptions { blend, proxy, .. } = RenderOptions::default();
+            (options.blend, options.proxy) = (blend, proxy);
+        }
         options.proxy.method = view.proxy;
         let request = Request {
             from: Viewpoint::View(view.target),

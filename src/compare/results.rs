@@ -3,7 +3,7 @@
 use super::CompareOptions;
 use crate::interpolation::SyncMethod;
 use crate::method::{Method, methods};
-use crate::metrics::{RegionScores, median};
+use crate::metrics::{RegionScores, Scores, median};
 use crate::options::ProxyMethod;
 use serde::Serialize;
 use std::time::Instant;
@@ -48,8 +48,25 @@ pub struct Headline {
     pub offset: OffsetHeadline,
     pub sync: SyncHeadline,
     pub views: Vec<ViewHeadline>,
+    /// Scores of every method through every proxy; the baseline first.
+    pub methods: Vec<MethodHeadline>,
     /// Number of images that couldn't be rendered: synchronized images of cameras, and blended views.
     pub missing_images: usize,
+    /// Number of images that were to be rendered.
+    pub wanted_images: usize,
+    /// The most frequent reason for a missing image.
+    pub missing_reason: Option<String>,
+}
+
+/// Scores of one method through one proxy, each the median over views.
+#[derive(Clone, Debug, Serialize)]
+pub struct MethodHeadline {
+    pub proxy: ProxyMethod,
+    pub method: ViewMethod,
+    /// Whether `render` uses this method and proxy with the same options.
+    pub is_rendered: bool,
+    pub scores: RegionScores,
+    pub views: usize,
 }
 
 /// Errors of the estimated offsets against the truth, in frames.
@@ -196,6 +213,7 @@ pub(super) fn used<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<M> {
 /// Summarizes the results.
 pub(super) fn headline(
     options: &CompareOptions,
+    rendered: ProxyMethod,
     offsets: &[OffsetResult],
     sync: &[SyncResult],
     views: &[ViewResult],
@@ -203,9 +221,8 @@ pub(super) fn headline(
     let own: Vec<_> = offsets.iter().filter(|o| !o.shares_clock).collect();
     let errors: Vec<f64> = own.iter().filter_map(|o| o.error_frames.map(f64::abs)).collect();
     let gains = sync_gains(options, sync);
-    let cameras_out: usize = views.iter().map(|v| v.excluded.len()).sum();
-    let images_out = sync.iter().filter(|s| s.scores.is_none()).count()
-        + views.iter().filter(|v| v.scores.is_none()).count();
+    let missing = missing_reasons(sync, views);
+    let cameras: usize = views.iter().map(|v| v.cameras + v.excluded.len()).sum();
     Headline {
         offset: OffsetHeadline {
             worst_frames: errors.iter().copied().max_by(f64::total_cmp),
@@ -223,8 +240,57 @@ pub(super) fn headline(
             .into_iter()
             .map(|p| view_headline(views, p))
             .collect(),
-        missing_images: cameras_out + images_out,
+        methods: method_headlines(views, rendered),
+        missing_images: missing.len(),
+        wanted_images: sync.len() + views.len() + cameras,
+        missing_reason: most_frequent(&missing),
     }
+}
+
+/// Why images are missing, one reason for each.
+fn missing_reasons<'a>(sync: &'a [SyncResult], views: &'a [ViewResult]) -> Vec<&'a str> {
+    let unknown = |reason: &'a Option<String>| reason.as_deref().unwrap_or("no image");
+    let cameras = sync.iter().filter(|s| s.scores.is_none()).map(|s| unknown(&s.reason));
+    let blended = views.iter().filter(|v| v.scores.is_none()).map(|v| unknown(&v.reason));
+    let excluded = views.iter().flat_map(|v| &v.excluded).map(|camera| &*camera.reason);
+    cameras.chain(blended).chain(excluded).collect()
+}
+
+fn most_frequent(reasons: &[&str]) -> Option<String> {
+    let count = |reason: &&&str| reasons.iter().filter(|other| other == reason).count();
+    reasons.iter().max_by_key(count).map(|reason| (*reason).to_owned())
+}
+
+/// The median scores of every method through every proxy. The baseline comes first: traditional LFR through the
+/// cheapest proxy.
+fn method_headlines(views: &[ViewResult], rendered: ProxyMethod) -> Vec<MethodHeadline> {
+    let mut found = Vec::new();
+    for method in used(views.iter().map(|v| v.method)) {
+        for proxy in used(views.iter().map(|v| v.proxy)) {
+            let of = views.iter().filter(|v| v.method == method && v.proxy == proxy);
+            let scores: Vec<RegionScores> = of.filter_map(|v| v.scores).collect();
+            let region = |part: fn(&RegionScores) -> Scores| {
+                let over = |value: fn(&Scores) -> Option<f64>| {
+                    median(scores.iter().filter_map(|s| value(&part(s))).collect())
+                };
+                let pixels = scores.iter().map(|s| part(s).pixels).sum();
+                Scores {
+                    pixels,
+                    psnr_db: over(|s| s.psnr_db),
+                    ssim: over(|s| s.ssim),
+                    flip: over(|s| s.flip),
+                }
+            };
+            found.push(MethodHeadline {
+                proxy,
+                method,
+                is_rendered: method == ViewMethod::StLfr && proxy == rendered,
+                scores: RegionScores { whole: region(|s| s.whole), moving: region(|s| s.moving) },
+                views: scores.len(),
+            });
+        }
+    }
+    found
 }
 
 /// PSNR gains of the chosen method over the nearest frame on the moving part, one for each image with both.

@@ -208,7 +208,7 @@ impl HeldOutFrame {
         let changing_px: Vec<f32> = changing.iter().map(|c| f32::from(u8::from(*c))).collect();
         Ok(Some(Self {
             camera: filmed.camera.clone(),
-            name: format!("{}'s {frame}", filmed.id),
+            name: format!("frame {frame} of {}", filmed.id),
             time_s,
             view,
             view_s,

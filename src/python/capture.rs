@@ -1,10 +1,10 @@
 //! `stlfr.open`, `stlfr.Capture` and `stlfr.Moment`.
 
 use super::convert::{
-    checked, from_python, image_to_python, to_python, value_error, view_to_python,
+    checked, file_error, from_python, image_to_python, to_python, value_error, view_to_python,
 };
-use crate::camera::{Camera, CameraFormat};
-use crate::capture::{Capture, Opening};
+use crate::camera::{Camera, CameraFormat, ViewFormat};
+use crate::capture::{Capture, NamedView, Opening};
 use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
 use crate::offset::offsets_from_images;
 use crate::options::{RenderOptions, TrailOptions};
@@ -15,19 +15,23 @@ use crate::registration::FrameStore;
 use crate::toolchain::find_ffmpeg;
 use nalgebra::Point3;
 use numpy::{AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArrayLikeDyn, ndarray};
-use pyo3::exceptions::PyInterruptedError;
+use pyo3::exceptions::{PyInterruptedError, PyTypeError};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use serde_json::json;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Opens and checks a capture's folder.
+/// Open and check a capture's folder.
+///
+/// Raises FileNotFoundError if there is no capture, and ValueError with one sentence where it is wrong.
 #[pyfunction]
 pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
     let capture = py.detach(|| {
         let (ffmpeg, reporter) = (find_ffmpeg(), &Reporter::silent());
         Capture::open_with(&path, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })
     });
-    let capture = capture.map_err(value_error)?;
+    let capture = capture.map_err(file_error)?;
     Ok(PyCapture { capture: Arc::new(capture), opened: Mutex::default() })
 }
 
@@ -54,22 +58,63 @@ struct Opened {
 
 #[pymethods]
 impl PyCapture {
+    /// The capture's name.
     #[getter]
     fn name(&self) -> &str {
         &self.capture.name
     }
 
+    /// The cameras' ids, in the order of capture.json.
     #[getter]
     fn camera_ids(&self) -> Vec<&str> {
         self.capture.cameras.iter().map(|c| c.id.as_str()).collect()
     }
 
+    /// The cameras as `camera` gives them, in the order of capture.json.
+    #[getter]
+    fn cameras<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        self.capture.cameras.iter().map(|c| camera_to_python(py, &c.id, &c.camera)).collect()
+    }
+
+    /// A camera object by its id, or by the name of a true view: width, height, model, params and cam_from_world.
+    fn camera<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        match self.capture.named_view(name).map_err(value_error)? {
+            NamedView::Filming(index) => {
+                camera_to_python(py, name, &self.capture.cameras[index].camera)
+            }
+            NamedView::Free(camera) => camera_to_python(py, name, &camera),
+        }
+    }
+
+    /// The first and the last time at which a camera has images, or any camera without one: seconds on the reference's
+    /// clock. Offsets that aren't known yet are estimated.
+    #[pyo3(signature = (camera_id=None))]
+    fn covered_s(&self, py: Python<'_>, camera_id: Option<&str>) -> PyResult<(f64, f64)> {
+        let camera = camera_id.map(|id| self.index(id)).transpose()?;
+        let opened = py.detach(|| self.opened(RenderOptions::default())).map_err(file_error)?;
+        let times_s = opened.field.offsets().common_times_s(&self.capture);
+        let is_asked = |index: usize| camera.is_none_or(|camera| camera == index);
+        let asked = times_s.iter().enumerate().filter(|(index, _)| is_asked(*index));
+        let spans = asked.filter_map(|(_, times)| {
+            let times = times.as_ref()?;
+            Some((*times.first()?, *times.last()?))
+        });
+        let origin_s = self.capture.time_origin_s;
+        let span = spans.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+        let span = span.map(|(first, last)| (first + origin_s, last + origin_s));
+        span.ok_or_else(|| value_error("the clock is unknown"))
+    }
+
+    /// The id of the camera whose clock is everybody's time.
     #[getter]
     fn reference(&self) -> &str {
         &self.capture.cameras[self.capture.reference].id
     }
 
-    /// Pixels of world points; NaN where a point has no image.
+    /// The pixels, (N, 2), that world points, (N, 3) in metres, fall on.
+    ///
+    /// The top-left pixel's centre is (0.5, 0.5). A point that has no image gives a row of NaN. Pixels may lie outside
+    /// the image.
     fn project<'py>(
         &self,
         py: Python<'py>,
@@ -85,7 +130,7 @@ impl PyCapture {
         Ok(self.capture.times_in_file_s(self.index(camera_id)?).into_pyarray(py))
     }
 
-    /// One frame, decoded to RGB or grey, (H, W, channels).
+    /// A camera's frame, (H, W, channels): RGB or grey as `color` says, in the camera's bit depth.
     fn frame<'py>(
         &self,
         py: Python<'py>,
@@ -104,14 +149,16 @@ impl PyCapture {
         image_to_python(py, &image, None, filmed.bit_depth)
     }
 
-    /// Every camera's offset, as `stlfr offsets --json` prints it.
-    #[pyo3(signature = (options=None))]
+    /// Every camera's offset, as `stlfr offsets --json` prints it: those saved in the capture's folder, else estimated
+    /// and saved there.
+    #[pyo3(signature = (options=None, *, preset=None))]
     fn offsets<'py>(
         &self,
         py: Python<'py>,
         options: Option<&Bound<'py, PyAny>>,
+        preset: Option<&str>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let options = checked(options)?;
+        let options = checked(options, preset)?;
         let offsets = py.detach(|| {
             self.capture.require_two_cameras()?;
             let frames = FrameStore::new(self.capture.clone(), &options.registration);
@@ -120,27 +167,34 @@ impl PyCapture {
         to_python(py, &offsets.map_err(value_error)?)
     }
 
-    /// The image that `stlfr render` writes, (H, W, channels).
+    /// The view of a camera object as `camera` gives it, or of the camera or true view that `like` names.
     ///
+    /// An array (H, W, channels) in the input's bit depth. Channels are RGB or grey. With `alpha` true, alpha comes
+    /// after them, with `alpha` false never, by default where no camera sees some of the pixels. Time is seconds on the
+    /// reference's clock. `options` is what a file for `stlfr render --options` holds; names may be paths, such as
+    /// `blend.cameras`, and `proxy` and `blend` may be their methods. They override those of `preset`.
     /// `proceed(done, total)` is called before every step of every instant of a trail, or of the one instant without a
-    /// trail. If it returns something false, rendering stops with an `InterruptedError`.
-    #[pyo3(signature = (time_s, *, camera=None, like=None, options=None, proceed=None))]
+    /// trail. If it returns something false, rendering stops with an InterruptedError.
+    #[pyo3(
+        signature = (time_s, **settings),
+        text_signature = "($self, time_s, *, camera=None, like=None, options=None, preset=None, alpha=None, proceed=None)"
+    )]
     fn render<'py>(
         slf: &Bound<'py, Self>,
         time_s: f64,
-        camera: Option<&Bound<'py, PyAny>>,
-        like: Option<&str>,
-        options: Option<&Bound<'py, PyAny>>,
-        proceed: Option<Py<PyAny>>,
+        settings: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let (py, this) = (slf.py(), slf.get());
-        let options = checked(options)?;
+        let ViewSettings { camera, like, options, alpha, proceed } = ViewSettings::of(settings)?;
         let time_s = time_s - this.capture.time_origin_s;
-        let camera = camera.map(camera_of).transpose()?;
-        let from = match (&camera, like) {
-            (Some(camera), None) => Viewpoint::View(camera),
-            (None, Some(id)) => Viewpoint::Like(this.index(id)?),
+        let view = match (camera, &like) {
+            (Some(camera), None) => NamedView::Free(camera),
+            (None, Some(name)) => this.capture.named_view(name).map_err(value_error)?,
             _ => return Err(value_error("either camera or like must be given")),
+        };
+        let from = match &view {
+            NamedView::Filming(index) => Viewpoint::Like(*index),
+            NamedView::Free(camera) => Viewpoint::View(camera),
         };
         let failed = Mutex::new(None);
         let proceed = |done, total| {
@@ -162,18 +216,21 @@ impl PyCapture {
             }
             (None, rendered) => rendered.map_err(value_error)?,
         };
-        view_to_python(py, &rendered, this.capture.bit_depth())
+        view_to_python(py, &rendered, this.capture.bit_depth(), alpha)
     }
 
-    /// Opens one instant, for many views of it.
-    #[pyo3(signature = (time_s, *, options=None))]
+    /// The instant for many views of it: what doesn't depend on the viewpoint is computed once, here.
+    ///
+    /// A trail in the options is left out.
+    #[pyo3(signature = (time_s, *, options=None, preset=None))]
     fn moment(
         &self,
         py: Python<'_>,
         time_s: f64,
         options: Option<&Bound<'_, PyAny>>,
+        preset: Option<&str>,
     ) -> PyResult<PyMoment> {
-        let options = checked(options)?;
+        let options = checked(options, preset)?;
         let depth = self.capture.bit_depth();
         let time_s = time_s - self.capture.time_origin_s;
         let moment = py.detach(|| {
@@ -202,23 +259,77 @@ pub struct PyMoment {
 
 #[pymethods]
 impl PyMoment {
-    /// The view of a camera object, (H, W, channels).
+    /// The view of a camera object, as `Capture.render` gives it, but over depth per pixel.
+    ///
+    /// There, the depths of all cameras share one range, and a view takes those of the cameras nearest to it: pixels
+    /// differ slightly.
+    #[pyo3(signature = (camera, *, alpha=None))]
     fn view<'py>(
         &self,
         py: Python<'py>,
         camera: &Bound<'py, PyAny>,
+        alpha: Option<bool>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let camera = camera_of(camera)?;
         let request = Request::new(Viewpoint::View(&camera), self.time_s, &self.options);
         let rendered = py.detach(|| render(&self.field, &request, &Context::unattended()));
-        view_to_python(py, &rendered.map_err(value_error)?, self.depth)
+        view_to_python(py, &rendered.map_err(value_error)?, self.depth, alpha)
     }
+}
+
+/// The keyword arguments of `Capture.render`.
+struct ViewSettings {
+    camera: Option<Camera>,
+    like: Option<String>,
+    options: RenderOptions,
+    alpha: Option<bool>,
+    proceed: Option<Py<PyAny>>,
+}
+
+impl ViewSettings {
+    fn of(settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let (mut camera, mut like, mut options, mut preset) = (None, None, None, None);
+        let (mut alpha, mut proceed) = (None, None);
+        for (name, value) in settings.into_iter().flatten() {
+            if value.is_none() {
+                continue;
+            }
+            match &*name.extract::<String>()? {
+                "camera" => camera = Some(camera_of(&value)?),
+                "like" => like = Some(value.extract()?),
+                "options" => options = Some(value),
+                "preset" => preset = Some(value.extract::<String>()?),
+                "alpha" => alpha = Some(value.extract()?),
+                "proceed" => proceed = Some(value.unbind()),
+                other => {
+                    let sentence = format!("render() has no argument '{other}'");
+                    return Err(PyTypeError::new_err(sentence));
+                }
+            }
+        }
+        let options = checked(options.as_ref(), preset.as_deref())?;
+        Ok(Self { camera, like, options, alpha, proceed })
+    }
+}
+
+/// A camera object with its name as `id`.
+fn camera_to_python<'py>(
+    py: Python<'py>,
+    id: &str,
+    camera: &Camera,
+) -> PyResult<Bound<'py, PyAny>> {
+    let CameraFormat { width, height, model, params, cam_from_world } = camera.into();
+    to_python(
+        py,
+        &json!({ "id": id, "width": width, "height": height, "model": model, "params": params,
+            "cam_from_world": cam_from_world }),
+    )
 }
 
 /// Converts a camera object, a dict as in `capture.json`, to a camera.
 fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
-    let format: CameraFormat = from_python(object, "camera")?;
-    format.view().map_err(|e| value_error(format!("camera: {e}")))
+    let format: ViewFormat = from_python(object, "camera")?;
+    format.camera().map_err(|e| value_error(format!("camera: {e}")))
 }
 
 /// Pixels of world points through a camera object; NaN where a point has no image.

@@ -1,13 +1,18 @@
 //! Conversions between Rust's values and Python's.
 
+use crate::json::JsonError;
 use crate::lumigraph::Rendered;
-use crate::options::RenderOptions;
+use crate::method::Method;
+use crate::options::{Preset, RenderOptions};
 use crate::raster::{BitDepth, Image, Samples, quantize};
 use numpy::{IntoPyArray, PyArrayMethods};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde_json::{Map, Value, json};
+use std::error::Error;
+use std::io::ErrorKind;
 
 /// A `ValueError` about bad input, with the sentence that the command line prints.
 pub fn value_error(error: impl std::fmt::Display) -> PyErr {
@@ -19,10 +24,67 @@ pub fn from_python<T: DeserializeOwned>(value: &Bound<'_, PyAny>, what: &str) ->
     crate::json::parse(&json_of(value)?).map_err(|e| value_error(format!("{what}: {e}")))
 }
 
-/// The options of a call, checked as the command line checks an options file; the defaults if none are given.
-pub fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
-    let Some(options) = options else { return Ok(RenderOptions::default()) };
-    RenderOptions::parse(&json_of(options)?, None).map_err(|e| value_error(format!("options: {e}")))
+/// A `FileNotFoundError` if a file is missing, else a [`value_error`].
+pub fn file_error(error: impl Error + 'static) -> PyErr {
+    let mut cause: Option<&(dyn Error + 'static)> = Some(&error);
+    while let Some(found) = cause {
+        let io = match found.downcast_ref() {
+            Some(JsonError::Read(io)) => Some(io),
+            _ => found.downcast_ref::<std::io::Error>(),
+        };
+        if io.is_some_and(|io| io.kind() == ErrorKind::NotFound) {
+            return PyFileNotFoundError::new_err(error.to_string());
+        }
+        cause = found.source();
+    }
+    value_error(error)
+}
+
+/// The options of a call, checked as the command line checks an options file, over those of a preset; the defaults
+/// if none are given. A name may be a path, `blend.cameras`; `proxy` and `blend` may be their methods.
+pub fn checked(
+    options: Option<&Bound<'_, PyAny>>,
+    preset: Option<&str>,
+) -> PyResult<RenderOptions> {
+    let preset = preset.map(|name| {
+        Preset::from_name(name).ok_or_else(|| {
+            value_error(format!("preset: '{name}' is none of {}", names::<Preset>()))
+        })
+    });
+    let preset = preset.transpose()?;
+    let text = options.map_or_else(|| Ok("{}".to_owned()), json_of)?;
+    let wrong = |error: String| value_error(format!("options: {error}"));
+    let value: Value = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+    let text = nested(value).to_string();
+    RenderOptions::parse(&text, preset).map_err(|e| wrong(e.to_string()))
+}
+
+fn names<M: Method>() -> String {
+    M::ALL.iter().map(|method| method.name()).collect::<Vec<_>>().join(", ")
+}
+
+/// Options by their paths as an options file has them.
+fn nested(options: Value) -> Value {
+    let Value::Object(options) = options else { return options };
+    let mut found = Map::new();
+    for (name, value) in options {
+        let name = match (&*name, &value) {
+            ("proxy" | "blend", Value::String(_)) => format!("{name}.method"),
+            _ => name,
+        };
+        match name.split_once('.') {
+            Some((group, option)) => {
+                let group = found.entry(group).or_insert_with(|| json!({}));
+                if let Value::Object(group) = group {
+                    group.insert(option.to_owned(), value);
+                }
+            }
+            None => {
+                found.insert(name, value);
+            }
+        }
+    }
+    Value::Object(found)
 }
 
 /// The JSON text of a value.
@@ -36,13 +98,16 @@ pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound
     py.import("json")?.call_method1("loads", (json,))
 }
 
-/// An array (H, W, channels) of the samples that a PNG of this view would hold.
+/// An array (H, W, channels) of the samples that a PNG of this view would hold. With or without `alpha`; by default
+/// only where cameras don't see all pixels.
 pub fn view_to_python<'py>(
     py: Python<'py>,
     view: &Rendered,
     depth: BitDepth,
+    alpha: Option<bool>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let coverage = view.coverage.contains(&false).then_some(view.coverage.as_slice());
+    let has_alpha = alpha.unwrap_or_else(|| view.coverage.contains(&false));
+    let coverage = has_alpha.then_some(view.coverage.as_slice());
     image_to_python(py, &view.image, coverage, depth)
 }
 

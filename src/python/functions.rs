@@ -1,6 +1,6 @@
 //! The functions of the module that need no opened capture.
 
-use super::convert::{checked, from_python, json_of, to_python, value_error};
+use super::convert::{checked, file_error, from_python, json_of, to_python, value_error};
 use crate::camera::CameraFormat;
 use crate::capture::{Capture, Opening, OutputGuard, Truth};
 use crate::compare::{CompareOptions, ComparedLightField, FILES, Renderer, compare as compared};
@@ -43,7 +43,7 @@ fn stage<M: Method>() -> Value {
 /// The content of a rig file, checked; fields that have their default values are left out.
 #[pyfunction]
 pub fn read_rig(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
-    let rig = py.detach(|| Rig::read(&path)).map_err(value_error)?;
+    let rig = py.detach(|| Rig::read(&path)).map_err(file_error)?;
     to_python(py, &rig)
 }
 
@@ -91,7 +91,7 @@ pub fn compare<'py>(
     options: Option<&Bound<'py, PyAny>>,
     lines: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let options = checked(options)?;
+    let options = checked(options, None)?;
     let reporter = if lines { Reporter::lines() } else { Reporter::silent() };
     let work = || -> Result<_, Box<dyn Error + Send + Sync>> {
         let ffmpeg = find_ffmpeg();

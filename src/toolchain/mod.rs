@@ -7,7 +7,9 @@ mod programs;
 mod script;
 mod setup;
 
-pub use programs::{Check, FilmOptions, FilmedScene, build_extension, check, film, review};
+pub use programs::{
+    Check, CheckVerdict, FilmOptions, FilmedScene, build_extension, check, film, review,
+};
 pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};
 
 /// Why a script or the set-up failed: one sentence, with the command that helps if there is one.

@@ -5,6 +5,7 @@ use super::setup::{self, Environment};
 use super::{ToolchainError, script};
 use crate::host::temporary::Temporary;
 use crate::progress::Reporter;
+use serde::Deserialize;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -89,10 +90,19 @@ pub fn film(
 pub struct Check {
     /// Measured values: the JSON object that `blender/check.py` prints.
     pub values: Value,
-    /// Why the calibration is off; `None` if it is right.
-    pub failure: Option<String>,
-    /// A table of the values, line by line.
+    pub verdict: CheckVerdict,
+    /// A table of the values, line by line. The last line is the verdict in a sentence.
     pub table: Vec<String>,
+}
+
+/// What a calibration check found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CheckVerdict {
+    Right,
+    Off,
+    /// The images can't tell.
+    Unknown,
 }
 
 /// Checks a capture's calibration. A wrong calibration is a result, not an error.
@@ -112,19 +122,15 @@ pub fn check(
     drop(phase);
     let ended = ended.map_err(|e| ToolchainError::Failure(format!("check.py: {e}")))?;
     let values = serde_json::from_str::<Value>(&stdout);
-    let decided = values.ok().and_then(|values| Some((values["ok"].as_bool()?, values)));
-    let Some((is_right, values)) = decided else {
+    let decided = values
+        .ok()
+        .and_then(|values| Some((CheckVerdict::deserialize(&values["verdict"]).ok()?, values)));
+    let Some((verdict, values)) = decided else {
         script::verdict("check.py", &ended)?;
         return Err(ToolchainError::Failure("check.py: printed no result".into()));
     };
-    let failure = (!is_right).then(|| values["reason"].as_str().unwrap_or_default().to_owned());
-    let table: Vec<String> = ended
-        .stderr
-        .lines()
-        .filter(|line| !line.starts_with("calibration check failed"))
-        .map(str::to_owned)
-        .collect();
-    Ok(Check { values, failure, table })
+    let table = ended.stderr.lines().map(str::to_owned).collect();
+    Ok(Check { values, verdict, table })
 }
 
 /// Writes `review.blend` beside the `review.json` of a comparison.

@@ -1,5 +1,5 @@
-//! Runs a script of `blender/`. Its JSON lines `{"done", "total", "what"}` on stdout are progress, other
-//! lines are output. An error is one sentence on stderr, with exit code 2 for bad input.
+//! Runs a script of `blender/`. Its JSON lines `{"done", "total", "what"}` on stdout are progress, and may have a
+//! `note` for the user; other lines are output. An error is one sentence on stderr, with exit code 2 for bad input.
 
 use super::ToolchainError;
 use super::setup::Environment;
@@ -14,6 +14,9 @@ struct Progress {
     done: usize,
     total: usize,
     what: String,
+    /// A sentence for the user.
+    #[serde(default)]
+    note: Option<String>,
 }
 
 /// A Python command that ignores the user's packages and variables.
@@ -34,6 +37,7 @@ pub(super) fn run(
     let mut bar: Option<Task> = None;
     let ended = ended(command, |line| match serde_json::from_str::<Progress>(line) {
         Ok(progress) => {
+            progress.note.iter().for_each(|note| reporter.note(note));
             let bar = bar.get_or_insert_with(|| {
                 waiting.hide();
                 let bar = reporter.task(label, progress.total);

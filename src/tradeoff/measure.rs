@@ -7,7 +7,7 @@ use crate::host::Stopwatch;
 use crate::light_field::{LightField, RenderError};
 use crate::method::Method;
 use crate::options::RenderOptions;
-use crate::progress::{Reporter, Task};
+use crate::progress::{Reporter, Task, in_words};
 
 /// The bench that combinations are measured on.
 pub(super) struct Bench<'a> {
@@ -19,6 +19,9 @@ pub(super) struct Bench<'a> {
     pub clock: TimingClock,
     pub reporter: &'a Reporter,
 }
+
+/// Time of one thread for a pixel of a view from one camera, in the mean over all methods of the scene `magazine`.
+const SAMPLE_S: f64 = 4e-7;
 
 impl Bench<'_> {
     /// The kind of reference images that quality is measured against.
@@ -39,6 +42,13 @@ impl Bench<'_> {
         let unscored = |p: &CachedPoint| self.targets.iter().filter(|t| p.lacks(t)).count();
         let untimed = points.iter().filter(|p| self.is_untimed(p)).count() * self.runs;
         let steps = points.iter().map(unscored).sum::<usize>() + untimed;
+        if steps > 0 {
+            let (size, cameras) = (&self.timed.camera, self.store.capture.cameras.len());
+            let samples = steps * cameras * size.width * size.height;
+            let seconds = SAMPLE_S * samples as f64 / rayon::current_num_threads() as f64;
+            let time = in_words(seconds);
+            self.reporter.note(&format!("{steps} views, {label}, may take {time}."));
+        }
         let task = self.reporter.task(label, steps);
         for group in groups(&points) {
             self.measure_group(&group, &mut points, &task)?;

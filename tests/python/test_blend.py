@@ -221,7 +221,7 @@ def test_by_readmes_commands_alone(program: Path, tmp_path: Path) -> None:
     assert len(found["cameras"]) == 8
     for camera in found["cameras"]:
         assert camera["offset_s"] == pytest.approx(true_s[camera["id"]], abs=0.03 / 30)
-    shown = cv2.imread(str(tmp_path / "cam3.png"))
+    shown = cv2.imread(str(tmp_path / "between.png"))
     assert shown.shape == (180, 240, 3) and shown.std() > 20
     assert (tmp_path / ".captures/mine/review/report.html").is_file()
 

@@ -28,6 +28,7 @@ model = importlib.import_module("stlfr_calibration.model")
 frames = importlib.import_module("stlfr_calibration.frames")
 mapping = importlib.import_module("stlfr_calibration.mapping")
 residuals = importlib.import_module("stlfr_calibration.residuals")
+report = importlib.import_module("stlfr_calibration.report")
 conversion = importlib.import_module("stlfr_extension.described")
 
 Array = np.ndarray[Any, Any]
@@ -56,7 +57,9 @@ def seen_elsewhere(poses: dict[str, Any]) -> dict[str, Any]:
     for camera_id, pose in poses.items():
         rotation = pose.rotation @ world_turn
         centre = 3.0 * world_turn.T @ pose.centre_m + np.array([1.0, -2.0, 0.5])
-        moved[camera_id] = calibration.EstimatedPose(rotation, -rotation @ centre)
+        moved[camera_id] = calibration.EstimatedPose(
+            rotation, -rotation @ centre, points=1000
+        )
     return moved
 
 
@@ -89,6 +92,33 @@ def test_a_moved_camera_is_named_and_no_other(camera_id: str, axis: int) -> None
     found = {r.id: r for r in residuals.residuals(exported, estimated)}
     assert [r.id for r in found.values() if r.is_off] == [camera_id]
     assert found[camera_id].position_mm == pytest.approx(2.0, abs=0.1)
+
+
+def judged(std_errs: float, points: int, **more: Any) -> tuple[str, str]:
+    """The verdict on two cameras, of which one is off by so many standard errors of 1 mm."""
+    found = [
+        residuals.Residual("cam0", 0.0, 0.1, 0.001, 0.1, 500),
+        residuals.Residual("cam1", 0.0, std_errs, 0.001, 1.0, points),
+    ]
+    return report.judged(**{"off": [], "own": [], "found": found, "missing": []} | more)
+
+
+def test_the_verdict_is_right_off_or_that_the_images_cannot_tell() -> None:
+    assert judged(3.0, 500) == ("right", "to 0.05 deg and 5.0 mm")
+    assert judged(178.0, 500)[0] == "off" and "cam1" in judged(178.0, 500)[1]
+    for std_errs in (3.0, 178.0):
+        verdict, reason = judged(std_errs, 40)
+        assert verdict == "unknown" and "cam1 sees 40 points" in reason
+    verdict, reason = judged(3.0, 500, missing=["cam2"])
+    assert verdict == "unknown" and "can't place cam2" in reason
+    verdict, reason = judged(3.0, 500, found=[], missing=["cam0", "cam1"])
+    assert verdict == "unknown" and "any camera" in reason
+
+
+def test_what_is_wrong_with_the_program_is_no_verdict_on_a_capture() -> None:
+    verdict, reason = judged(178.0, 500, own=["Blender projects points 2 px elsewhere"])
+    assert verdict == "unknown" and "the program itself" in reason
+    assert judged(0.0, 500, off=["its COLMAP model"]) == ("off", "its COLMAP model")
 
 
 def test_a_tiny_angle_is_measured_as_well_as_a_large_one() -> None:

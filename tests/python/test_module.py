@@ -105,6 +105,37 @@ def test_what_is_like_an_array_is_taken(capture_dir: Path) -> None:
     assert capture.project("cam0", np.empty((0, 3))).shape == (0, 2)
 
 
+def test_cameras_are_camera_objects_and_times_are_covered(capture_dir: Path) -> None:
+    capture = stlfr.open(capture_dir)
+    assert [camera["id"] for camera in capture.cameras] == capture.camera_ids
+    camera = capture.camera("cam3")
+    assert camera == capture.cameras[3] and camera["width"] == 160
+    assert capture.camera("between")["params"] == camera["params"]
+    first_s, last_s = capture.covered_s("cam3")
+    assert first_s == pytest.approx(capture.times("cam3")[0])
+    assert capture.covered_s()[0] <= first_s < last_s <= capture.covered_s()[1]
+
+
+def test_alpha_is_there_as_it_is_asked_for(capture_dir: Path) -> None:
+    capture = stlfr.open(capture_dir)
+    options = {"sync": "nearest", "proxy": "plane", "blend.cameras": 2}
+    for alpha, channels in [(True, 4), (False, 3)]:
+        image = capture.render(0.07, like="between", options=options, alpha=alpha)
+        assert image.shape == (120, 160, channels)
+    for wrong in [{"preset": "fast"}, {"options": {"proxy": "sphere"}}]:
+        with pytest.raises(ValueError, match=r"^(preset|options): "):
+            capture.render(0.07, like="cam3", **wrong)
+    with pytest.raises(TypeError, match="has no argument 'speed'"):
+        capture.render(0.07, like="cam3", speed=1)
+
+
+def test_a_missing_folder_is_not_found_and_help_is_the_stubs(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"capture\.json"):
+        stlfr.open(tmp_path / "none")
+    assert "alpha" in stlfr.Capture.render.__doc__
+    assert stlfr.Capture.cameras.__doc__ and stlfr.Capture.moment.__doc__
+
+
 def test_bad_input_is_a_value_error(capture_dir: Path) -> None:
     """One sentence each."""
     capture = stlfr.open(capture_dir)
@@ -126,7 +157,8 @@ def test_errors_are_the_command_lines(tmp_path: Path, program: Path) -> None:
     ]:
         if text is not None:
             (tmp_path / "capture.json").write_text(text)
-        with pytest.raises(ValueError, match=r"capture\.json") as raised:
+        kinds = (ValueError, FileNotFoundError)
+        with pytest.raises(kinds, match=r"capture\.json") as raised:
             stlfr.open(tmp_path)
         printed = subprocess.run(
             [program, "check", tmp_path], capture_output=True, text=True

@@ -65,7 +65,10 @@ def options() -> list[Option]:
     """Every option, by its path in an options file, such as `blend.cameras`; as `stlfr options --json`."""
 
 def open(path: str | PathLike[str]) -> Capture:
-    """Open and check a capture's folder. Raises ValueError with one sentence where it is wrong."""
+    """Open and check a capture's folder.
+
+    Raises FileNotFoundError if there is no capture, and ValueError with one sentence where it is wrong.
+    """
 
 def project(camera: dict[str, Any], points: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """The pixels of world points in a camera object as in capture.json; as `Capture.project`."""
@@ -128,6 +131,19 @@ class Capture:
         """The cameras' ids, in the order of capture.json."""
 
     @property
+    def cameras(self) -> list[dict[str, Any]]:
+        """The cameras as `camera` gives them, in the order of capture.json."""
+
+    def camera(self, name: str) -> dict[str, Any]:
+        """A camera object by its id, or by the name of a true view: width, height, model, params and cam_from_world."""
+
+    def covered_s(self, camera_id: str | None = None) -> tuple[float, float]:
+        """The first and the last time at which a camera has images, or any camera without one.
+
+        Seconds on the reference's clock. Offsets that aren't known yet are estimated.
+        """
+
+    @property
     def reference(self) -> str:
         """The id of the camera whose clock is everybody's time."""
 
@@ -146,7 +162,9 @@ class Capture:
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
         """A camera's frame, (H, W, channels): RGB or grey as `color` says, in the camera's bit depth."""
 
-    def offsets(self, options: dict[str, Any] | None = None) -> Offsets:
+    def offsets(
+        self, options: dict[str, Any] | None = None, *, preset: str | None = None
+    ) -> Offsets:
         """Every camera's offset: those saved in the capture's folder, else estimated and saved there."""
 
     def render(
@@ -156,19 +174,28 @@ class Capture:
         camera: dict[str, Any] | None = None,
         like: str | None = None,
         options: dict[str, Any] | None = None,
+        preset: str | None = None,
+        alpha: bool | None = None,
         proceed: Callable[[int, int], object] | None = None,
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
-        """The view of a camera object as in capture.json, or of a filming camera (`like` its id).
+        """The view of a camera object as `camera` gives it, or of the camera or true view that `like` names.
 
-        An array (H, W, channels) in the input's bit depth. Channels are RGB or grey; where no camera
-        sees some of the pixels, alpha comes after them. Time is seconds on the reference's clock.
-        `options` is what a file for `stlfr render --options` holds: with `{"preset": "draft"}`, what
-        is not in it is the preset's.
+        An array (H, W, channels) in the input's bit depth. Channels are RGB or grey. With `alpha` true,
+        alpha comes after them, with `alpha` false never, by default where no camera sees some of the
+        pixels. Time is seconds on the reference's clock.
+        `options` is what a file for `stlfr render --options` holds; names may be paths, such as
+        `blend.cameras`, and `proxy` and `blend` may be their methods. They override those of `preset`.
         `proceed(done, total)` is called before every step of every instant of a trail, of one instant
         without a trail; where it returns something false, rendering stops with an InterruptedError.
         """
 
-    def moment(self, time_s: float, *, options: dict[str, Any] | None = None) -> Moment:
+    def moment(
+        self,
+        time_s: float,
+        *,
+        options: dict[str, Any] | None = None,
+        preset: str | None = None,
+    ) -> Moment:
         """The instant for many views of it: what doesn't depend on the viewpoint is computed once, here.
 
         A trail in the options is left out.
@@ -179,7 +206,7 @@ class Moment:
     """One instant of a capture."""
 
     def view(
-        self, camera: dict[str, Any]
+        self, camera: dict[str, Any], *, alpha: bool | None = None
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
         """The view of a camera object, as `Capture.render` gives it, but over depth per pixel.
 

@@ -1,0 +1,36 @@
+"""What Workbench doesn't show of a scene: procedural textures. The Blender side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+
+def lost_textures(scene: Any) -> list[str]:
+    """One sentence for each material whose texture Workbench leaves out, by the material's name."""
+    materials = {
+        slot.material
+        for obj in scene.objects
+        if not obj.hide_render
+        for slot in obj.material_slots
+        if slot.material is not None
+    }
+    return [
+        f"Workbench films {material.name} in a plain colour, because its texture is procedural: "
+        "clocks stay unknown where too little is textured; --engine cycles shows it"
+        for material in sorted(materials, key=lambda material: str(material.name))
+        if _is_procedural(material)
+    ]
+
+
+def _is_procedural(material: bpy.types.Material) -> bool:
+    """Whether a material has textures, and none of them is an image."""
+    if not material.use_nodes or material.node_tree is None:
+        return False
+    kinds = {
+        node.type
+        for node in material.node_tree.nodes
+        if node.type.startswith("TEX_") and node.type != "TEX_COORD"
+    }
+    return bool(kinds) and "TEX_IMAGE" not in kinds

@@ -1,0 +1,62 @@
+//! A view by its name: a camera of the capture, or a view that its truth shows.
+
+use super::{CAPTURE_FILE, Capture, CaptureError, Truth, TruthView};
+use crate::camera::Camera;
+use crate::text::short;
+use std::collections::BTreeSet;
+
+/// A view that has a name.
+#[derive(Clone, Debug)]
+pub enum NamedView {
+    /// A filming camera, by its index.
+    Filming(usize),
+    /// Any other camera.
+    Free(Camera),
+}
+
+/// Names that an error lists.
+const LISTED: usize = 12;
+
+impl TruthView {
+    /// The name of the view's place: that of `t0-between` is `between`.
+    fn place(&self) -> &str {
+        self.id.split_once('-').map_or(&self.id, |(_, place)| place)
+    }
+}
+
+impl Capture {
+    /// The camera with that id, or else the view of the truth with that id or at that place.
+    ///
+    /// # Errors
+    /// If there is none, with the names that there are. If the truth can't be read.
+    pub fn named_view(&self, name: &str) -> Result<NamedView, CaptureError> {
+        if let Some(index) = self.camera_index(name) {
+            return Ok(NamedView::Filming(index));
+        }
+        let views = Truth::open(&self.folder)?.map_or_else(Vec::new, |truth| truth.views);
+        let path = self.folder.join(CAPTURE_FILE);
+        let Some(view) = views.iter().find(|view| view.id == name || view.place() == name) else {
+            let reason = self.unknown_name(name, &views);
+            return Err(CaptureError::content(&path, reason));
+        };
+        if let Some(index) = view.like.as_ref().and_then(|id| self.camera_index(id)) {
+            return Ok(NamedView::Filming(index));
+        }
+        let camera = view.camera.camera();
+        Ok(NamedView::Free(
+            camera.map_err(|error| CaptureError::content(&path, error.to_string()))?,
+        ))
+    }
+
+    fn unknown_name(&self, name: &str, views: &[TruthView]) -> String {
+        let places: BTreeSet<&str> =
+            views.iter().filter(|view| view.like.is_none()).map(TruthView::place).collect();
+        let names: Vec<&str> = self.cameras.iter().map(|c| c.id.as_str()).chain(places).collect();
+        let more = match names.len().saturating_sub(LISTED) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        let listed = names[..names.len().min(LISTED)].join(", ");
+        format!("no camera and no true view is called '{}'; there are {listed}{more}", short(name))
+    }
+}

@@ -1,0 +1,107 @@
+//! The viewpoint of `stlfr render`, and an example of one for `stlfr info`.
+
+use super::CliError;
+use super::files::read_view;
+use super::values::Shift;
+use nalgebra::{Point3, distance};
+use std::path::{Path, PathBuf};
+use stlfr::camera::Camera;
+use stlfr::capture::{Capture, NamedView};
+
+/// Where the view is rendered from.
+#[derive(Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("view").required(true))]
+pub struct ViewpointArgs {
+    /// The view, a JSON file: a camera as in capture.json.
+    #[arg(long, value_name = "VIEW.json", group = "view")]
+    camera: Option<PathBuf>,
+    /// The view by its name: a camera of the capture, or a view that was filmed as truth, such as between.
+    #[arg(long, value_name = "NAME", group = "view")]
+    like: Option<String>,
+    /// Move the view right, down and ahead, in metres along its own axes, such as 0.03,0,0.
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    shift: Option<Shift>,
+}
+
+impl ViewpointArgs {
+    /// The camera of the file, if one is given.
+    pub fn camera(&self) -> Result<Option<Camera>, CliError> {
+        self.camera.as_deref().map(read_view).transpose()
+    }
+
+    /// The view of these arguments; `given` is [`Self::camera`].
+    pub fn view(&self, given: Option<Camera>, capture: &Capture) -> Result<NamedView, CliError> {
+        let name = self.like.as_deref().unwrap_or_default();
+        let view = match given {
+            Some(camera) => NamedView::Free(camera),
+            None => capture.named_view(name).map_err(|e| CliError::from(e).of_flag("--like"))?,
+        };
+        let Some(Shift(shift_m)) = &self.shift else { return Ok(view) };
+        let camera = match &view {
+            NamedView::Filming(index) => &capture.cameras[*index].camera,
+            NamedView::Free(camera) => camera,
+        };
+        Ok(NamedView::Free(camera.shifted((*shift_m).into())))
+    }
+}
+
+fn centers(capture: &Capture) -> Vec<Point3<f64>> {
+    capture.cameras.iter().map(|filmed| filmed.camera.center()).collect()
+}
+
+/// A warning about a view that is further from every camera than the cameras are from each other.
+pub fn far_outside(view: &Camera, capture: &Capture) -> Option<String> {
+    let centers = centers(capture);
+    let to_all = |from: &Point3<f64>| centers.iter().map(|c| distance(from, c)).collect::<Vec<_>>();
+    let away_m = to_all(&view.center()).into_iter().fold(f64::INFINITY, f64::min);
+    let width_m = centers.iter().flat_map(to_all).fold(0.0, f64::max);
+    let is_far = away_m > width_m && away_m > 0.0;
+    is_far.then(|| {
+        format!(
+            "The view is {away_m:.3} m from the nearest camera, and the cameras are at most {width_m:.3} m from \
+             each other: the image may be distorted."
+        )
+    })
+}
+
+/// A command that renders a view of the capture: halfway from the reference to its nearest camera, between two frames.
+pub fn example(capture: &Capture, folder: &Path) -> String {
+    let reference = &capture.cameras[capture.reference];
+    let centers = centers(capture);
+    let from = &centers[capture.reference];
+    let others = (0..centers.len()).filter(|c| *c != capture.reference);
+    let nearest =
+        others.min_by(|a, b| distance(from, &centers[*a]).total_cmp(&distance(from, &centers[*b])));
+    let shift = nearest.map(|other| {
+        let towards = reference.camera.cam_from_world * centers[other];
+        let [x, y, z] = [towards.x, towards.y, towards.z].map(|m| rounded(0.5 * m));
+        format!(" --shift {x},{y},{z}")
+    });
+    let times_s = capture.times_in_file_s(capture.reference);
+    let middle = times_s.len() / 2;
+    let time_s = 0.5 * (times_s[middle.saturating_sub(1)] + times_s[middle]);
+    format!(
+        "stlfr render {} --like {}{} --time {} -o view.png",
+        quoted(&folder.display().to_string()),
+        quoted(&reference.id),
+        shift.unwrap_or_default(),
+        rounded(time_s),
+    )
+}
+
+/// Formats a number with at most four decimals.
+pub fn rounded(value: f64) -> String {
+    let text = format!("{value:.4}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+/// A word of a command line, in quotes if it needs them.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-".contains(c);
+    if word.chars().all(is_plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
