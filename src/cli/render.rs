@@ -2,7 +2,8 @@
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture, read_view};
-use super::values::{AUTO, ImageOutput, Times, method, method_or_auto};
+use super::values::{AUTO, ImageOutput, Parts, Times, method, method_or_auto};
+use std::ops::Range;
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
@@ -58,6 +59,9 @@ pub struct RenderArgs {
     /// N instants evenly from START to END, both included: slow motion in one run.
     #[arg(long, value_name = "START:END:N", allow_hyphen_values = true)]
     times: Option<Times>,
+    /// Only parts K to L of N, such as 3-6/100: other commands, on any machine, render the others.
+    #[arg(long, value_name = "K-L/N", requires = "times")]
+    part: Option<Parts>,
     /// The image, for --times a pattern such as out/%04d.png or a video such as out.mkv.
     #[arg(short, long, value_name = "FILE")]
     output: ImageOutput,
@@ -90,6 +94,8 @@ struct RenderRequest {
     camera: Option<Camera>,
     /// Seconds on the reference's clock as its file has it: subtract the capture's origin.
     times_s: Vec<f64>,
+    /// Indices of those that are rendered now.
+    wanted: Range<usize>,
 }
 
 impl RenderArgs {
@@ -128,8 +134,15 @@ impl RenderArgs {
             (None, Some(Times(times_s)), _) => times_s.clone(),
             (None, None, _) => return wrong("--time or --times must be given"),
         };
+        let mut wanted = 0..times_s.len();
+        if let Some(part) = &self.part {
+            if !matches!(self.output, ImageOutput::Sequence(_)) {
+                return wrong("--part gives images of a sequence: -o must be like out/%04d.png");
+            }
+            wanted = part.range(times_s.len());
+        }
         let camera = self.camera.as_deref().map(read_view).transpose()?;
-        Ok(RenderRequest { camera, times_s })
+        Ok(RenderRequest { camera, times_s, wanted })
     }
 }
 
@@ -146,7 +159,8 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     let like = like.transpose()?;
     let times_s: Vec<f64> = request.times_s.iter().map(|t| t - capture.time_origin_s).collect();
     check_times_before_offsets(&capture, like, &times_s)?;
-    let writer = Writer::new(&args.output, &capture)?;
+    let first = request.wanted.start;
+    let writer = Writer::new(&args.output, &capture, first)?;
 
     let field = pipeline::open_field(capture, &options, reporter)?;
     let from = match &request.camera {
@@ -156,6 +170,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     field.check_times(from, &times_s)?;
     let options = pipeline::resolved(&field, &options, reporter)?;
     let instants = options.trail.count();
+    let times_s = &times_s[request.wanted];
     let task = reporter.task("rendering", times_s.len() * instants);
     writer.write_all(times_s.iter().enumerate().map(|(index, &time_s)| {
         let proceed = |done, _| {
@@ -173,6 +188,8 @@ const WAITING_VIEWS: usize = 2;
 /// Where finished images go.
 struct Writer<'a> {
     output: &'a ImageOutput,
+    /// Index of the first image.
+    first: usize,
     format: VideoFormat,
     /// The encoder; `None` if the output is no video.
     ffmpeg: Option<PathBuf>,
@@ -181,13 +198,13 @@ struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    fn new(output: &'a ImageOutput, capture: &Capture) -> Result<Self, CliError> {
+    fn new(output: &'a ImageOutput, capture: &Capture, first: usize) -> Result<Self, CliError> {
         let is_video = matches!(output, ImageOutput::Video(_));
         let ffmpeg = is_video.then(|| ffmpeg_for("a video")).transpose()?;
         let frame_s = capture.frame_s();
         let rate_hz = if frame_s > 0.0 { 1.0 / frame_s } else { 30.0 };
         let format = VideoFormat { depth: capture.bit_depth(), rate_hz, codec: Codec::Ffv1 };
-        Ok(Self { output, format, ffmpeg, video: None })
+        Ok(Self { output, first, format, ffmpeg, video: None })
     }
 
     /// Writes views while the next ones are rendered. Views before an error are written, but no video is finished then.
@@ -217,7 +234,7 @@ impl<'a> Writer<'a> {
     }
 
     fn write(&mut self, index: usize, view: &Rendered) -> Result<(), CliError> {
-        let path = self.output.file(index).unwrap_or_default();
+        let path = self.output.file(self.first + index).unwrap_or_default();
         let Some(ffmpeg) = &self.ffmpeg else {
             let coverage = view.coverage.contains(&false).then_some(view.coverage.as_slice());
             return Ok(write_image(&path, &view.image, coverage, self.format.depth)?);
@@ -262,6 +279,8 @@ mod tests {
             [-1.0, 0.0, 1.0]
         );
         assert_eq!(request("c --like a --times 0:1:2 -o o.mkv").unwrap().times_s, [0.0, 1.0]);
+        let part = request("c --like a --times 0:1:9 --part 2/3 -o o/%d.png").unwrap();
+        assert_eq!((part.times_s.len(), part.wanted), (9, 3..6));
     }
 
     #[test]
@@ -276,6 +295,9 @@ mod tests {
             ("c --like a --times 0:1:2 -o a.png", "%04d"),
             ("c --like a --times 0:1 -o a.mkv", "0.1:0.4:30"),
             ("c --like a --time 0 -o a.jpg", ".mkv"),
+            ("c --like a --times 0:1:2 --part 1/2 -o a.mkv", "must be like out/%04d.png"),
+            ("c --like a --times 0:1:2 --part 3/2 -o o/%d.png", "3-6/100"),
+            ("c --like a --time 0 --part 1/2 -o a.png", "--times"),
             ("c --camera /nowhere.json --time 0 -o a.png", "/nowhere.json"),
         ] {
             let message = request(line).unwrap_err();

@@ -21,9 +21,9 @@ from filming import CAPTURE_SCRIPT, by_script, rig_camera, right_of_centre, writ
 
 sharing = importlib.import_module("stlfr_extension.sharing")
 
-SMALL = ["--scene", "magazine", "--engine", "workbench", "--frames", "8"]
+SMALL = ["--scene", "magazine", "--engine", "workbench", "--frames", "24"]
 SMALL += ["--samples", "1", "--instants", "1"]
-FILES = 22
+FILES = 54
 """Two cameras' frames, and the truth of one instant: image, depth and motion each."""
 
 
@@ -112,7 +112,7 @@ def test_of_four_processes_three_are_killed(
     processes = [start(small_rig, folder) for _ in range(4)]
     for victim in processes[:3]:
         count = len(watched.versions)
-        goal = count + chance.randrange(1, 5)
+        goal = count + chance.randrange(1, 12)
         while len(watched.versions) < goal and victim.poll() is None:
             time.sleep(0.01)
         time.sleep(0.2 * chance.random())
@@ -136,7 +136,7 @@ def test_four_processes_do_each_image_once_and_pack_each_video_once(
     assert [process.returncode for process in processes] == [0] * 4, said
     done = [json.loads(line)["what"] for out, _ in said for line in out.splitlines()]
     own = [what for what in done if what[0] in "lrt" and "elsewhere" not in what]
-    assert len(own) == len(set(own)) == 22, own  # 20 images and geometries, 2 videos
+    assert len(own) == len(set(own)) == 54, own  # 52 images and geometries, 2 videos
     assert watched.filmed_twice() == []
     alone = by_script(small_rig, *SMALL, "--video", "-o", tmp_path / "alone")
     assert alone.returncode == 0, alone.stderr
@@ -148,7 +148,7 @@ def test_a_silent_process_is_replaced_after_the_silence(
 ) -> None:
     """One has claimed an image and its heart stands still; its lock is held, as on a machine that is out of reach."""
     folder = tmp_path / "capture"
-    result = by_script(small_rig, *SMALL, "--part", "1/20", "-o", folder)
+    result = by_script(small_rig, *SMALL, "--part", "1/52", "-o", folder)
     assert result.returncode == 0, result.stderr
     with sharing.Member(folder) as silent:
         silent._ended.set()
@@ -186,7 +186,7 @@ def test_a_frozen_process_that_wakes_up_after_the_end_changes_nothing(
 
 def test_parts_make_a_whole(by_one: Path, small_rig: Path, tmp_path: Path) -> None:
     folder = tmp_path / "capture"
-    for part, files in (("4/4", 7), ("1-2/4", 17)):
+    for part, files in (("4/4", 15), ("1-2/4", 41)):
         result = by_script(small_rig, *SMALL, "--part", part, "-o", folder)
         assert result.returncode == 0, result.stderr
         assert len([f for f in contents(folder) if f[-3:] in ("png", "npy")]) == files
