@@ -297,7 +297,7 @@ mod tests {
             ("c --like a --time 0 -o a.jpg", ".mkv"),
             ("c --like a --times 0:1:2 --part 1/2 -o a.mkv", "must be like out/%04d.png"),
             ("c --like a --times 0:1:2 --part 3/2 -o o/%d.png", "3-6/100"),
-            ("c --like a --time 0 --part 1/2 -o a.png", "--times"),
+            ("c --like a --time 0 --part 1/2 -o a.png", "of a sequence"),
             ("c --camera /nowhere.json --time 0 -o a.png", "/nowhere.json"),
         ] {
             let message = request(line).unwrap_err();
