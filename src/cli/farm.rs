@@ -3,12 +3,14 @@
 use super::CliError;
 use super::capture::SceneArgs;
 use super::error::written;
-use super::files::{CommandOutput, OptionsArgs, must_be_a_file};
+use super::files::{CommandOutput, OptionsArgs, open_capture, read_view};
 use super::print::Page;
 use super::values::{ImageOutput, Times};
 use std::path::{Path, PathBuf, absolute};
-use stlfr::capture::{CAPTURE_FILE, Truth};
+use stlfr::capture::Truth;
 use stlfr::farm::{FarmChunks, FarmJob, FarmNeeds, FarmStep};
+use stlfr::progress::Reporter;
+use stlfr::rig::Rig;
 
 /// Describe the work on captures for an engine that shares it among machines: Open Job Description, Slurm, Flamenco.
 ///
@@ -64,7 +66,7 @@ pub struct FarmArgs {
     options: OptionsArgs,
 }
 
-pub fn run(args: &FarmArgs, page: &mut Page) -> Result<(), CliError> {
+pub fn run(args: &FarmArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     args.options.read()?;
     let wrong = |sentence: &str| Err(CliError::BadInput(sentence.into()));
     if args.rig.is_none() && args.scene != SceneArgs::default() {
@@ -74,7 +76,7 @@ pub fn run(args: &FarmArgs, page: &mut Page) -> Result<(), CliError> {
         return wrong("--rig: films one capture, and several are given");
     }
     let folder = written(&args.output, absolute(&args.output))?;
-    let job = args.job(&folder)?;
+    let job = args.job(&folder, reporter)?;
     let files = job.files();
     let names: Vec<&str> = files.iter().map(|(name, _)| &**name).collect();
     CommandOutput::Folder(&args.output, &names).check(None)?;
@@ -84,8 +86,8 @@ pub fn run(args: &FarmArgs, page: &mut Page) -> Result<(), CliError> {
 }
 
 impl FarmArgs {
-    fn job(&self, folder: &Path) -> Result<FarmJob, CliError> {
-        let mut steps = Steps { args: self, suffix: String::new(), steps: Vec::new() };
+    fn job(&self, folder: &Path, reporter: &Reporter) -> Result<FarmJob, CliError> {
+        let mut steps = Steps { args: self, reporter, suffix: String::new(), steps: Vec::new() };
         steps.add("setup", vec!["setup".into()], &[], None);
         for (index, capture) in self.captures.iter().enumerate() {
             if self.captures.len() > 1 {
@@ -106,6 +108,7 @@ impl FarmArgs {
 /// The steps of a job, as they are being added.
 struct Steps<'a> {
     args: &'a FarmArgs,
+    reporter: &'a Reporter,
     /// Of the names of the steps of one capture among several.
     suffix: String,
     steps: Vec<FarmStep>,
@@ -135,19 +138,30 @@ impl Steps<'_> {
 
     fn add_capture(&mut self, capture: &Path, job: &Path) -> Result<(), CliError> {
         let mut before = "setup";
-        let has_truth = match &self.args.rig {
+        let (ids, has_truth) = match &self.args.rig {
             Some(rig) => {
                 self.add_filming(rig, capture)?;
                 before = "capture";
-                self.args.scene.has_truth()
+                let cameras = Rig::read(rig)?.cameras;
+                let ids: Vec<String> = cameras.into_iter().map(|camera| camera.id).collect();
+                (ids, self.args.scene.has_truth())
             }
             None => {
-                must_be_a_file(&capture.join(CAPTURE_FILE))?;
-                Truth::open(capture)?.is_some()
+                let opened = open_capture(capture, None, self.reporter)?;
+                let ids = opened.cameras.iter().map(|camera| camera.id.clone()).collect();
+                (ids, Truth::open(capture)?.is_some())
             }
         };
+        if let Some(id) = self.args.like.as_ref().filter(|id| !ids.contains(id)) {
+            let sentence = format!("--like: no camera of {} has the id '{id}'", capture.display());
+            return Err(CliError::BadInput(sentence));
+        }
         let options = self.args.options.absolute_words()?;
+        // One camera has no offset.
         for name in ["check", "offsets", "prepare"] {
+            if name == "offsets" && ids.len() == 1 {
+                continue;
+            }
             let mut arguments = vec![name.to_owned(), word(capture)?];
             if name != "check" {
                 arguments.extend_from_slice(&options);
@@ -196,7 +210,7 @@ impl Steps<'_> {
         arguments.extend(["-o".into(), output]);
         arguments.extend(self.args.like.iter().map(|id| format!("--like={id}")));
         if let Some(view) = &self.args.camera {
-            super::files::read_view(view)?;
+            read_view(view)?;
             arguments.push(format!("--camera={}", word(&written(view, absolute(view))?)?));
         }
         arguments.extend_from_slice(options);

@@ -92,7 +92,7 @@ impl Cli {
             Command::Options(args) => options::run(args, page),
             Command::Import(args) => exchange::run_import(args, &reporter),
             Command::Export(args) => exchange::run_export(args, &reporter),
-            Command::Farm(args) => farm::run(args, page),
+            Command::Farm(args) => farm::run(args, page, &reporter),
         }
     }
 }

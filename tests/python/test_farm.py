@@ -51,12 +51,16 @@ def test_the_whole_template_runs_and_may_run_again(job: Path, program: Path) -> 
     """By the reference engine: twice the same files, and those of one command."""
     capture = job.parent / "it's a capture"
     filmed = []
-    for step in ("compare", "render"):
-        ended = openjd("run", job / "openjd.json", "--step", step, "--run-dependencies")
+    for step, more in (
+        ("compare", "--run-dependencies"),
+        ("film", "--no-run-dependencies"),
+        ("render", "--no-run-dependencies"),
+    ):
+        ended = openjd("run", job / "openjd.json", "--step", step, more)
         assert ended.returncode == 0, ended.stdout[-3000:]
         images = sorted(capture.glob("cam*/*.png"))
         filmed.append([(path.name, path.stat().st_mtime_ns) for path in images])
-    assert filmed[0] == filmed[1] and len(filmed[0]) >= 6 * 8
+    assert filmed[0] == filmed[1] == filmed[2] and len(filmed[0]) >= 6 * 8
     assert (capture / "review/report.html").is_file()
     rendered = sorted((job / "frames").iterdir())
     assert [path.name for path in rendered] == [f"{k:06}.png" for k in range(5)]
@@ -125,6 +129,8 @@ def test_what_a_job_cannot_be_made_of_is_refused(
     for arguments, complaint in (
         ([tmp_path / "nowhere"], "nowhere/capture.json"),
         ([capture_dir, "--times", "0:1:3"], "--like"),
+        ([capture_dir, "--times", "0:1:3", "--like", "cam9"], "the id 'cam9'"),
+        ([capture_dir, "--options", tmp_path / "none.json"], "none.json"),
         ([capture_dir, "--scene", "magazine"], "--rig"),
         ([capture_dir, "--rig", RIG], "--scene"),
         (
