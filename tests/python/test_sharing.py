@@ -169,16 +169,17 @@ def test_a_frozen_process_that_wakes_up_after_the_end_changes_nothing(
     for line in frozen.stdout:
         if json.loads(line)["done"] >= 2:
             break
-    children = (
-        Path(f"/proc/{frozen.pid}/task/{frozen.pid}/children").read_text().split()
-    )
-    for process in (frozen.pid, *map(int, children)):
-        os.kill(process, signal.SIGSTOP)
-    result = by_script(small_rig, *SMALL, "--silence", 5, "-o", folder)
-    assert result.returncode == 0, result.stderr
-    assert contents(folder) == contents(by_one)
-    for process in (frozen.pid, *map(int, children)):
-        os.kill(process, signal.SIGCONT)
+    children = Path(f"/proc/{frozen.pid}/task/{frozen.pid}/children").read_text()
+    processes = [frozen.pid, *map(int, children.split())]
+    try:
+        for process in processes:
+            os.kill(process, signal.SIGSTOP)
+        result = by_script(small_rig, *SMALL, "--silence", 5, "-o", folder)
+        assert result.returncode == 0, result.stderr
+        assert contents(folder) == contents(by_one)
+    finally:
+        for process in processes:
+            os.kill(process, signal.SIGCONT)
     _, complaint = frozen.communicate(timeout=60)
     assert (frozen.returncode, complaint) == (0, "")
     assert contents(folder) == contents(by_one)
