@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import os
@@ -82,10 +83,12 @@ class Watched:
 
     def look(self) -> None:
         for pattern in ("left/*", "right/*", "truth/views/*"):
-            for path in self.folder.glob(pattern):
-                status = path.stat()
-                version = (status.st_ino, status.st_mtime_ns)
-                self.versions[str(path.relative_to(self.folder))].add(version)
+            # Images that went into a video vanish at any moment.
+            with contextlib.suppress(FileNotFoundError):
+                for path in self.folder.glob(pattern):
+                    status = path.stat()
+                    version = (status.st_ino, status.st_mtime_ns)
+                    self.versions[str(path.relative_to(self.folder))].add(version)
 
     def filmed_twice(self) -> list[str]:
         return [name for name, seen in self.versions.items() if len(seen) > 1]
