@@ -14,7 +14,6 @@ import json
 import math
 import os
 import re
-import shutil
 import signal
 import sys
 from pathlib import Path
@@ -42,9 +41,9 @@ def load_extension() -> None:
 
 
 load_extension()
-errors, plans, folder, videos, in_blender = (
+errors, plans, folder, videos, sharing, in_blender = (
     importlib.import_module(f"stlfr_extension.{name}")
-    for name in ("errors", "plan", "folder", "video", "in_blender")
+    for name in ("errors", "plan", "folder", "video", "sharing", "in_blender")
 )
 
 
@@ -87,6 +86,16 @@ def seconds(text: str) -> tuple[float, ...]:
     if not times_s or not all(map(math.isfinite, times_s)):
         raise argparse.ArgumentTypeError(f"{text} isn't a list of times like 0.1,0.15")
     return times_s
+
+
+def parts(text: str) -> tuple[int, int, int]:
+    """`3-6/100`, or `3/100`."""
+    match = re.fullmatch(r"(\d{1,6})(?:-(\d{1,6}))?/(\d{1,6})", text)
+    if match:
+        first, last, count = int(match[1]), int(match[2] or match[1]), int(match[3])
+        if 1 <= first <= last <= count:
+            return first, last, count
+    raise argparse.ArgumentTypeError(f"{text} isn't parts of a number, like 3-6/100")
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
@@ -192,7 +201,20 @@ def add_truth(parser: Parser) -> None:
 
 
 def add_processes(parser: Parser) -> None:
-    """Add the arguments for worker processes."""
+    """Add the arguments for worker processes, here and on other machines."""
+    parser.add_argument(
+        "--part",
+        type=parts,
+        metavar="K-L/N",
+        help="film only parts K to L of N, and leave the rest to other commands",
+    )
+    parser.add_argument(
+        "--silence",
+        type=count(5),
+        default=sharing.SILENCE_S,
+        metavar="SECONDS",
+        help=f"film what another process left that was silent for so long ({sharing.SILENCE_S})",
+    )
     parser.add_argument(
         "--workers", type=count(1), metavar="N", help="filming processes (one per core)"
     )
@@ -210,6 +232,8 @@ def add_processes(parser: Parser) -> None:
 
 def filming_options(arguments: argparse.Namespace) -> Any:
     """The filming options of the command line."""
+    if arguments.module:
+        sys.path.insert(0, arguments.module)
     return plans.Options(
         rig_file=arguments.rig.resolve(),
         scene_name=arguments.scene,
@@ -226,62 +250,119 @@ def filming_options(arguments: argparse.Namespace) -> Any:
     )
 
 
-def capture(arguments: argparse.Namespace) -> None:
-    """Film the missing images."""
-    if arguments.module:
-        sys.path.insert(0, arguments.module)
-    plan = plans.make(filming_options(arguments))
-    target = arguments.capture.resolve()
-    hidden = target / plans.HIDDEN_FOLDER
-    if hidden.is_symlink():  # half-written images would be deleted elsewhere
-        raise errors.BadInputError(f"{hidden} is a link, and must lie in the capture")
-    plans.claim(plan, target)
-    jobs = [
-        job
-        for job in plan.jobs
-        if not (videos.holds(job, target) or job.is_finished(target))
-    ]
-    unpacked = videos.unpacked(plan, target) if arguments.video else []
-    total = len(plan.jobs) + len(unpacked)
-    done = len(plan.jobs) - len(jobs)
-    if not jobs and not unpacked and (target / plans.CAPTURE_FILE).is_file():
-        report(done, total, "already filmed")
-        return
-    (target / plans.CAPTURE_FILE).unlink(missing_ok=True)  # not whole any more
+CORES = (
+    len(os.sched_getaffinity(0))
+    if hasattr(os, "sched_getaffinity")
+    else os.cpu_count() or 1
+)
+"""Cores that this process may use."""
 
-    def on_notes(notes: list[str]) -> None:
+
+class Filming:
+    """The work of this process, and how far the whole is."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self.arguments = arguments
+        self.plan = plans.make(filming_options(arguments))
+        self.target = arguments.capture.resolve()
+        self.done = self.total = 0
+
+    def run(self) -> None:
+        """Film the missing images, and those of a capture that is whole then."""
+        hidden = self.target / plans.HIDDEN_FOLDER
+        if hidden.is_symlink():  # half-written images would be deleted elsewhere
+            raise errors.BadInputError(
+                f"{hidden} is a link, and must lie in the capture"
+            )
+        sharing.claim_folder(self.plan, self.target)
+        chosen = self.chosen_jobs()
+        jobs = [job for job in chosen if not self.is_filmed(job)]
+        is_part = self.arguments.part is not None
+        packed = self.plan.rig.cameras if self.arguments.video and not is_part else []
+        unpacked = [c for c in packed if not videos.is_packed(c, self.target)]
+        self.total = len(chosen) + len(unpacked)
+        self.done = len(chosen) - len(jobs)
+        if not jobs and not unpacked and (is_part or self.is_whole):
+            report(self.done, self.total, "already filmed")
+            return
+        note = expected(self.plan, jobs, CORES)
+        report(self.done, self.total, "starting Blender", note)
+        with sharing.Member(self.target, self.arguments.silence) as member:
+            try:
+                cameras = self.film(jobs, member)
+                if not is_part:
+                    self.finish(cameras, unpacked, member)
+            except (errors.FailureError, OSError):
+                if not member.is_over:  # what it fails for lack of isn't needed
+                    raise
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the capture is."""
+        return (self.target / plans.CAPTURE_FILE).is_file()
+
+    def is_filmed(self, job: Any) -> bool:
+        """Whether a job is done, here or elsewhere."""
+        return videos.holds(job, self.target) or job.is_finished(self.target)
+
+    def chosen_jobs(self) -> list[Any]:
+        """The jobs of the parts that were asked for."""
+        jobs = self.plan.jobs
+        first, last, count = self.arguments.part or (1, 1, 1)
+        return jobs[(first - 1) * len(jobs) // count : last * len(jobs) // count]
+
+    def on_done(self, what: str) -> None:
+        """Say that one more step is done."""
+        self.done += 1
+        report(self.done, self.total, what)
+
+    def on_notes(self, notes: list[str]) -> None:
+        """Say what the scene's first worker notes."""
         for note in notes:
-            report(done, total, "starting Blender", note)
+            report(self.done, self.total, "starting Blender", note)
 
-    def on_done(what: str) -> None:
-        nonlocal done
-        done += 1
-        report(done, total, what)
+    def film(self, jobs: list[Any], member: Any) -> dict[str, Any]:
+        """Film, with the others; gives the views' cameras."""
+        workers = min(self.arguments.workers or CORES, max(1, len(jobs)))
+        crews = importlib.import_module("stlfr_extension.workers")
+        command = [sys.executable, "-I", str(HERE), "--worker"]
+        if self.arguments.blender:
+            command[-1:] = ["--worker-in", self.arguments.blender]
+        items = {job.files[0].replace("/", "+"): job for job in jobs}
+        shared = sharing.Shared(
+            member, items, self.is_filmed, lambda job: self.on_done(elsewhere(job.what))
+        )
+        try:
+            with crews.Crew(self.plan, member, command, workers, CORES) as crew:
+                return crew.film(
+                    shared, lambda job: self.on_done(job.what), self.on_notes
+                )
+        except errors.BadInputError:
+            plans.release(self.target)
+            raise
 
-    cores = (
-        len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count() or 1
-    )
-    report(done, total, "starting Blender", expected(plan, jobs, cores))
-    scratch = folder.scratch_folder(target)
-    shutil.rmtree(scratch, ignore_errors=True)
-    scratch.mkdir()
-    workers = min(arguments.workers or cores, max(1, len(jobs)))
-    crews = importlib.import_module("stlfr_extension.workers")
-    command = [sys.executable, "-I", str(HERE), "--worker"]
-    if arguments.blender:
-        command[-1:] = ["--worker-in", arguments.blender]
-    try:
-        with crews.Crew(plan, target, command, workers, cores) as crew:
-            cameras = crew.film(jobs, lambda job: on_done(job.what), on_notes)
-    except errors.BadInputError:
-        plans.release(target)
-        raise
-    if arguments.video:
-        videos.pack(plan, target, scratch, on_done)
-    shutil.rmtree(scratch)
-    folder.write_all(plan, cameras, target)
+    def finish(self, cameras: dict[str, Any], unpacked: list[Any], member: Any) -> None:
+        """Pack and describe what was filmed; the others do so too, each thing once."""
+        packing = sharing.Shared(
+            member,
+            {videos.video_file(camera.id): camera for camera in unpacked},
+            lambda camera: videos.is_packed(camera, self.target),
+            lambda camera: self.on_done(elsewhere(videos.video_file(camera.id))),
+        )
+        for camera in packing.each():
+            videos.pack(camera, self.target, member.scratch)
+            self.on_done(videos.video_file(camera.id))
+        whole = sharing.Shared(
+            member, {plans.CAPTURE_FILE: True}, lambda _: self.is_whole, lambda _: None
+        )
+        for _ in whole.each():
+            folder.write_all(self.plan, cameras, self.target)
+        member.end()
+
+
+def elsewhere(what: str) -> str:
+    """What another process did."""
+    return f"{what} (elsewhere)"
 
 
 CYCLES_SAMPLE_S = 1.1e-6
@@ -328,7 +409,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     try:
-        capture(parse_arguments(arguments))
+        Filming(parse_arguments(arguments)).run()
     except (errors.BadInputError, errors.FailureError) as error:
         print(error, file=sys.stderr)
         return int(error.exit_code)

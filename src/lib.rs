@@ -72,7 +72,7 @@
 //! plan
 //! pipeline
 //! compare
-//! tradeoff live
+//! tradeoff live farm
 //! toolchain
 //! python
 //! ```
@@ -94,6 +94,7 @@
 //! | [`plan`] | the methods that a capture requires |
 //! | [`tradeoff`] | what each combination of methods costs and gives |
 //! | [`live`] | a light field in a browser: the server and its page |
+//! | [`farm`] | the work as jobs of farms: Open Job Description, Slurm, Flamenco |
 //! | [`toolchain`] | the Python side: its environment, filming, the calibration check |
 //!
 //! # Adding to it
@@ -130,6 +131,18 @@
 //! While something changes, the page shows what keeps up; at rest, the options of the command line:
 //! `--preset` and `--options` are those of `render`. The page is served on this machine alone, at an address
 //! with a random token.
+//!
+//! # On several machines
+//!
+//! The same `stlfr capture` on machines that share the capture's folder films it together: each takes images that
+//! no other has, and the files are those of one machine. What a machine had begun that shows no sign of life for
+//! `--silence` seconds, 60 by default, is filmed by another; nothing else is filmed twice. The machines' clocks may be wrong.
+//!
+//! `stlfr farm CAPTURE -o JOB` describes the whole work, from the set-up to the comparison, for engines that share it
+//! among machines: an Open Job Description (AWS Deadline Cloud; `openjd run` on one machine), scripts for Slurm, a job
+//! type for Flamenco. Filming and rendering are in chunks: `--part 3-6/100` of `capture` and `render`. Every task may be
+//! run again: it continues, or gives the same files. After a failed task, submit the job again. The machines must see program,
+//! captures and job at the same paths. `tests/farm/slurm.py` runs the scripts, by hand, on a cluster that loses a node.
 //!
 //! # From Python
 //!
@@ -195,6 +208,7 @@ pub mod capture;
 pub mod chart;
 pub mod compare;
 pub mod exchange;
+pub mod farm;
 pub mod host;
 pub mod interpolation;
 pub mod json;

@@ -50,6 +50,7 @@ fn formatting_and_lints() {
             "blender/pyproject.toml",
             "blender",
             "tests/bench",
+            "tests/farm",
             "tests/python",
             "tests/window",
         ]));

@@ -12,9 +12,7 @@ from .errors import FailureError
 from .plan import frame_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from .plan import Job, Plan
+    from .plan import Job
     from .rig import RigCamera
 
 
@@ -36,49 +34,39 @@ def holds(job: Job, capture: Path) -> bool:
     return in_camera and (capture / video_file(job.view_id)).is_file()
 
 
-def unpacked(plan: Plan, capture: Path) -> list[RigCamera]:
-    """The cameras whose images still lie there."""
-    return [
-        camera
-        for camera in plan.rig.cameras
-        if (capture / camera.id).exists()
-        or not (capture / video_file(camera.id)).is_file()
-    ]
+def is_packed(camera: RigCamera, capture: Path) -> bool:
+    """Whether the video has taken the place of the camera's images."""
+    is_there = (capture / video_file(camera.id)).is_file()
+    return is_there and not (capture / camera.id).exists()
 
 
-def pack(
-    plan: Plan, capture: Path, scratch: Path, on_done: Callable[[str], None]
-) -> None:
-    """Make a video of every camera's images, then remove them. All images must be there.
+def pack(camera: RigCamera, capture: Path, scratch: Path) -> None:
+    """Make a video of a camera's images, then remove them. All images must be there.
 
-    A video gets its name when it decodes to the very pixels of the images, which go after that.
+    The video gets its name when it decodes to the very pixels of the images, which go after that.
     """
     ffmpeg = find_ffmpeg()
-    for camera in unpacked(plan, capture):
-        target, images = capture / video_file(camera.id), capture / camera.id
-        if not target.is_file():
-            partial = scratch / target.name
-            pattern = Path(frame_file(camera.id, 0)).with_name("%04d.png")
-            rate = ["-framerate", repr(camera.rate_hz)]
-            source = ["-f", "image2", *rate, "-start_number", "0", "-i", str(pattern)]
-            codec = ["-c:v", "ffv1", "-level", "3", "-g", "1", "-slicecrc", "1"]
-            exact = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-threads", "1"]
-            output = ["-f", "matroska", f"file:{partial}"]
-            _run([ffmpeg, *source, *codec, *exact, *output], capture)
-            pixels = "gray" if camera.color == "gray" else "rgb24"
-            compared = [
-                _run([ffmpeg, *given, "-pix_fmt", pixels, "-f", "hash", "-"], capture)
-                for given in (source, ["-i", f"file:{partial}"])
-            ]
-            if compared[0] != compared[1]:
-                raise FailureError(
-                    f"{target}: the video has other pixels than {images}"
-                )
-            with partial.open("r+b") as stream:
-                os.fsync(stream.fileno())
-            partial.replace(target)
-        shutil.rmtree(images, ignore_errors=True)
-        on_done(target.name)
+    target, images = capture / video_file(camera.id), capture / camera.id
+    if not target.is_file():
+        partial = scratch / target.name
+        pattern = Path(frame_file(camera.id, 0)).with_name("%04d.png")
+        rate = ["-framerate", repr(camera.rate_hz)]
+        source = ["-f", "image2", *rate, "-start_number", "0", "-i", str(pattern)]
+        codec = ["-c:v", "ffv1", "-level", "3", "-g", "1", "-slicecrc", "1"]
+        exact = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-threads", "1"]
+        output = ["-f", "matroska", f"file:{partial}"]
+        _run([ffmpeg, *source, *codec, *exact, *output], capture)
+        pixels = "gray" if camera.color == "gray" else "rgb24"
+        compared = [
+            _run([ffmpeg, *given, "-pix_fmt", pixels, "-f", "hash", "-"], capture)
+            for given in (source, ["-i", f"file:{partial}"])
+        ]
+        if compared[0] != compared[1]:
+            raise FailureError(f"{target}: the video has other pixels than {images}")
+        with partial.open("r+b") as stream:
+            os.fsync(stream.fileno())
+        partial.replace(target)
+    shutil.rmtree(images, ignore_errors=True)
 
 
 def find_ffmpeg() -> str:

@@ -24,8 +24,8 @@ from typing import IO, Any, Self
 
 from . import rig as rigs
 from .errors import BadInputError, FailureError
-from .folder import scratch_folder
 from .plan import Job, Options, Plan
+from .sharing import LOOK_S, Member, Shared
 
 NO_OPENGL = (
     "; Workbench needs OpenGL: apt-get install -y libegl1 libgl1-mesa-dri, "
@@ -46,7 +46,7 @@ class Crew:
     def __init__(
         self,
         plan: Plan,
-        capture: Path,
+        member: Member,
         command: list[str],
         workers: int,
         cores: int,
@@ -62,11 +62,13 @@ class Crew:
                     else None,
                 },
                 "rig": plan.rig_content,
-                "capture": str(capture),
+                "capture": str(member.capture),
+                "scratch": str(member.scratch),
                 "threads": max(1, cores // workers),
             }
         )
         self.size = workers
+        self.lock = member.lock
         self.hint = NO_OPENGL if plan.options.engine == "workbench" else ""
         self.processes: list[subprocess.Popen[str]] = []
 
@@ -79,6 +81,8 @@ class Crew:
                 stderr=subprocess.DEVNULL,
                 text=True,
                 start_new_session=True,  # a Ctrl-C is the parent's to handle
+                # Should the parent be killed, its images are free when this process has ended too.
+                pass_fds=[self.lock] if os.name == "posix" else [],
             )
             self.processes.append(process)
             _send(process, self.setting)
@@ -92,36 +96,36 @@ class Crew:
 
     def film(
         self,
-        jobs: list[Job],
+        jobs: Shared[Job],
         on_done: Callable[[Job], None],
         on_notes: Callable[[list[str]], None],
     ) -> Cameras:
-        """Do all jobs, whichever worker is free; gives every view's camera as Blender has it.
+        """Do jobs until all are done, here or elsewhere; gives every view's camera as Blender has it.
 
         The notes are the first worker's on the scene, before it films.
         """
-        waiting = list(reversed(jobs))
         busy: dict[int, Job] = {}
+        idle: list[subprocess.Popen[str]] = []
         cameras: Cameras = {}
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         for process in self.processes:
             threading.Thread(
                 target=_listen, args=(process, answers), daemon=True
             ).start()
-        idle = 0
-        while idle < len(self.processes):
-            process, line = answers.get()
-            content = _content(process, line, self.hint)
-            if not cameras:
-                on_notes(content.get("notes", []))
-            cameras.update(content.get("cameras", {}))
-            if process.pid in busy:
-                on_done(busy.pop(process.pid))
-            if waiting:
-                job = busy[process.pid] = waiting.pop()
+        while not (jobs.is_over and len(idle) == len(self.processes)):
+            with contextlib.suppress(queue.Empty):
+                process, line = answers.get(timeout=LOOK_S)
+                content = _content(process, line, self.hint)
+                if not cameras:
+                    on_notes(content.get("notes", []))
+                cameras.update(content.get("cameras", {}))
+                if process.pid in busy:
+                    on_done(busy.pop(process.pid))
+                idle.append(process)
+            while idle and (job := jobs.take()) is not None:
+                process = idle.pop()
+                busy[process.pid] = job
                 _send(process, json.dumps(dataclasses.asdict(job)))
-            else:
-                idle += 1
         return cameras
 
 
@@ -198,7 +202,7 @@ def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
     notes = workbench.lost_textures(scene) if is_workbench else []
     answer({"cameras": cameras, "notes": notes})
     capture = Path(setting["capture"])
-    scratch = scratch_folder(capture)
+    scratch = Path(setting["scratch"])
     for line in orders:
         job = Job(**json.loads(line))
         if job.is_tracks:

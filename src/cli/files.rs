@@ -45,7 +45,7 @@ pub fn ffmpeg_for(what: &str) -> Result<PathBuf, CliError> {
 }
 
 /// Options of all stages: those of a preset, overridden by a file, overridden by single options.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct OptionsArgs {
     /// Named options of all stages, from fast to accurate.
     #[arg(long, value_name = "NAME", value_parser = method::<Preset>())]
@@ -65,6 +65,15 @@ impl OptionsArgs {
         let file = self.options.iter().flat_map(|f| ["--options".into(), f.display().to_string()]);
         let set = self.set.iter().flat_map(|s| ["--set".into(), s.clone()]);
         preset.chain(file).chain(set).collect()
+    }
+
+    /// These options as words that do not depend on the working folder.
+    pub fn absolute_words(&self) -> Result<Vec<String>, CliError> {
+        let mut options = self.clone();
+        if let Some(file) = &mut options.options {
+            *file = written(file, std::path::absolute(&*file))?;
+        }
+        Ok(options.words())
     }
 
     /// Reads and checks the options.

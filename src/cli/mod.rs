@@ -1,8 +1,10 @@
 //! The command line: the commands, each with its arguments and its call of the library.
 
+mod capture;
 mod compare;
 mod error;
 mod exchange;
+mod farm;
 mod files;
 mod info;
 mod offsets;
@@ -48,7 +50,7 @@ enum Command {
     Demo(toolchain::DemoArgs),
     Setup(toolchain::SetupArgs),
     Rig(Box<rig::RigArgs>),
-    Capture(toolchain::CaptureArgs),
+    Capture(Box<capture::CaptureArgs>),
     Info(info::InfoArgs),
     Check(toolchain::CheckArgs),
     Plan(plan::PlanArgs),
@@ -61,6 +63,7 @@ enum Command {
     Options(options::OptionListArgs),
     Import(exchange::ImportArgs),
     Export(exchange::ExportArgs),
+    Farm(Box<farm::FarmArgs>),
 }
 
 impl Cli {
@@ -77,7 +80,7 @@ impl Cli {
             Command::Demo(args) => toolchain::run_demo(args, page, &reporter),
             Command::Setup(args) => toolchain::run_setup(args, page, &reporter),
             Command::Rig(args) => rig::run(args, page),
-            Command::Capture(args) => toolchain::run_capture(args, page, &reporter),
+            Command::Capture(args) => capture::run(args, page, &reporter),
             Command::Info(args) => info::run(args, page, &reporter),
             Command::Check(args) => toolchain::run_check(args, page, &reporter),
             Command::Plan(args) => plan::run(args, page, &reporter),
@@ -90,6 +93,7 @@ impl Cli {
             Command::Options(args) => options::run(args, page),
             Command::Import(args) => exchange::run_import(args, &reporter),
             Command::Export(args) => exchange::run_export(args, &reporter),
+            Command::Farm(args) => farm::run(args, page, &reporter),
         }
     }
 }

@@ -2,8 +2,9 @@
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
-use super::values::{AUTO, ImageOutput, Times, method, method_or_auto};
+use super::values::{AUTO, ImageOutput, Parts, Times, method, method_or_auto};
 use super::viewpoint::{ViewpointArgs, far_outside};
+use std::ops::Range;
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
@@ -48,6 +49,9 @@ pub struct RenderArgs {
     /// N instants evenly from START to END, both included: slow motion in one run.
     #[arg(long, value_name = "START:END:N", allow_hyphen_values = true)]
     times: Option<Times>,
+    /// Only parts K to L of N, such as 3-6/100: other commands, on any machine, render the others.
+    #[arg(long, value_name = "K-L/N", requires = "times")]
+    part: Option<Parts>,
     /// The image, for --times a pattern such as out/%04d.png or a video such as out.mkv.
     #[arg(short, long, value_name = "FILE")]
     output: ImageOutput,
@@ -110,10 +114,22 @@ impl RenderArgs {
             (None, None, _) => return wrong("--time or --times must be given"),
         })
     }
+
+    /// Indices of the times whose views are rendered now, of this many.
+    fn wanted(&self, count: usize) -> Result<Range<usize>, CliError> {
+        match &self.part {
+            None => Ok(0..count),
+            Some(part) if matches!(self.output, ImageOutput::Sequence(_)) => Ok(part.range(count)),
+            Some(_) => Err(CliError::BadInput(
+                "--part gives images of a sequence: -o must be like out/%04d.png".into(),
+            )),
+        }
+    }
 }
 
 pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     let times_s = args.times_s()?;
+    let wanted = args.wanted(times_s.len())?;
     let given = args.viewpoint.camera()?;
     let options = args.render_options()?;
     let output = CommandOutput::Images(&args.output, times_s.len());
@@ -128,12 +144,13 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     if let Viewpoint::View(camera) = from {
         far_outside(camera, &capture).inspect(|note| reporter.note(note));
     }
-    let writer = Writer::new(&args.output, &capture, reporter)?;
+    let writer = Writer::new(&args.output, &capture, wanted.start, reporter)?;
 
     let field = pipeline::open_field(capture, &options, reporter)?;
     field.check_times(from, &times_s)?;
     let options = pipeline::resolved(&field, &options, reporter)?;
     let instants = options.trail.count();
+    let times_s = &times_s[wanted];
     let task = reporter.task("rendering", times_s.len() * instants);
     writer.write_all(times_s.iter().enumerate().map(|(index, &time_s)| {
         let proceed = |done, _| {
@@ -151,6 +168,8 @@ const WAITING_VIEWS: usize = 2;
 /// Where finished images go.
 struct Writer<'a> {
     output: &'a ImageOutput,
+    /// Index of the first image.
+    first: usize,
     format: VideoFormat,
     /// The encoder; `None` if the output is no video.
     ffmpeg: Option<PathBuf>,
@@ -168,6 +187,7 @@ impl<'a> Writer<'a> {
     fn new(
         output: &'a ImageOutput,
         capture: &Capture,
+        first: usize,
         reporter: &'a Reporter,
     ) -> Result<Self, CliError> {
         let is_video = matches!(output, ImageOutput::Video(_));
@@ -175,7 +195,7 @@ impl<'a> Writer<'a> {
         let frame_s = capture.frame_s();
         let rate_hz = if frame_s > 0.0 { 1.0 / frame_s } else { 30.0 };
         let format = VideoFormat { depth: capture.bit_depth(), rate_hz, codec: Codec::Ffv1 };
-        Ok(Self { output, format, ffmpeg, video: None, seen_fraction: 1.0, reporter })
+        Ok(Self { output, first, format, ffmpeg, video: None, seen_fraction: 1.0, reporter })
     }
 
     /// Writes views while the next ones are rendered. Views before an error are written, but no video is finished then.
@@ -211,7 +231,7 @@ impl<'a> Writer<'a> {
     }
 
     fn write(&mut self, index: usize, view: &Rendered) -> Result<(), CliError> {
-        let path = self.output.file(index).unwrap_or_default();
+        let path = self.output.file(self.first + index).unwrap_or_default();
         let seen = view.coverage.iter().filter(|is_seen| **is_seen).count();
         self.seen_fraction = self.seen_fraction.min(seen as f64 / view.coverage.len() as f64);
         let Some(ffmpeg) = &self.ffmpeg else {
@@ -244,7 +264,9 @@ mod tests {
 
     fn times_s(line: &str) -> Result<Vec<f64>, String> {
         let args = parsed(line)?;
-        args.viewpoint.camera().and_then(|_| args.times_s()).map_err(|e| e.to_string())
+        let times_s = args.viewpoint.camera().and_then(|_| args.times_s());
+        let checked = times_s.and_then(|s| args.wanted(s.len()).map(|_| s));
+        checked.map_err(|e| e.to_string())
     }
 
     #[test]
@@ -253,6 +275,8 @@ mod tests {
         assert_eq!(times_s("c --like a --times -1:1:3 -o o/%d.png").unwrap(), [-1.0, 0.0, 1.0]);
         assert_eq!(times_s("c --like a --times 0:1:2 -o o.mkv").unwrap(), [0.0, 1.0]);
         assert!(times_s("c --like a --shift -0.1,0,0 --time 0 -o a.png").is_ok());
+        let args = parsed("c --like a --times 0:1:9 --part 2/3 -o o/%d.png").unwrap();
+        assert_eq!(args.wanted(9).unwrap(), 3..6);
     }
 
     #[test]
@@ -269,6 +293,9 @@ mod tests {
             ("c --like a --times 0:1:2 -o a.png", "%04d"),
             ("c --like a --times 0:1 -o a.mkv", "0.1:0.4:30"),
             ("c --like a --time 0 -o a.jpg", ".mkv"),
+            ("c --like a --times 0:1:2 --part 1/2 -o a.mkv", "must be like out/%04d.png"),
+            ("c --like a --times 0:1:2 --part 3/2 -o o/%d.png", "3-6/100"),
+            ("c --like a --time 0 --part 1/2 -o a.png", "of a sequence"),
             ("c --camera /nowhere.json --time 0 -o a.png", "/nowhere.json"),
         ] {
             let message = times_s(line).unwrap_err();

@@ -1,18 +1,17 @@
-//! `stlfr setup`, `stlfr capture`, `stlfr check` and `stlfr demo`: the commands that need the Python environment.
+//! `stlfr setup`, `stlfr check` and `stlfr demo`: commands that need the Python environment.
 
 use super::error::written;
-use super::files::{CommandOutput, must_be_a_file, open_capture};
+use super::files::{CommandOutput, open_capture};
 use super::print::Page;
 use super::values::image_size;
 use super::{CliError, compare};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use stlfr::capture::{Capture, MAX_FRAMES};
+use stlfr::capture::Capture;
 use stlfr::compare::FILES;
 use stlfr::host::write_json;
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::rig::Rig;
 use stlfr::toolchain::{
     Check, CheckVerdict, FilmOptions, FilmedScene, build_extension, check, ensure_environment,
     film, project_root,
@@ -44,104 +43,6 @@ pub fn run_setup(args: &SetupArgs, page: &mut Page, reporter: &Reporter) -> Resu
     build_extension(&environment, zip, reporter)?;
     page.line(zip.display());
     Ok(())
-}
-
-/// Film a scene in Blender with a simulated camera rig. After an interruption, the same command
-/// continues.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  \
-    stlfr capture rigs/linear8.json --scene magazine -o .captures/magazine --size 320x240\n  \
-    stlfr capture rigs/linear8.json --blend my-scene.blend -o .captures/mine --frames 30\n\n\
-    In a .blend, an object named `rig` (or else the scene's camera) says where the rig stands.")]
-#[command(group = clap::ArgGroup::new("source").required(true))]
-pub struct CaptureArgs {
-    /// The rig's file, such as rigs/linear8.json.
-    rig: PathBuf,
-    /// A scene of blender/scenes.
-    #[arg(long, value_name = "NAME", group = "source")]
-    scene: Option<String>,
-    /// A .blend file of your own.
-    #[arg(long, value_name = "FILE", group = "source")]
-    blend: Option<PathBuf>,
-    /// The capture's folder.
-    #[arg(short, long = "output", value_name = "CAPTURE")]
-    output: PathBuf,
-    /// Size at which all cameras film, of the same aspect as in the rig.
-    #[arg(long, value_name = "WxH", value_parser = image_size)]
-    size: Option<(u32, u32)>,
-    /// Frames of the reference camera; the others film as long [default: 9].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
-    frames: Option<u32>,
-    /// Samples a pixel, four times as many for truth [default: 16].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    samples: Option<u32>,
-    /// Blender's render engine. Workbench is many times faster, and lacks shadows and highlights.
-    #[arg(long, value_name = "ENGINE", value_parser = ["cycles", "workbench"])]
-    engine: Option<String>,
-    /// Instants at which the truth is rendered [default: 3].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
-    instants: Option<u32>,
-    /// The instants of the truth, in seconds on the reference camera's clock, such as 0.1,0.15.
-    #[arg(
-        long,
-        value_name = "T,T",
-        value_delimiter = ',',
-        conflicts_with = "instants",
-        allow_hyphen_values = true
-    )]
-    instants_s: Vec<f64>,
-    /// Points of the scene whose tracks belong to the truth [default: 0].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
-    tracks: Option<u32>,
-    /// Frames of true slow motion from the rig's first view [default: 0].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=MAX_FRAMES as i64))]
-    truth_video: Option<u32>,
-    /// Film without truth.
-    #[arg(long)]
-    no_truth: bool,
-    /// Store each camera's frames as one lossless video (FFV1 in Matroska) in place of images.
-    #[arg(long)]
-    video: bool,
-}
-
-pub fn run_capture(
-    args: &CaptureArgs,
-    page: &mut Page,
-    reporter: &Reporter,
-) -> Result<(), CliError> {
-    // Wrong arguments are errors before a set-up that may take minutes.
-    for file in std::iter::once(&args.rig).chain(&args.blend) {
-        must_be_a_file(file)?;
-    }
-    Rig::read(&args.rig)?;
-    CommandOutput::Capture(&args.output).check(None)?;
-    let environment = ensure_environment(&project_root()?, reporter)?;
-    film(&environment, &args.options(), reporter)?;
-    page.line(args.output.display());
-    Ok(())
-}
-
-impl CaptureArgs {
-    fn options(&self) -> FilmOptions {
-        FilmOptions {
-            rig: self.rig.clone(),
-            scene: match (&self.scene, &self.blend) {
-                (_, Some(file)) => FilmedScene::Blend(file.clone()),
-                (name, None) => FilmedScene::Named(name.clone().unwrap_or_default()),
-            },
-            capture: self.output.clone(),
-            size_px: self.size,
-            frames: self.frames,
-            samples: self.samples,
-            engine: self.engine.clone(),
-            instants: self.instants,
-            instants_s: self.instants_s.clone(),
-            tracks: self.tracks,
-            truth_video: self.truth_video,
-            truth: !self.no_truth,
-            video: self.video,
-        }
-    }
 }
 
 /// Check a capture's calibration against COLMAP: projections, and a reconstruction from the pixels
@@ -269,6 +170,8 @@ impl DemoArgs {
             truth_video: self.video.then_some(VIDEO_FRAMES),
             truth: true,
             video: false,
+            part: None,
+            silence_s: None,
         }
     }
 }

@@ -1,6 +1,8 @@
 //! Parsed values of the command line: methods, sizes, instants and image files.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use std::fmt::{self, Display, Formatter};
+use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
 use stlfr::method::Method;
@@ -79,6 +81,42 @@ impl FromStr for Times {
         let fraction = |k: usize| if count == 1 { 0.0 } else { k as f64 / (count - 1) as f64 };
         let instant_s = |k: usize| start_s * (1.0 - fraction(k)) + end_s * fraction(k);
         Ok(Self((0..count).map(instant_s).collect()))
+    }
+}
+
+/// `K-L/N`: parts K to L, both included and counted from 1, of N equal parts of some images.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parts {
+    first: usize,
+    last: usize,
+    count: usize,
+}
+
+impl FromStr for Parts {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let number = |text: &str| text.parse().ok().filter(|n| (1..=MAX_TIMES).contains(n));
+        let parsed = text.split_once('/').and_then(|(parts, count)| {
+            let (first, last) = parts.split_once('-').unwrap_or((parts, parts));
+            Some(Self { first: number(first)?, last: number(last)?, count: number(count)? })
+        });
+        parsed
+            .filter(|parts| parts.first <= parts.last && parts.last <= parts.count)
+            .ok_or_else(|| "is no range of parts like 3-6/100".into())
+    }
+}
+
+impl Display for Parts {
+    fn fmt(&self, f: &mut Formatter) -> fmt::Result {
+        write!(f, "{}-{}/{}", self.first, self.last, self.count)
+    }
+}
+
+impl Parts {
+    /// The indices of these parts' images, among so many.
+    pub fn range(&self, images: usize) -> Range<usize> {
+        (self.first - 1) * images / self.count..self.last * images / self.count
     }
 }
 
@@ -179,6 +217,20 @@ mod tests {
         assert_eq!("-0.03, 0,1e-3".parse(), Ok(Shift([-0.03, 0.0, 0.001])));
         for wrong in ["", "1", "1,2", "1,2,3,4", "nan,0,0", "1e10,0,0", "right,0,0"] {
             assert!(wrong.parse::<Shift>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn parts_cover_each_image_once() {
+        let part = |text: &str| text.parse::<Parts>();
+        assert_eq!(part("3-6/100").unwrap().range(200), 4..12);
+        assert_eq!(part("2/3").unwrap().to_string(), "2-2/3");
+        for images in [0, 1, 7, 100, 101] {
+            let ranges = ["1-2/9", "3/9", "4-9/9"].map(|text| part(text).unwrap().range(images));
+            assert_eq!(ranges.into_iter().flatten().collect::<Vec<_>>(), Vec::from_iter(0..images));
+        }
+        for wrong in ["", "1", "0/3", "4/3", "3-2/3", "1-2-3/4", "-1/3", "1/9999999"] {
+            assert!(part(wrong).is_err(), "{wrong}");
         }
     }
 

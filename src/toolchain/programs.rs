@@ -7,6 +7,7 @@ use crate::host::temporary::Temporary;
 use crate::progress::Reporter;
 use serde::Deserialize;
 use serde_json::Value;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 /// What to film, and how. `None` is the filming script's default.
@@ -37,6 +38,55 @@ pub struct FilmOptions {
     pub truth: bool,
     /// Whether to store each camera's frames as one lossless video.
     pub video: bool,
+    /// Parts of the images, such as `3-6/100`; `None` for all, and what makes a capture of them.
+    pub part: Option<String>,
+    /// Seconds without a sign of life after which another process's images are filmed.
+    pub silence_s: Option<u32>,
+}
+
+impl FilmOptions {
+    /// Makes the paths independent of the working folder.
+    pub fn make_absolute(&mut self) -> std::io::Result<()> {
+        let mut paths = vec![&mut self.rig, &mut self.capture];
+        if let FilmedScene::Blend(file) = &mut self.scene {
+            paths.push(file);
+        }
+        for path in paths {
+            *path = std::path::absolute(&*path)?;
+        }
+        Ok(())
+    }
+
+    /// The arguments of `stlfr capture`, which are those of its script too.
+    pub fn arguments(&self) -> Vec<OsString> {
+        let mut arguments =
+            vec![self.rig.clone().into(), "-o".into(), self.capture.clone().into_os_string()];
+        arguments.extend(match &self.scene {
+            FilmedScene::Named(name) => ["--scene".into(), name.into()],
+            FilmedScene::Blend(file) => ["--blend".into(), file.into()],
+        });
+        let text = |number: Option<u32>| number.map(|number| number.to_string());
+        let times: Vec<String> = self.instants_s.iter().map(f64::to_string).collect();
+        for (flag, value) in [
+            ("--size", self.size_px.map(|(width, height)| format!("{width}x{height}"))),
+            ("--frames", text(self.frames)),
+            ("--samples", text(self.samples)),
+            ("--instants", text(self.instants)),
+            ("--truth-video", text(self.truth_video)),
+            ("--tracks", text(self.tracks)),
+            ("--engine", self.engine.clone()),
+            ("--instants-s", (!times.is_empty()).then(|| times.join(","))),
+            ("--part", self.part.clone()),
+            ("--silence", text(self.silence_s)),
+        ] {
+            // Flag and value are one argument, so that a negative value isn't read as a flag.
+            arguments.extend(value.map(|value| format!("{flag}={value}").into()));
+        }
+        for (flag, is_given) in [("--no-truth", !self.truth), ("--video", self.video)] {
+            arguments.extend(is_given.then(|| flag.into()));
+        }
+        arguments
+    }
 }
 
 /// The source of a scene.
@@ -55,33 +105,7 @@ pub fn film(
     reporter: &Reporter,
 ) -> Result<(), ToolchainError> {
     let mut command = script::command(environment, "capture.py");
-    command.arg(&options.rig).arg("-o").arg(&options.capture);
-    match &options.scene {
-        FilmedScene::Named(name) => command.arg("--scene").arg(name),
-        FilmedScene::Blend(file) => command.arg("--blend").arg(file),
-    };
-    let text = |number: Option<u32>| number.map(|number| number.to_string());
-    let times: Vec<String> = options.instants_s.iter().map(f64::to_string).collect();
-    for (flag, value) in [
-        ("--size", options.size_px.map(|(width, height)| format!("{width}x{height}"))),
-        ("--frames", text(options.frames)),
-        ("--samples", text(options.samples)),
-        ("--instants", text(options.instants)),
-        ("--truth-video", text(options.truth_video)),
-        ("--tracks", text(options.tracks)),
-        ("--engine", options.engine.clone()),
-        ("--instants-s", (!times.is_empty()).then(|| times.join(","))),
-    ] {
-        if let Some(value) = value {
-            // Flag and value are one argument, so that a negative value isn't read as a flag.
-            command.arg(format!("{flag}={value}"));
-        }
-    }
-    for (flag, is_given) in [("--no-truth", !options.truth), ("--video", options.video)] {
-        if is_given {
-            command.arg(flag);
-        }
-    }
+    command.args(options.arguments());
     script::run(&mut command, "filming", reporter, |line| reporter.note(line))
 }
 

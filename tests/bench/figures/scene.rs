@@ -231,6 +231,8 @@ fn filmed(name: &str) -> Result<PathBuf, Error> {
         truth_video: None,
         truth: true,
         video: false,
+        part: None,
+        silence_s: None,
     };
     film(&environment, &options, &reporter)?;
     Ok(folder)

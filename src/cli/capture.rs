@@ -1,0 +1,133 @@
+//! `stlfr capture`
+
+use super::CliError;
+use super::files::{CommandOutput, must_be_a_file};
+use super::print::Page;
+use super::values::{Parts, image_size};
+use std::path::{Path, PathBuf};
+use stlfr::capture::MAX_FRAMES;
+use stlfr::progress::Reporter;
+use stlfr::rig::Rig;
+use stlfr::toolchain::{FilmOptions, FilmedScene, ensure_environment, film, project_root};
+
+/// Film a scene in Blender with a simulated camera rig. After an interruption, the same command
+/// continues.
+///
+/// The same command on other machines that share the folder helps: each image is filmed once, whichever machine's
+/// clock is wrong. What a machine had begun that died is filmed by another after --silence.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr capture rigs/linear8.json --scene magazine -o .captures/magazine --size 320x240\n  \
+    stlfr capture rigs/linear8.json --blend my-scene.blend -o .captures/mine --frames 30\n\n\
+    In a .blend, an object named `rig` (or else the scene's camera) says where the rig stands.")]
+pub struct CaptureArgs {
+    /// The rig's file, such as rigs/linear8.json.
+    #[arg(requires = "source")]
+    rig: PathBuf,
+    /// The capture's folder.
+    #[arg(short, long = "output", value_name = "CAPTURE")]
+    output: PathBuf,
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Only parts K to L of N, such as 3-6/100; at last, film without it what makes a capture of them.
+    #[arg(long, value_name = "K-L/N")]
+    part: Option<Parts>,
+    /// Seconds without a sign of life after which another process's images are filmed here [default: 60].
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u32).range(5..=100_000))]
+    silence: Option<u32>,
+}
+
+/// A scene, and how it is filmed.
+#[derive(Debug, Default, PartialEq, clap::Args)]
+#[command(group = clap::ArgGroup::new("source"))]
+pub struct SceneArgs {
+    /// A scene of blender/scenes.
+    #[arg(long, value_name = "NAME", group = "source")]
+    scene: Option<String>,
+    /// A .blend file of your own.
+    #[arg(long, value_name = "FILE", group = "source")]
+    blend: Option<PathBuf>,
+    /// Size at which all cameras film, of the same aspect as in the rig.
+    #[arg(long, value_name = "WxH", value_parser = image_size)]
+    size: Option<(u32, u32)>,
+    /// Frames of the reference camera; the others film as long [default: 9].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
+    frames: Option<u32>,
+    /// Samples a pixel, four times as many for truth [default: 16].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    samples: Option<u32>,
+    /// Blender's render engine. Workbench is many times faster, and lacks shadows and highlights.
+    #[arg(long, value_name = "ENGINE", value_parser = ["cycles", "workbench"])]
+    engine: Option<String>,
+    /// Instants at which the truth is rendered [default: 3].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    instants: Option<u32>,
+    /// The instants of the truth, in seconds on the reference camera's clock, such as 0.1,0.15.
+    #[arg(
+        long,
+        value_name = "T,T",
+        value_delimiter = ',',
+        conflicts_with = "instants",
+        allow_hyphen_values = true
+    )]
+    instants_s: Vec<f64>,
+    /// Points of the scene whose tracks belong to the truth [default: 0].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    tracks: Option<u32>,
+    /// Frames of true slow motion from the rig's first view [default: 0].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=MAX_FRAMES as i64))]
+    truth_video: Option<u32>,
+    /// Film without truth.
+    #[arg(long)]
+    no_truth: bool,
+    /// Store each camera's frames as one lossless video (FFV1 in Matroska) in place of images.
+    #[arg(long)]
+    video: bool,
+}
+
+pub fn run(args: &CaptureArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+    // Wrong arguments are errors before a set-up that may take minutes.
+    let mut options = args.scene.options(&args.rig, &args.output)?;
+    options.part = args.part.as_ref().map(Parts::to_string);
+    options.silence_s = args.silence;
+    let environment = ensure_environment(&project_root()?, reporter)?;
+    film(&environment, &options, reporter)?;
+    page.line(args.output.display());
+    Ok(())
+}
+
+impl SceneArgs {
+    /// Whether truth is filmed.
+    pub fn has_truth(&self) -> bool {
+        !self.no_truth
+    }
+
+    /// What to film with a rig, its files checked.
+    pub fn options(&self, rig: &Path, capture: &Path) -> Result<FilmOptions, CliError> {
+        for file in std::iter::once(rig).chain(self.blend.as_deref()) {
+            must_be_a_file(file)?;
+        }
+        Rig::read(rig)?;
+        CommandOutput::Capture(capture).check(None)?;
+        Ok(FilmOptions {
+            rig: rig.to_owned(),
+            scene: match (&self.scene, &self.blend) {
+                (_, Some(file)) => FilmedScene::Blend(file.clone()),
+                (name, None) => FilmedScene::Named(name.clone().unwrap_or_default()),
+            },
+            capture: capture.to_owned(),
+            size_px: self.size,
+            frames: self.frames,
+            samples: self.samples,
+            engine: self.engine.clone(),
+            instants: self.instants,
+            instants_s: self.instants_s.clone(),
+            tracks: self.tracks,
+            truth_video: self.truth_video,
+            truth: self.has_truth(),
+            video: self.video,
+            part: None,
+            silence_s: None,
+        })
+    }
+}

@@ -1,0 +1,234 @@
+//! `stlfr farm`
+
+use super::CliError;
+use super::capture::SceneArgs;
+use super::error::written;
+use super::files::{CommandOutput, OptionsArgs, open_capture, read_view};
+use super::print::Page;
+use super::values::{ImageOutput, Times};
+use std::path::{Path, PathBuf, absolute};
+use stlfr::capture::Truth;
+use stlfr::farm::{FarmChunks, FarmJob, FarmNeeds, FarmStep};
+use stlfr::progress::Reporter;
+use stlfr::rig::Rig;
+
+/// Describe the work on captures for an engine that shares it among machines: Open Job Description, Slurm, Flamenco.
+///
+/// The work: set-up; with --rig, filming in chunks; the calibration check; offsets; prepare; with --times, rendering in
+/// chunks, into JOB/frames; compare, where there is truth. Every task may be run again. All machines must see the program,
+/// the captures and JOB at the same paths. JOB holds
+///
+/// openjd.json, for AWS Deadline Cloud and all else that takes Open Job Descriptions;
+/// submit.sh, which submits the other scripts to Slurm;
+/// stlfr.js, a job type for the folder `scripts` of Flamenco's manager.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr farm .captures/mine -o job --like cam3 --times 0.05:0.2:600\n  \
+    stlfr farm .captures/mine -o job --rig rigs/linear8.json --blend my.blend --size 1280x960\n  \
+    sh job/submit.sh --partition=main")]
+pub struct FarmArgs {
+    /// The captures' folders.
+    #[arg(required = true)]
+    captures: Vec<PathBuf>,
+    /// Folder for the description.
+    #[arg(short, long, value_name = "JOB")]
+    output: PathBuf,
+    /// Film the capture with this rig, and the scene below.
+    #[arg(long, value_name = "RIG", requires = "source")]
+    rig: Option<PathBuf>,
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Render these instants: N evenly from START to END.
+    #[arg(long, value_name = "START:END:N", allow_hyphen_values = true, requires = "view")]
+    times: Option<Times>,
+    /// The camera whose view is rendered.
+    #[arg(long, value_name = "CAMERA", group = "view")]
+    like: Option<String>,
+    /// The view that is rendered, a JSON file.
+    #[arg(long, value_name = "VIEW.json", group = "view")]
+    camera: Option<PathBuf>,
+    /// Parts into which filming is divided.
+    #[arg(long, value_name = "N", default_value = "100", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    film_parts: u32,
+    /// Parts that one task films.
+    #[arg(long, value_name = "N", default_value = "5", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    film_chunk: u32,
+    /// Images that one task renders.
+    #[arg(long, value_name = "N", default_value = "20", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    render_chunk: u32,
+    /// Processor cores that a task needs.
+    #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    cores: u32,
+    /// Memory that a task needs, MiB.
+    #[arg(long, value_name = "MIB", default_value = "4096", value_parser = clap::value_parser!(u32).range(512..=10_000_000))]
+    memory: u32,
+    #[command(flatten)]
+    options: OptionsArgs,
+}
+
+pub fn run(args: &FarmArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+    args.options.read()?;
+    let wrong = |sentence: &str| Err(CliError::BadInput(sentence.into()));
+    if args.rig.is_none() && args.scene != SceneArgs::default() {
+        return wrong("--rig: must be given to film a scene");
+    }
+    if args.rig.is_some() && args.captures.len() > 1 {
+        return wrong("--rig: films one capture, and several are given");
+    }
+    let folder = written(&args.output, absolute(&args.output))?;
+    let job = args.job(&folder, reporter)?;
+    let files = job.files();
+    let names: Vec<&str> = files.iter().map(|(name, _)| &**name).collect();
+    CommandOutput::Folder(&args.output, &names).check(None)?;
+    written(&args.output, job.write(&folder))?;
+    page.line(args.output.display());
+    Ok(())
+}
+
+impl FarmArgs {
+    fn job(&self, folder: &Path, reporter: &Reporter) -> Result<FarmJob, CliError> {
+        let mut steps = Steps { args: self, reporter, suffix: String::new(), steps: Vec::new() };
+        steps.add("setup", vec!["setup".into()], &[], None);
+        for (index, capture) in self.captures.iter().enumerate() {
+            if self.captures.len() > 1 {
+                steps.suffix = format!("-{}", index + 1);
+            }
+            steps.add_capture(&written(capture, absolute(capture))?, folder)?;
+        }
+        let program = written(folder, std::env::current_exe())?;
+        let name = self.captures.iter().filter_map(|c| c.file_name()?.to_str()).take(3);
+        Ok(FarmJob {
+            name: name.collect::<Vec<_>>().join(", "),
+            program: word(&program)?,
+            steps: steps.steps,
+        })
+    }
+}
+
+/// The steps of a job, as they are being added.
+struct Steps<'a> {
+    args: &'a FarmArgs,
+    reporter: &'a Reporter,
+    /// Of the names of the steps of one capture among several.
+    suffix: String,
+    steps: Vec<FarmStep>,
+}
+
+impl Steps<'_> {
+    /// Adds a step after another one of the same capture; the set-up has none.
+    fn add(
+        &mut self,
+        name: &str,
+        arguments: Vec<String>,
+        after: &[&str],
+        chunks: Option<FarmChunks>,
+    ) {
+        let name_of = |name: &str| match name {
+            "setup" => name.to_owned(),
+            _ => format!("{name}{}", self.suffix),
+        };
+        self.steps.push(FarmStep {
+            name: name_of(name),
+            arguments,
+            after: after.iter().map(|name| name_of(name)).collect(),
+            chunks,
+            needs: FarmNeeds { cores: self.args.cores, memory_mib: self.args.memory },
+        });
+    }
+
+    fn add_capture(&mut self, capture: &Path, job: &Path) -> Result<(), CliError> {
+        let mut before = "setup";
+        let (ids, has_truth) = match &self.args.rig {
+            Some(rig) => {
+                self.add_filming(rig, capture)?;
+                before = "capture";
+                let cameras = Rig::read(rig)?.cameras;
+                let ids: Vec<String> = cameras.into_iter().map(|camera| camera.id).collect();
+                (ids, self.args.scene.has_truth())
+            }
+            None => {
+                let opened = open_capture(capture, None, self.reporter)?;
+                let ids = opened.cameras.iter().map(|camera| camera.id.clone()).collect();
+                (ids, Truth::open(capture)?.is_some())
+            }
+        };
+        if let Some(id) = self.args.like.as_ref().filter(|id| !ids.contains(id)) {
+            let sentence = format!("--like: no camera of {} has the id '{id}'", capture.display());
+            return Err(CliError::BadInput(sentence));
+        }
+        let options = self.args.options.absolute_words()?;
+        // One camera has no offset.
+        for name in ["check", "offsets", "prepare"] {
+            if name == "offsets" && ids.len() == 1 {
+                continue;
+            }
+            let mut arguments = vec![name.to_owned(), word(capture)?];
+            if name != "check" {
+                arguments.extend_from_slice(&options);
+            }
+            self.add(name, arguments, &[before], None);
+            before = name;
+        }
+        self.add_rendering(capture, job, &options)?;
+        if has_truth {
+            let arguments = ["compare".into(), word(capture)?].into_iter().chain(options);
+            self.add("compare", arguments.collect(), &[before], None);
+        }
+        Ok(())
+    }
+
+    /// Filming in parts, then what makes a capture of them.
+    fn add_filming(&mut self, rig: &Path, capture: &Path) -> Result<(), CliError> {
+        let mut film = self.args.scene.options(rig, capture)?;
+        film.make_absolute().map_err(|error| CliError::BadInput(error.to_string()))?;
+        let words = film.arguments().into_iter().map(|argument| word(Path::new(&argument)));
+        let mut arguments = words.collect::<Result<Vec<_>, _>>()?;
+        arguments.insert(0, "capture".into());
+        let (count, size) = (self.args.film_parts, self.args.film_chunk);
+        let chunks = FarmChunks { kind: "film", count, size };
+        self.add("film", arguments.clone(), &["setup"], Some(chunks));
+        self.add("capture", arguments, &["film"], None);
+        Ok(())
+    }
+
+    /// The images of `--times`.
+    fn add_rendering(
+        &mut self,
+        capture: &Path,
+        job: &Path,
+        options: &[String],
+    ) -> Result<(), CliError> {
+        let Some(times) = &self.args.times else { return Ok(()) };
+        let output = word(&job.join(format!("frames{}", self.suffix)).join("%06d.png"))?;
+        output.parse::<ImageOutput>().map_err(|reason| {
+            CliError::BadInput(format!("{}: {reason}", self.args.output.display()))
+        })?;
+        let Times(times_s) = times;
+        let (first, last) = (times_s[0], times_s[times_s.len() - 1]);
+        let mut arguments = vec!["render".into(), word(capture)?];
+        arguments.push(format!("--times={first}:{last}:{}", times_s.len()));
+        arguments.extend(["-o".into(), output]);
+        arguments.extend(self.args.like.iter().map(|id| format!("--like={id}")));
+        if let Some(view) = &self.args.camera {
+            read_view(view)?;
+            arguments.push(format!("--camera={}", word(&written(view, absolute(view))?)?));
+        }
+        arguments.extend_from_slice(options);
+        let (count, size) = (times_s.len() as u32, self.args.render_chunk);
+        let chunks = FarmChunks { kind: "render", count, size };
+        self.add("render", arguments, &["prepare"], Some(chunks));
+        Ok(())
+    }
+}
+
+/// A path as an argument that all engines pass on as it is.
+fn word(path: &Path) -> Result<String, CliError> {
+    let text =
+        path.to_str().filter(|text| !text.contains("{{") && !text.contains(char::is_control));
+    text.map(str::to_owned).ok_or_else(|| {
+        let shown = path.display();
+        CliError::BadInput(format!(
+            "{shown}: can't be named in a job: it must be UTF-8, without {{{{ and line breaks"
+        ))
+    })
+}
