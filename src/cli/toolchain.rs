@@ -48,7 +48,7 @@ pub fn run_setup(args: &SetupArgs, page: &mut Page, reporter: &Reporter) -> Resu
 /// Check a capture's calibration against COLMAP: projections, and a reconstruction from the pixels
 /// of one instant.
 ///
-/// The last line is the verdict: the calibration is right, it is off, or the images can't tell.
+/// The last line is the verdict: the calibration is right, it is off (exit code 1), or the images can't tell.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr check .captures/demo\n  \
@@ -72,10 +72,11 @@ pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Resu
     for line in &check.table {
         page.line(line);
     }
-    if check.verdict == CheckVerdict::Right { Ok(()) } else { Err(refuted(check)) }
+    // Images that can't tell refute nothing.
+    if check.verdict == CheckVerdict::Off { Err(refuted(check)) } else { Ok(()) }
 }
 
-/// The error of a calibration that isn't confirmed.
+/// The error of a calibration that is off.
 fn refuted(mut check: Check) -> CliError {
     CliError::Failure(check.table.pop().unwrap_or_default())
 }

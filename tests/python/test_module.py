@@ -310,7 +310,7 @@ def test_the_options_are_those_that_render_takes(capture_dir: Path) -> None:
         value: Any = option["default"]
         for field in reversed(name.split(".")):
             value = {field: value}
-        with pytest.raises(ValueError, match="no camera of this capture"):
+        with pytest.raises(ValueError, match="no camera and no true view is called"):
             capture.render(0.0, like="none", options=value)
 
 
@@ -338,7 +338,9 @@ def test_the_methods_are_those_that_render_takes(capture_dir: Path) -> None:
             m["help"] for m in stages[name]["methods"]
         )
         for method in methods:
-            with pytest.raises(ValueError, match="no camera of this capture"):
+            with pytest.raises(
+                ValueError, match="no camera and no true view is called"
+            ):
                 capture.render(0.0, like="none", options=options(method))
         with pytest.raises(ValueError, match="unknown variant") as raised:
             capture.render(0.0, like="none", options=options("unbuilt"))

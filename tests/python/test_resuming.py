@@ -74,6 +74,7 @@ def uninterrupted(small_rig: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     assert result.returncode == 0, result.stderr
     lines = [json.loads(line) for line in result.stdout.splitlines()]
     assert [line["done"] for line in lines] == list(range(13))
+    assert "Filming 12 images may take" in lines[0].pop("note")
     assert all(
         set(line) == {"done", "total", "what"} and line["total"] == 12 for line in lines
     )
