@@ -105,8 +105,8 @@ def test_what_is_like_an_array_is_taken(capture_dir: Path) -> None:
     assert capture.project("cam0", np.empty((0, 3))).shape == (0, 2)
 
 
-def test_cameras_are_camera_objects_and_times_are_covered(capture_dir: Path) -> None:
-    capture = stlfr.open(capture_dir)
+def test_cameras_are_camera_objects_and_times_are_covered(own_capture: Path) -> None:
+    capture = stlfr.open(own_capture)
     assert [camera["id"] for camera in capture.cameras] == capture.camera_ids
     camera = capture.camera("cam3")
     assert camera == capture.cameras[3] and camera["width"] == 160
@@ -116,23 +116,27 @@ def test_cameras_are_camera_objects_and_times_are_covered(capture_dir: Path) -> 
     assert capture.covered_s()[0] <= first_s < last_s <= capture.covered_s()[1]
 
 
-def test_alpha_is_there_as_it_is_asked_for(capture_dir: Path) -> None:
-    capture = stlfr.open(capture_dir)
+def test_alpha_is_there_as_it_is_asked_for(own_capture: Path) -> None:
+    capture = stlfr.open(own_capture)
     options = {"sync": "nearest", "proxy": "plane", "blend.cameras": 2}
     for alpha, channels in [(True, 4), (False, 3)]:
         image = capture.render(0.07, like="between", options=options, alpha=alpha)
         assert image.shape == (120, 160, channels)
-    for wrong in [{"preset": "fast"}, {"options": {"proxy": "sphere"}}]:
+    wrongs: list[dict[str, Any]] = [
+        {"preset": "fast"},
+        {"options": {"proxy": "sphere"}},
+    ]
+    for wrong in wrongs:
         with pytest.raises(ValueError, match=r"^(preset|options): "):
             capture.render(0.07, like="cam3", **wrong)
     with pytest.raises(TypeError, match="has no argument 'speed'"):
-        capture.render(0.07, like="cam3", speed=1)
+        capture.render(0.07, like="cam3", speed=1)  # type: ignore[call-arg]
 
 
 def test_a_missing_folder_is_not_found_and_help_is_the_stubs(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"capture\.json"):
         stlfr.open(tmp_path / "none")
-    assert "alpha" in stlfr.Capture.render.__doc__
+    assert "alpha" in (stlfr.Capture.render.__doc__ or "")
     assert stlfr.Capture.cameras.__doc__ and stlfr.Capture.moment.__doc__
 
 
