@@ -97,13 +97,12 @@ impl LightField {
         Ok(prepared)
     }
 
-    /// Whether [`Self::prepare`] has stored depth and motion of the capture's first and last frames.
+    /// Whether [`Self::prepare`] has stored depth and motion of the frames in the middle of the recording.
     pub fn has_prepared_maps(&self, options: &RenderOptions) -> bool {
         let slots = self.slots();
-        let ends = slots.first().into_iter().chain(slots.last());
-        let mut frames = ends.flat_map(|slot| self.frames_of(*slot));
+        let Some(&middle) = slots.get(slots.len() / 2) else { return false };
         let options = FlowOptions::new(options);
-        !slots.is_empty() && frames.all(|frame| self.is_stored(&FrameFlow { frame, options }))
+        self.frames_of(middle).iter().all(|&frame| self.is_stored(&FrameFlow { frame, options }))
     }
 
     /// Stores depth and motion of all frames. `progress` is called with the number of finished frames.

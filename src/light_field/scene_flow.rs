@@ -132,7 +132,8 @@ pub(super) fn store_slot(
     let frames = field.frames_of(slot);
     let flow = |frame: FrameId| FrameFlow { frame, options };
     if !frames.iter().all(|&frame| field.is_stored(&flow(frame))) {
-        let maps = slot_maps(field, slot, options, context)?.ok_or(RenderError::NoPoints)?;
+        // Views are rendered by other means where nothing is known of the depths.
+        let Some(maps) = slot_maps(field, slot, options, context)? else { return Ok(Vec::new()) };
         for (frame, map) in maps {
             field.insert(&flow(frame), map);
         }
@@ -190,7 +191,7 @@ fn limits(
     options: FlowOptions,
 ) -> Result<Option<Limits>, RenderError> {
     let Some(&(camera, frame)) = frames.get(frames.len() / 2) else { return Ok(None) };
-    let time_s = field.times_s(camera)[frame];
+    let time_s = field.while_all_film(field.times_s(camera)[frame]);
     if field.spacing_m() == 0.0 {
         return Ok(None);
     }

@@ -45,6 +45,14 @@ impl LightField {
         if self.capture().is_static() { 0.0 } else { time_s / frame_s }
     }
 
+    /// The time nearest to `time_s` at which all cameras with known times film; `time_s` if there is none.
+    pub(super) fn while_all_film(&self, time_s: f64) -> f64 {
+        let spans = || self.all_times_s.iter().flatten().filter_map(|t| t.first().zip(t.last()));
+        let first_s = spans().map(|span| *span.0).fold(f64::NEG_INFINITY, f64::max);
+        let last_s = spans().map(|span| *span.1).fold(f64::INFINITY, f64::min);
+        if first_s <= last_s { time_s.clamp(first_s, last_s) } else { time_s }
+    }
+
     /// The camera's frame nearest to a time, the earlier of two. `None` if its times are unknown.
     pub(super) fn nearest_frame(&self, camera: usize, time_s: f64) -> Option<usize> {
         let times_s = self.times_s(camera);
