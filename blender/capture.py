@@ -285,7 +285,7 @@ class Filming:
         if not jobs and not unpacked and (is_part or self.is_whole):
             report(self.done, self.total, "already filmed")
             return
-        note = expected(self.plan, jobs, CORES)
+        note = expected(self.plan, jobs, CORES) if jobs else None
         report(self.done, self.total, "starting Blender", note)
         with sharing.Member(self.target, self.arguments.silence) as member:
             try:

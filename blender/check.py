@@ -6,8 +6,8 @@ Run as `python -I blender/check.py CAPTURE`. Two questions, answered by the pack
 - Pixels: where does pycolmap place the cameras from the images alone (SIFT, exhaustive matching,
   incremental mapping, intrinsics as given), and how far is that from the capture's poses?
 
-Stdout carries one JSON object, stderr a table with the verdict as its last line: right, off, or that the images can't
-tell. Exit code 0 if it is right, 1 if not, 2 for bad input.
+Stdout carries one JSON object, stderr a table with the verdict as its last line: right, off, that the images can't
+tell, or that the program itself is inconsistent. Exit code 0 if it is right, 1 if not, 2 for bad input.
 The same capture gives the same numbers each time.
 """
 

@@ -5,6 +5,8 @@ use crate::text::printable;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 use std::io::{IsTerminal, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
@@ -27,8 +29,14 @@ enum Listener {
 pub struct Task {
     bar: ProgressBar,
     in_lines: bool,
-    /// Ends the lines in a log when it is dropped.
-    _log: Option<Sender<()>>,
+    log: Option<Log>,
+}
+
+/// The lines of a task in a log. They end when it is dropped.
+struct Log {
+    /// Steps that were done earlier.
+    resumed: Arc<AtomicU64>,
+    _end: Sender<()>,
 }
 
 /// Interval of the lines in a log.
@@ -62,7 +70,7 @@ impl Reporter {
     pub fn task(&self, label: &str, total: usize) -> Task {
         let template = "{msg:28} {bar:30} {pos}/{len}  {eta} left";
         let bar = self.bar(label, Some(total as u64), template);
-        let task = Task { in_lines: self.to == Listener::Lines, _log: self.log(&bar), bar };
+        let task = Task { in_lines: self.to == Listener::Lines, log: self.log(&bar), bar };
         task.say();
         task
     }
@@ -73,11 +81,10 @@ impl Reporter {
         if self.to == Listener::Terminal {
             bar.enable_steady_tick(TICK);
         }
-        Task { in_lines: false, _log: self.log(&bar), bar }
+        Task { in_lines: false, log: self.log(&bar), bar }
     }
 
-    /// Starts the lines in a log, until the sender is dropped.
-    fn log(&self, bar: &ProgressBar) -> Option<Sender<()>> {
+    fn log(&self, bar: &ProgressBar) -> Option<Log> {
         (self.to == Listener::Log).then(|| {
             follow(bar.clone(), LOG_INTERVAL, |line| {
                 // A line is lost if standard error can't be written.
@@ -120,6 +127,9 @@ impl Task {
     pub fn resume_at(&self, done: usize) {
         self.bar.set_position(done as u64);
         self.bar.reset_eta();
+        if let Some(log) = &self.log {
+            log.resumed.store(done as u64, Relaxed);
+        }
     }
 
     /// Replaces the label of the task.
@@ -148,19 +158,17 @@ impl Drop for Task {
     }
 }
 
-/// Writes the state of a bar in every interval, until the bar is finished or the sender is dropped.
-fn follow(
-    bar: ProgressBar,
-    interval: Duration,
-    write: impl Fn(String) + Send + 'static,
-) -> Sender<()> {
-    let (sender, ended) = channel();
+/// Writes the state of a bar in every interval, until the bar is finished or the log is dropped.
+fn follow(bar: ProgressBar, interval: Duration, write: impl Fn(String) + Send + 'static) -> Log {
+    let (end, ended) = channel();
+    let log = Log { resumed: Arc::default(), _end: end };
+    let resumed = log.resumed.clone();
     std::thread::spawn(move || {
         while ended.recv_timeout(interval) == Err(RecvTimeoutError::Timeout) && !bar.is_finished() {
-            write(state(&bar));
+            write(state(&bar, resumed.load(Relaxed)));
         }
     });
-    sender
+    log
 }
 
 /// A duration in words, such as `3 minutes`.
@@ -168,16 +176,17 @@ pub fn in_words(seconds: f64) -> String {
     HumanDuration(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)).to_string()
 }
 
-/// The state of a bar in one line.
-fn state(bar: &ProgressBar) -> String {
-    let (label, done) = (bar.message(), bar.position());
-    match bar.length() {
-        Some(total) if done > 0 => {
-            format!("{label}: {done} of {total}, {} left", HumanDuration(bar.eta()))
-        }
-        Some(total) => format!("{label}: {done} of {total}"),
-        None => format!("{label}: {} so far", HumanDuration(bar.elapsed())),
+/// The state of a bar in one line. The time left is that of the steps so far, without those `resumed`.
+fn state(bar: &ProgressBar, resumed: u64) -> String {
+    let (label, done, elapsed_s) = (bar.message(), bar.position(), bar.elapsed().as_secs_f64());
+    let Some(total) = bar.length() else {
+        return format!("{label}: {} so far", in_words(elapsed_s));
+    };
+    if done <= resumed {
+        return format!("{label}: {done} of {total}");
     }
+    let left_s = elapsed_s * total.saturating_sub(done) as f64 / (done - resumed) as f64;
+    format!("{label}: {done} of {total}, {} left", in_words(left_s))
 }
 
 #[cfg(test)]
@@ -200,8 +209,12 @@ mod tests {
         drop(log);
         // The thread's sender is dropped with it.
         assert!(lines.iter().all(|line| line.starts_with("filming: 2 of 8, ")));
+        let bar = bar.with_elapsed(Duration::from_secs(60));
+        assert_eq!(state(&bar, 0), "filming: 2 of 8, 3 minutes left");
+        assert_eq!(state(&bar, 1), "filming: 2 of 8, 6 minutes left");
+        assert_eq!(state(&bar, 2), "filming: 2 of 8");
         assert!(
-            state(&ProgressBar::new_spinner().with_message("check"))
+            state(&ProgressBar::new_spinner().with_message("check"), 0)
                 .contains("check: 0 seconds so far")
         );
     }

@@ -134,8 +134,9 @@ fn check_prints_a_table_and_writes_its_values() {
         assert!(rotation_deg < 0.1 && position_mm < 2.0, "{camera}");
     }
     // At this size the pixels place a camera to about the tolerance; the demo's size has room.
-    let is_off = values["verdict"] == "off";
-    assert_eq!(output.status.code(), Some(i32::from(is_off)), "{}", stderr(&output));
+    let verdict = values["verdict"].as_str().unwrap();
+    let may_pass = ["right", "unknown"].contains(&verdict);
+    assert_eq!(output.status.code(), Some(i32::from(!may_pass)), "{}", stderr(&output));
 }
 
 /// A capture's whole frames, by name and time of writing.

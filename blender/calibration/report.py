@@ -60,12 +60,12 @@ def check(
 def judged(
     off: list[str], own: list[str], found: list[Residual], missing: list[str]
 ) -> tuple[str, str]:
-    """The verdict, `right`, `off` or `unknown`, and why.
+    """The verdict, `right`, `off`, `unknown` or `inconsistent`, and why.
 
     `off` says how the capture's projections differ, `own` how the program's do.
     """
     if own:
-        return "unknown", f"the program itself is inconsistent: {'; '.join(own)}"
+        return "inconsistent", "; ".join(own)
     if named := [r.id for r in found if r.is_off]:
         off = [
             *off,
@@ -190,6 +190,7 @@ VERDICTS = {
     "right": "the calibration is right",
     "off": "the calibration is off:",
     "unknown": "the check can't tell whether the calibration is right:",
+    "inconsistent": "the program itself is inconsistent, which says nothing of the calibration:",
 }
 
 

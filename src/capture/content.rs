@@ -137,8 +137,17 @@ impl Capture {
         kind: CacheKind,
         inputs: &impl Serialize,
     ) -> Option<T> {
+        postcard::from_bytes(&self.stored_bytes(kind, inputs)?).ok()
+    }
+
+    /// Whether the result for these inputs is stored.
+    pub(crate) fn is_stored(&self, kind: CacheKind, inputs: &impl Serialize) -> bool {
+        self.stored_bytes(kind, inputs).is_some()
+    }
+
+    fn stored_bytes(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Vec<u8>> {
         let cache = self.cache.has(kind).then(|| self.cache().ok()).flatten()?;
-        postcard::from_bytes(&cache.load(kind, inputs)?).ok()
+        cache.load(kind, inputs)
     }
 
     /// Computes and stores the result for these inputs, unless it is stored already.

@@ -66,7 +66,7 @@ pub fn run(args: &PrepareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     drop(task);
     if prepared.maps > 0 {
         page.line(format_args!(
-            "Depth and motion of {} frames are stored; of {} of them they were before.",
+            "Depth and motion of {} frames are stored; those of {} were before.",
             prepared.maps, prepared.maps_found,
         ));
     }

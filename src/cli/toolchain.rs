@@ -13,8 +13,7 @@ use stlfr::host::write_json;
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::toolchain::{
-    Check, CheckVerdict, FilmOptions, FilmedScene, build_extension, check, ensure_environment,
-    film, project_root,
+    Check, FilmOptions, FilmedScene, build_extension, check, ensure_environment, film, project_root,
 };
 
 /// Set up the pinned Python environment, once; `demo`, `capture` and `check` do it by themselves.
@@ -48,7 +47,8 @@ pub fn run_setup(args: &SetupArgs, page: &mut Page, reporter: &Reporter) -> Resu
 /// Check a capture's calibration against COLMAP: projections, and a reconstruction from the pixels
 /// of one instant.
 ///
-/// The last line is the verdict: the calibration is right, it is off (exit code 1), or the images can't tell.
+/// The last line is the verdict: the calibration is right, it is off (exit code 1), or the images can't tell. The exit code
+/// is also 1 if the program itself is inconsistent.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr check .captures/demo\n  \
@@ -72,11 +72,10 @@ pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Resu
     for line in &check.table {
         page.line(line);
     }
-    // Images that can't tell refute nothing.
-    if check.verdict == CheckVerdict::Off { Err(refuted(check)) } else { Ok(()) }
+    if check.verdict.is_failure() { Err(refuted(check)) } else { Ok(()) }
 }
 
-/// The error of a calibration that is off.
+/// The error of a check that failed.
 fn refuted(mut check: Check) -> CliError {
     CliError::Failure(check.table.pop().unwrap_or_default())
 }
@@ -138,8 +137,7 @@ impl DemoArgs {
         for line in &check.table {
             reporter.note(line);
         }
-        // Images that can't tell don't refute what was filmed.
-        if check.verdict == CheckVerdict::Off { Err(refuted(check)) } else { Ok(capture) }
+        if check.verdict.is_failure() { Err(refuted(check)) } else { Ok(capture) }
     }
 
     /// The capture's folder name, which differs for other options.

@@ -45,8 +45,8 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     if is_slow && !field.has_prepared_maps(&planned) {
         planned.proxy.method = ProxyMethod::Depth;
         reporter.note(
-            "Pictures are by depth per pixel: scene flow takes half a minute for a new instant, until stlfr prepare \
-             with the same options has run.",
+            "Pictures are by depth per pixel. Scene flow would be better, but takes half a minute for a new instant: run \
+             stlfr prepare with the same options first.",
         );
     }
     let options = planned;

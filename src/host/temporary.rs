@@ -157,8 +157,8 @@ pub(crate) fn remove_abandoned(folder: &Path) {
     }
 }
 
-/// Lets Ctrl-C, SIGTERM and SIGHUP end child processes and remove unfinished files before they end the program. Signals that the process was
-/// started to ignore stay ignored.
+/// Lets Ctrl-C, SIGTERM and SIGHUP end child processes and remove unfinished files before they end the program. Signals
+/// that the process was started to ignore stay ignored.
 ///
 /// For a program's main function: a library leaves signals to its program.
 pub fn remove_unfinished_on_signals() -> Result<()> {

@@ -113,7 +113,7 @@ impl LightField {
 
     /// Whether the result of a stage is on disk.
     pub(super) fn is_stored<S: StoredStage>(&self, stage: &S) -> bool {
-        self.capture.load_stored::<S::Output>(S::KIND, &self.stored_inputs(stage)).is_some()
+        self.capture.is_stored(S::KIND, &self.stored_inputs(stage))
     }
 
     /// Stores the result of a stage on disk, unless it is there.

@@ -1,9 +1,10 @@
 //! Computes what depends on frames alone beforehand, and stores it on disk for later views: the tracks of all frame pairs
-//! and the cameras' gains, or depth and motion of all frames.
+//! and the cameras' gains; for views by scene flow, also depth and motion of all frames.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, StoredStage};
 use super::scene_flow::store_slot;
+use super::slots::Slots;
 use super::stages::{FlowOptions, FrameFlow, PairTracks};
 use super::{Context, RenderError};
 use crate::options::{ProxyMethod, RenderOptions};
@@ -99,10 +100,10 @@ impl LightField {
 
     /// Whether [`Self::prepare`] has stored depth and motion of the frames in the middle of the recording.
     pub fn has_prepared_maps(&self, options: &RenderOptions) -> bool {
-        let slots = self.slots();
-        let Some(&middle) = slots.get(slots.len() / 2) else { return false };
-        let options = FlowOptions::new(options);
-        self.frames_of(middle).iter().all(|&frame| self.is_stored(&FrameFlow { frame, options }))
+        let (slots, options) = (Slots::new(self), FlowOptions::new(options));
+        let all = slots.all();
+        let Some(&middle) = all.get(all.len() / 2) else { return false };
+        slots.frames(middle).iter().all(|&frame| self.is_stored(&FrameFlow { frame, options }))
     }
 
     /// Stores depth and motion of all frames. `progress` is called with the number of finished frames.
@@ -112,9 +113,9 @@ impl LightField {
         prepared: &mut Preparation,
         progress: impl Fn(usize) + Sync,
     ) -> Result<(), RenderError> {
-        for slot in self.slots() {
-            let stored = store_slot(self, slot, FlowOptions::new(options), &Context::unattended())?;
-            for stored in stored {
+        let (slots, options) = (Slots::new(self), FlowOptions::new(options));
+        for slot in slots.all() {
+            for stored in store_slot(&slots, slot, options, &Context::unattended())? {
                 prepared.maps += 1;
                 prepared.maps_found += usize::from(stored.was_there);
                 prepared.bytes += stored.bytes;

@@ -3,7 +3,7 @@
 use super::depth::{range, scene_points};
 use super::graph::{LightField, Stage, StoredStage};
 use super::points::nearest;
-use super::slots::{FrameId, Slot};
+use super::slots::{FrameId, Slot, Slots};
 use super::stages::{FlowConfidences, FlowOptions, FrameFlow, Instant, Undistorted};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
@@ -51,12 +51,13 @@ type SlotMaps = Vec<(FrameId, Arc<FlowMap>)>;
 
 /// Depth and motion of the frames of a slot. `None` if nothing is known of the scene's depths.
 fn slot_maps(
-    field: &LightField,
+    slots: &Slots,
     slot: Slot,
     options: FlowOptions,
     context: &Context,
 ) -> Result<Option<SlotMaps>, RenderError> {
-    let mapped = field.frames_of(slot);
+    let field = slots.field;
+    let mapped = slots.frames(slot);
     let others: Vec<Vec<FrameId>> = mapped.iter().map(|&id| matched_with(field, id)).collect();
     let Some(limits) = limits(field, &mapped, options)? else { return Ok(None) };
     let needed: BTreeSet<FrameId> = mapped.iter().chain(others.iter().flatten()).copied().collect();
@@ -124,16 +125,16 @@ impl Stage for FlowConfidences<'_> {
 
 /// Stores the maps of a slot's frames on disk, unless they are there.
 pub(super) fn store_slot(
-    field: &LightField,
+    slots: &Slots,
     slot: Slot,
     options: FlowOptions,
     context: &Context,
 ) -> Result<Vec<Stored>, RenderError> {
-    let frames = field.frames_of(slot);
+    let (field, frames) = (slots.field, slots.frames(slot));
     let flow = |frame: FrameId| FrameFlow { frame, options };
     if !frames.iter().all(|&frame| field.is_stored(&flow(frame))) {
         // Views are rendered by other means where nothing is known of the depths.
-        let Some(maps) = slot_maps(field, slot, options, context)? else { return Ok(Vec::new()) };
+        let Some(maps) = slot_maps(slots, slot, options, context)? else { return Ok(Vec::new()) };
         for (frame, map) in maps {
             field.insert(&flow(frame), map);
         }
@@ -162,11 +163,15 @@ fn load(
 ) -> Result<Option<Vec<LoadedFrame>>, RenderError> {
     let stored = |&frame: &FrameId| field.found(&FrameFlow { frame, options });
     let stored: Vec<Option<Arc<FlowMap>>> = frames.par_iter().map(stored).collect();
+    let slots = stored.contains(&None).then(|| Slots::new(field));
     let mut computed: BTreeMap<FrameId, Arc<FlowMap>> = BTreeMap::new();
     let mut all = Vec::with_capacity(frames.len());
     for (&id, stored) in frames.iter().zip(stored) {
-        if stored.is_none() && !computed.contains_key(&id) {
-            let maps = slot_maps(field, field.slot_of(id), options, context)?;
+        if let Some(slots) = &slots
+            && stored.is_none()
+            && !computed.contains_key(&id)
+        {
+            let maps = slot_maps(slots, slots.of(id), options, context)?;
             let Some(maps) = maps else { return Ok(None) };
             computed.extend(maps);
         }

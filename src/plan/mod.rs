@@ -120,8 +120,8 @@ struct ByViews {
     proxy: Option<(ProxyMethod, Decision)>,
 }
 
-/// Chooses the sync method, the blend, and between depth per pixel and scene flow by rendered test views, each only if
-/// `options.auto` leaves it open. Methods other than refinement, which the motion has chosen as `sync`, are returned as they are.
+/// Chooses the sync method, the blend, and between depth per pixel and scene flow by rendered views, where `options.auto`
+/// names them and `sync`, the choice by motion, is refinement. Otherwise `sync` is returned as it is.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,

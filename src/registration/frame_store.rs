@@ -20,7 +20,7 @@ pub struct FrameStore {
 
 /// Minimum size of the default memo, bytes. From here to [`MAX_BYTES`], it grows with the cameras' images.
 const MIN_BYTES: usize = 208 << 20;
-/// Maximum size of the default memo, bytes.
+/// Maximum size of the default memo, bytes: for eight cameras of 1920×1080, the frames and maps of two slots of scene flow.
 const MAX_BYTES: usize = 1 << 30;
 
 /// Size of the default memo, in frames of each camera: enough for all data that views at one instant are rendered from.

@@ -243,7 +243,7 @@ fn differences<V: F32x8>(
     for first in (0..patch.count).step_by(LANES) {
         let places = footprint.places::<V>(image, patch, first);
         for l in (0..LANES.min(patch.count - first)).step_by(2) {
-            let sampled = places.two_samples::<V>(image, l);
+            let sampled = places.two_samples(image, l);
             let own = V::from_array(&eight(&patch.samples, first + l));
             let weights = V::from_array(&eight(&patch.weights, first + l));
             sum = sum + (sampled - own).abs().simd_min(truncation) * weights;
@@ -268,25 +268,19 @@ fn gradient_sums<V: F32x8>(
     let narrowing = V::splat(1.0 / (WEIGHTS[0] * RESIDUAL));
     for first in (0..patch.count).step_by(LANES) {
         let places = footprint.places::<V>(image, patch, first);
+        // One array a channel.
         let mut sampled = [[0.0f32; LANES]; 4];
         for l in (0..LANES.min(patch.count - first)).step_by(2) {
-            let two = places.two_samples::<V>(image, l).to_array();
-            let mut c = 0;
-            while c < 4 {
-                sampled[c][l] = two[c];
-                sampled[c][l + 1] = two[4 + c];
-                c += 1;
+            let two = places.two_samples(image, l).to_array();
+            for c in 0..4 {
+                (sampled[c][l], sampled[c][l + 1]) = (two[c], two[4 + c]);
             }
         }
         let mut own = [[0.0f32; LANES]; 4];
-        let mut l = 0;
-        while l < LANES {
-            let mut c = 0;
-            while c < 4 {
-                own[c][l] = patch.samples[first + l][c];
-                c += 1;
+        for (l, sample) in patch.samples[first..first + LANES].iter().enumerate() {
+            for (channel, value) in own.iter_mut().zip(sample) {
+                channel[l] = *value;
             }
-            l += 1;
         }
         let weight = V::load(&patch.weight, first);
         let weight = zero.if_below(places.u, weight, zero);
@@ -337,10 +331,10 @@ impl Footprint {
     }
 }
 
-impl<W> Places<W> {
-    /// Bilinear samples of a pixel and the next.
+impl<V: F32x8> Places<V> {
+    /// Bilinear samples of the pixel `l` and the next.
     #[inline(always)]
-    fn two_samples<V: F32x8>(&self, image: &MatchingImage, l: usize) -> V {
+    fn two_samples(&self, image: &MatchingImage, l: usize) -> V {
         let Self { columns, rows, fx, fy, .. } = self;
         let a = between_rows::<V>(image, [columns[l], rows[l]], fy[l]);
         let b = between_rows::<V>(image, [columns[l + 1], rows[l + 1]], fy[l + 1]);

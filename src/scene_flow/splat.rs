@@ -29,8 +29,8 @@ pub struct SplatPixel {
     distance: f32,
 }
 
-/// A map, with its confidences, in a view at an instant, frames of the reference since the capture's start: one candidate a pixel of the view.
-/// `None` if the frame's camera has no inverse.
+/// A map, with its confidences, in a view at an instant, frames of the reference since the capture's start: one candidate
+/// a pixel of the view. `None` if the frame's camera has no inverse.
 pub fn splat(
     mapped: MappedFrame,
     confidences: &[u8],

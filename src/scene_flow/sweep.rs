@@ -279,9 +279,11 @@ impl PatchMatcher<'_> {
             }
             best.consider_fit(pass);
             let has_changed = self.distance(&element, &best.element) > 0.0;
-            let wants = pass.is_last || has_changed || (is_settled && pass.turn == 0);
-            if wants {
+            // Pixels at rest are skipped in later turns.
+            let is_stepped = pass.is_last || has_changed || (is_settled && pass.turn == 0);
+            if is_stepped {
                 if is_known && !has_changed {
+                    // The pass before has left their mean alone.
                     let element = best.element;
                     self.cost(&element, (x, y), &patch, f32::INFINITY, &mut best.costs);
                 }

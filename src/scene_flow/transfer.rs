@@ -11,6 +11,7 @@ const MAX_PROPOSAL_DT: f32 = 1.1;
 const COST_PER_FRAME: f32 = 0.01;
 /// Largest cost of an element that is proposed because it is the nearest.
 const MAX_NEAR_COST: f32 = 0.1;
+
 /// Elements that other frames' maps propose for a map's pixels: the cheapest, and the nearest.
 pub struct Proposals {
     cheapest: Vec<Option<(f32, Element)>>,

@@ -127,6 +127,15 @@ pub enum CheckVerdict {
     Off,
     /// The images can't tell.
     Unknown,
+    /// The program's own projections differ from pycolmap's or Blender's, so that nothing can be told.
+    Inconsistent,
+}
+
+impl CheckVerdict {
+    /// Whether the calibration is off, or the program itself. Images that can't tell refute nothing.
+    pub fn is_failure(self) -> bool {
+        matches!(self, Self::Off | Self::Inconsistent)
+    }
 }
 
 /// Checks a capture's calibration. A wrong calibration is a result, not an error.

@@ -38,15 +38,18 @@ type Error = Box<dyn std::error::Error>;
 /// How far the viewpoint moves up and ahead, metres.
 const ASIDE_M: f64 = 0.05;
 
-/// Options by name: the presets, and `best` over depth per pixel.
+/// Options by name: the presets, and `best` by scene flow and over depth per pixel.
 fn methods() -> Vec<(&'static str, RenderOptions)> {
     let of = |preset: Preset| preset.options();
     let mut depth = of(Preset::Best);
     depth.proxy.method = ProxyMethod::Depth;
+    let mut flow = of(Preset::Best);
+    flow.proxy.method = ProxyMethod::SceneFlow;
     vec![
         ("draft", of(Preset::Draft)),
         ("balanced", of(Preset::Balanced)),
         ("best, mesh", of(Preset::Best)),
+        ("best, scene flow", flow),
         ("best, depth", depth),
     ]
 }

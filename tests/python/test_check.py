@@ -117,7 +117,11 @@ def test_the_verdict_is_right_off_or_that_the_images_cannot_tell() -> None:
 
 def test_what_is_wrong_with_the_program_is_no_verdict_on_a_capture() -> None:
     verdict, reason = judged(178.0, 500, own=["Blender projects points 2 px elsewhere"])
-    assert verdict == "unknown" and "the program itself" in reason
+    assert (
+        verdict == "inconsistent" and reason == "Blender projects points 2 px elsewhere"
+    )
+    result = {"verdict": verdict, "reason": reason}
+    assert report.closing(result).startswith("the program itself is inconsistent")
     assert judged(0.0, 500, off=["its COLMAP model"]) == ("off", "its COLMAP model")
 
 

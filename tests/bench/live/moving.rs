@@ -128,8 +128,9 @@ fn preparation(folder: &str, options: &RenderOptions) -> Result<(), Error> {
     }
     let (ms, prepared) = took[1];
     println!(
-        "Preparation: {} pairs, {:.1} s on two threads, {:.1} s on one, {:.1} MB",
+        "Preparation: {} pairs, {} maps, {:.1} s on two threads, {:.1} s on one, {:.1} MB",
         prepared.pairs,
+        prepared.maps,
         1e-3 * ms,
         1e-3 * took[0].0,
         1e-6 * prepared.bytes as f64
