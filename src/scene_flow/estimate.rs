@@ -1,5 +1,6 @@
 //! Maps of several frames together, from coarse to fine.
 
+use super::consistency::{OtherMaps, Snapshot};
 use super::element::Element;
 use super::frame::{FlowFrame, PyramidFrame};
 use super::map::{ElementMap, FlowMap};
@@ -13,6 +14,9 @@ use rayon::prelude::*;
 const PASSES: [usize; 4] = [2, 2, 3, 4];
 /// Number of random elements a pixel in each pass, finest level first.
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
+
+/// The coarsest level at which maps are compared with each other, in the last pass.
+const COARSEST_COMPARED: usize = 1;
 
 /// Maps to estimate together, so that each proposes to the others.
 pub struct Estimation<'a> {
@@ -57,16 +61,21 @@ impl Estimation<'_> {
                     .into_par_iter()
                     .map(|f| (!is_first).then(|| Proposals::new(&frames, &maps, f)))
                     .collect();
+                let is_last = turn + 1 == passes;
+                let is_compared = is_last && level <= COARSEST_COMPARED;
+                let compared = if is_compared { &maps[..] } else { &[] };
+                let snapshots: Vec<Snapshot> = compared.par_iter().map(Snapshot::new).collect();
                 maps.par_iter_mut().zip(&proposals).enumerate().for_each(
                     |(f, (map, proposals))| {
+                        let disparity_px = disparities_px[f];
                         let matcher = PatchMatcher {
                             own: &self.frames[f].0.levels[level],
                             observations: &observations[f],
                             level,
                             scale: map.scale,
-                            disparity_px: disparities_px[f],
+                            disparity_px,
                         };
-                        let is_last = turn + 1 == passes;
+                        let others = || OtherMaps::new(&frames, &snapshots, f, disparity_px);
                         matcher.pass(
                             map,
                             &Pass {
@@ -75,6 +84,7 @@ impl Estimation<'_> {
                                 is_last,
                                 chances: if is_last { chances / 3 } else { chances },
                                 proposals: proposals.as_ref(),
+                                others: is_compared.then(others),
                                 seed: (f * 1000 + turn * 17 + level) as u64,
                             },
                         );

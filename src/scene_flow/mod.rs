@@ -10,7 +10,7 @@
 //! *PatchMatch Stereo* (BMVC 2011); Taniai et al., *Fast Multi-frame Stereo Scene Flow* (CVPR 2017).
 //!
 //! Known limits: outlines are off by one or two pixels. Depths of edges along the line of cameras are found from motion
-//! alone. What a single camera sees has the depth of what is beside it.
+//! alone.
 //!
 //! | file | step |
 //! |---|---|
@@ -29,6 +29,7 @@
 mod affine_fit;
 mod blend;
 mod confidence;
+mod consistency;
 mod element;
 mod estimate;
 mod frame;

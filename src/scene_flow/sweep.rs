@@ -2,6 +2,7 @@
 //! random sampling, an affine fit and a Gauss–Newton step propose elements to every pixel. It takes the one that costs
 //! least.
 
+use super::consistency::OtherMaps;
 use super::element::Element;
 use super::map::ElementMap;
 use super::matching::{
@@ -37,6 +38,11 @@ const MAX_CHANCE_PX: f32 = 4.0;
 /// Finest level at which random elements are drawn from the whole range.
 const COARSE_LEVEL: usize = 2;
 
+/// Cost of a pixel of difference from the other maps ([`OtherMaps::difference`]).
+const INCONSISTENCY: f32 = 0.02;
+/// Difference from the other maps up to which they agree with an element, and their differences cost nothing, pixels.
+const CONSISTENT_PX: f32 = 1.5;
+
 /// Ranges of the search.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
@@ -62,6 +68,8 @@ pub struct Pass<'a> {
     /// Number of random elements a pixel.
     pub chances: usize,
     pub proposals: Option<&'a Proposals>,
+    /// The other maps, if the pass compares elements with them.
+    pub others: Option<OtherMaps<'a>>,
     pub seed: u64,
 }
 
@@ -82,6 +90,8 @@ struct Best<'a, 'b> {
     match_cost: f32,
     cost: f32,
     costs: Costs,
+    /// The maps that contradict the pixel's element, if they do.
+    others: Option<&'a OtherMaps<'a>>,
 }
 
 impl Best<'_, '_> {
@@ -93,6 +103,9 @@ impl Best<'_, '_> {
         }
         let (x, y) = self.pixel;
         let roughness = self.matcher.roughness(self.map, &proposal, x, y);
+        let center = self.map.center(y * self.map.width + x);
+        let inconsistency = |o: &OtherMaps| INCONSISTENCY * o.difference(&proposal, center);
+        let roughness = roughness + self.others.map_or(0.0, inconsistency);
         if roughness >= self.cost {
             return;
         }
@@ -237,7 +250,10 @@ impl PatchMatcher<'_> {
         for k in 0..pixels {
             let k = if pass.is_backward() { pixels - 1 - k } else { k };
             let (x, y) = (k % width, k / width);
-            let is_settled = self.level <= 1 && self.is_settled(map, x, y);
+            let difference =
+                pass.others.as_ref().map_or(0.0, |o| o.difference(&map.elements[k], map.center(k)));
+            let others = pass.others.as_ref().filter(|_| difference > CONSISTENT_PX);
+            let is_settled = self.level <= 1 && others.is_none() && self.is_settled(map, x, y);
             if pass.turn > 0 && is_settled {
                 continue;
             }
@@ -251,7 +267,8 @@ impl PatchMatcher<'_> {
             } else {
                 self.cost(&element, (x, y), &patch, f32::INFINITY, &mut costs)
             };
-            let cost = match_cost + self.roughness(map, &element, x, y);
+            let inconsistency = if others.is_some() { INCONSISTENCY * difference } else { 0.0 };
+            let cost = match_cost + self.roughness(map, &element, x, y) + inconsistency;
             let mut best = Best {
                 matcher: self,
                 map,
@@ -262,6 +279,7 @@ impl PatchMatcher<'_> {
                 match_cost,
                 cost,
                 costs,
+                others,
             };
             if !is_settled {
                 best.consider_neighbors(pass);
