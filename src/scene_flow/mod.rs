@@ -20,7 +20,7 @@
 //! | `matching.rs` | how well all frames agree on an element |
 //! | `gauss_newton.rs`, `affine_fit.rs` | an element made better by gradients, and by its neighbours |
 //! | `sweep.rs` | a pass of PatchMatch over a map |
-//! | `transfer.rs` | what other frames' maps propose |
+//! | `transfer.rs`, `consistency.rs` | what other frames' maps propose, and what they contradict |
 //! | `estimate.rs` | these steps in order, for several frames together |
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and how they are stored |
 //! | `confidence.rs` | whether the maps of a view's frames agree |

@@ -216,6 +216,20 @@ impl PatchMatcher<'_> {
             })
     }
 
+    /// Gives a settled pixel the element of the upper left one of the four that began with the same element, if that is
+    /// settled too. The pass goes forward.
+    fn is_copied(&self, map: &mut ElementMap, x: usize, y: usize) -> bool {
+        let (dx, dy) = (x % 2, y % 2);
+        let first = (y - dy) * self.own.width + x - dx;
+        let is_copied = (dx, dy) != (0, 0) && self.is_settled(map, x - dx, y - dy);
+        if is_copied {
+            let k = y * self.own.width + x;
+            map.elements[k] = map.elements[first].at(dx as f32 * self.scale, dy as f32 * self.scale);
+            map.costs[k] = map.costs[first];
+        }
+        is_copied
+    }
+
     fn chance(&self, own: &Element, limits: Limits, random: &mut Random) -> Element {
         if self.level >= COARSE_LEVEL && (random.unit() as f32) < ANYWHERE {
             let speed = limits.max_speed * (random.unit() as f32).sqrt();
@@ -254,7 +268,7 @@ impl PatchMatcher<'_> {
                 pass.others.as_ref().map_or(0.0, |o| o.difference(&map.elements[k], map.center(k)));
             let others = pass.others.as_ref().filter(|_| difference > CONSISTENT_PX);
             let is_settled = self.level <= 1 && others.is_none() && self.is_settled(map, x, y);
-            if pass.turn > 0 && is_settled {
+            if is_settled && (pass.turn > 0 || self.is_copied(map, x, y)) {
                 continue;
             }
             self.fill_patch(x, y, &mut patch);
