@@ -3,22 +3,13 @@
 use super::frame::FlowFrame;
 use super::geometry::Projection;
 use super::map::MappedFrame;
-use super::splat::{SplatPixel, splat};
+use super::splat::Splat;
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::{Image, Sampling, sample};
 use nalgebra::Point2;
 use rayon::prelude::*;
 
-/// Expected error of a frame's point that grows with nothing, pixels.
-const ERROR_PX: f32 = 0.2;
-/// Expected error per pixel of disparity between the frame's place and the view's.
-const ERROR_BY_BASELINE: f32 = 0.005;
-/// Expected errors per frame of time between the two: of a point at rest, pixels, and per pixel a frame of its speed.
-const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
-/// Error by place and time below which a frame outweighs all others, so that a view from a camera's own place at a frame's
-/// own time is that frame.
-const EXACT_PX: f32 = 0.01;
 /// Half-width of a cluster of candidates, pixels of disparity.
 const CLUSTER_PX: f32 = 1.5;
 /// Fraction of all weights that a cluster in front of the heaviest needs to hide it.
@@ -42,9 +33,11 @@ struct Pixel {
     is_mapped: bool,
 }
 
-struct Weighted<'a> {
+/// What one map has at a pixel of the view.
+struct Candidate<'a> {
     frame: &'a FlowFrame,
-    candidate: SplatPixel,
+    inverse_depth: f32,
+    source: [f32; 2],
     weight: f32,
 }
 
@@ -64,14 +57,11 @@ pub fn blend(
     view: &Camera,
     time: f64,
 ) -> FlowView {
-    let splats: Vec<(MappedFrame, Vec<SplatPixel>)> = mapped
+    let splats: Vec<(&FlowFrame, Splat)> = mapped
         .par_iter()
         .zip(confidences)
-        .filter_map(|(m, c)| Some((*m, splat(*m, c, view, time)?)))
+        .filter_map(|(m, c)| Some((m.frame, Splat::new(*m, c, view, time)?)))
         .collect();
-    let baseline = |m: &MappedFrame| (m.frame.view.center() - view.center()).norm() as f32;
-    let baselines: Vec<f32> = splats.iter().map(|(m, _)| baseline(m)).collect();
-    let focal = view.focal_px() as f32;
     let (width, height) = (view.width, view.height);
     let disparity_px = mapped.iter().map(|m| m.map.disparity_px).fold(0.0, f32::max);
     let reach = CLUSTER_PX / disparity_px.max(f32::MIN_POSITIVE);
@@ -81,19 +71,14 @@ pub fn blend(
         let mut colors = Vec::with_capacity(splats.len());
         for (x, pixel) in row.iter_mut().enumerate() {
             candidates.clear();
-            for ((mapped, splat), baseline) in splats.iter().zip(&baselines) {
-                let candidate = splat[y * width + x];
-                if candidate.confidence > 0.0 {
-                    let frame = mapped.frame;
-                    let place = ERROR_BY_BASELINE * focal * baseline * candidate.inverse_depth;
-                    let dt = (time - frame.time).abs() as f32;
-                    let motion = dt * (ERROR_BY_TIME[0] + ERROR_BY_TIME[1] * candidate.speed);
-                    let own = (place * place + motion * motion).max(f32::EPSILON);
-                    let exact = 1.0 + EXACT_PX * EXACT_PX / own;
-                    let confidence = candidate.confidence * candidate.confidence;
-                    let weight = confidence * exact / (ERROR_PX * ERROR_PX + own);
-                    candidates.push(Weighted { frame, candidate, weight });
-                }
+            let k = y * width + x;
+            for (frame, splat) in splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0) {
+                candidates.push(Candidate {
+                    frame,
+                    inverse_depth: splat.inverse_depths[k],
+                    source: splat.sources[k],
+                    weight: splat.weights[k],
+                });
             }
             if let Some(found) = pixel_of(&candidates, reach, &mut colors) {
                 *pixel = found;
@@ -180,15 +165,15 @@ type WeightedColors = Vec<([f32; 3], f32)>;
 
 /// The pixel of the nearest cluster with enough weight, and what shows through it. `None` without candidates. `colors` is
 /// room for the colours.
-fn pixel_of(candidates: &[Weighted], reach: f32, colors: &mut WeightedColors) -> Option<Pixel> {
-    let depths = || candidates.iter().map(|c| c.candidate.inverse_depth);
+fn pixel_of(candidates: &[Candidate], reach: f32, colors: &mut WeightedColors) -> Option<Pixel> {
+    let depths = || candidates.iter().map(|c| c.inverse_depth);
     let nearest = depths().fold(f32::NEG_INFINITY, f32::max);
     if nearest - depths().fold(f32::INFINITY, f32::min) < reach {
         return mean_of(candidates, nearest, reach, colors);
     }
     let total: f32 = candidates.iter().map(|c| c.weight).sum();
     let support = |q: f32| -> f32 {
-        let near = candidates.iter().filter(|c| (c.candidate.inverse_depth - q).abs() < reach);
+        let near = candidates.iter().filter(|c| (c.inverse_depth - q).abs() < reach);
         near.map(|c| c.weight).sum()
     };
     let heaviest = |min: f32, max: f32| {
@@ -217,12 +202,12 @@ fn pixel_of(candidates: &[Weighted], reach: f32, colors: &mut WeightedColors) ->
 
 /// The mean of a cluster; colours that differ count less.
 fn mean_of(
-    candidates: &[Weighted],
+    candidates: &[Candidate],
     q: f32,
     reach: f32,
     colors: &mut WeightedColors,
 ) -> Option<Pixel> {
-    let cluster = || candidates.iter().filter(|c| (c.candidate.inverse_depth - q).abs() < reach);
+    let cluster = || candidates.iter().filter(|c| (c.inverse_depth - q).abs() < reach);
     // Grey cameras say nothing of colour.
     let has_color = cluster().any(|c| c.frame.is_color);
     let cluster = || cluster().filter(|c| c.frame.is_color == has_color);
@@ -230,9 +215,9 @@ fn mean_of(
     let (mut depths, mut weights) = (0.0, 0.0);
     colors.clear();
     for c in cluster().filter(|c| c.weight >= MIN_SHARE * most) {
-        let [x, y] = c.candidate.source;
+        let [x, y] = c.source;
         colors.push((sample(&c.frame.image, x, y, Sampling::Cubic), c.weight));
-        depths += c.weight * c.candidate.inverse_depth;
+        depths += c.weight * c.inverse_depth;
         weights += c.weight;
     }
     if colors.is_empty() {

@@ -1,8 +1,9 @@
 //! A map's elements moved to an instant and projected into a view.
 
 use super::geometry::Projection;
-use super::map::MappedFrame;
+use super::map::{FlowMap, FlowPixel, MappedFrame};
 use crate::camera::Camera;
+use crate::simd::multiversion;
 use nalgebra::Point2;
 
 /// Half-width of a splat, pixels of the frame: neighbours overlap a little.
@@ -13,92 +14,206 @@ const HALF_WIDTH_AT_EDGE: f32 = 0.5;
 const SCALES: [f32; 2] = [0.8, 8.0];
 /// Disparity by which an element must be nearer to hide another, pixels.
 const HIDING_PX: f32 = 0.5;
+/// Expected error of a frame's point that grows with nothing, pixels.
+const ERROR_PX: f32 = 0.2;
+/// Expected error per pixel of disparity between the frame's place and the view's.
+const ERROR_BY_BASELINE: f32 = 0.005;
+/// Expected errors per frame of time between the two: of a point at rest, pixels, and per pixel a frame of its speed.
+const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
+/// Error by place and time below which a frame outweighs all others, so that a view from a camera's own place at a frame's
+/// own time is that frame.
+const EXACT_PX: f32 = 0.01;
 
-/// What a map has at a pixel of the view.
-#[derive(Clone, Copy, Default)]
-pub struct SplatPixel {
+/// What a map has in a view: one value a pixel of the view.
+pub struct Splat {
     /// In the view, 1/m.
-    pub inverse_depth: f32,
+    pub inverse_depths: Vec<f32>,
     /// Where the frame shows it, pixels.
-    pub source: [f32; 2],
-    /// 0 where the map has nothing.
-    pub confidence: f32,
-    /// Pixels a frame.
-    pub speed: f32,
-    /// Distance from the splat's centre, pixels.
-    distance: f32,
+    pub sources: Vec<[f32; 2]>,
+    /// By confidence, place, time and speed; 0 where the map has nothing.
+    pub weights: Vec<f32>,
+    /// Distances from the elements' projections, pixels.
+    distances: Vec<f32>,
+    width: usize,
+    height: usize,
+    /// Inverse depth by which an element must be nearer to hide another, 1/m.
+    hiding: f32,
 }
 
-/// A map, with its confidences, in a view at an instant, frames of the reference since the capture's start: one candidate
-/// a pixel of the view. `None` if the frame's camera has no inverse.
-pub fn splat(
-    mapped: MappedFrame,
-    confidences: &[u8],
-    view: &Camera,
-    time: f64,
-) -> Option<Vec<SplatPixel>> {
-    let MappedFrame { frame, map } = mapped;
-    let projection = Projection::new(&frame.view, view)?;
-    let (width, height) = (view.width, view.height);
-    let mut candidates = vec![SplatPixel::default(); width * height];
-    let dt = (time - frame.time) as f32;
-    let zoom = (view.focal_px() / frame.view.focal_px()) as f32;
-    let hiding = HIDING_PX / map.disparity_px;
-    let is_pinhole = view.model.is_pinhole();
-    for (k, pixel) in map.pixels().iter().enumerate() {
-        if frame.is_filmed.as_ref().is_some_and(|is_filmed| !is_filmed[k]) {
-            continue;
+/// From a frame to a view at an instant.
+struct ToView {
+    projection: Projection,
+    /// Frames from the frame to the instant.
+    dt: f32,
+    /// Focal length of the view in that of the frame.
+    zoom: f32,
+    /// Expected error by place, pixels for an inverse depth of 1/m.
+    place_error: f32,
+}
+
+/// The elements of one row of a map in the view.
+struct Row {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    inverse_depth: Vec<f32>,
+    /// Size of the splat, as a multiple of its size in the frame.
+    scale: Vec<f32>,
+    weight: Vec<f32>,
+    speed: Vec<f32>,
+}
+
+impl Row {
+    fn new(width: usize) -> Self {
+        let values = || vec![0.0; width];
+        Self {
+            x: values(),
+            y: values(),
+            inverse_depth: values(),
+            scale: values(),
+            weight: values(),
+            speed: values(),
         }
-        let element = map.element(pixel);
-        let (px, py) = ((k % map.width) as f32 + 0.5, (k / map.width) as f32 + 0.5);
-        let [mx, my, q] = element.moved(px, py, dt);
-        let [mut cx, mut cy, inverse_depth] = projection.project(mx, my, q);
-        if !is_pinhole {
-            let Some([x, y]) = distorted(view, [cx, cy]) else { continue };
-            (cx, cy) = (x, y);
+    }
+
+    /// Where the elements of a row of a map are at the instant, in the frame's own camera.
+    #[inline(always)]
+    fn move_elements(&mut self, map: &FlowMap, y: usize, dt: f32) {
+        let pixels = &map.pixels()[y * map.width..][..self.x.len()];
+        for (x, pixel) in pixels.iter().enumerate() {
+            let element = map.element(pixel);
+            let [mx, my, q] = element.moved(x as f32 + 0.5, y as f32 + 0.5, dt);
+            (self.x[x], self.y[x], self.inverse_depth[x]) = (mx, my, q);
+            self.speed[x] = element.speed();
         }
-        // Inverse depths that a rate has made negative are behind the camera.
-        let nearing = inverse_depth / q.max(f32::MIN_POSITIVE);
-        let scale = zoom * nearing.clamp(SCALES[0], SCALES[1]);
-        let is_near =
-            cx > -scale && cy > -scale && cx < width as f32 + scale && cy < height as f32 + scale;
-        if !is_near || inverse_depth <= 0.0 {
-            continue;
+    }
+
+    /// From the frame's camera to the view.
+    #[inline(always)]
+    fn project(&mut self, to: &ToView, confidences: &[u8]) {
+        let n = self.x.len();
+        let (x, y) = (&mut self.x[..n], &mut self.y[..n]);
+        let (inverse_depth, scale) = (&mut self.inverse_depth[..n], &mut self.scale[..n]);
+        let (weight, speed) = (&mut self.weight[..n], &self.speed[..n]);
+        let confidences = &confidences[..n];
+        for k in 0..n {
+            let q = inverse_depth[k];
+            let [u, v, q_there] = to.projection.project(x[k], y[k], q);
+            (x[k], y[k], inverse_depth[k]) = (u, v, q_there);
+            // Inverse depths that a rate has made negative are behind the camera.
+            let nearing = q_there / q.max(f32::MIN_POSITIVE);
+            scale[k] = to.zoom * nearing.max(SCALES[0]).min(SCALES[1]);
+            let place = to.place_error * q_there;
+            let motion = to.dt.abs() * (ERROR_BY_TIME[0] + ERROR_BY_TIME[1] * speed[k]);
+            let error = (place * place + motion * motion).max(f32::EPSILON);
+            let exact = 1.0 + EXACT_PX * EXACT_PX / error;
+            let confidence = f32::from(confidences[k]) / 255.0;
+            let value = confidence * confidence * exact / (ERROR_PX * ERROR_PX + error);
+            weight[k] = if q_there > 0.0 { value } else { 0.0 };
         }
+    }
+}
+
+#[inline(always)]
+fn place(row: &mut Row, map: &FlowMap, confidences: &[u8], y: usize, to: &ToView) {
+    row.move_elements(map, y, to.dt);
+    row.project(to, &confidences[y * map.width..]);
+}
+
+multiversion! {
+    fn place_row(row: &mut Row, map: &FlowMap, confidences: &[u8], y: usize, to: &ToView) = place
+}
+
+impl Splat {
+    /// A map, with its confidences, in a view at an instant, frames of the reference since the capture's start. `None` if
+    /// the frame's camera has no inverse.
+    pub fn new(mapped: MappedFrame, confidences: &[u8], view: &Camera, time: f64) -> Option<Self> {
+        let MappedFrame { frame, map } = mapped;
+        let baseline_m = (frame.view.center() - view.center()).norm() as f32;
+        let to = ToView {
+            projection: Projection::new(&frame.view, view)?,
+            dt: (time - frame.time) as f32,
+            zoom: (view.focal_px() / frame.view.focal_px()) as f32,
+            place_error: ERROR_BY_BASELINE * view.focal_px() as f32 * baseline_m,
+        };
+        let pixels = view.width * view.height;
+        let mut splat = Self {
+            inverse_depths: vec![0.0; pixels],
+            sources: vec![[0.0; 2]; pixels],
+            weights: vec![0.0; pixels],
+            distances: vec![0.0; pixels],
+            width: view.width,
+            height: view.height,
+            hiding: HIDING_PX / map.disparity_px,
+        };
+        let mut row = Row::new(map.width);
+        let is_pinhole = view.model.is_pinhole();
+        for y in 0..map.height {
+            place_row(&mut row, map, confidences, y, &to);
+            let pixels = y * map.width..(y + 1) * map.width;
+            if let Some(is_filmed) = &frame.is_filmed {
+                let filmed = &is_filmed[pixels.clone()];
+                row.weight.iter_mut().zip(filmed).for_each(|(w, f)| *w *= f32::from(u8::from(*f)));
+            }
+            if !is_pinhole {
+                distort(&mut row, view);
+            }
+            splat.add_row(&row, &map.pixels()[pixels], y);
+        }
+        Some(splat)
+    }
+
+    fn add_row(&mut self, row: &Row, pixels: &[FlowPixel], y: usize) {
+        let (width, height) = (self.width as f32, self.height as f32);
+        for (x, pixel) in pixels.iter().enumerate() {
+            let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);
+            let is_near = cx > -scale && cy > -scale && cx < width + scale && cy < height + scale;
+            if is_near && row.weight[x] > 0.0 {
+                self.add(row, x, y, pixel);
+            }
+        }
+    }
+
+    /// Adds one element of a row, of which a part may be in the view.
+    #[inline(always)]
+    fn add(&mut self, row: &Row, x: usize, y: usize, pixel: &FlowPixel) {
+        let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);
         let half =
             |side: usize| scale * if pixel.is_edge(side) { HALF_WIDTH_AT_EDGE } else { HALF_WIDTH };
-        let columns = pixels_between(cx - half(0), cx + half(1), width);
-        let rows = pixels_between(cy - half(2), cy + half(3), height);
+        let columns = pixels_between(cx - half(0), cx + half(1), self.width);
+        let rows = pixels_between(cy - half(2), cy + half(3), self.height);
+        let (inverse_depth, inverse_scale) = (row.inverse_depth[x], 1.0 / scale);
+        let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
         for v in rows {
             for u in columns.clone() {
                 let (dx, dy) = (u as f32 + 0.5 - cx, v as f32 + 0.5 - cy);
                 let distance = dx.abs().max(dy.abs());
-                let old = &mut candidates[v * width + u];
-                let is_same = inverse_depth > old.inverse_depth - hiding && distance < old.distance;
-                if old.confidence == 0.0 || inverse_depth > old.inverse_depth + hiding || is_same {
-                    *old = SplatPixel {
-                        inverse_depth,
-                        source: [px + dx / scale, py + dy / scale],
-                        confidence: f32::from(confidences[k]) / 255.0,
-                        speed: element.speed(),
-                        distance,
-                    };
+                let k = v * self.width + u;
+                let old = self.inverse_depths[k];
+                let is_same = inverse_depth > old - self.hiding && distance < self.distances[k];
+                if self.weights[k] == 0.0 || inverse_depth > old + self.hiding || is_same {
+                    self.inverse_depths[k] = inverse_depth;
+                    self.sources[k] = [px + dx * inverse_scale, py + dy * inverse_scale];
+                    self.weights[k] = row.weight[x];
+                    self.distances[k] = distance;
                 }
             }
         }
     }
-    Some(candidates)
 }
 
-/// A pixel of a pinhole camera as the view's lens distorts it. `None` beyond the fold of its model.
-fn distorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
+/// Places of a pinhole camera as the view's lens distorts them. Those beyond the fold of its model lose their weight.
+fn distort(row: &mut Row, view: &Camera) {
     let (fx, fy, cx, cy) = view.model.intrinsics();
-    let ideal = Point2::new((f64::from(x) - cx) / fx, (f64::from(y) - cy) / fy);
-    if !view.model.is_short_of_fold(&ideal) {
-        return None;
+    for x in 0..row.x.len() {
+        let (u, v) = (f64::from(row.x[x]), f64::from(row.y[x]));
+        let ideal = Point2::new((u - cx) / fx, (v - cy) / fy);
+        if view.model.is_short_of_fold(&ideal) {
+            let pixel = view.model.pixel_from_normalized(&ideal);
+            (row.x[x], row.y[x]) = (pixel.x as f32, pixel.y as f32);
+        } else {
+            row.weight[x] = 0.0;
+        }
     }
-    let pixel = view.model.pixel_from_normalized(&ideal);
-    Some([pixel.x as f32, pixel.y as f32])
 }
 
 /// The pixels whose centres lie between two positions, or on the second.

@@ -224,7 +224,8 @@ impl PatchMatcher<'_> {
         let is_copied = (dx, dy) != (0, 0) && self.is_settled(map, x - dx, y - dy);
         if is_copied {
             let k = y * self.own.width + x;
-            map.elements[k] = map.elements[first].at(dx as f32 * self.scale, dy as f32 * self.scale);
+            map.elements[k] =
+                map.elements[first].at(dx as f32 * self.scale, dy as f32 * self.scale);
             map.costs[k] = map.costs[first];
         }
         is_copied
