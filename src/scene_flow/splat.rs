@@ -20,6 +20,8 @@ const ERROR_PX: f32 = 0.2;
 const ERROR_BY_BASELINE: f32 = 0.005;
 /// Expected errors per frame of time between the two: of a point at rest, pixels, and per pixel a frame of its speed.
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
+/// Expected error as a fraction of the acceleration's part of the motion, twice: paths are not parabolas.
+const ERROR_BY_CURVATURE: f32 = 0.1;
 /// Error by place and time below which a frame outweighs all others, so that a view from a camera's own place at a frame's
 /// own time is that frame.
 const EXACT_PX: f32 = 0.01;
@@ -59,7 +61,9 @@ struct Row {
     /// Size of the splat, as a multiple of its size in the frame.
     scale: Vec<f32>,
     weight: Vec<f32>,
+    /// Pixels a frame, and pixels a frame squared.
     speed: Vec<f32>,
+    acceleration: Vec<f32>,
 }
 
 impl Row {
@@ -72,6 +76,7 @@ impl Row {
             scale: values(),
             weight: values(),
             speed: values(),
+            acceleration: values(),
         }
     }
 
@@ -84,6 +89,8 @@ impl Row {
             let [mx, my, q] = element.moved(x as f32 + 0.5, y as f32 + 0.5, dt);
             (self.x[x], self.y[x], self.inverse_depth[x]) = (mx, my, q);
             self.speed[x] = element.speed();
+            let [a, b] = element.acceleration;
+            self.acceleration[x] = (a * a + b * b).sqrt();
         }
     }
 
@@ -103,7 +110,8 @@ impl Row {
             let nearing = q_there / q.max(f32::MIN_POSITIVE);
             scale[k] = to.zoom * nearing.max(SCALES[0]).min(SCALES[1]);
             let place = to.place_error * q_there;
-            let motion = to.dt.abs() * (ERROR_BY_TIME[0] + ERROR_BY_TIME[1] * speed[k]);
+            let motion = to.dt.abs() * (ERROR_BY_TIME[0] + ERROR_BY_TIME[1] * speed[k])
+                + ERROR_BY_CURVATURE * to.dt * to.dt * self.acceleration[k];
             let error = (place * place + motion * motion).max(f32::EPSILON);
             let exact = 1.0 + EXACT_PX * EXACT_PX / error;
             let confidence = f32::from(confidences[k]) / 255.0;
