@@ -7,14 +7,14 @@ use crate::light_field::{LightField, RenderError};
 use crate::method::Method;
 use crate::offset::resolve_offsets;
 use crate::options::RenderOptions;
-use crate::plan::{Decision, plan};
+use crate::plan::{Decision, Plan, plan};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
 
 /// The cache of plans: planning renders dozens of views, which later commands need not repeat. Every change of rendered
 /// views requires a new version, because plans are decided by them.
-const PLANS: CacheKind = CacheKind { name: "plans", version: 2 };
+const PLANS: CacheKind = CacheKind { name: "plans", version: 3 };
 
 /// Opens a capture's light field. Its offsets are known, stored in the capture's folder, or estimated now and stored
 /// there ([`resolve_offsets`]). Notes on the reporter say which, and name the cameras of unknown offset, which no view
@@ -50,10 +50,7 @@ pub fn resolved(
     if stages.is_empty() {
         return Ok(options.clone());
     }
-    let inputs = (field.offsets(), options);
-    let cache = field.capture().cache().map_err(|error| error.to_string());
-    let cached = cache.as_ref().ok().and_then(|cache| cache.load_json(PLANS, &inputs));
-    if let Some(planned) = cached.filter(|planned: &RenderOptions| planned.check().is_ok()) {
+    if let Some(planned) = planned_before(field, options) {
         let methods = [
             ("sync", planned.sync.name()),
             ("proxy", planned.proxy.method.name()),
@@ -64,18 +61,37 @@ pub fn resolved(
         reporter.note(&format!("Auto: {}, as planned before.", decided.join(", ")));
         return Ok(planned);
     }
-    let plan = plan(field, options, reporter)?;
-    let saved = cache.and_then(|cache| {
-        cache.save_json(PLANS, &inputs, &plan.options).map_err(|error| error.to_string())
-    });
-    // A read-only capture can be used all the same.
-    if let Err(error) = saved {
-        reporter.note(&format!("The plan can't be cached for the next command: {error}."));
-    }
+    let plan = plan_again(field, options, reporter)?;
     for Decision { stage, method, because, .. } in &plan.decisions {
         if stages.contains(stage) {
             reporter.note(&format!("Auto: {stage} {method}. {because}"));
         }
     }
     Ok(plan.options)
+}
+
+/// The options that an earlier plan chose for the same offsets and options, if it is cached.
+pub fn planned_before(field: &LightField, options: &RenderOptions) -> Option<RenderOptions> {
+    let cache = field.capture().cache().ok()?;
+    let planned: Option<RenderOptions> = cache.load_json(PLANS, &(field.offsets(), options));
+    planned.filter(|planned| planned.check().is_ok())
+}
+
+/// Plans, and caches the plan for later commands with the same options.
+pub fn plan_again(
+    field: &LightField,
+    options: &RenderOptions,
+    reporter: &Reporter,
+) -> Result<Plan, RenderError> {
+    let plan = plan(field, options, reporter)?;
+    let cache = field.capture().cache().map_err(|error| error.to_string());
+    let saved = cache.and_then(|cache| {
+        let inputs = (field.offsets(), options);
+        cache.save_json(PLANS, &inputs, &plan.options).map_err(|error| error.to_string())
+    });
+    // A read-only capture can be used all the same.
+    if let Err(error) = saved {
+        reporter.note(&format!("The plan can't be cached for the next command: {error}."));
+    }
+    Ok(plan)
 }

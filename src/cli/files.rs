@@ -47,7 +47,7 @@ pub fn ffmpeg_for(what: &str) -> Result<PathBuf, CliError> {
 /// Options of all stages: those of a preset, overridden by a file, overridden by single options.
 #[derive(Clone, Debug, clap::Args)]
 pub struct OptionsArgs {
-    /// Named options of all stages, from fast to accurate.
+    /// Named options of all stages, from fast to accurate [default: best].
     #[arg(long, value_name = "NAME", value_parser = method::<Preset>())]
     preset: Option<Preset>,
     /// Options of all stages, a JSON file; it overrides the preset.
@@ -76,6 +76,11 @@ impl OptionsArgs {
         Ok(options.words())
     }
 
+    /// Whether none are given, so that they are those of the default preset.
+    pub fn are_default(&self) -> bool {
+        self.words().is_empty()
+    }
+
     /// Reads and checks the options.
     pub fn read(&self) -> Result<RenderOptions, CliError> {
         let mut options = match &self.options {
@@ -83,7 +88,7 @@ impl OptionsArgs {
                 let text = read_text(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
                 RenderOptions::parse(&text, self.preset).map_err(|error| wrong(path, error))?
             }
-            None => self.preset.map_or_else(RenderOptions::default, Preset::options),
+            None => self.preset.unwrap_or_default().options(),
         };
         for set in &self.set {
             let (name, value) = set.split_once('=').unwrap_or((set, ""));

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use stlfr::host::write_json;
 use stlfr::options::AutoOptions;
 use stlfr::pipeline;
-use stlfr::plan::{Decision, Plan, plan};
+use stlfr::plan::{Decision, Plan};
 use stlfr::progress::Reporter;
 
 /// What this capture requires, and why: for every stage the cheapest method that keeps its error
@@ -46,7 +46,7 @@ pub fn run(args: &PlanArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
     let output = args.output.as_deref().map(CommandOutput::File);
     let capture = open_capture(&args.capture, output, reporter)?;
     let field = pipeline::open_field(capture, &options, reporter)?;
-    let plan = plan(&field, &options, reporter)?;
+    let plan = pipeline::plan_again(&field, &options, reporter)?;
     if let Some(output) = &args.output {
         written(output, write_json(output, &plan.options))?;
     }

@@ -7,8 +7,9 @@ use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use stlfr::host;
+use stlfr::light_field::LightField;
 use stlfr::live::{Server, Studio};
-use stlfr::options::ProxyMethod;
+use stlfr::options::{AutoOptions, ProxyMethod, RenderOptions};
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
 
@@ -40,16 +41,7 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     // The port is bound before long work, which would be in vain without it.
     let server = Server::bind(args.port).map_err(|error| refused(args.port, &error))?;
     let field = pipeline::open_field(capture, &options, reporter)?;
-    let mut planned = pipeline::resolved(&field, &options, reporter)?;
-    let is_slow = planned.proxy.method == ProxyMethod::SceneFlow && options.auto.proxy;
-    if is_slow && !field.has_prepared_maps(&planned) {
-        planned.proxy.method = ProxyMethod::Depth;
-        reporter.note(
-            "Pictures are by depth per pixel. Scene flow would be better, but takes half a minute for a new instant: run \
-             stlfr prepare with the same options first.",
-        );
-    }
-    let options = planned;
+    let options = live_options(&field, &options, args.options.are_default(), reporter)?;
     let studio = Studio::new(&field, &options, args.options.words(), reporter);
     let address = server.address();
     let mut stdout = std::io::stdout().lock();
@@ -59,6 +51,34 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
         reporter.note("No browser could be opened: open the address by hand.");
     }
     server.serve(&studio).map_err(|error| CliError::Failure(format!("the server ended ({error})")))
+}
+
+/// The options after the automatic choice of methods, without what a page can't wait for: a plan, unless it was made before
+/// or options are given, and maps that are not prepared.
+fn live_options(
+    field: &LightField,
+    options: &RenderOptions,
+    are_default: bool,
+    reporter: &Reporter,
+) -> Result<RenderOptions, CliError> {
+    if are_default && pipeline::planned_before(field, options).is_none() {
+        reporter.note(
+            "Pictures are by depth per pixel. stlfr prepare chooses methods by this capture, and makes pictures faster.",
+        );
+        let mut usual = RenderOptions { auto: AutoOptions::default(), ..options.clone() };
+        usual.proxy.method = ProxyMethod::Depth;
+        return Ok(usual);
+    }
+    let mut planned = pipeline::resolved(field, options, reporter)?;
+    let is_slow = planned.proxy.method == ProxyMethod::SceneFlow && options.auto.proxy;
+    if is_slow && !field.has_prepared_maps(&planned) {
+        planned.proxy.method = ProxyMethod::Depth;
+        reporter.note(
+            "Pictures are by depth per pixel. Scene flow would be better, but takes half a minute for a new instant: run \
+             stlfr prepare with the same options first.",
+        );
+    }
+    Ok(planned)
 }
 
 fn refused(port: u16, error: &std::io::Error) -> CliError {

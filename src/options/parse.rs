@@ -7,7 +7,8 @@ use serde_json::Value;
 
 impl RenderOptions {
     /// Reads an options file: a JSON object. Missing options are the preset's: the given one, or else
-    /// that of the file's field `preset`, or else the defaults.
+    /// that of the file's field `preset`, or else the default one. A method that the file names is not chosen
+    /// automatically.
     ///
     /// An error is a sentence that starts with the field, also of a value out of its range.
     pub fn parse(text: &str, preset: Option<Preset>) -> Result<Self, String> {
@@ -15,14 +16,17 @@ impl RenderOptions {
             return Err("must be an object".into());
         };
         let named = file.remove("preset");
-        if preset.is_none() && named.is_none() {
-            return Self::parse_whole(text);
-        }
         let named = named.map(|name| json::parse(&format!("{{\"preset\": {name}}}")));
         let named: Option<NamedPreset> = named.transpose()?;
-        let start = preset.or(named.map(|n| n.preset)).map_or_else(Self::default, Preset::options);
+        let start = preset.or(named.map(|n| n.preset)).unwrap_or_default().options();
         let mut merged = serde_json::to_value(start).map_err(|e| e.to_string())?;
-        merge(&mut merged, &Value::Object(file));
+        let file = Value::Object(file);
+        for (method, auto) in CHOSEN {
+            if let (Some(_), Some(auto)) = (file.pointer(method), merged.pointer_mut(auto)) {
+                *auto = Value::Bool(false);
+            }
+        }
+        merge(&mut merged, &file);
         Self::parse_whole(&merged.to_string())
     }
 
@@ -33,7 +37,7 @@ impl RenderOptions {
     }
 
     /// Sets one option by its path, such as `blend.cameras`, to a value as a file would have it; names
-    /// need no quotes.
+    /// need no quotes. A method that is set is not chosen automatically.
     ///
     /// An error is a sentence that starts with the option.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
@@ -42,10 +46,18 @@ impl RenderOptions {
         let option = option.filter(|option| !option.is_object());
         let option = option.ok_or_else(|| format!("{name}: no such option"))?;
         *option = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
+        let chosen = CHOSEN.iter().find(|(method, _)| method[1..].replace('/', ".") == name);
+        if let Some(auto) = chosen.and_then(|(_, auto)| options.pointer_mut(auto)) {
+            *auto = Value::Bool(false);
+        }
         *self = Self::parse_whole(&options.to_string())?;
         Ok(())
     }
 }
+
+/// The options that name methods, and those by which these are chosen automatically.
+const CHOSEN: [(&str, &str); 3] =
+    [("/sync", "/auto/sync"), ("/proxy/method", "/auto/proxy"), ("/blend/method", "/auto/blend")];
 
 /// The field `preset` of an options file.
 #[derive(Deserialize)]
@@ -82,7 +94,7 @@ mod tests {
         assert_eq!(RenderOptions::parse(text, None), Ok(Preset::Draft.options()));
         let best = RenderOptions::parse(text, Some(Preset::Best));
         assert_eq!(best, Ok(Preset::Best.options()));
-        assert_eq!(RenderOptions::parse("{}", None), Ok(RenderOptions::default()));
+        assert_eq!(RenderOptions::parse("{}", None), Ok(Preset::default().options()));
     }
 
     #[test]

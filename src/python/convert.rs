@@ -40,8 +40,8 @@ pub fn file_error(error: impl Error + 'static) -> PyErr {
     value_error(error)
 }
 
-/// The options of a call, checked as the command line checks an options file, over those of a preset; the defaults
-/// if none are given. A name may be a path, `blend.cameras`; `proxy` and `blend` may be their methods.
+/// The options of a call, checked as the command line checks an options file, over those of a preset, the default one
+/// if none is given. A name may be a path, `blend.cameras`; `proxy` and `blend` may be their methods.
 pub fn checked(
     options: Option<&Bound<'_, PyAny>>,
     preset: Option<&str>,
