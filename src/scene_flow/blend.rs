@@ -9,6 +9,7 @@ use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::{Image, Sampling, sample};
 use nalgebra::Point2;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Half-width of a cluster of candidates, pixels of disparity.
 const CLUSTER_PX: f32 = 1.5;
@@ -23,14 +24,72 @@ const MIN_SHARE: f32 = 0.02;
 /// Difference of a colour from the mean at which it counts a quarter.
 const COLOR: f32 = 0.06;
 
+/// Pixels of a view that are blended at once: about 200 MB for eight maps.
+const BAND_PIXELS: usize = 1 << 20;
+
 /// The surface that a pixel of the view shows.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct Pixel {
     color: [f32; 3],
-    /// 1/m; 0 where nothing is known.
+    /// 1/m.
     inverse_depth: f32,
+}
+
+/// The surfaces that a view's pixels show.
+struct Pixels {
+    colors: Vec<[f32; 3]>,
+    /// 1/m; 0 where nothing is known.
+    inverse_depths: Vec<f32>,
     /// Whether some map has it.
-    is_mapped: bool,
+    is_mapped: Vec<bool>,
+}
+
+impl Pixels {
+    fn new(count: usize) -> Self {
+        Self {
+            colors: vec![[0.0; 3]; count],
+            inverse_depths: vec![0.0; count],
+            is_mapped: vec![false; count],
+        }
+    }
+
+    /// Gives pixels that no map has the colour and depth of what is behind them, ring by ring.
+    fn fill(&mut self, width: usize) {
+        let height = self.is_mapped.len() / width;
+        let around = |k: u32| {
+            let k = k as usize;
+            let (x, y) = (k % width, k / width);
+            let around = [
+                (x > 0).then(|| k - 1),
+                (x + 1 < width).then_some(k + 1),
+                (y > 0).then(|| k - width),
+                (y + 1 < height).then_some(k + width),
+            ];
+            around.into_iter().flatten()
+        };
+        let mut filled = self.is_mapped.clone();
+        // Views have less than 2³² pixels.
+        let mut ring: Vec<u32> = (0..filled.len() as u32)
+            .filter(|&k| !filled[k as usize] && around(k).any(|n| filled[n]))
+            .collect();
+        while !ring.is_empty() {
+            let depth = |n: &usize| self.inverse_depths[*n];
+            let farthest = |&k: &u32| {
+                let neighbors = around(k).filter(|&n| filled[n]);
+                neighbors.min_by(|a, b| depth(a).total_cmp(&depth(b))).unwrap_or(k as usize) as u32
+            };
+            let sources: Vec<u32> = ring.iter().map(farthest).collect();
+            for (&k, &n) in ring.iter().zip(&sources) {
+                self.colors[k as usize] = self.colors[n as usize];
+                self.inverse_depths[k as usize] = self.inverse_depths[n as usize];
+                filled[k as usize] = true;
+            }
+            let next = |&k: &u32| around(k).filter(|&n| !filled[n]).map(|n| n as u32);
+            ring = ring.iter().flat_map(next).collect();
+            ring.sort_unstable();
+            ring.dedup();
+        }
+    }
 }
 
 /// What one map has at a pixel of the view.
@@ -47,29 +106,30 @@ pub struct FlowView {
     pub depths: DepthMap,
 }
 
-/// The view at an instant, frames of the reference since the capture's start, from frames with their maps and these maps'
-/// confidences ([`confidences`](super::confidences)).
-///
-/// Pixels that no map has, but some camera filmed, get the colour of what is behind; others are not covered.
-pub fn blend(
+/// Blends some rows of a view ([`blend`]).
+fn blend_rows(
     mapped: &[MappedFrame],
     confidences: &[Vec<u8>],
-    view: &Camera,
+    (view, rows): (&Camera, Range<usize>),
     time: f64,
-) -> FlowView {
+    pixels: &mut Pixels,
+) {
     let splats: Vec<(&FlowFrame, Splat)> = mapped
         .par_iter()
         .zip(confidences)
-        .filter_map(|(m, c)| Some((m.frame, Splat::new(*m, c, view, time)?)))
+        .filter_map(|(m, c)| Some((m.frame, Splat::new(*m, c, (view, rows.clone()), time)?)))
         .collect();
-    let (width, height) = (view.width, view.height);
     let disparity_px = mapped.iter().map(|m| m.map.disparity_px).fold(0.0, f32::max);
     let reach = CLUSTER_PX / disparity_px.max(f32::MIN_POSITIVE);
-    let mut pixels = vec![Pixel::default(); width * height];
-    pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+    let width = view.width;
+    let band = rows.start * width..rows.end * width;
+    let colors = pixels.colors[band.clone()].par_chunks_mut(width);
+    let depths = pixels.inverse_depths[band.clone()].par_chunks_mut(width);
+    let mapped = pixels.is_mapped[band].par_chunks_mut(width);
+    colors.zip(depths).zip(mapped).enumerate().for_each(|(y, ((color, depth), is_mapped))| {
         let mut candidates = Vec::with_capacity(splats.len());
-        let mut colors = Vec::with_capacity(splats.len());
-        for (x, pixel) in row.iter_mut().enumerate() {
+        let mut room = Vec::with_capacity(splats.len());
+        for x in 0..width {
             candidates.clear();
             let k = y * width + x;
             for (frame, splat) in splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0) {
@@ -80,27 +140,55 @@ pub fn blend(
                     weight: splat.weights[k],
                 });
             }
-            if let Some(found) = pixel_of(&candidates, reach, &mut colors) {
-                *pixel = found;
+            if let Some(found) = pixel_of(&candidates, reach, &mut room) {
+                (color[x], depth[x]) = (found.color, found.inverse_depth);
+                is_mapped[x] = true;
             }
         }
     });
-    fill(&mut pixels, width);
+}
+
+/// The view at an instant, frames of the reference since the capture's start, from frames with their maps and these maps'
+/// confidences ([`confidences`](super::confidences)).
+///
+/// Pixels that no map has, but some camera filmed, get the colour of what is behind; others are not covered.
+pub fn blend(
+    mapped: &[MappedFrame],
+    confidences: &[Vec<u8>],
+    view: &Camera,
+    time: f64,
+) -> FlowView {
+    let (width, height) = (view.width, view.height);
+    let mut pixels = Pixels::new(width * height);
+    let rows_at_once = (BAND_PIXELS / width.max(1)).max(1);
+    for first in (0..height).step_by(rows_at_once) {
+        let rows = first..(first + rows_at_once).min(height);
+        blend_rows(mapped, confidences, (view, rows), time, &mut pixels);
+    }
+    pixels.fill(width);
     let behind = Behind::new(mapped, view);
-    pixels.par_iter_mut().enumerate().filter(|(_, p)| !p.is_mapped).for_each(|(k, pixel)| {
+    let colors = pixels.colors.par_iter_mut().zip(&mut pixels.inverse_depths);
+    let unmapped = colors.zip(&pixels.is_mapped).enumerate().filter(|(_, (_, mapped))| !**mapped);
+    unmapped.for_each(|(k, ((color, inverse_depth), _))| {
         let place = [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5];
-        match undistorted(view, place) {
-            Some(place) => behind.fill(pixel, place),
-            None => *pixel = Pixel::default(),
-        }
+        let pixel = Pixel { color: *color, inverse_depth: *inverse_depth };
+        let filled = undistorted(view, place).and_then(|place| behind.fill(pixel, place));
+        let nothing = Pixel { color: [0.0; 3], inverse_depth: 0.0 };
+        let filled = filled.unwrap_or(nothing);
+        (*color, *inverse_depth) = (filled.color, filled.inverse_depth);
     });
-    let depths = pixels.iter().map(|p| 1.0 / p.inverse_depth).collect();
-    let coverage = pixels.iter().map(|p| p.inverse_depth > 0.0).collect();
+    let Pixels { colors, inverse_depths: mut depths, .. } = pixels;
+    let coverage = depths.iter().map(|q| *q > 0.0).collect();
+    // Where nothing is known, it is infinite, and becomes NaN.
+    depths.iter_mut().for_each(|q| *q = 1.0 / *q);
     let is_gray = mapped.iter().all(|m| !m.frame.is_color);
-    let channels = if is_gray { 1 } else { 3 };
-    let data = pixels.iter().flat_map(|p| p.color.into_iter().take(channels)).collect();
+    let image = if is_gray {
+        Image::from_data(width, height, 1, colors.iter().map(|[c, _, _]| *c).collect())
+    } else {
+        Image::from_data(width, height, 3, colors.into_flattened())
+    };
     FlowView {
-        rendered: Rendered { image: Image::from_data(width, height, channels, data), coverage },
+        rendered: Rendered { image, coverage },
         depths: DepthMap::from_data(width, height, depths),
     }
 }
@@ -132,9 +220,9 @@ impl<'a> Behind<'a> {
         Self { frames }
     }
 
-    /// Gives a pixel at `place` the colour of the nearest frame that shows its depth, at rest. Keeps its colour if
-    /// something is in front in all of them, and removes its depth if it is outside of all.
-    fn fill(&self, pixel: &mut Pixel, [x, y]: [f32; 2]) {
+    /// The pixel at `place` with the colour of the nearest frame that shows its depth, at rest. It keeps its colour if
+    /// something is in front in all of them. `None` if it is outside of all.
+    fn fill(&self, mut pixel: Pixel, [x, y]: [f32; 2]) -> Option<Pixel> {
         let mut is_filmed = false;
         for (MappedFrame { frame, map }, projection) in &self.frames {
             let [u, v, q] = projection.project(x, y, pixel.inverse_depth);
@@ -151,12 +239,10 @@ impl<'a> Behind<'a> {
             if in_front * map.disparity_px < CLUSTER_PX {
                 pixel.color = sample(&frame.image, u, v, Sampling::Cubic);
                 pixel.color = pixel.color.map(|c| c.clamp(0.0, 1.0));
-                return;
+                return Some(pixel);
             }
         }
-        if !is_filmed {
-            *pixel = Pixel::default();
-        }
+        is_filmed.then_some(pixel)
     }
 }
 
@@ -232,7 +318,7 @@ fn mean_of(
         });
     }
     let color = color.map(|c| c.clamp(0.0, 1.0));
-    Some(Pixel { color, inverse_depth: depths / weights, is_mapped: true })
+    Some(Pixel { color, inverse_depth: depths / weights })
 }
 
 /// The mean by weight and factor, both positive.
@@ -246,39 +332,4 @@ fn weighted_mean(colors: &WeightedColors, factor: impl Fn(&[f32; 3]) -> f32) -> 
     }
     let inverse = 1.0 / weights;
     sum.map(|v| v * inverse)
-}
-
-/// Fills what no map has from what is behind it, ring by ring.
-fn fill(pixels: &mut [Pixel], width: usize) {
-    let height = pixels.len() / width;
-    let mut open: Vec<usize> = (0..pixels.len()).filter(|&k| !pixels[k].is_mapped).collect();
-    if open.is_empty() {
-        return;
-    }
-    let mut filled: Vec<bool> = pixels.iter().map(|p| p.is_mapped).collect();
-    loop {
-        let mut ring = Vec::new();
-        for &k in &open {
-            let (x, y) = (k % width, k / width);
-            let around = [
-                (x > 0).then(|| k - 1),
-                (x + 1 < width).then_some(k + 1),
-                (y > 0).then(|| k - width),
-                (y + 1 < height).then_some(k + width),
-            ];
-            let neighbors = around.into_iter().flatten().filter(|&n| filled[n]);
-            let depth = |n: &usize| pixels[*n].inverse_depth;
-            if let Some(n) = neighbors.min_by(|a, b| depth(a).total_cmp(&depth(b))) {
-                ring.push((k, n));
-            }
-        }
-        if ring.is_empty() {
-            return;
-        }
-        for &(k, n) in &ring {
-            pixels[k] = Pixel { is_mapped: false, ..pixels[n] };
-        }
-        ring.iter().for_each(|(k, _)| filled[*k] = true);
-        open.retain(|k| !filled[*k]);
-    }
 }

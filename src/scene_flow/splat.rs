@@ -5,6 +5,7 @@ use super::map::{FlowMap, FlowPixel, MappedFrame};
 use crate::camera::Camera;
 use crate::simd::multiversion;
 use nalgebra::Point2;
+use std::ops::Range;
 
 /// Half-width of a splat, pixels of the frame: neighbours overlap a little.
 const HALF_WIDTH: f32 = 0.55;
@@ -26,7 +27,7 @@ const ERROR_BY_CURVATURE: f32 = 0.1;
 /// own time is that frame.
 const EXACT_PX: f32 = 0.01;
 
-/// What a map has in a view: one value a pixel of the view.
+/// What a map has in some rows of a view: one value a pixel.
 pub struct Splat {
     /// In the view, 1/m.
     pub inverse_depths: Vec<f32>,
@@ -37,7 +38,7 @@ pub struct Splat {
     /// Distances from the elements' projections, pixels.
     distances: Vec<f32>,
     width: usize,
-    height: usize,
+    rows: Range<usize>,
     /// Inverse depth by which an element must be nearer to hide another, 1/m.
     hiding: f32,
 }
@@ -132,9 +133,14 @@ multiversion! {
 }
 
 impl Splat {
-    /// A map, with its confidences, in a view at an instant, frames of the reference since the capture's start. `None` if
-    /// the frame's camera has no inverse.
-    pub fn new(mapped: MappedFrame, confidences: &[u8], view: &Camera, time: f64) -> Option<Self> {
+    /// A map, with its confidences, in rows of a view at an instant, frames of the reference since the capture's start.
+    /// `None` if the frame's camera has no inverse.
+    pub fn new(
+        mapped: MappedFrame,
+        confidences: &[u8],
+        (view, rows): (&Camera, Range<usize>),
+        time: f64,
+    ) -> Option<Self> {
         let MappedFrame { frame, map } = mapped;
         let baseline_m = (frame.view.center() - view.center()).norm() as f32;
         let to = ToView {
@@ -143,14 +149,14 @@ impl Splat {
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
             place_error: ERROR_BY_BASELINE * view.focal_px() as f32 * baseline_m,
         };
-        let pixels = view.width * view.height;
+        let pixels = view.width * rows.len();
         let mut splat = Self {
             inverse_depths: vec![0.0; pixels],
             sources: vec![[0.0; 2]; pixels],
             weights: vec![0.0; pixels],
             distances: vec![0.0; pixels],
             width: view.width,
-            height: view.height,
+            rows,
             hiding: HIDING_PX / map.disparity_px,
         };
         let mut row = Row::new(map.width);
@@ -171,10 +177,12 @@ impl Splat {
     }
 
     fn add_row(&mut self, row: &Row, pixels: &[FlowPixel], y: usize) {
-        let (width, height) = (self.width as f32, self.height as f32);
+        let width = self.width as f32;
+        let (first, end) = (self.rows.start as f32, self.rows.end as f32);
         for (x, pixel) in pixels.iter().enumerate() {
             let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);
-            let is_near = cx > -scale && cy > -scale && cx < width + scale && cy < height + scale;
+            let is_near =
+                cx > -scale && cx < width + scale && cy > first - scale && cy < end + scale;
             if is_near && row.weight[x] > 0.0 {
                 self.add(row, x, y, pixel);
             }
@@ -187,15 +195,15 @@ impl Splat {
         let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);
         let half =
             |side: usize| scale * if pixel.is_edge(side) { HALF_WIDTH_AT_EDGE } else { HALF_WIDTH };
-        let columns = pixels_between(cx - half(0), cx + half(1), self.width);
-        let rows = pixels_between(cy - half(2), cy + half(3), self.height);
+        let columns = pixels_between(cx - half(0), cx + half(1), 0..self.width);
+        let rows = pixels_between(cy - half(2), cy + half(3), self.rows.clone());
         let (inverse_depth, inverse_scale) = (row.inverse_depth[x], 1.0 / scale);
         let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
         for v in rows {
             for u in columns.clone() {
                 let (dx, dy) = (u as f32 + 0.5 - cx, v as f32 + 0.5 - cy);
                 let distance = dx.abs().max(dy.abs());
-                let k = v * self.width + u;
+                let k = (v - self.rows.start) * self.width + u;
                 let old = self.inverse_depths[k];
                 let is_same = inverse_depth > old - self.hiding && distance < self.distances[k];
                 if self.weights[k] == 0.0 || inverse_depth > old + self.hiding || is_same {
@@ -224,9 +232,9 @@ fn distort(row: &mut Row, view: &Camera) {
     }
 }
 
-/// The pixels whose centres lie between two positions, or on the second.
+/// The pixels of a range whose centres lie between two positions, or on the second.
 #[inline(always)]
-fn pixels_between(from: f32, to: f32, size: usize) -> std::ops::Range<usize> {
+fn pixels_between(from: f32, to: f32, range: Range<usize>) -> Range<usize> {
     // Casts saturate: what is left of the image begins and ends at 0.
-    (from + 0.5) as usize..((to + 0.5) as usize).min(size)
+    ((from + 0.5) as usize).max(range.start)..((to + 0.5) as usize).min(range.end)
 }

@@ -6,6 +6,7 @@ use super::relative_pose::RelativePose;
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, RayRow};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// A camera and its depths.
 #[derive(Clone, Copy, Debug)]
@@ -16,6 +17,8 @@ pub struct Surface<'a> {
     pub depths: &'a InverseDepths,
 }
 
+/// Pixels of the view that are fused at once: about 60 MB for eight cameras.
+const BAND_PIXELS: usize = 1 << 20;
 /// Radius of a splat, pixels of the view, or of the camera where those are larger.
 const RADIUS_PX: f32 = 0.8;
 /// Of the candidate depths whose votes, times this, reach the maximum of all candidates' votes, the nearest is taken.
@@ -27,14 +30,34 @@ const MIN_VOTES: i32 = 1;
 /// the background around them.
 pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     let tolerance = surfaces.iter().map(|s| s.depths.tolerance).fold(0.0, f32::max);
-    let poses: Vec<_> = surfaces.iter().map(|s| RelativePose::new(target, s.camera)).collect();
     let (w, h) = (target.width, target.height);
-    let splats: Vec<Vec<f32>> = surfaces.par_iter().map(|s| splat(target, s, tolerance)).collect();
     let mut fused = vec![f32::NAN; w * h];
+    let rows_at_once = (BAND_PIXELS / w.max(1)).max(1);
+    for first in (0..h).step_by(rows_at_once) {
+        let rows = first..(first + rows_at_once).min(h);
+        let band = &mut fused[rows.start * w..rows.end * w];
+        fuse_rows(target, surfaces, rows, tolerance, band);
+    }
+    let filled = filled_from_background(&fused, w);
+    DepthMap::from_data(w, h, filled.iter().map(|v| 1.0 / v).collect())
+}
+
+/// Fuses some rows of the view: their inverse depths, 1/m, NaN where no camera sees a surface.
+fn fuse_rows(
+    target: &Camera,
+    surfaces: &[Surface],
+    rows: Range<usize>,
+    tolerance: f32,
+    fused: &mut [f32],
+) {
+    let poses: Vec<_> = surfaces.iter().map(|s| RelativePose::new(target, s.camera)).collect();
+    let splat = |s: &Surface| splat(target, s, rows.clone(), tolerance);
+    let splats: Vec<Vec<f32>> = surfaces.par_iter().map(splat).collect();
+    let w = target.width;
     fused.par_chunks_mut(w).enumerate().for_each_init(
         || (RayRow::new(target), Vec::new(), Vec::new()),
         |(rays, candidates, votes), (y, fused)| {
-            rays.set(y);
+            rays.set(rows.start + y);
             for (x, fused) in fused.iter_mut().enumerate() {
                 candidates.clear();
                 let splats = splats.iter().map(|s| s[y * w + x]);
@@ -53,8 +76,6 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
             }
         },
     );
-    let filled = filled_from_background(&fused, w);
-    DepthMap::from_data(w, h, filled.iter().map(|v| 1.0 / v).collect())
 }
 
 /// Votes for a surface at the point on the view's ray (x, y, 1) at an inverse depth: the number of cameras that see a
@@ -145,9 +166,9 @@ struct Splat {
     inverse: f32,
 }
 
-/// Inverse depth of a camera's nearest surface at every pixel of the view, 1/m, by splatting with a depth buffer; 0
-/// without surface.
-fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<f32> {
+/// Inverse depth of a camera's nearest surface at every pixel of rows of the view, 1/m, by splatting with a depth buffer;
+/// 0 without surface.
+fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32) -> Vec<f32> {
     let (w, h) = (target.width, target.height);
     let camera = surface.camera;
     let pose = RelativePose::new(camera, target);
@@ -166,10 +187,10 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<f32> {
             splats.push(Splat { x, y, step, inverse: inverse * (1.0 / q.z) });
         }
     }
-    let mut nearest = vec![0.0_f32; w * h];
-    for_each_pixel(&splats, [w, h], |k, _, splat| nearest[k] = nearest[k].max(splat.inverse));
-    let mut sums = vec![[0.0_f32; 2]; w * h];
-    for_each_pixel(&splats, [w, h], |k, weight, splat| {
+    let mut nearest = vec![0.0_f32; w * rows.len()];
+    for_each_pixel(&splats, w, &rows, |k, _, splat| nearest[k] = nearest[k].max(splat.inverse));
+    let mut sums = vec![[0.0_f32; 2]; w * rows.len()];
+    for_each_pixel(&splats, w, &rows, |k, weight, splat| {
         if splat.inverse >= nearest[k] - tolerance {
             let [sum, total] = sums[k];
             sums[k] = [sum + weight * splat.inverse, total + weight];
@@ -178,20 +199,26 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<f32> {
     sums.iter().map(|[sum, weight]| if *weight > 0.0 { sum / weight } else { 0.0 }).collect()
 }
 
-/// Visits the pixels within the radius of each splat, with weights that fall bilinearly with distance.
-fn for_each_pixel(splats: &[Splat], [w, h]: [usize; 2], mut visit: impl FnMut(usize, f32, &Splat)) {
+/// Visits the pixels of rows of the view within the radius of each splat, with weights that fall bilinearly with distance.
+fn for_each_pixel(
+    splats: &[Splat],
+    w: usize,
+    rows: &Range<usize>,
+    mut visit: impl FnMut(usize, f32, &Splat),
+) {
     for splat in splats {
         let radius = RADIUS_PX / splat.step;
         // Pixels whose centres are within the radius. Casts round down, saturate, and give 0 for NaN.
-        let span = |at: f32, size: usize| {
-            (at + 0.5 - radius) as usize..((at + 0.5 + radius) as usize).min(size)
+        let span = |at: f32, range: &Range<usize>| {
+            let first = (at + 0.5 - radius) as usize;
+            first.max(range.start)..((at + 0.5 + radius) as usize).min(range.end)
         };
         let weight = |at: f32, k: usize| 1.0 - (k as f32 + 0.5 - at).abs() * splat.step;
-        let columns = span(splat.x, w);
-        for v in span(splat.y, h) {
+        let columns = span(splat.x, &(0..w));
+        for v in span(splat.y, rows) {
             let row_weight = weight(splat.y, v);
             for u in columns.clone() {
-                visit(v * w + u, weight(splat.x, u) * row_weight, splat);
+                visit((v - rows.start) * w + u, weight(splat.x, u) * row_weight, splat);
             }
         }
     }
