@@ -107,8 +107,7 @@ def _methods(settings: Any) -> dict[str, Any]:
     result: dict[str, Any] = {"proxy": proxy}
     if "sync" not in auto:
         result["sync"] = settings.sync
-    if auto:
-        result["auto"] = auto
+    result["auto"] = {stage: stage in auto for stage in ("sync", "proxy", "blend")}
     return result
 
 

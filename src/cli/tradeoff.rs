@@ -5,6 +5,7 @@ use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
 use super::values::method;
 use std::path::PathBuf;
+use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::tradeoff::{FILES, Point, TimingClock, Tradeoff, TradeoffOptions, methods, tradeoff};
 
@@ -51,7 +52,9 @@ fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Cl
 }
 
 pub fn run(args: &TradeoffArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    let base = args.options.read()?;
+    // Combinations vary fixed methods.
+    let are_default = args.options.are_default();
+    let base = if are_default { RenderOptions::default() } else { args.options.read()? };
     let output = CommandOutput::Folder(&args.output, &FILES);
     let capture = open_capture(&args.capture, Some(output), reporter)?;
     let options = TradeoffOptions {

@@ -9,6 +9,7 @@ use std::process::{Command, Stdio};
 use stlfr::host;
 use stlfr::light_field::LightField;
 use stlfr::live::{Server, Studio};
+use stlfr::method::Method;
 use stlfr::options::{AutoOptions, ProxyMethod, RenderOptions};
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
@@ -41,8 +42,8 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     // The port is bound before long work, which would be in vain without it.
     let server = Server::bind(args.port).map_err(|error| refused(args.port, &error))?;
     let field = pipeline::open_field(capture, &options, reporter)?;
-    let options = live_options(&field, &options, args.options.are_default(), reporter)?;
-    let studio = Studio::new(&field, &options, args.options.words(), reporter);
+    let (options, words) = live_options(&field, &options, &args.options, reporter)?;
+    let studio = Studio::new(&field, &options, words, reporter);
     let address = server.address();
     let mut stdout = std::io::stdout().lock();
     heard(writeln!(stdout, "{address}").and_then(|()| stdout.flush()))?;
@@ -54,31 +55,39 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
 }
 
 /// The options after the automatic choice of methods, without what a page can't wait for: a plan, unless it was made before
-/// or options are given, and maps that are not prepared.
+/// or options are given, and maps that are not prepared. With them the words by which `stlfr render` has the same.
 fn live_options(
     field: &LightField,
     options: &RenderOptions,
-    are_default: bool,
+    args: &OptionsArgs,
     reporter: &Reporter,
-) -> Result<RenderOptions, CliError> {
-    if are_default && pipeline::planned_before(field, options).is_none() {
-        reporter.note(
+) -> Result<(RenderOptions, Vec<String>), CliError> {
+    let mut words = args.words();
+    let mut by_depth = |chosen: &mut RenderOptions, note: &str| {
+        chosen.proxy.method = ProxyMethod::Depth;
+        words.extend(["--proxy".into(), ProxyMethod::Depth.name().into()]);
+        reporter.note(note);
+    };
+    if args.are_default() && pipeline::planned_before(field, options).is_none() {
+        let mut usual = RenderOptions { auto: AutoOptions::default(), ..options.clone() };
+        by_depth(
+            &mut usual,
             "Pictures are by depth per pixel. stlfr prepare chooses methods by this capture, and makes pictures faster.",
         );
-        let mut usual = RenderOptions { auto: AutoOptions::default(), ..options.clone() };
-        usual.proxy.method = ProxyMethod::Depth;
-        return Ok(usual);
+        let [sync, blend] = [usual.sync.name(), usual.blend.method.name()];
+        words.extend(["--sync", sync, "--blend", blend].map(String::from));
+        return Ok((usual, words));
     }
     let mut planned = pipeline::resolved(field, options, reporter)?;
     let is_slow = planned.proxy.method == ProxyMethod::SceneFlow && options.auto.proxy;
     if is_slow && !field.has_prepared_maps(&planned) {
-        planned.proxy.method = ProxyMethod::Depth;
-        reporter.note(
+        by_depth(
+            &mut planned,
             "Pictures are by depth per pixel. Scene flow would be better, but takes half a minute for a new instant: run \
              stlfr prepare with the same options first.",
         );
     }
-    Ok(planned)
+    Ok((planned, words))
 }
 
 fn refused(port: u16, error: &std::io::Error) -> CliError {

@@ -299,6 +299,7 @@ def stop_rendering(capture: str) -> dict[str, Any]:
     place(scene, filmed[3])
     settings.capture = capture
     settings.use_trail, settings.trail_instants = True, 10_000
+    settings.preset = "balanced"
     settings.time_offset_s = middle_s(capture)
     engine = part("engine")
     seen: dict[str, Any] = {"progress": [], "results": 0, "errors": []}
