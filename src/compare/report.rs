@@ -291,7 +291,7 @@ mod tests {
         let image = |view: &str, method, reason| ScoredImage {
             labels: [view.to_owned(), "mesh".into()],
             method,
-            scores: Some(RegionScores::default()).filter(|_| reason == None),
+            scores: Some(RegionScores::default()).filter(|_| reason.is_none()),
             reason,
         };
         let images = [image("a", "x", None), image("b", "y", None), image("a", "y", Some("dark"))];

@@ -88,9 +88,10 @@ function describe() {
   const isQuick = all.some((pane) => pane.picture?.level !== "full");
   const how = [...new Set(all.map((pane) => pane.picture?.madeBy).filter(Boolean))].map(inWords).join(" | ");
   const isStill = !isPlaying && !orbit;
+  const isAsking = changed.needsPicture || streams.some((stream) => stream.abort);
   const isWithout = all.some((pane) => !pane.problem.hidden);
-  const isRefining = isStill && arrivals.length < 2;
-  const rate = isWithout ? "no picture" : isStill && !isQuick ? "at rest" : isRefining ? "refining …" : `${arrivals.length} frames/s`;
+  const isRefining = isStill && (isAsking || arrivals.length < 2);
+  const rate = isWithout ? "no picture" : isStill && !isQuick && !isAsking ? "at rest" : isRefining ? "refining …" : `${arrivals.length} frames/s`;
   const pixels = Object.assign(document.createElement("span"), { textContent: ` · ${picture.width}×${picture.height}` });
   byId("status").replaceChildren(how || "as the simulator rendered it", pixels, ` · ${rate}`);
 }
@@ -158,6 +159,7 @@ function changed(names) {
     });
   }
   if (names.some((name) => name !== "split")) changed.needsPicture = true;
+  describe();
   clearTimeout(settling);
   settling = setTimeout(() => {
     history.replaceState(null, "", `#${state.link()}`);
@@ -281,7 +283,7 @@ const KEYS = {
 /** Whether the focused control uses the key: arrows move a slider, space presses a button, letters choose in a list. */
 function isTaken({ key, target }) {
   if (target.closest("dialog, #save-menu")) return true;
-  if (target.matches("select")) return key.length === 1 || key.startsWith("Arrow") || key === "Home";
+  if (target.matches("select")) return /^[\p{L}\p{N} ]$/u.test(key) || key.startsWith("Arrow") || key === "Home";
   if (target.matches("input")) return key.startsWith("Arrow") || key === "Home";
   return target.matches("button") && key === " ";
 }

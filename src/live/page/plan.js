@@ -61,6 +61,8 @@ export class Plan {
   }
 
   draw() {
+    // Hidden, it has no size.
+    if (!this.svg.clientWidth) return;
     const { scene, ...now } = this.state;
     const hasColors = [now.left, now.right].includes("sources");
     const fields = scene.cameras.map(({ at, ahead, color }) => {

@@ -78,14 +78,15 @@ export class Stream {
     try {
       const picture = await load({ ...this.wanted, ...size, slot, level }, abort.signal);
       if (this.abort !== abort) return;
+      this.abort = null;
       if (level === "quick") this.adapt(picture.took_ms);
       this.show({ ...picture, level, width: size.w, height: size.h });
     } catch (error) {
       if (this.abort !== abort || error.name === "AbortError") return;
+      this.abort = null;
       problem = error;
       if (!error.isSuperseded) this.fail(error instanceof TypeError ? "The server has ended, or can’t be reached." : error.message);
     }
-    this.abort = null;
     if (!this.wanted) return;
     if (version !== this.version) this.next("quick");
     else if ((level === "quick" && !problem) || problem?.isSuperseded) this.timer = setTimeout(() => this.next("full"), REST_MS);
