@@ -124,13 +124,14 @@
 //!
 //! `stlfr view CAPTURE` opens a page, and ends with Ctrl+C. Drag to move the viewpoint, turn the wheel to
 //! zoom, play the recording, slow it down, or stop time and move along the cameras. ST-LFR, traditional light
-//! field rendering, the truth and *which cameras a pixel comes from* stand beside each other, with a border
-//! to drag. *Save* gives the picture, and the `view.json` that `stlfr render --camera` takes. A link keeps
-//! the place. `?` lists the keys; the keyboard alone suffices.
+//! field rendering, the truth, *which cameras a pixel comes from* and *depth* stand beside each other, with a border
+//! to drag. The legend has the weights and the depth under the pointer. *Save* gives the whole picture, and the
+//! `view.json` that `stlfr render --camera` takes. `?` lists the keys; the keyboard alone suffices.
 //!
-//! While something changes, the page shows what keeps up; at rest, the options of the command line:
-//! `--preset` and `--options` are those of `render`. The page is served on this machine alone, at an address
-//! with a random token.
+//! At rest, pictures have the options of the command line, and the methods that are chosen on the page: `--preset` and
+//! `--options` are those of `render`. In motion they have the same where the instant is prepared, else the options of
+//! `draft`; a picture of full quality fades in. The page is served on this machine alone, at an address with a random
+//! token. A link works until the server ends. `stlfr view CAPTURE --at LINK` opens the same place in a new run.
 //!
 //! # On several machines
 //!

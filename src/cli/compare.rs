@@ -2,7 +2,7 @@
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
-use super::print::Page;
+use super::print::{Page, decimals};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
@@ -77,14 +77,16 @@ fn print_scores(
         "camera", "true", "given", "error", "z"
     ));
     for camera in &cameras {
+        let digits = decimals(camera.std_err_s.map(|s| 1e3 * s));
+        let frame_digits = decimals(camera.std_err_frames);
         let error = camera
             .error_frames
-            .map_or("unknown".to_owned(), |error_frames| format!("{error_frames:+.5} frame"));
+            .map_or("unknown".to_owned(), |frames| format!("{frames:+.frame_digits$} frame"));
         page.line(format_args!(
-            "{:<12} {:>9.4} ms {:>12} {:>14} {:>8}",
+            "{:<12} {:>9.digits$} ms {:>12} {:>14} {:>8}",
             camera.camera,
             1e3 * camera.truth_s.unwrap_or(f64::NAN),
-            camera.offset_s.map_or("-".to_owned(), |s| format!("{:.4} ms", 1e3 * s)),
+            camera.offset_s.map_or("-".to_owned(), |s| format!("{:.digits$} ms", 1e3 * s)),
             error,
             camera.z.map_or("-".to_owned(), |z| format!("{z:+.2}")),
         ));

@@ -145,10 +145,19 @@ pub fn usage(error: &clap::Error) -> ExitCode {
 /// The first paragraph of clap's message on one line, without the prefix "error: ".
 fn sentence(message: &str) -> String {
     let first = message.split("\n\n").next().unwrap_or_default();
-    let words: Vec<&str> = first.split_whitespace().collect();
-    let joined = words.join(" ");
+    let lines: Vec<String> = first.lines().map(|line| alternatives(line.trim())).collect();
+    let joined = lines.join(" ").split_whitespace().collect::<Vec<_>>().join(" ");
     let joined = joined.strip_prefix("error: ").unwrap_or(&joined);
     format!("{joined} (--help says more)")
+}
+
+/// Arguments of which one is required, `<--a <A>|--b <B>>`, as `--a <A> or --b <B>`; any other line itself.
+fn alternatives(line: &str) -> String {
+    let inner = line.strip_prefix('<').and_then(|line| line.strip_suffix('>'));
+    match inner.filter(|inner| inner.starts_with("--")) {
+        Some(inner) => inner.replace("|--", " or --"),
+        None => line.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -183,6 +192,11 @@ mod tests {
         assert_eq!(
             sentence(message),
             "the following required arguments were not provided: <RIG> -o <CAPTURE> (--help says more)"
+        );
+        let message = "error: these were not provided:\n  <--camera <VIEW.json>|--like <NAME>>\n\nUsage: stlfr …\n";
+        assert_eq!(
+            sentence(message),
+            "these were not provided: --camera <VIEW.json> or --like <NAME> (--help says more)"
         );
     }
 }

@@ -19,6 +19,7 @@ use stlfr::progress::Reporter;
 #[command(after_help = "Examples:\n  \
     stlfr view .captures/demo\n  \
     stlfr view .captures/demo --preset balanced\n  \
+    stlfr view .captures/demo --at 'at=c3&t=0.1'\n  \
     stlfr view .captures/demo --port 8800 --no-open\n\n\
     The page is served on this machine alone, at the address that is printed. Whoever has the address may look. \
     On the page, ? says what a key does.")]
@@ -28,6 +29,9 @@ pub struct ViewArgs {
     /// The port of the page's address [default: a free one].
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     port: u16,
+    /// Open at the place of a link that the page gave, also in an earlier run: what stands after its #.
+    #[arg(long, value_name = "LINK", value_parser = place)]
+    at: Option<String>,
     /// Only print the address.
     #[arg(long)]
     no_open: bool,
@@ -44,7 +48,10 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     let field = pipeline::open_field(capture, &options, reporter)?;
     let (options, words) = live_options(&field, &options, &args.options, reporter)?;
     let studio = Studio::new(&field, &options, words, reporter);
-    let address = server.address();
+    let mut address = server.address();
+    if let Some(place) = &args.at {
+        address = format!("{address}#{place}");
+    }
     let mut stdout = std::io::stdout().lock();
     heard(writeln!(stdout, "{address}").and_then(|()| stdout.flush()))?;
     drop(stdout);
@@ -63,31 +70,48 @@ fn live_options(
     reporter: &Reporter,
 ) -> Result<(RenderOptions, Vec<String>), CliError> {
     let mut words = args.words();
-    let mut by_depth = |chosen: &mut RenderOptions, note: &str| {
-        chosen.proxy.method = ProxyMethod::Depth;
-        words.extend(["--proxy".into(), ProxyMethod::Depth.name().into()]);
-        reporter.note(note);
+    let mut set = |option: &str, method: &str| {
+        words.extend(["--set".into(), format!("{option}={method}")]);
     };
     if args.are_default() && pipeline::planned_before(field, options).is_none() {
         let mut usual = RenderOptions { auto: AutoOptions::default(), ..options.clone() };
-        by_depth(
-            &mut usual,
+        usual.proxy.method = ProxyMethod::Depth;
+        set("sync", usual.sync.name());
+        set("proxy.method", usual.proxy.method.name());
+        set("blend.method", usual.blend.method.name());
+        reporter.note(
             "Pictures are by depth per pixel. stlfr prepare chooses methods by this capture, and makes pictures faster.",
         );
-        let [sync, blend] = [usual.sync.name(), usual.blend.method.name()];
-        words.extend(["--sync", sync, "--blend", blend].map(String::from));
         return Ok((usual, words));
     }
     let mut planned = pipeline::resolved(field, options, reporter)?;
     let is_slow = planned.proxy.method == ProxyMethod::SceneFlow && options.auto.proxy;
     if is_slow && !field.has_prepared_maps(&planned) {
-        by_depth(
-            &mut planned,
+        planned.proxy.method = ProxyMethod::Depth;
+        set("proxy.method", planned.proxy.method.name());
+        reporter.note(
             "Pictures are by depth per pixel. Scene flow would be better, but takes half a minute for a new instant: run \
              stlfr prepare with the same options first.",
         );
     }
     Ok((planned, words))
+}
+
+/// Longest place of a link, bytes.
+const MAX_PLACE: usize = 512;
+
+/// The place of a link, whole or only what stands after its `#`: names and values of the page's state.
+fn place(link: &str) -> Result<String, String> {
+    let place = link.rsplit_once('#').map_or(link, |(_, place)| place);
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "=&.+-".contains(c);
+    match place {
+        "" => Err("has no place".into()),
+        _ if place.len() > MAX_PLACE => Err(format!("has more than {MAX_PLACE} bytes")),
+        _ if !place.chars().all(is_plain) => {
+            Err("is not what a link of the page has after its #".into())
+        }
+        _ => Ok(place.to_owned()),
+    }
 }
 
 fn refused(port: u16, error: &std::io::Error) -> CliError {
@@ -113,5 +137,21 @@ fn open(address: &str) -> bool {
             true
         }
         Err(_) => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_that_of_any_run_and_nothing_else() {
+        let of_a_link = place("http://127.0.0.1:8800/0123/#x=-0.03&t=0.1&show=st").unwrap();
+        assert_eq!(of_a_link, "x=-0.03&t=0.1&show=st");
+        assert_eq!(place("at=c3&t=1e-1").unwrap(), "at=c3&t=1e-1");
+        let long = "a".repeat(600);
+        for wrong in ["", "http://127.0.0.1:8800/0123/", "#", "t=0 1", "x=1;y", "<b>", &long] {
+            assert!(place(wrong).is_err(), "{wrong}");
+        }
     }
 }

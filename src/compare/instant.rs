@@ -1,17 +1,17 @@
 //! One instant of the truth: synchronizes the cameras, measures their images, and writes the pictures. Views that are
 //! blended from these images are in `views.rs`.
 
-use super::report::{Figure, ReportPicture};
 use super::results::{StageTimes, SyncResult, ViewResult};
 use super::sheet::{Panel, sheet};
 use super::truths::{TrueImage, TrueInstant, TrueView, as_written};
+use super::viewer::{Figure, SheetFile};
 use super::{CompareError, CompareOptions, Renderer, TRADITIONAL};
 use crate::capture::Truth;
 use crate::host::beneath;
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::method::Method;
 use crate::metrics::ReferenceImage;
-use crate::raster::{BitDepth, Image, write_image};
+use crate::raster::{Image, write_image, write_webp};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,16 +29,8 @@ pub(super) struct Comparison<'a> {
 pub(super) struct Results {
     pub sync: Vec<SyncResult>,
     pub views: Vec<ViewResult>,
-    /// The pictures of the report.
+    /// The views that the report's viewer shows.
     pub figures: Vec<Figure>,
-}
-
-impl Results {
-    /// Whether the report has room for another figure: of a new view if `is_view`, else of a filming camera's image.
-    fn has_room(&self, is_view: bool, options: &CompareOptions) -> bool {
-        let alike = self.figures.iter().filter(|figure| figure.is_view == is_view);
-        alike.count() < options.report_views
-    }
 }
 
 /// A true image, with its view and instant, that images are measured against.
@@ -75,30 +67,19 @@ impl Comparison<'_> {
         let target = |(view, truth)| ComparedTarget { instant, view, truth };
         let targets = instant.views.iter().zip(&truths).map(target);
         let (filmed, free): (Vec<_>, Vec<_>) = targets.partition(|t| t.view.like.is_some());
-        let most_moving = filmed.iter().map(|t| t.truth.moving_pixels()).max();
-        let in_report = filmed
-            .iter()
-            .position(|t| Some(t.truth.moving_pixels()) == most_moving)
-            .filter(|_| results.has_room(false, self.options));
-        let measured: Vec<_> = stages.time(MEASURING, || {
-            filmed
-                .par_iter()
-                .enumerate()
-                .map(|(k, target)| self.measure_sync(target, &images, Some(k) == in_report))
-                .collect::<Result<_, _>>()
-        })?;
+        let measure = |target| self.measure_sync(target, &images);
+        let measured: Vec<_> =
+            stages.time(MEASURING, || filmed.par_iter().map(measure).collect::<Result<_, _>>())?;
         for (rows, figure) in measured {
             results.sync.extend(rows);
-            results.figures.extend(figure);
+            results.figures.push(figure);
         }
 
         for target in free {
             let blends = stages.time(BLENDING, || self.blend(&target, &truths, &images));
-            let in_report = results.has_room(true, self.options);
-            let (rows, figure) =
-                stages.time(MEASURING, || self.measure_view(&target, blends, in_report))?;
+            let (rows, figure) = stages.time(MEASURING, || self.measure_view(&target, blends))?;
             results.views.extend(rows);
-            results.figures.extend(figure);
+            results.figures.push(figure);
         }
         Ok(())
     }
@@ -121,13 +102,12 @@ impl Comparison<'_> {
         self.options.methods().into_iter().map(all).collect()
     }
 
-    /// Measures all sync methods on a filming camera; adds its pictures to the report if `in_report`.
+    /// Measures all sync methods on a filming camera.
     fn measure_sync(
         &self,
         target: &ComparedTarget,
         synchronized: &[SynchronizedBy],
-        in_report: bool,
-    ) -> Result<(Vec<SyncResult>, Option<Figure>), CompareError> {
+    ) -> Result<(Vec<SyncResult>, Figure), CompareError> {
         let ComparedTarget { instant, view, truth } = target;
         let capture = self.renderer.field().capture();
         let camera = view.like.unwrap_or_default();
@@ -152,7 +132,7 @@ impl Comparison<'_> {
             });
             images.push(image);
         }
-        self.write(target, "truth", &truth.image, None)?;
+        let true_file = self.write(target, "truth", &truth.image, None)?;
         let shown = images.iter().map(Result::as_ref).zip(&rows);
         let panels: Vec<Panel> = shown
             .map(|(image, row)| Panel {
@@ -161,11 +141,10 @@ impl Comparison<'_> {
                 scores: row.scores,
             })
             .collect();
-        let title = format!("{}: {id} at {:.4} s, synchronized", capture.name, instant.time_s);
-        self.write_sheet(&title, &view.stem, truth, &panels)?;
-        let title = format!("Camera {id} at {:.4} s", instant.time_s);
-        let figure = in_report.then(|| figure(title, false, truth, &panels));
-        Ok((rows, figure))
+        let title = format!("{id} at {:.4} s, synchronized", instant.time_s);
+        let sheets = vec![self.write_sheet(title, &view.stem, truth, &panels)?];
+        let first = images.iter().find_map(|image| image.as_ref().ok());
+        Ok((rows, Figure::new(&self.truth.views[view.index].id, true_file, sheets, truth, first)))
     }
 
     /// The path of a file in the comparison's folder; an error if a link is on the way.
@@ -190,14 +169,16 @@ impl Comparison<'_> {
 
     pub(super) fn write_sheet(
         &self,
-        title: &str,
+        title: String,
         stem: &str,
         truth: &TrueImage,
         panels: &[Panel],
-    ) -> Result<(), CompareError> {
-        let sheet = sheet(title, truth, panels, self.options.difference_gain);
-        let path = self.file(&format!("sheets/{stem}.png"))?;
-        Ok(write_image(&path, &sheet, None, BitDepth::Eight)?)
+    ) -> Result<SheetFile, CompareError> {
+        let heading = format!("{}: {title}", self.renderer.field().capture().name);
+        let sheet = sheet(&heading, truth, panels, self.options.difference_gain);
+        let file = format!("sheets/{stem}.webp");
+        write_webp(&self.file(&file)?, &sheet)?;
+        Ok(SheetFile { file, title })
     }
 
     /// An image, clamped and rounded as its file holds it; an error if its size differs from the truth's.
@@ -209,12 +190,4 @@ impl Comparison<'_> {
         }
         Ok(as_written(image, truth.channels(), self.renderer.field().capture().bit_depth()))
     }
-}
-
-/// The truth and the methods' images, for the report.
-pub(super) fn figure(title: String, is_view: bool, truth: &TrueImage, panels: &[Panel]) -> Figure {
-    let mut pictures = vec![ReportPicture::new("Truth", &truth.image, None)];
-    let shown = panels.iter().filter_map(|p| Some((p, p.image.ok()?)));
-    pictures.extend(shown.map(|(p, image)| ReportPicture::new(&p.title, image, p.scores)));
-    Figure { title, is_view, pictures }
 }

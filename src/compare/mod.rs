@@ -4,8 +4,8 @@
 //!
 //! - `metrics.json`: every number; the same bytes from run to run, whatever the thread count
 //! - `timings.json`: how long the stages took
-//! - `report.html`: numbers, plots and pictures for a reader, in one file
-//! - `sheets/`: truth, methods and their differences side by side
+//! - `report.html`: numbers, plots, and a viewer of the pictures in `images/`, for a reader
+//! - `sheets/`: truth, methods and their differences side by side, as WebP without loss
 //! - `images/`: the rendered images, in the input's bit depth
 //! - `review.json`: the layout of `review.blend`
 //! - `review.mp4` and the lossless movies in `video/`, if asked for
@@ -20,7 +20,8 @@
 //! | `truths.rs` | the truth's images and moving parts |
 //! | `results.rs` | the contents of `metrics.json` and `timings.json`, and the headline |
 //! | `sheet.rs`, `lettering.rs` | pictures with labels |
-//! | `report.rs`, `report.html` | the report |
+//! | `viewer.rs` | the views that the report's viewer shows |
+//! | `report.rs`, `report.html`, `report.css`, `report.js` | the report |
 //! | `video.rs` | the review video |
 //! | `review.rs` | the layout of `review.blend` |
 //!
@@ -38,6 +39,7 @@ mod review;
 pub mod sheet;
 pub(crate) mod truths;
 pub mod video;
+mod viewer;
 mod views;
 
 pub use driver::compare;
@@ -130,8 +132,6 @@ pub struct CompareOptions {
     pub pixels_per_degree: f64,
     /// Factor of the sheets' difference images.
     pub difference_gain: f32,
-    /// Number of views with pictures in the report; the sheets have all.
-    pub report_views: usize,
     /// Options of a side-by-side video, if one is wanted.
     pub video: Option<video::VideoOptions>,
 }
@@ -145,7 +145,6 @@ impl Default for CompareOptions {
             moving_dilation_px: 2,
             pixels_per_degree: flip::DEFAULT_PIXELS_PER_DEGREE,
             difference_gain: 4.0,
-            report_views: 12,
             video: None,
         }
     }

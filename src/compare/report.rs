@@ -1,54 +1,18 @@
-//! `report.html`: one file that depends on no other file and on no network.
+//! `report.html`, which needs no network, and the folders `images` and `sheets` beside it.
 //!
 //! The page is the template `report.html` beside this file, filled in by minijinja, which escapes
-//! all text from files. Pictures are inlined as 8-bit PNG, and plots as SVG.
+//! all text from files. Its style `report.css` and its script `report.js` are part of it. Pictures are the files of
+//! `images`, as measured; the browser loads those of the view that is shown. Plots are SVG.
 
-use super::results::{Metrics, StageTime, ViewMethod, used};
+use super::results::{Metrics, StageTime, ViewHeadline, ViewMethod, used};
+use super::viewer::{Figure, groups};
 use crate::chart::{Dot, DotPlot, DotRow};
 use crate::method::Method;
 use crate::metrics::RegionScores;
-use crate::raster::{Image, encode_png_8};
-use base64::Engine;
-use base64::engine::general_purpose::STANDARD as BASE64;
-use image::codecs::png::CompressionType;
 use minijinja::value::{Serde, Value};
 use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
 use std::path::Path;
-
-/// The pictures of one view at one instant, which the reader compares by a slider.
-#[derive(Clone, Debug, Serialize)]
-pub(super) struct Figure {
-    /// The view and the instant.
-    pub title: String,
-    /// Whether it is a new view rather than a filming camera's image.
-    pub is_view: bool,
-    /// The truth first, then the methods.
-    pub pictures: Vec<ReportPicture>,
-}
-
-/// A picture, inlined in the page.
-#[derive(Clone, Debug, Serialize)]
-pub(super) struct ReportPicture {
-    label: String,
-    width: usize,
-    height: usize,
-    png_base64: String,
-    scores: Option<RegionScores>,
-}
-
-impl ReportPicture {
-    pub fn new(label: &str, image: &Image, scores: Option<RegionScores>) -> Self {
-        let png = encode_png_8(image, CompressionType::Best);
-        Self {
-            label: label.to_owned(),
-            width: image.width(),
-            height: image.height(),
-            png_base64: BASE64.encode(png.expect("a buffer takes any image of 1 or 3 channels")),
-            scores,
-        }
-    }
-}
 
 /// The whole page.
 pub(super) fn html(
@@ -62,12 +26,18 @@ pub(super) fn html(
     env.add_filter("num", num);
     env.add_filter("signed", signed);
     env.add_filter("psnr", psnr);
+    env.add_filter("decimals", decimals);
     env.add_template("report.html", include_str!("report.html"))?;
     let video_name = video.and_then(|v| v.file_name()).map(|n| n.to_string_lossy().into_owned());
     env.get_template("report.html")?.render(context! {
         m => Value::from(Serde(metrics)),
+        rendered => Value::from(Serde(rendered(metrics))),
         stages => Value::from(Serde(stages)),
-        figures => Value::from(Serde(figures)),
+        viewer => in_script(&groups(metrics, figures)),
+        has_pictures => !figures.is_empty(),
+        view_table => Value::from(Serde(view_table(metrics))),
+        sync_table => Value::from(Serde(sync_table(metrics))),
+        sheets => Value::from(Serde(figures.iter().flat_map(|f| &f.sheets).collect::<Vec<_>>())),
         video => video_name,
         compare_options => serde_json::to_string_pretty(&metrics.options).unwrap_or_default(),
         renderer_options => serde_json::to_string_pretty(&metrics.renderer).unwrap_or_default(),
@@ -77,7 +47,87 @@ pub(super) fn html(
         methods => explained(metrics.sync.iter().map(|row| row.method)),
         proxies => explained(metrics.views.iter().map(|row| row.proxy)),
         measured => measured_percent(metrics),
+        style => Value::from_safe_string(include_str!("report.css").into()),
+        script => Value::from_safe_string(include_str!("report.js").into()),
     })
+}
+
+/// JSON for a `script` element, which no text inside can end.
+fn in_script(value: &impl Serialize) -> Value {
+    let text = serde_json::to_string(value).unwrap_or_default();
+    Value::from_safe_string(text.replace('<', "\\u003c"))
+}
+
+/// The headline of the views through the proxy that `render` uses.
+fn rendered(metrics: &Metrics) -> Option<&ViewHeadline> {
+    let headline = &metrics.headline;
+    let proxy = headline.methods.iter().find(|method| method.is_rendered)?.proxy;
+    headline.views.iter().find(|views| views.proxy == proxy)
+}
+
+/// A table of scores: a row for each image that is compared, its methods side by side.
+#[derive(Serialize)]
+struct ScoreTable {
+    columns: Vec<&'static str>,
+    rows: Vec<ScoreRow>,
+    /// Why images are missing.
+    missing: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct ScoreRow {
+    labels: [String; 2],
+    scores: Vec<Option<RegionScores>>,
+}
+
+/// One image by one method.
+struct ScoredImage<'a> {
+    labels: [String; 2],
+    method: &'static str,
+    scores: Option<RegionScores>,
+    reason: Option<&'a str>,
+}
+
+impl ScoreTable {
+    /// Images with the same labels are one row.
+    fn new<'a>(columns: Vec<&'static str>, images: impl Iterator<Item = ScoredImage<'a>>) -> Self {
+        let (mut rows, mut missing): (Vec<ScoreRow>, Vec<String>) = Default::default();
+        for ScoredImage { labels, method, scores, reason } in images {
+            if let Some(reason) = reason {
+                missing.push(format!("{}, {}, {method}: {reason}", labels[0], labels[1]));
+            }
+            let at = rows.iter().position(|row| row.labels == labels).unwrap_or(rows.len());
+            if at == rows.len() {
+                rows.push(ScoreRow { labels, scores: vec![None; columns.len()] });
+            }
+            if let Some(column) = columns.iter().position(|column| *column == method) {
+                rows[at].scores[column] = scores;
+            }
+        }
+        Self { columns, rows, missing }
+    }
+}
+
+fn view_table(metrics: &Metrics) -> ScoreTable {
+    let columns = ViewMethod::ALL.iter().map(|method| method.help()).collect();
+    let images = metrics.views.iter().map(|row| ScoredImage {
+        labels: [row.view.clone(), row.proxy.name().to_owned()],
+        method: row.method.help(),
+        scores: row.scores,
+        reason: row.reason.as_deref(),
+    });
+    ScoreTable::new(columns, images)
+}
+
+fn sync_table(metrics: &Metrics) -> ScoreTable {
+    let methods = used(metrics.sync.iter().map(|row| row.method));
+    let images = metrics.sync.iter().map(|row| ScoredImage {
+        labels: [row.camera.clone(), format!("{:.4} s", row.time_s)],
+        method: row.method.name(),
+        scores: row.scores,
+        reason: row.reason.as_deref(),
+    });
+    ScoreTable::new(methods.iter().map(|method| method.name()).collect(), images)
 }
 
 /// A number with `digits` decimals and a typographic minus; a dash if it is missing or infinite.
@@ -93,6 +143,17 @@ fn signed(value: Value, digits: usize) -> String {
     let plus = f64::try_from(value.clone())
         .is_ok_and(|v| v.is_finite() && v > 0.0 && rounded(v, digits) != rounded(0.0, digits));
     format!("{}{}", if plus { "+" } else { "" }, num(value, digits))
+}
+
+/// The decimals of a number with this standard error times `factor`: two digits of the error; 4 without an error.
+fn decimals(std_err: Value, factor: f64) -> usize {
+    let error = f64::try_from(std_err).map(|error| factor * error);
+    match error {
+        Ok(error) if error.is_finite() && error > 0.0 => {
+            (1.0 - error.log10().floor()).clamp(0.0, 6.0) as usize
+        }
+        _ => 4,
+    }
 }
 
 /// Rounded, without a minus before 0.
@@ -210,6 +271,8 @@ mod tests {
             (signed(Value::from(-0.01), 1), num(Value::from(-0.0), 2)),
             ("0.0".into(), "0.00".into())
         );
+        let digits = |error: f64| decimals(Value::from(error), 1e3);
+        assert_eq!((digits(4e-4), digits(0.06e-3), digits(2.0), digits(0.0)), (2, 3, 0, 4));
         let scores = |pixels: usize, psnr_db: Option<f64>| context! { pixels, psnr_db };
         assert_eq!(psnr(scores(4, None)).unwrap(), "identical");
         assert_eq!(psnr(scores(0, None)).unwrap(), "–");
@@ -217,10 +280,25 @@ mod tests {
     }
 
     #[test]
-    fn pictures_decode_to_their_pixels() {
-        let image = Image::from_data(2, 1, 3, vec![0.0, 0.2, 0.4, 0.6, 0.8, 1.0]);
-        let png = BASE64.decode(ReportPicture::new("a", &image, None).png_base64).unwrap();
-        let decoded = image::load_from_memory(&png).unwrap().into_rgb8();
-        assert_eq!(decoded.into_raw(), [0, 51, 102, 153, 204, 255]);
+    fn no_text_ends_the_script() {
+        let text = in_script(&["</script><b>"]).to_string();
+        assert!(!text.contains('<'), "{text}");
+        assert_eq!(serde_json::from_str::<[String; 1]>(&text).unwrap()[0], "</script><b>");
+    }
+
+    #[test]
+    fn images_with_the_same_labels_are_a_row() {
+        let image = |view: &str, method, reason| ScoredImage {
+            labels: [view.to_owned(), "mesh".into()],
+            method,
+            scores: Some(RegionScores::default()).filter(|_| reason.is_none()),
+            reason,
+        };
+        let images = [image("a", "x", None), image("b", "y", None), image("a", "y", Some("dark"))];
+        let table = ScoreTable::new(vec!["x", "y"], images.into_iter());
+        let found: Vec<Vec<bool>> =
+            table.rows.iter().map(|r| r.scores.iter().map(Option::is_some).collect()).collect();
+        assert_eq!(found, [[true, false], [false, true]]);
+        assert_eq!(table.missing, ["a, mesh, y: dark"]);
     }
 }

@@ -5,6 +5,7 @@ use super::lettering::{LINE_PX, TextStyle, width_px, write};
 use super::truths::TrueImage;
 use crate::metrics::{RegionScores, Scores};
 use crate::raster::Image;
+use std::borrow::Cow;
 
 /// Grey of the page.
 const BACKGROUND: f32 = 0.09;
@@ -18,6 +19,8 @@ const STILL_TINT: [f32; 3] = [0.45; 3];
 const MARGIN_PX: usize = 12;
 /// Panels narrower than this are enlarged by whole factors, pixels.
 const MIN_PANEL_PX: usize = 300;
+/// Panels with a longer side are reduced by whole factors, pixels. A sheet of eight panels is then within WebP's bounds.
+const MAX_PANEL_PX: usize = 1920;
 
 /// One method's image beside the truth.
 pub(super) struct Panel<'a> {
@@ -35,8 +38,12 @@ pub(super) struct Panel<'a> {
 /// # Panics
 /// If an image differs from the truth in size or channels.
 pub(super) fn sheet(title: &str, truth: &TrueImage, panels: &[Panel], gain: f32) -> Image {
-    let scale = MIN_PANEL_PX.div_ceil(truth.image.width());
-    let (w, h) = (truth.image.width() * scale, truth.image.height() * scale);
+    let factor = truth.image.width().max(truth.image.height()).div_ceil(MAX_PANEL_PX);
+    let [width, height] = [truth.image.width(), truth.image.height()].map(|n| n.div_ceil(factor));
+    let scale = MIN_PANEL_PX.div_ceil(width).min(MAX_PANEL_PX / height).max(1);
+    let put =
+        |sheet: &mut Image, at, image: &Image| paste(sheet, at, &reduced(image, factor), scale);
+    let (w, h) = (width * scale, height * scale);
     let columns = 1 + panels.len();
     let head = MARGIN_PX + LINE_PX;
     let pictures = head + MARGIN_PX + 4 * LINE_PX + 4;
@@ -55,8 +62,8 @@ pub(super) fn sheet(title: &str, truth: &TrueImage, panels: &[Panel], gain: f32)
         write(sheet, (x, labels), w, below, CAPTION);
     };
     label(&mut sheet, MARGIN_PX, "Truth", &[], "Moving part (measured apart)");
-    paste(&mut sheet, (MARGIN_PX, pictures), &truth.image, scale);
-    paste(&mut sheet, (MARGIN_PX, differences), &marked(truth), scale);
+    put(&mut sheet, (MARGIN_PX, pictures), &truth.image);
+    put(&mut sheet, (MARGIN_PX, differences), &marked(truth));
     for (k, panel) in panels.iter().enumerate() {
         let x = MARGIN_PX + (k + 1) * (w + MARGIN_PX);
         let lines = match (&panel.scores, panel.image) {
@@ -65,9 +72,8 @@ pub(super) fn sheet(title: &str, truth: &TrueImage, panels: &[Panel], gain: f32)
         };
         label(&mut sheet, x, &panel.title, &lines, &format!("|difference from truth| × {gain}"));
         if let Ok(image) = panel.image {
-            let difference = difference(&truth.image, image, gain);
-            paste(&mut sheet, (x, pictures), image, scale);
-            paste(&mut sheet, (x, differences), &difference, scale);
+            put(&mut sheet, (x, pictures), image);
+            put(&mut sheet, (x, differences), &difference(&truth.image, image, gain));
         }
     }
     sheet
@@ -112,6 +118,25 @@ fn score_lines(scores: &RegionScores) -> [String; 3] {
         line("SSIM", number(whole.ssim, 3), number(moving.ssim, 3)),
         line("FLIP", number(whole.flip, 3), number(moving.flip, 3)),
     ]
+}
+
+/// The means of blocks of `factor` by `factor` pixels; at the right and lower borders, of what is left.
+fn reduced(image: &Image, factor: usize) -> Cow<'_, Image> {
+    if factor == 1 {
+        return Cow::Borrowed(image);
+    }
+    let [width, height] = [image.width(), image.height()].map(|n| n.div_ceil(factor));
+    let mut data = Vec::with_capacity(width * height * image.channels());
+    for (y, x) in (0..height).flat_map(|y| (0..width).map(move |x| (y, x))) {
+        let rows = y * factor..((y + 1) * factor).min(image.height());
+        let columns = x * factor..((x + 1) * factor).min(image.width());
+        let count = (rows.len() * columns.len()) as f32;
+        data.extend((0..image.channels()).map(|c| {
+            let row = |y: usize| columns.clone().map(move |x| image.pixel(x, y)[c]).sum::<f32>();
+            rows.clone().map(row).sum::<f32>() / count
+        }));
+    }
+    Cow::Owned(Image::from_data(width, height, image.channels(), data))
 }
 
 /// Copies an image into an RGB sheet at (x, y), enlarged by `scale`.
@@ -174,6 +199,21 @@ mod tests {
             drawn.data().chunks(3).filter(|p| p.iter().all(|c| (c - v).abs() < 1e-6)).count()
         };
         assert!(count(0.5) >= 400 * 200 && count(0.6) >= 400 * 200 && count(0.4) >= 400 * 200);
+    }
+
+    #[test]
+    fn large_images_are_reduced_and_no_sheet_is_too_large_for_its_file() {
+        let image = Image::from_data(3, 2, 1, vec![0.0, 0.2, 0.4, 0.6, 0.8, 1.0]);
+        let half = reduced(&image, 2);
+        assert_eq!((half.width(), half.height()), (2, 1));
+        assert!((half.data()[0] - 0.4).abs() < 1e-6 && (half.data()[1] - 0.7).abs() < 1e-6);
+        for (width, height) in [(2400, 20), (20, 2400), (3, 1921)] {
+            let image = Image::filled(width, height, 1, 0.5);
+            let truth = TrueImage { image, moving: vec![false; width * height] };
+            let panel = || Panel { title: "m".into(), image: Ok(&truth.image), scores: None };
+            let drawn = sheet("t", &truth, &[panel(), panel(), panel()], 4.0);
+            assert!(drawn.width().max(drawn.height()) < 1 << 13, "{width}×{height}");
+        }
     }
 
     #[test]

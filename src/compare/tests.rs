@@ -203,7 +203,7 @@ fn known_errors_give_the_known_numbers() {
     assert!(m["offsets"][1]["std_err_s"].is_null());
     assert_eq!(m["headline"]["missing_images"], 0);
     assert_eq!(summary.report, set.out().join("report.html"));
-    for file in ["timings.json", "report.html", "sheets/t0-a.png", "sheets/t0-new-mesh.png"] {
+    for file in ["timings.json", "report.html", "sheets/t0-a.webp", "sheets/t0-new-mesh.webp"] {
         assert!(set.out().join(file).is_file(), "{file}");
     }
     let (written, depth) = read_image(&set.out().join("images/t0-a/nearest.png")).unwrap();
@@ -222,7 +222,22 @@ fn what_comes_from_files_is_escaped() {
     );
     assert!(html.contains("&lt;script&gt;alert(1)"));
     assert!(!html.contains("http://") && !html.contains("https://"), "it needs no network");
-    assert!(html.contains("data:image/png;base64,"));
+    // The pictures are the measured files, beside the report.
+    let data = html.split("application/json\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let groups: Value = serde_json::from_str(data).unwrap();
+    let views = groups.as_array().unwrap().iter().flat_map(|g| g["views"].as_array().unwrap());
+    let (mut views, mut files) = (views.collect::<Vec<_>>(), Vec::new());
+    assert_eq!(views.len(), 3);
+    for view in views.drain(..) {
+        files.push(view["truth"].as_str().unwrap());
+        let cells =
+            view["cells"].as_array().unwrap().iter().flat_map(|row| row.as_array().unwrap());
+        files.extend(cells.map(|cell| cell["file"].as_str().unwrap()));
+    }
+    assert!(
+        files.len() > 20 && files.iter().all(|file| set.out().join(file).is_file()),
+        "{files:?}"
+    );
 }
 
 #[test]

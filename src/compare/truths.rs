@@ -81,12 +81,6 @@ pub(crate) fn slug(name: &str) -> String {
     name.chars().take(60).map(keep).collect()
 }
 
-impl TrueImage {
-    pub fn moving_pixels(&self) -> usize {
-        self.moving.iter().filter(|m| **m).count()
-    }
-}
-
 impl TrueView {
     /// Reads a true image and its moving part; the image becomes grey if the compared ones are.
     pub fn read(

@@ -1,10 +1,10 @@
 //! One view at an instant: blended by every method through every proxy, then measured.
 
-use super::instant::{ComparedTarget, Comparison, ImageOrReason, SynchronizedBy, figure};
-use super::report::Figure;
+use super::instant::{ComparedTarget, Comparison, ImageOrReason, SynchronizedBy};
 use super::results::{ExcludedCamera, ViewMethod, ViewResult};
 use super::sheet::Panel;
 use super::truths::{TrueImage, filled_with};
+use super::viewer::Figure;
 use super::{CompareError, ComparedView, TRADITIONAL};
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::light_field::{GivenImages, Images};
@@ -95,21 +95,19 @@ impl Comparison<'_> {
         ProxyMethod::ALL.iter().copied().filter(is_compared)
     }
 
-    /// Measures all blends of one view on the pixels that all of them cover. If `in_report`, also makes the report's
-    /// figure.
+    /// Measures all blends of one view on the pixels that all of them cover.
     pub(super) fn measure_view(
         &self,
         target: &ComparedTarget,
         blends: Vec<Blend>,
-        in_report: bool,
-    ) -> Result<(Vec<ViewResult>, Option<Figure>), CompareError> {
+    ) -> Result<(Vec<ViewResult>, Figure), CompareError> {
         let ComparedTarget { instant, view, truth } = target;
         let images: Vec<ImageOrReason> = blends
             .iter()
             .map(|b| self.checked(b.rendered.as_ref().map(|r| &r.image), &truth.image))
             .collect();
         let rows = self.view_results(target, blends, &images)?;
-        self.write(target, "truth", &truth.image, None)?;
+        let true_file = self.write(target, "truth", &truth.image, None)?;
 
         let shown = images.iter().map(Result::as_ref).zip(&rows);
         let panels: Vec<Panel> = shown
@@ -118,17 +116,21 @@ impl Comparison<'_> {
                 Panel { title, image, scores: row.scores }
             })
             .collect();
-        let (capture, id) =
-            (&self.renderer.field().capture().name, &self.truth.views[view.index].id);
+        let id = &self.truth.views[view.index].id;
+        let mut sheets = Vec::new();
         // The rows are sorted by proxy.
         for (proxy, panels) in self.proxies().zip(panels.chunks(ViewMethod::ALL.len())) {
             let name = proxy.name();
-            let title = format!("{capture}: view {id} at {:.4} s, proxy {name}", instant.time_s);
-            self.write_sheet(&title, &format!("{}-{name}", view.stem), truth, panels)?;
+            let title = format!("View {id} at {:.4} s, proxy {name}", instant.time_s);
+            sheets.push(self.write_sheet(
+                title,
+                &format!("{}-{name}", view.stem),
+                truth,
+                panels,
+            )?);
         }
-        let title = format!("View {id} at {:.4} s", instant.time_s);
-        let figure = in_report.then(|| figure(title, true, truth, &panels));
-        Ok((rows, figure))
+        let first = images.iter().find_map(|image| image.as_ref().ok());
+        Ok((rows, Figure::new(id, true_file, sheets, truth, first)))
     }
 
     /// Results of all blends; writes their images.

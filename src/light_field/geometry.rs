@@ -75,18 +75,9 @@ fn by_stereo(
     context: &Context,
 ) -> Result<Option<Geometry>, RenderError> {
     let &Request { time_s, options, shape, .. } = request;
-    let mut cameras = nearest_cameras(field, target, time_s, options);
-    if let Images::Given(given) = shape {
-        cameras.retain(|&c| given.all().get(c).is_some_and(Option::is_some));
-    }
-    if cameras.len() < 2 {
+    let Some([cameras, estimated]) = stereo_cameras(field, target, request) else {
         return Ok(None);
-    }
-    let mut estimated = cameras.clone();
-    estimated.truncate(options.proxy.depth.cameras.max(1));
-    // Sorted, so that all views with these nearest cameras share the cached depths.
-    cameras.sort_unstable();
-    estimated.sort_unstable();
+    };
     let images = ImageSource::new(shape, options);
     let stereo = Stereo {
         cameras: &cameras,
@@ -101,4 +92,48 @@ fn by_stereo(
     let sources = field.get(&OcclusionDepths { stereo, estimated: &estimated }, context)?;
     let view = fuse(target, &surfaces(field, &depths));
     Ok(Some(Geometry { view, sources: sources.to_vec() }))
+}
+
+/// The cameras of a view's stereo, and those of them whose depths are estimated, ascending. `None` with fewer than two.
+fn stereo_cameras(
+    field: &LightField,
+    target: &Camera,
+    &Request { time_s, options, shape, .. }: &Request,
+) -> Option<[Vec<usize>; 2]> {
+    let mut cameras = nearest_cameras(field, target, time_s, options);
+    if let Images::Given(given) = shape {
+        cameras.retain(|&c| given.all().get(c).is_some_and(Option::is_some));
+    }
+    if cameras.len() < 2 {
+        return None;
+    }
+    let mut estimated = cameras.clone();
+    estimated.truncate(options.proxy.depth.cameras.max(1));
+    // Sorted, so that all views with these nearest cameras share the cached depths.
+    cameras.sort_unstable();
+    estimated.sort_unstable();
+    Some([cameras, estimated])
+}
+
+impl LightField {
+    /// Whether a view's geometry takes no estimation: it is from features, or its depths are cached.
+    pub(crate) fn has_cached_geometry(&self, target: &Camera, request: &Request) -> bool {
+        let &Request { time_s, options, shape, .. } = request;
+        match options.proxy.method {
+            ProxyMethod::Plane | ProxyMethod::Mesh => true,
+            ProxyMethod::SceneFlow => false,
+            ProxyMethod::Depth => {
+                let Some([cameras, estimated]) = stereo_cameras(self, target, request) else {
+                    return true;
+                };
+                let stereo = Stereo {
+                    cameras: &cameras,
+                    instant: Instant::new(time_s, options),
+                    images: &ImageSource::new(shape, options),
+                    proxy: &options.proxy,
+                };
+                self.cached(&OcclusionDepths { stereo, estimated: &estimated }).is_some()
+            }
+        }
+    }
 }

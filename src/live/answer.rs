@@ -58,10 +58,19 @@ pub(super) fn failed(error: &LiveError) -> Reply {
     response
 }
 
-pub(super) fn picture(Picture { bytes, made_by }: Picture) -> Reply {
+/// Name of the header with the depths of the first and the last colour, metres.
+const DEPTHS: header::HeaderName = header::HeaderName::from_static("x-depths");
+
+pub(super) fn picture(Picture { bytes, made_by, depths_m }: Picture) -> Reply {
     let mut response = respond("image/png", bytes);
     if let Ok(made_by) = HeaderValue::from_str(&made_by) {
         response.headers_mut().insert(MADE_BY, made_by);
+    }
+    // As JavaScript reads numbers.
+    let depth = |m: f32| if m.is_finite() { m.to_string() } else { "Infinity".to_owned() };
+    let depths = depths_m.map(|m| HeaderValue::from_str(&m.map(depth).join(",")));
+    if let Some(Ok(depths)) = depths {
+        response.headers_mut().insert(DEPTHS, depths);
     }
     response
 }

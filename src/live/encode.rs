@@ -29,26 +29,30 @@ pub(super) fn encode_saved(view: &Rendered, depth: BitDepth) -> Result<Vec<u8>, 
     encode_png(&view.image, coverage, depth).map_err(failed)
 }
 
-/// Colours of cameras by position. Neighbours have similar colours, so that the mean of two colours lies between them.
+/// Colours of cameras: neighbours differ most.
 pub(super) struct Colors(Vec<[f32; 3]>);
 
-/// Hues of the leftmost and the rightmost camera, as fractions of the colour circle.
-const HUES: [f64; 2] = [0.02, 0.78];
-/// Lightness of the lowest and the highest row of cameras.
-const LIGHTNESS: [f64; 2] = [0.36, 0.68];
+/// Step of the hue from a camera to the next, as a fraction of the colour circle: the golden section, so that no two
+/// cameras have the same.
+const HUE_STEP: f64 = 0.381_966;
+/// The hue of the first camera.
+const FIRST_HUE: f64 = 0.58;
+/// Lightness of successive cameras.
+const LIGHTNESS: [f64; 3] = [0.5, 0.66, 0.38];
 
 impl Colors {
-    /// Colours of cameras at these positions in the rig's axes.
+    /// Colours of cameras at these positions in the rig's axes, in order from left to right.
     pub fn of(places: &[[f64; 3]]) -> Self {
-        let share = |axis: usize, value: f64| {
-            let below = places.iter().filter(|p| p[axis] < value - SAME_PLACE_M).count();
-            let above = places.iter().filter(|p| p[axis] > value + SAME_PLACE_M).count();
-            if below + above == 0 { 0.5 } else { below as f64 / (below + above) as f64 }
-        };
-        let between = |[low, high]: [f64; 2], share: f64| low + (high - low) * share;
-        let color =
-            |p: &[f64; 3]| vivid(between(HUES, share(0, p[0])), between(LIGHTNESS, share(1, p[1])));
-        Self(places.iter().map(color).collect())
+        let mut order: Vec<usize> = (0..places.len()).collect();
+        order.sort_by(|&a, &b| {
+            places[a][0].total_cmp(&places[b][0]).then(places[a][1].total_cmp(&places[b][1]))
+        });
+        let mut colors = vec![[0.0; 3]; places.len()];
+        for (rank, camera) in order.into_iter().enumerate() {
+            let hue = (FIRST_HUE + HUE_STEP * rank as f64).fract();
+            colors[camera] = vivid(hue, LIGHTNESS[rank % LIGHTNESS.len()]);
+        }
+        Self(colors)
     }
 
     pub fn rgb(&self) -> &[[f32; 3]] {
@@ -61,9 +65,6 @@ impl Colors {
         format!("#{r:02x}{g:02x}{b:02x}")
     }
 }
-
-/// Cameras whose coordinates differ by less than this are in one row, metres.
-const SAME_PLACE_M: f64 = 1e-4;
 
 /// Saturation of the colours, in 0..=1.
 const SATURATION: f64 = 0.75;

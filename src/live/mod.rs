@@ -10,8 +10,9 @@
 //! | `mod.rs` | what is served, and what refuses a request |
 //! | `rig_frame.rs` | viewpoints, and the rig's own axes |
 //! | `request.rs` | the picture that an address requests |
-//! | `studio.rs` | pictures of the light field, of traditional LFR, and of the cameras that pixels come from |
+//! | `studio.rs` | pictures of the light field and of traditional LFR |
 //! | `true_views.rs` | pictures of the truth |
+//! | `overlays.rs` | pictures of the cameras that pixels come from, and of depths |
 //! | `encode.rs` | pictures as files |
 //! | `queue.rs`, `workers.rs` | each viewer's latest request, and the threads that answer it |
 //! | `scene.rs` | the description of the capture for the page |
@@ -31,6 +32,7 @@
 mod answer;
 mod encode;
 mod guard;
+mod overlays;
 mod queue;
 mod request;
 mod rig_frame;

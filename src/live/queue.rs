@@ -32,9 +32,10 @@ impl Asked {
         !self.is_instant_outdated.load(Ordering::Relaxed)
     }
 
-    /// Whether another request has another instant or method.
+    /// Whether another request has another instant or other methods.
     fn differs(&self, other: &PictureRequest) -> bool {
-        (self.request.time_s, self.request.method) != (other.time_s, other.method)
+        let of = |r: &PictureRequest| (r.time_s, r.method, r.sync, r.proxy);
+        of(&self.request) != of(other)
     }
 
     /// Whether a later request of this viewer replaces this one.

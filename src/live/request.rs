@@ -2,7 +2,7 @@
 //!
 //! | name | value |
 //! |---|---|
-//! | `method` | `st`, `lfr`, `truth`, `sources` |
+//! | `method` | `st`, `lfr`, `truth`, `sources`, `weights`, `depth` |
 //! | `level` | `quick`; `full`: the chosen options; `saved`: the same without loss, as `stlfr render` writes it |
 //! | `t` | seconds on the reference's clock, as in the capture's file |
 //! | `x`, `y`, `z` | to the right, up, ahead, metres: see [`super::RigFrame`] |
@@ -10,11 +10,15 @@
 //! | `yaw`, `pitch` | turn to the right and up, degrees |
 //! | `zoom` | focal length over the reference's |
 //! | `w`, `h` | pixels |
+//! | `sync`, `proxy` | methods other than the chosen options', by name, except at the level `quick`. Optional |
 //! | `viewer`, `slot` | viewer, and part of the page: a request replaces the last one with the same two. Optional |
 //!
 //! Names and values are letters, digits and `.+-`: nothing is escaped.
 
 use super::LiveError;
+use crate::interpolation::SyncMethod;
+use crate::method::Method;
+use crate::options::ProxyMethod;
 
 /// The source of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -25,8 +29,12 @@ pub enum PictureMethod {
     Traditional,
     /// The true image, if there is one.
     Truth,
-    /// Which cameras each pixel comes from.
+    /// Which cameras each pixel comes from, as stripes of their colours.
     Sources,
+    /// The weights that [`Self::Sources`] shows, as numbers: see [`super::overlays::Weights::picture`].
+    Weights,
+    /// The depths, as colours.
+    Depth,
 }
 
 /// The quality of a picture.
@@ -71,6 +79,9 @@ pub struct PictureRequest {
     pub time_s: f64,
     pub place: Place,
     pub view: ViewDirection,
+    /// Methods other than those of the chosen options.
+    pub sync: Option<SyncMethod>,
+    pub proxy: Option<ProxyMethod>,
     /// Viewer and slot of the page. A request replaces an earlier one with the same name, unless it is empty.
     pub viewer: String,
 }
@@ -94,6 +105,8 @@ impl PictureRequest {
                 ("lfr", PictureMethod::Traditional),
                 ("truth", PictureMethod::Truth),
                 ("sources", PictureMethod::Sources),
+                ("weights", PictureMethod::Weights),
+                ("depth", PictureMethod::Depth),
             ],
         )?;
         let levels = [("full", Level::Full), ("quick", Level::Quick), ("saved", Level::Saved)];
@@ -112,13 +125,14 @@ impl PictureRequest {
             size: [fields.size("w")?, fields.size("h")?],
         };
         let time_s = fields.number("t", 0.0)?;
+        let (sync, proxy) = (fields.method("sync")?, fields.method("proxy")?);
         let slot = fields.take("slot").unwrap_or_default();
         let viewer = fields.take("viewer").map_or_else(String::new, |v| format!("{v}.{slot}"));
         if viewer.len() > MAX_VIEWER_LENGTH {
             return Err(wrong("viewer", "is too long"));
         }
         fields.finish()?;
-        Ok(Self { method, level, time_s, place, view, viewer })
+        Ok(Self { method, level, time_s, place, view, sync, proxy, viewer })
     }
 }
 
@@ -172,6 +186,12 @@ impl<'a> Fields<'a> {
             .ok_or_else(|| wrong(name, &format!("must be one of {}", names.join(", "))))
     }
 
+    fn method<M: Method>(&mut self, name: &str) -> Result<Option<M>, LiveError> {
+        let Some(value) = self.take(name) else { return Ok(None) };
+        let wrong = || wrong(name, &format!("must be one of {}", M::names().join(", ")));
+        M::from_name(value).ok_or_else(wrong).map(Some)
+    }
+
     fn number(&mut self, name: &str, default: f64) -> Result<f64, LiveError> {
         let Some(value) = self.take(name) else { return Ok(default) };
         let number = value.parse::<f64>().ok().filter(|v| v.is_finite());
@@ -197,13 +217,15 @@ mod tests {
 
     #[test]
     fn an_address_is_read_whole() {
-        let query = "method=lfr&level=quick&t=-1.5e-1&x=0.1&y=-.2&z=3&yaw=1&pitch=-2&zoom=2&w=64&h=48&viewer=a1&slot=b";
+        let query = "method=lfr&level=quick&t=-1.5e-1&x=0.1&y=-.2&z=3&yaw=1&pitch=-2&zoom=2&w=64&h=48&proxy=depth&viewer=a1&slot=b";
         let wanted = PictureRequest {
             method: PictureMethod::Traditional,
             level: Level::Quick,
             time_s: -0.15,
             place: Place::Free([0.1, -0.2, 3.0]),
             view: ViewDirection { turn_deg: [1.0, -2.0], zoom: 2.0, size: [64, 48] },
+            sync: None,
+            proxy: Some(ProxyMethod::Depth),
             viewer: "a1.b".into(),
         };
         assert_eq!(PictureRequest::parse(query).unwrap(), wanted);
@@ -230,6 +252,7 @@ mod tests {
             ("w=64&h=48&at=", "at: must be like"),
             ("w=64&h=48&at=c1&x=1", "x: is unknown"),
             ("w=64&h=48&method=best", "method: must be one of st, lfr"),
+            ("w=64&h=48&sync=best", "sync: must be one of nearest"),
             ("w=64&h=48&more=1", "more: is unknown"),
             ("w=64&h=48&t=%2e", "a character that none has"),
             ("w=64&h=48&t=ä", "a character that none has"),

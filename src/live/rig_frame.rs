@@ -103,6 +103,19 @@ impl RigFrame {
         self.cameras.iter().map(|c| self.place(&c.center())).collect()
     }
 
+    /// The cameras' places, and those halfway to the nearest other place of a camera.
+    pub fn places_and_middles(&self) -> Vec<[f64; 3]> {
+        let own = self.places();
+        let distance =
+            |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>();
+        let middle = |a: &[f64; 3]| {
+            let others = own.iter().filter(|b| distance(a, b) > 0.0);
+            let b = others.min_by(|b, c| distance(a, b).total_cmp(&distance(a, c)))?;
+            Some([0, 1, 2].map(|k| 0.5 * (a[k] + b[k])))
+        };
+        own.iter().copied().chain(own.iter().filter_map(middle)).collect()
+    }
+
     /// Bounds of viewpoints, by axis.
     pub fn bounds(&self) -> [[f64; 3]; 2] {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);

@@ -1,7 +1,12 @@
 //! The description of a capture for the page.
 
 use super::Studio;
+use super::overlays::DEPTH_COLORS;
 use super::rig_frame::{MAX_TURN_DEG, ZOOMS};
+use crate::compare::TRADITIONAL;
+use crate::interpolation::SyncMethod;
+use crate::method::Method;
+use crate::options::ProxyMethod;
 use serde_json::{Value, json};
 
 /// The page's `scene.json`. Places are in the rig's axes ([`super::RigFrame`]), metres; times are on the reference's
@@ -9,7 +14,12 @@ use serde_json::{Value, json};
 pub(super) fn scene(studio: &Studio) -> Value {
     let (field, rig) = (studio.field, &studio.rig);
     let capture = field.capture();
-    let camera = |(index, at): (usize, [f64; 3])| json!({ "id": capture.cameras[index].id, "at": at, "color": studio.colors.hex(index) });
+    let camera = |(index, at): (usize, [f64; 3])| {
+        let filmed = &capture.cameras[index];
+        let ahead = rig.place(&(filmed.camera.center() + filmed.camera.axis()));
+        let ahead = [0, 1, 2].map(|k| ahead[k] - at[k]);
+        json!({ "id": filmed.id, "at": at, "ahead": ahead, "color": studio.colors.hex(index) })
+    };
     let cameras: Vec<Value> = rig.places().into_iter().enumerate().map(camera).collect();
     let truths = studio.truth.views.iter().map(
         |view| json!({ "id": view.id, "at": rig.place(&view.camera.center()), "time_s": view.time_s }),
@@ -19,13 +29,16 @@ pub(super) fn scene(studio: &Studio) -> Value {
     let span_s = span_s.map(|(first, last)| [first + origin_s, last + origin_s]);
     let [low, high] = rig.bounds();
     let [width, height] = rig.largest_size();
+    let focal_px = capture.cameras[capture.reference].camera.model.intrinsics().0;
+    let chosen = studio.full();
     json!({
         "name": capture.name,
         "folder": capture.folder.display().to_string(),
         // The command-line arguments that give these options.
         "options": studio.words,
         "cameras": cameras,
-        "lens": { "width": width, "height": height },
+        // The focal length is a fraction of the width.
+        "lens": { "width": width, "height": height, "focal": focal_px / width as f64 },
         "low": low,
         "high": high,
         "spacing_m": rig.spacing_m,
@@ -35,5 +48,19 @@ pub(super) fn scene(studio: &Studio) -> Value {
         "span_s": span_s.filter(|_| !capture.is_static()),
         "frames_s": capture.times_in_file_s(capture.reference),
         "truths": truths.collect::<Vec<_>>(),
+        "methods": {
+            "sync": choices::<SyncMethod>(|m| m != TRADITIONAL),
+            // Scene flow takes half a minute an instant, unless it is prepared.
+            "proxy": choices::<ProxyMethod>(|m| m != ProxyMethod::SceneFlow || m == chosen.proxy.method),
+        },
+        "chosen": { "sync": chosen.sync.name(), "proxy": chosen.proxy.method.name() },
+        // From far to near.
+        "depth_colors": DEPTH_COLORS,
     })
+}
+
+/// Methods that the page offers, with their help.
+fn choices<M: Method>(is_offered: impl Fn(M) -> bool) -> Vec<Value> {
+    let offered = M::ALL.iter().copied().filter(|m| is_offered(*m));
+    offered.map(|m| json!({ "name": m.name(), "help": m.help() })).collect()
 }

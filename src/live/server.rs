@@ -38,7 +38,7 @@ const SCRIPT: &str = "text/javascript; charset=utf-8";
 const JSON: &str = "application/json";
 
 /// The page's files: name, media type, content.
-const PAGE: [(&str, &str, &str); 9] = [
+const PAGE: [(&str, &str, &str); 11] = [
     ("", HTML, include_str!("page/index.html")),
     ("style.css", CSS, include_str!("page/style.css")),
     ("icon.svg", "image/svg+xml", include_str!("page/icon.svg")),
@@ -46,6 +46,8 @@ const PAGE: [(&str, &str, &str); 9] = [
     ("state.js", SCRIPT, include_str!("page/state.js")),
     ("stream.js", SCRIPT, include_str!("page/stream.js")),
     ("stage.js", SCRIPT, include_str!("page/stage.js")),
+    ("legend.js", SCRIPT, include_str!("page/legend.js")),
+    ("plan.js", SCRIPT, include_str!("page/plan.js")),
     ("map.js", SCRIPT, include_str!("page/map.js")),
     ("save.js", SCRIPT, include_str!("page/save.js")),
 ];

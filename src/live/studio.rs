@@ -1,8 +1,9 @@
 //! Renders the requested pictures of a light field.
 
 use super::encode::{Colors, encode, encode_saved};
+use super::overlays::{Weights, depth_picture};
 use super::true_views::TrueViews;
-use super::{Level, LiveError, PictureMethod, PictureRequest, RigFrame};
+use super::{Level, LiveError, PictureMethod, PictureRequest, Place, RigFrame, ViewDirection};
 use crate::camera::Camera;
 use crate::compare::TRADITIONAL;
 use crate::interpolation::SyncMethod;
@@ -11,13 +12,12 @@ use crate::light_field::{
 };
 use crate::lumigraph::Rendered;
 use crate::method::Method as _;
-use crate::options::{Preset, RenderOptions, TrailOptions};
+use crate::options::{Preset, ProxyMethod, RenderOptions, TrailOptions};
 use crate::progress::Reporter;
-use crate::raster::luma;
 use std::sync::Arc;
 
-/// Opacity of the cameras' colours over the picture, in 0..=1.
-const TINT: f32 = 0.5;
+/// Size of a view whose geometry is estimated beforehand, pixels: only the cameras' depths are kept.
+const SMALL_PX: [u32; 2] = [32, 24];
 
 /// Returns whether to continue: a viewer may have sent a newer request.
 pub(super) type Proceed<'p> = &'p (dyn Fn() -> bool + Sync);
@@ -28,6 +28,23 @@ pub struct Picture {
     pub bytes: Vec<u8>,
     /// The methods that made it, such as `refined, mesh`; empty for the truth.
     pub made_by: String,
+    /// Of a picture of depths: those of the first and the last colour, metres.
+    pub depths_m: Option<[f32; 2]>,
+}
+
+/// A picture before it is encoded.
+struct Made {
+    rendered: Rendered,
+    /// The methods, but of the truth.
+    by: Option<(SyncMethod, ProxyMethod)>,
+    depths_m: Option<[f32; 2]>,
+}
+
+/// What a view is rendered from.
+struct ViewInputs<'a> {
+    options: &'a RenderOptions,
+    /// The synchronized images of the instant, if they are cached.
+    images: Option<GivenImages>,
 }
 
 /// Renders pictures of a light field and of its truth.
@@ -65,8 +82,17 @@ impl<'a> Studio<'a> {
         Self { field, rig: Arc::new(rig), truth, colors, words, full, quick }
     }
 
-    fn options(&self, level: Level) -> &RenderOptions {
-        if level == Level::Quick { &self.quick } else { &self.full }
+    /// The options of full quality.
+    pub(super) fn full(&self) -> &RenderOptions {
+        &self.full
+    }
+
+    /// The options of full quality, with the request's methods.
+    fn chosen(&self, request: &PictureRequest) -> RenderOptions {
+        let mut options = self.full.clone();
+        options.sync = request.sync.unwrap_or(options.sync);
+        options.proxy.method = request.proxy.unwrap_or(options.proxy.method);
+        options
     }
 
     /// The time of a request, seconds from the capture's start.
@@ -84,101 +110,147 @@ impl<'a> Studio<'a> {
         proceed: Proceed,
     ) -> Result<Picture, LiveError> {
         let target = self.rig.camera(request)?;
-        let (rendered, made_by) = match request.method {
-            PictureMethod::Truth => (self.truth.view(request, &target)?, String::new()),
-            _ => {
-                let proceed = |_, _| proceed();
-                let (rendered, sync) =
-                    match self.rendered(request, &target, &Context::new(&proceed)) {
-                        Err(RenderError::Stopped) => return Err(LiveError::Superseded),
-                        rendered => rendered?,
-                    };
-                let proxy = self.options(request.level).proxy.method;
-                (rendered, format!("{}, {}", sync.name(), proxy.name()))
+        let made = if request.method == PictureMethod::Truth {
+            Made { rendered: self.truth.view(request, &target)?, by: None, depths_m: None }
+        } else {
+            match self.rendered(request, &target, &Context::new(&|_, _| proceed())) {
+                Err(RenderError::Stopped) => return Err(LiveError::Superseded),
+                made => made?,
             }
         };
         let bytes = match request.level {
-            Level::Quick | Level::Full => encode(&rendered),
-            Level::Saved => encode_saved(&rendered, self.field.capture().bit_depth()),
+            Level::Quick | Level::Full => encode(&made.rendered),
+            Level::Saved => encode_saved(&made.rendered, self.field.capture().bit_depth()),
         };
-        Ok(Picture { bytes: bytes.map_err(LiveError::Request)?, made_by })
+        let by = made.by.map(|(sync, proxy)| format!("{}, {}", sync.name(), proxy.name()));
+        Ok(Picture {
+            bytes: bytes.map_err(LiveError::Request)?,
+            made_by: by.unwrap_or_default(),
+            depths_m: made.depths_m,
+        })
     }
 
-    /// A picture of the light field, and the sync method of the images that it is blended from. A quick picture is
-    /// blended from the images of full quality if they are cached.
+    /// The options and images of a view. A quick picture has the chosen options where nothing is left to estimate for
+    /// them, so that it looks the same in motion and at rest.
+    fn inputs<'o>(
+        &'o self,
+        request: &PictureRequest,
+        target: &Camera,
+        chosen: &'o RenderOptions,
+    ) -> ViewInputs<'o> {
+        if request.level != Level::Quick {
+            return ViewInputs { options: chosen, images: None };
+        }
+        let time_s = self.time_s(request);
+        let images = self.field.cached_instant(time_s, chosen);
+        let view = Request::new(Viewpoint::View(target), time_s, chosen);
+        let is_ready = images.is_some() && self.field.has_cached_geometry(target, &view);
+        ViewInputs { options: if is_ready { chosen } else { &self.quick }, images }
+    }
+
+    /// A picture of the light field.
     fn rendered(
         &self,
         request: &PictureRequest,
         target: &Camera,
         context: &Context,
-    ) -> Result<(Rendered, SyncMethod), RenderError> {
-        let &PictureRequest { method, level, .. } = request;
-        let time_s = self.time_s(request);
-        let options = self.options(level);
-        let view = Request::new(Viewpoint::View(target), time_s, options);
-        if method == PictureMethod::Traditional {
-            // No depth can be estimated from frames of different instants, so that the depth is that of ST-LFR. A
-            // saved picture is as `stlfr render --sync nearest` renders it.
-            let shape = if level == Level::Saved { TRADITIONAL } else { options.sync };
-            let nearest = RenderOptions { sync: TRADITIONAL, ..options.clone() };
-            let [images, shape] = [TRADITIONAL, shape].map(Images::By);
-            let view = Request { options: &nearest, images, shape, ..view };
-            return Ok((render(self.field, &view, context)?, TRADITIONAL));
-        }
-        let is_quick = level == Level::Quick;
-        let cached = is_quick.then(|| self.field.cached_instant(time_s, &self.full)).flatten();
-        match (method, cached) {
-            (PictureMethod::Sources, Some(images)) => {
-                Ok((self.tinted(&view, &images, context)?, self.full.sync))
+    ) -> Result<Made, RenderError> {
+        let chosen = self.chosen(request);
+        let ViewInputs { options, images } = self.inputs(request, target, &chosen);
+        let view = Request::new(Viewpoint::View(target), self.time_s(request), options);
+        let sync = if images.is_some() { chosen.sync } else { options.sync };
+        let by = |sync: SyncMethod| Some((sync, options.proxy.method));
+        let made = |rendered, by| Made { rendered, by, depths_m: None };
+        match request.method {
+            PictureMethod::Traditional => {
+                // No depth can be estimated from frames of different instants, so that the depth is that of ST-LFR. A
+                // saved picture is as `stlfr render --sync nearest` renders it.
+                let is_saved = request.level == Level::Saved;
+                let shape = Images::By(if is_saved { TRADITIONAL } else { options.sync });
+                let nearest = RenderOptions { sync: TRADITIONAL, ..options.clone() };
+                let images = Images::By(TRADITIONAL);
+                let view = Request { options: &nearest, images, shape, ..view };
+                Ok(made(render(self.field, &view, context)?, by(TRADITIONAL)))
             }
-            (PictureMethod::Sources, None) => {
-                // Weights hardly depend on the images, so that the nearest frames will do beneath the colours.
-                let sync = if is_quick { TRADITIONAL } else { self.full.sync };
-                let options = RenderOptions { sync, ..self.full.clone() };
-                let images = self.field.corrected_all(time_s, &options, context)?;
-                Ok((self.tinted(&view, &images, context)?, sync))
+            PictureMethod::Depth => {
+                let geometry = self.field.geometry(target, &view)?;
+                let picture = depth_picture(&geometry.view).ok_or(RenderError::NothingSeen)?;
+                Ok(Made { rendered: picture.0, by: by(sync), depths_m: Some(picture.1) })
             }
-            (_, Some(images)) => {
-                let view = Request { images: Images::Given(&images), ..view };
-                Ok((render(self.field, &view, context)?, self.full.sync))
+            PictureMethod::Sources | PictureMethod::Weights => {
+                let (images, sync) = match images {
+                    Some(images) => (images, sync),
+                    None => self.images(request, options, context)?,
+                };
+                let rendered = self.explained(request, &view, &images)?;
+                Ok(made(rendered, by(sync)))
             }
-            (_, None) => Ok((render(self.field, &view, context)?, options.sync)),
+            PictureMethod::SpaceTime | PictureMethod::Truth => {
+                let given = images.as_ref().map_or(view.images, Images::Given);
+                let view = Request { images: given, ..view };
+                Ok(made(render(self.field, &view, context)?, by(sync)))
+            }
         }
     }
 
-    /// A grey view of these images, tinted with the colours of the cameras that each pixel is blended from.
-    fn tinted(
+    /// The cameras' images of an instant, and their method.
+    fn images(
         &self,
+        request: &PictureRequest,
+        options: &RenderOptions,
+        context: &Context,
+    ) -> Result<(GivenImages, SyncMethod), RenderError> {
+        // Weights hardly depend on the images, so that the nearest frames will do beneath the colours.
+        let sync = if request.is_quick() { TRADITIONAL } else { options.sync };
+        let options = RenderOptions { sync, ..options.clone() };
+        Ok((self.field.corrected_all(self.time_s(request), &options, context)?, sync))
+    }
+
+    /// The cameras that a view is blended from: as stripes, or as numbers.
+    fn explained(
+        &self,
+        request: &PictureRequest,
         view: &Request,
         images: &GivenImages,
-        context: &Context,
     ) -> Result<Rendered, RenderError> {
-        let tinted = images.with_colors(self.colors.rgb());
-        let of = |images| {
-            let request = Request { images: Images::Given(images), ..*view };
-            render(self.field, &request, context)
-        };
-        let mut view = of(images)?;
-        let shown = view.image.to_rgb();
-        view.image = of(&tinted)?.image;
-        let pixels = view.image.data_mut().chunks_exact_mut(3);
-        for (pixel, shown) in pixels.zip(shown.data().chunks_exact(3)) {
-            let gray = luma(shown);
-            pixel.iter_mut().for_each(|v| *v = gray * (1.0 - TINT) + *v * TINT);
-        }
-        Ok(view)
+        let Viewpoint::View(target) = view.from else { return Err(RenderError::NothingSeen) };
+        let given = Request { images: Images::Given(images), ..*view };
+        let geometry = self.field.geometry(target, &given)?;
+        let weights = Weights::new(self.field, images, &geometry, target, &view.options.blend);
+        Ok(match request.method {
+            PictureMethod::Weights => weights.picture(),
+            _ => weights.striped(self.colors.rgb()),
+        })
     }
 
-    /// Computes the cameras' images at the instant of a picture beforehand, so that views of this instant are quick.
-    /// Stops when `proceed` returns false. Errors are ignored: they show when a picture is requested.
+    /// Computes the cameras' images and depths at the instant of a picture beforehand, so that views of this instant are
+    /// quick. Stops when `proceed` returns false. Errors are ignored: they show when a picture is requested.
     pub(super) fn prepare(&self, request: &PictureRequest, proceed: Proceed) {
+        let chosen = self.chosen(request);
         let sync = match request.method {
             PictureMethod::Truth => return,
-            PictureMethod::SpaceTime | PictureMethod::Sources => self.full.sync,
             PictureMethod::Traditional => TRADITIONAL,
+            _ => chosen.sync,
         };
-        let options = RenderOptions { sync, ..self.full.clone() };
+        let options = RenderOptions { sync, ..chosen.clone() };
         let time_s = self.time_s(request);
-        let _ = self.field.synchronized_all(time_s, &options, &Context::new(&|_, _| proceed()));
+        let goes_on = |_, _| proceed();
+        let context = Context::new(&goes_on);
+        let prepared = self.field.synchronized_all(time_s, &options, &context);
+        if prepared.is_err() || chosen.proxy.method != ProxyMethod::Depth {
+            return;
+        }
+        for place in self.rig.places_and_middles() {
+            let view = ViewDirection { turn_deg: [0.0; 2], zoom: 1.0, size: SMALL_PX };
+            let request = PictureRequest { place: Place::Free(place), view, ..request.clone() };
+            let Ok(target) = self.rig.camera(&request) else { continue };
+            let view = Request::new(Viewpoint::View(&target), time_s, &chosen);
+            if !proceed() {
+                return;
+            }
+            if !self.field.has_cached_geometry(&target, &view) {
+                let _ = self.field.geometry(&target, &view);
+            }
+        }
     }
 }

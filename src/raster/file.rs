@@ -183,6 +183,26 @@ pub fn write_image(
         .map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
+/// Effort of the WebP encoder, 0 to 6, and 0 to 100 within it. Larger: files a tenth smaller at most, in up to a hundred
+/// times the time.
+const WEBP_EFFORT: (i32, f32) = (1, 20.0);
+
+/// Writes an image, grey or RGB, as WebP of 8 bits a channel without loss, creating its folder if there is none.
+///
+/// A file has 0.5 to 0.65 times the bytes of [`write_image`]'s. An error if a side has more than 16,383 pixels.
+pub(crate) fn write_webp(path: &Path, image: &Image) -> Result<(), ImageFileError> {
+    let failed = |reason: &str| image_error(path, reason);
+    let (_, Samples::Eight(raw)) = quantize(&image.to_rgb(), None, BitDepth::Eight) else {
+        return Err(failed("has no 8-bit samples"));
+    };
+    let mut config = webp::WebPConfig::new().map_err(|()| failed("the WebP encoder is missing"))?;
+    (config.lossless, config.method, config.quality) = (1, WEBP_EFFORT.0, WEBP_EFFORT.1);
+    let encoder = webp::Encoder::from_rgb(&raw, image.width() as u32, image.height() as u32);
+    let bytes = encoder.encode_advanced(&config).map_err(|e| failed(&format!("{e:?}")))?;
+    write_atomically(path, &bytes)
+        .map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
+}
+
 /// Samples of a file: row by row, channels interleaved.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Samples {
@@ -257,6 +277,21 @@ pub(crate) fn encode_png(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn webp_keeps_every_sample() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/a.webp");
+        for channels in [1, 3] {
+            let image = gradient(channels);
+            write_webp(&path, &image).unwrap();
+            let decoded = webp::Decoder::new(&std::fs::read(&path).unwrap()).decode().unwrap();
+            let (_, samples) = quantize(&image.to_rgb(), None, BitDepth::Eight);
+            assert_eq!(Samples::Eight(decoded.to_vec()), samples);
+        }
+        let wide = Image::filled(1 << 14, 1, 1, 0.5);
+        assert!(write_webp(&path, &wide).unwrap_err().to_string().contains("a.webp"));
+    }
 
     fn gradient(channels: usize) -> Image {
         let data = (0..6 * 5 * channels).map(|k| k as f32 / (6 * 5 * channels) as f32).collect();

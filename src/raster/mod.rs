@@ -12,7 +12,7 @@ mod tiles;
 
 pub use color::{LUMINANCE, encoded_from_linear, gray_from_rgb, linear_from_encoded, luma};
 pub use file::{ImageFileError, MAX_PIXELS, Samples, quantize, read_image, write_image};
-pub(crate) use file::{encode_png, encode_png_8, read_hashed_image, read_header};
+pub(crate) use file::{encode_png, encode_png_8, read_hashed_image, read_header, write_webp};
 pub(crate) use filter::{box_filter, max_filter, padded};
 pub use sample::Sampling;
 pub(crate) use sample::{sample, sample_all, sample_each};

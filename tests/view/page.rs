@@ -44,6 +44,15 @@ fn sums(tab: &mut Tab, pane: &str) -> Value {
     ))
 }
 
+/// The left and upper edge of an element, its width and its height, pixels.
+fn edges(tab: &mut Tab, selector: &str) -> [f64; 4] {
+    let edges = tab.value(&format!(
+        "(() => {{ const b = document.querySelector({selector:?}).getBoundingClientRect(); \
+         return [b.x, b.y, b.width, b.height]; }})()"
+    ));
+    serde_json::from_value(edges).unwrap()
+}
+
 /// Nothing went wrong, in the page's own words or the browser's.
 fn is_well(tab: &mut Tab) {
     assert_eq!(
@@ -120,7 +129,9 @@ fn methods_stand_beside_each_other() {
     tab.until("!document.getElementById('divide').hidden");
     assert_eq!(link(&mut tab, "beside").as_deref(), Some("lfr"));
     assert_ne!(sums(&mut tab, "pane-a"), sums(&mut tab, "pane-b"));
-    tab.drag([640.0, 400.0], [900.0, 400.0], 0);
+    let [x, y, width, height] = edges(&mut tab, "#picture");
+    let y = y + height / 2.0;
+    tab.drag([x + width / 2.0, y], [x + 0.7 * width, y], 0);
     assert!(number(&mut tab, "split") > 65.0, "the border was dragged");
     assert!(number(&mut tab, "x") == 0.02, "and the viewpoint was not");
     // The truth is at its places: the page goes to the nearest.
@@ -259,7 +270,7 @@ fn a_phone_shows_all_of_it() {
     assert_eq!(tab.value("document.documentElement.scrollWidth"), 390);
     assert_eq!(tab.value(outside), json!([]));
     let small = "[...document.querySelectorAll('button, select')].filter((e) => { const b = e.getBoundingClientRect(); \
-        return b.width && (b.width < 34 || b.height < 34); }).map((e) => e.id)";
+        return b.width && (b.width < 44 || b.height < 44); }).map((e) => e.id)";
     assert_eq!(tab.value(small), json!([]), "fingers find it");
     tab.click("#map-button");
     tab.until("document.getElementById('place').getBoundingClientRect().width > 100");
@@ -305,4 +316,130 @@ fn a_capture_deleted_under_it_is_said_on_the_page() {
     tab.until(
         "document.querySelector('#pane-a .problem').innerText.includes('The server has ended')",
     );
+}
+
+/// Nothing of the picture is cut off, nor covered by a part of the page.
+#[test]
+fn the_picture_is_whole() {
+    let served = Served::start(capture());
+    for size in [DESK, PHONE, (844, 390)] {
+        let mut browser = Chromium::start();
+        let mut tab = open(&mut browser, &served, size, "x=0&y=0&z=0&t=0.08");
+        let [x, y, width, height] = edges(&mut tab, "#picture");
+        assert!((width / height - 160.0 / 120.0).abs() < 0.02, "{width}×{height}");
+        assert!(x >= 0.0 && y >= 0.0);
+        assert!(x + width <= f64::from(size.0) + 0.5 && y + height <= f64::from(size.1) + 0.5);
+        let canvas =
+            tab.value("(() => { const c = document.querySelector('#pane-a canvas'); return [c.width, c.height]; })()");
+        assert_eq!(canvas, json!([160, 120]));
+        for part in ["#head", "#bar", "#place"] {
+            let [px, py, pwidth, pheight] = edges(&mut tab, part);
+            let is_beside =
+                px + pwidth <= x || px >= x + width || py + pheight <= y || py >= y + height;
+            assert!(pwidth == 0.0 || is_beside, "{part} at {size:?}");
+        }
+        tab.key(" ", 0);
+        tab.until("/frames\\/s/.test(document.getElementById('status').textContent)");
+        assert_eq!(tab.value("document.querySelector('#pane-a canvas').height"), 120, "in motion");
+        tab.key(" ", 0);
+        tab.until(AT_REST);
+        is_well(&mut tab);
+    }
+}
+
+#[test]
+fn cameras_and_depths_have_a_legend_and_what_is_under_the_pointer() {
+    let served = Served::start(capture());
+    let mut browser = Chromium::start();
+    let mut tab = open(&mut browser, &served, DESK, "x=0.01&y=0&z=0&t=0.08&show=sources");
+    let weights =
+        "[...document.querySelectorAll('#legend output')].map((o) => parseInt(o.textContent) || 0)";
+    let sum = format!("Math.abs({weights}.reduce((a, b) => a + b, 0) - 100) < 6");
+    tab.until(&sum);
+    let colors = tab.value(
+        "new Set([...document.querySelectorAll('#legend i')].map((i) => i.style.background)).size",
+    );
+    assert_eq!(colors, 4);
+    let mean = tab.value(weights);
+    let [x, y, width, height] = edges(&mut tab, "#picture");
+    let mut point = |across: f64, caption: &str| {
+        let (x, y) = (x + across * width, y + 0.4 * height);
+        tab.call("Input.dispatchMouseEvent", json!({"type": "mouseMoved", "x": x, "y": y}));
+        tab.until(&format!(
+            "document.querySelector('#legend .caption').textContent.includes({caption:?})"
+        ));
+        tab.value(weights)
+    };
+    let left = point(0.02, "under the pointer");
+    assert!(point(0.98, "under the pointer") != left && left != mean);
+    tab.key("5", 0);
+    assert_eq!(link(&mut tab, "show").as_deref(), Some("depth"));
+    tab.until("/near: \\d/.test(document.getElementById('legend').innerText)");
+    let point = json!({"type": "mouseMoved", "x": x + 0.5 * width, "y": y + 0.45 * height});
+    tab.call("Input.dispatchMouseEvent", point);
+    tab.until("/\\d m under the pointer/.test(document.getElementById('legend').innerText)");
+    let depth_m = tab.value("parseFloat(document.querySelector('#legend .caption').textContent)");
+    let depth_m = depth_m.as_f64().unwrap();
+    assert!((0.9..4.0).contains(&depth_m), "{depth_m}");
+    tab.key("1", 0);
+    tab.until("document.getElementById('legend').hidden");
+    is_well(&mut tab);
+}
+
+#[test]
+fn methods_are_chosen_on_the_page_and_kept_in_the_link() {
+    let served = Served::start(capture());
+    let mut browser = Chromium::start();
+    let mut tab = open(&mut browser, &served, DESK, "x=0.02&y=0&z=0&t=0.09");
+    let before = sums(&mut tab, "pane-a");
+    tab.value("(() => { const p = document.getElementById('proxy'); p.value = 'plane'; p.dispatchEvent(new Event('change')); })()");
+    assert_eq!(link(&mut tab, "proxy").as_deref(), Some("plane"));
+    tab.until("document.getElementById('status').textContent.includes('one plane')");
+    assert_ne!(sums(&mut tab, "pane-a"), before);
+    tab.click("#save");
+    tab.until("document.getElementById('command').textContent.includes('--proxy plane')");
+    tab.until("/stlfr view .* --at '.*proxy=plane.*'/.test(document.getElementById('return').textContent)");
+    is_well(&mut tab);
+}
+
+#[test]
+fn two_fingers_zoom_and_a_drag_leaves_no_frame() {
+    let served = Served::start(capture());
+    let mut browser = Chromium::start();
+    let mut tab = open(&mut browser, &served, PHONE, "x=0&y=0&z=0&t=0.08");
+    tab.call("Emulation.setTouchEmulationEnabled", json!({"enabled": true, "maxTouchPoints": 2}));
+    let [x, y, width, height] = edges(&mut tab, "#picture");
+    let (x, y) = (x + width / 2.0, y + height / 2.0);
+    let mut touch = |kind: &str, apart: f64| {
+        let points = json!([{"x": x - apart, "y": y, "id": 0}, {"x": x + apart, "y": y, "id": 1}]);
+        let points = if kind == "touchEnd" { json!([]) } else { points };
+        tab.call("Input.dispatchTouchEvent", json!({"type": kind, "touchPoints": points}));
+    };
+    touch("touchStart", 40.0);
+    (1..=8).for_each(|k| touch("touchMove", 40.0 + 5.0 * f64::from(k)));
+    touch("touchEnd", 0.0);
+    let zoom = number(&mut tab, "zoom");
+    assert!((1.7..2.3).contains(&zoom), "{zoom}");
+    assert_eq!((number(&mut tab, "x"), number(&mut tab, "z")), (0.0, 0.0));
+    let framed =
+        "getComputedStyle(document.getElementById('picture'), '::after').content !== 'none'";
+    tab.key("ArrowRight", 0);
+    tab.drag([x, y], [x + 30.0, y], 0);
+    assert_eq!(tab.value(framed), false);
+    tab.key("ArrowRight", 0);
+    assert_eq!(tab.value(framed), true, "keys show where they go");
+    is_well(&mut tab);
+}
+
+#[test]
+fn a_page_at_rest_says_that_the_server_has_ended() {
+    let served = Served::start(capture());
+    let mut browser = Chromium::start();
+    let mut tab = open(&mut browser, &served, DESK, "x=0&y=0&z=0&t=0.05");
+    drop(served);
+    tab.until(
+        "document.querySelector('#pane-a .problem').innerText.includes('The server has ended')",
+    );
+    tab.until("document.getElementById('status').textContent.includes('no connection')");
+    assert_eq!(tab.value(AT_REST), false);
 }

@@ -1,9 +1,11 @@
 // The page: connects controls, keys and the link to the state, and the state to the pictures.
 
+import { Legend } from "./legend.js";
 import { RigMap } from "./map.js";
-import { command, copy, saveCamera, savePicture } from "./save.js";
+import { Plan } from "./plan.js";
+import { command, copy, returnCommand, saveCamera, savePicture } from "./save.js";
 import { Pane, gestures } from "./stage.js";
-import { METHODS, State } from "./state.js";
+import { METHODS, State, WORDS, truthName } from "./state.js";
 import { Stream, fullSize } from "./stream.js";
 
 const byId = (id) => document.getElementById(id);
@@ -15,14 +17,21 @@ const SETTLE_MS = 400;
 const ORBIT_S = 7;
 /** A recording plays at the fastest speed at which it lasts this long, seconds. */
 const MIN_LOOP_S = 3;
+/** Interval at which a page at rest asks whether the server is there, milliseconds. */
+const HEARTBEAT_MS = 4000;
+const ENDED = "The server has ended, or can’t be reached.";
 
-let state, map, scene;
+let state, map, plan, legend, scene;
 const panes = [new Pane(byId("pane-a")), new Pane(byId("pane-b"))];
-const size = () => fullSize(scene.lens, [innerWidth, innerHeight]);
+const size = () => fullSize(scene.lens, byId("picture").clientWidth);
+/** Size of a saved picture: the whole image, in full resolution. */
+const savedSize = () => [scene.lens.width, scene.lens.height];
 const streams = panes.map(
   (pane, k) => new Stream("ab"[k], size, (picture) => shown(pane, picture), (sentence) => failed(pane, sentence)),
 );
 let isPlaying = false;
+/** Whether the server did not answer last time. */
+let isLost = false;
 let orbit = null;
 let arrivals = [];
 
@@ -37,33 +46,54 @@ function toast(text) {
 function shown(pane, picture) {
   byId("waiting").hidden = true;
   pane.show(picture);
+  isLost = false;
   if (pane === panes[0]) arrivals.push(performance.now());
+  const method = pane === panes[0] ? state.left : state.right;
+  if (method === legend.method) legend.shown(picture, state.query()).catch(() => {});
   describe();
 }
 
 function failed(pane, sentence) {
   byId("waiting").hidden = true;
+  isLost = sentence === ENDED;
   const truth = state.nearestTruth();
   const isTruth = (pane === panes[0] ? state.left : state.right) === "truth";
   const action = isTruth && truth ? ["Go to the nearest", () => state.goTo(state.nearestTruth())] : null;
   pane.fail(sentence, action);
+  describe();
 }
+
+/** Asks whether the server is there, if nothing else does: a page at rest requests nothing. */
+async function listenForHeart() {
+  if (document.hidden || streams.some((stream) => stream.abort)) return;
+  try {
+    await fetch("icon.svg", { cache: "no-store", signal: AbortSignal.timeout(HEARTBEAT_MS) });
+    if (isLost) request();
+  } catch {
+    panes.forEach((pane, k) => [state.left, state.right][k] && failed(pane, ENDED));
+  }
+}
+
+/** What made a picture, in words: the server names methods as the command line does. */
+const inWords = (madeBy) => madeBy.split(", ").map((name) => WORDS[name] ?? name).join(", ");
 
 /** Shows the methods, the size and the frame rate of the pictures, beneath the capture's name. */
 function describe() {
   const now = performance.now();
   arrivals = arrivals.filter((time) => now - time < 1000);
   const { picture } = panes[0];
-  if (!picture) return;
-  const methods = [state.left, state.right].filter(Boolean).map((method) => METHODS[method]);
+  if (isLost) byId("status").textContent = "no connection to the server";
+  if (!picture || isLost) return;
   const all = state.right ? panes : panes.slice(0, 1);
   const isQuick = all.some((pane) => pane.picture?.level !== "full");
-  const how = [...new Set(all.map((pane) => pane.picture?.madeBy).filter(Boolean))].join(" | ");
+  const how = [...new Set(all.map((pane) => pane.picture?.madeBy).filter(Boolean))].map(inWords).join(" | ");
   const isStill = !isPlaying && !orbit;
-  const isRefining = isStill && arrivals.length < 2;
-  const rate = isStill && !isQuick ? "at rest" : isRefining ? "refining …" : `${arrivals.length} frames/s`;
+  const isAsking = changed.needsPicture || streams.some((stream) => stream.abort);
+  const isWithout = all.some((pane) => !pane.problem.hidden);
+  const isRefining = isStill && (isAsking || arrivals.length < 2);
+  const rate = isWithout ? "no picture" : isStill && !isQuick && !isAsking ? "at rest" : isRefining ? "refining …" : `${arrivals.length} frames/s`;
   const pixels = Object.assign(document.createElement("span"), { textContent: ` · ${picture.width}×${picture.height}` });
-  byId("status").replaceChildren([methods.join(" | "), how].filter(Boolean).join(" · "), pixels, ` · ${rate}`);
+  byId("status").replaceChildren(how || "as the simulator rendered it", pixels, ` · ${rate}`);
 }
 
 /** Requests pictures of the current state. */
@@ -99,6 +129,8 @@ function reflect() {
   byId("clock").replaceChildren(`${state.t.toFixed(4)} s`, small);
   byId("left").value = state.left;
   byId("right").value = state.right;
+  for (const name of ["sync", "proxy"]) byId(name).value = state[name] || scene.chosen[name];
+  legend.of([state.left, state.right].find((method) => ["sources", "depth"].includes(method)) ?? "");
   byId("split").value = state.split;
   byId("divide").hidden = panes[1].element.hidden = !state.right;
   byId("line").style.left = `${state.split}%`;
@@ -109,6 +141,7 @@ function reflect() {
   panes[1].element.style.clipPath = `inset(0 0 0 ${state.split}%)`;
   panes[0].element.style.clipPath = state.right ? `inset(0 ${100 - state.split}% 0 0)` : "";
   map.draw();
+  plan.draw();
 }
 
 let isDue = false;
@@ -126,6 +159,7 @@ function changed(names) {
     });
   }
   if (names.some((name) => name !== "split")) changed.needsPicture = true;
+  describe();
   clearTimeout(settling);
   settling = setTimeout(() => {
     history.replaceState(null, "", `#${state.link()}`);
@@ -237,18 +271,19 @@ const KEYS = {
   2: () => state.set({ left: "lfr" }),
   3: () => truthAt("left"),
   4: () => state.set({ left: "sources" }),
+  5: () => state.set({ left: "depth" }),
   c: () => beside(state.left === "lfr" ? "st" : "lfr"),
   n: () => state.goTo(state.nearestTruth()),
   m: () => toggleMap(),
   l: () => copyLink(),
-  p: () => save(() => savePicture(state, size(), state.left)),
+  p: () => save(() => savePicture(state, savedSize(), state.left)),
   "?": () => byId("keys").showModal(),
 };
 
 /** Whether the focused control uses the key: arrows move a slider, space presses a button, letters choose in a list. */
 function isTaken({ key, target }) {
   if (target.closest("dialog, #save-menu")) return true;
-  if (target.matches("select")) return key.length === 1 || key.startsWith("Arrow") || key === "Home";
+  if (target.matches("select")) return /^[\p{L}\p{N} ]$/u.test(key) || key.startsWith("Arrow") || key === "Home";
   if (target.matches("input")) return key.startsWith("Arrow") || key === "Home";
   return target.matches("button") && key === " ";
 }
@@ -280,11 +315,14 @@ function toggleMap() {
   const isOpen = byId("place").classList.toggle("open");
   byId("map-button").setAttribute("aria-expanded", String(isOpen));
   map.draw();
+  plan.draw();
 }
 
 async function copyLink() {
   history.replaceState(null, "", `#${state.link()}`);
-  toast((await copy(location.href)) ? "The link to this place is copied." : "The address of this page is the link to this place.");
+  const isCopied = await copy(location.href);
+  const until = "It works until the server ends; Save has the command that opens this place later.";
+  toast(isCopied ? `The link to this place is copied. ${until}` : `The address of this page is the link to this place. ${until}`);
 }
 
 async function save(action) {
@@ -309,8 +347,15 @@ function fill() {
   option(byId("right"), "", "nothing");
   for (const { value, textContent } of [...byId("left").options]) option(byId("right"), value, textContent);
   option(byId("at"), "", "anywhere");
-  scene.cameras.forEach(({ id }, k) => option(byId("at"), `c${k}`, id));
-  scene.truths.forEach(({ id, time_s: time }, k) => option(byId("at"), `t${k}`, `${id} · ${time.toFixed(4)} s`));
+  const group = (label) => byId("at").appendChild(Object.assign(document.createElement("optgroup"), { label }));
+  const [cameras, truths] = [group("Cameras"), scene.truths.length ? group("Places and instants with truth") : null];
+  scene.cameras.forEach(({ id }, k) => option(cameras, `c${k}`, id));
+  scene.truths.forEach((truth, k) => option(truths, `t${k}`, truthName(truth)));
+  for (const name of ["sync", "proxy"]) {
+    for (const method of scene.methods[name]) option(byId(name), method.name, WORDS[method.name] ?? method.name);
+  }
+  for (const key of document.querySelectorAll(".of-truth")) key.hidden = !scene.truths.length;
+  document.documentElement.style.setProperty("--ratio", scene.lens.width / scene.lens.height);
   ["x", "y", "z"].forEach((axis, k) => Object.assign(byId(axis), { min: scene.low[k], max: scene.high[k] }));
   const [least, largest] = scene.zooms.map(Math.log2);
   Object.assign(byId("zoom"), { min: least, max: largest });
@@ -334,8 +379,18 @@ function fillTime([first, last]) {
   byId("speed").value = (speeds.find(({ value }) => (last - first) / Number(value) >= MIN_LOOP_S) ?? speeds.at(-1)).value;
 }
 
+/** Shows in the legend what is under the pointer. */
+function pointAt({ clientX, clientY }) {
+  const box = byId("picture").getBoundingClientRect();
+  const place = [(clientX - box.left) / box.width, (clientY - box.top) / box.height];
+  const isInside = place.every((v) => v >= 0 && v < 1);
+  legend.point(isInside ? place : null, state.left === legend.method ? panes[0] : panes[1]);
+}
+
 function listen() {
-  gestures(byId("stage"), state);
+  gestures(byId("stage"), byId("picture"), state);
+  byId("stage").addEventListener("pointermove", pointAt);
+  byId("stage").addEventListener("pointerleave", () => legend.point(null));
   byId("stage").addEventListener("pointerdown", () => stopTime(false));
   for (const axis of ["x", "y", "z"]) byId(axis).addEventListener("input", () => state.set({ [axis]: byId(axis).valueAsNumber }));
   byId("zoom").addEventListener("input", () => state.set({ zoom: 2 ** byId("zoom").valueAsNumber }));
@@ -348,6 +403,9 @@ function listen() {
   for (const side of ["left", "right"]) {
     byId(side).addEventListener("change", () => (byId(side).value === "truth" ? truthAt(side) : state.set({ [side]: byId(side).value })));
   }
+  for (const name of ["sync", "proxy"]) {
+    byId(name).addEventListener("change", () => state.set({ [name]: byId(name).value === scene.chosen[name] ? "" : byId(name).value }));
+  }
   byId("play").addEventListener("click", () => play(!isPlaying));
   byId("orbit").addEventListener("click", () => stopTime(!orbit));
   byId("map-button").addEventListener("click", toggleMap);
@@ -355,17 +413,21 @@ function listen() {
   byId("help").addEventListener("click", () => byId("keys").showModal());
   byId("save-menu").addEventListener("toggle", () => {
     byId("command").textContent = command(state);
+    byId("return").textContent = returnCommand(state);
     const isSame = ["st", "lfr"].includes(state.left);
     byId("command-title").textContent = isSame ? "In a terminal, the same picture:" : "In a terminal, the same view by ST-LFR:";
   });
-  byId("save-png").addEventListener("click", () => save(() => savePicture(state, size(), state.left)));
-  byId("save-json").addEventListener("click", () => save(() => saveCamera(state, size())));
-  byId("copy-command").addEventListener("click", async () => toast((await copy(command(state))) ? "Copied." : "Not copied: mark it by hand."));
+  byId("save-png").addEventListener("click", () => save(() => savePicture(state, savedSize(), state.left)));
+  byId("save-json").addEventListener("click", () => save(() => saveCamera(state, savedSize())));
+  for (const [id, text] of [["copy-command", command], ["copy-return", returnCommand]]) {
+    byId(id).addEventListener("click", async () => toast((await copy(text(state))) ? "Copied." : "Not copied: mark it by hand."));
+  }
   document.addEventListener("keydown", key);
-  addEventListener("resize", () => changed(["size"]));
+  new ResizeObserver(() => changed(["size"])).observe(byId("picture"));
   // The page may have replaced the link before this event arrives, so that its target is read from the event.
   addEventListener("hashchange", (event) => state.follow(new URL(event.newURL).hash.slice(1)));
   setInterval(describe, SETTLE_MS);
+  setInterval(listenForHeart, HEARTBEAT_MS);
 }
 
 async function start() {
@@ -374,6 +436,8 @@ async function start() {
   scene = await response.json();
   state = new State(scene, (names) => changed(names));
   map = new RigMap(byId("map"), state);
+  plan = new Plan(byId("plan"), state);
+  legend = new Legend(byId("legend"), scene);
   fill();
   listen();
   state.follow(location.hash.slice(1));
@@ -381,5 +445,5 @@ async function start() {
 }
 
 start().catch((error) => {
-  byId("waiting").textContent = error instanceof TypeError ? "The server has ended, or can’t be reached." : error.message;
+  byId("waiting").textContent = error instanceof TypeError ? ENDED : error.message;
 });

@@ -4,7 +4,8 @@ const SVG = "http://www.w3.org/2000/svg";
 /** Distance within which a tap selects a camera, pixels. */
 const SNAP_PX = 9;
 
-function shape(name, parent, attributes) {
+/** An element of SVG, appended to another. */
+export function shape(name, parent, attributes) {
   const element = document.createElementNS(SVG, name);
   for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
   parent.append(element);

@@ -35,12 +35,26 @@ export async function saveCamera(state, [w, h]) {
 /** Quotes a word for a shell. */
 const quoted = (word) => (/^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`);
 
+/** The options of the command line with a method of the page in place of their own. */
+function withMethod(options, flag, method) {
+  if (!method) return options;
+  const own = options.filter((word, k) => word !== flag && options[k - 1] !== flag && !word.startsWith(`${flag}=`));
+  return [...own, flag, method];
+}
+
 /** The command that renders the same picture. */
 export function command(state) {
-  const { folder, options } = state.scene;
-  const sync = state.left === "lfr" ? ["--sync", "nearest"] : [];
-  const words = ["stlfr", "render", folder, ...options, ...sync, "--camera", "view.json", "--time", String(state.t), "-o", "view.png"];
+  const { folder } = state.scene;
+  const sync = state.left === "lfr" ? "nearest" : state.sync;
+  const options = withMethod(withMethod(state.scene.options, "--sync", sync), "--proxy", state.proxy);
+  const words = ["stlfr", "render", folder, ...options, "--camera", "view.json", "--time", String(state.t), "-o", "view.png"];
   return words.map(quoted).join(" ");
+}
+
+/** The command that opens this place again, in any run of the program. */
+export function returnCommand(state) {
+  const { folder, options } = state.scene;
+  return ["stlfr", "view", folder, ...options, "--at", state.link()].map(quoted).join(" ");
 }
 
 /** Copies a text to the clipboard; returns whether the browser allowed it. */

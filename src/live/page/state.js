@@ -6,7 +6,26 @@ export const METHODS = {
   lfr: "Traditional",
   truth: "Truth",
   sources: "Which cameras",
+  depth: "Depth",
 };
+
+/** What the methods of the command line do, in words. */
+export const WORDS = {
+  nearest: "nearest frames",
+  crossfade: "cross-faded frames",
+  triangulation: "tracked features",
+  morph: "morph along edges",
+  "edge-morph": "morph, edges boosted",
+  refined: "motion per pixel",
+  "all-cameras": "motion from all cameras",
+  plane: "one plane",
+  mesh: "mesh",
+  depth: "depth per pixel",
+  "scene-flow": "scene flow",
+};
+
+/** The name of an image of the truth: its place, and its time. An id such as t1-between has the instant before the place. */
+export const truthName = ({ id, time_s: time }) => `${id.replace(/^t\d+-(?=.)/, "")} · ${time.toFixed(4)} s`;
 
 /** Times that differ by less than this are one instant, seconds. */
 const SAME_INSTANT_S = 1e-6;
@@ -20,7 +39,7 @@ export class State {
     this.on = on;
     const [first, last] = scene.span_s ?? [0, 0];
     this.home = { x: 0, y: 0, z: 0, yaw: 0, pitch: 0, zoom: 1, at: "" };
-    Object.assign(this, this.home, { t: (first + last) / 2, left: "st", right: "", split: 50 });
+    Object.assign(this, this.home, { t: (first + last) / 2, left: "st", right: "", split: 50, sync: "", proxy: "" });
   }
 
   /** Changes some fields, clamped to their bounds. A new position clears `at`, the named place. */
@@ -91,11 +110,12 @@ export class State {
     return times[k] + (times[next] - times[k]) * clamp(frame - k, 0, 1);
   }
 
-  /** The fields of a picture's address that give the viewpoint, the zoom and the time. */
+  /** The fields of a picture's address that give the viewpoint, the zoom, the time, and methods that differ from the chosen ones. */
   query() {
     const place = this.at ? { at: this.at } : { x: this.x.toFixed(6), y: this.y.toFixed(6), z: this.z.toFixed(6) };
     const turn = { yaw: this.yaw.toFixed(3), pitch: this.pitch.toFixed(3) };
-    return { ...place, ...turn, zoom: this.zoom.toFixed(5), t: String(this.t) };
+    const methods = Object.fromEntries(["sync", "proxy"].filter((name) => this[name]).map((name) => [name, this[name]]));
+    return { ...place, ...turn, ...methods, zoom: this.zoom.toFixed(5), t: String(this.t) };
   }
 
   /** The part of the link after `#`. */
@@ -122,6 +142,10 @@ export class State {
     for (const name of ["x", "y", "z", "yaw", "pitch", "zoom", "t", "split"]) {
       const value = Number(fields.get(name) || NaN);
       if (Number.isFinite(value)) next[name] = value;
+    }
+    for (const name of ["sync", "proxy"]) {
+      const value = fields.get(name);
+      if (this.scene.methods[name].some((method) => method.name === value)) next[name] = value === this.scene.chosen[name] ? "" : value;
     }
     const methods = { left: fields.get("show"), right: fields.get("beside") ?? "" };
     if (methods.left in METHODS) {

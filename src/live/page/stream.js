@@ -9,6 +9,8 @@ const SCALES = [1, 0.75, 0.5, 0.35];
 const SLOW_MS = 70;
 /** Median time of quick pictures below which the next ones are larger, milliseconds. */
 const FAST_MS = 24;
+/** Smallest height of quick pictures, pixels, unless full ones are smaller. */
+const MIN_HEIGHT_PX = 240;
 /** Number of quick pictures over which this median is taken. */
 const DECIDING = 4;
 
@@ -19,12 +21,10 @@ export function address(name, fields) {
   return `${name}?${new URLSearchParams({ ...fields, viewer })}`;
 }
 
-/** Size of a full picture, pixels: the window's shape, with at most the resolution of the lens and of the screen. */
-export function fullSize(lens, [width, height]) {
-  const cover = Math.min(lens.width / width, lens.height / height);
-  const scale = Math.min(cover, window.devicePixelRatio || 1);
-  const fit = (length, most) => Math.max(16, Math.min(most, Math.round(length * scale)));
-  return [fit(width, lens.width), fit(height, lens.height)];
+/** Size of a full picture, pixels: the whole image of the lens, with at most the resolution of its place on the screen. */
+export function fullSize(lens, width) {
+  const scale = Math.min(1, (width * (window.devicePixelRatio || 1)) / lens.width);
+  return [lens.width, lens.height].map((length) => Math.max(16, Math.round(length * scale)));
 }
 
 /** Requests and decodes a picture. Without a picture, throws an error with the server's sentence. */
@@ -37,7 +37,8 @@ async function load(fields, signal) {
     throw error;
   }
   const bitmap = await createImageBitmap(await response.blob());
-  return { bitmap, madeBy: response.headers.get("x-made-by"), took_ms: performance.now() - start };
+  const [madeBy, depths] = ["x-made-by", "x-depths"].map((name) => response.headers.get(name));
+  return { bitmap, madeBy, depths_m: depths?.split(",").map(Number), took_ms: performance.now() - start };
 }
 
 export class Stream {
@@ -67,7 +68,8 @@ export class Stream {
   async next(level) {
     const { version, slot } = this;
     const [width, height] = this.size();
-    const scale = level === "quick" ? SCALES[this.scale] : 1;
+    const lowest = Math.min(1, MIN_HEIGHT_PX / height);
+    const scale = level === "quick" ? Math.max(lowest, SCALES[this.scale]) : 1;
     const size = { w: Math.max(16, Math.round(width * scale)), h: Math.max(16, Math.round(height * scale)) };
     const abort = new AbortController();
     this.abort = abort;
@@ -76,14 +78,15 @@ export class Stream {
     try {
       const picture = await load({ ...this.wanted, ...size, slot, level }, abort.signal);
       if (this.abort !== abort) return;
+      this.abort = null;
       if (level === "quick") this.adapt(picture.took_ms);
       this.show({ ...picture, level, width: size.w, height: size.h });
     } catch (error) {
       if (this.abort !== abort || error.name === "AbortError") return;
+      this.abort = null;
       problem = error;
       if (!error.isSuperseded) this.fail(error instanceof TypeError ? "The server has ended, or can’t be reached." : error.message);
     }
-    this.abort = null;
     if (!this.wanted) return;
     if (version !== this.version) this.next("quick");
     else if ((level === "quick" && !problem) || problem?.isSuperseded) this.timer = setTimeout(() => this.next("full"), REST_MS);
