@@ -4,24 +4,26 @@ mod common;
 
 #[path = "view/chromium.rs"]
 mod chromium;
+#[path = "view/site.rs"]
+mod site;
 
-use chromium::{Chromium, Tab};
+use chromium::Chromium;
 use common::bodies::{Recording, board_before_wall, pose};
+use common::scores::psnr_db;
 use common::worlds::line_rig;
 use common::{assert_refused, run, succeed, text};
 use serde_json::json;
+use site::{drawn, open, serve};
 use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader, Write};
-use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, OnceLock};
-use stlfr::camera::{Camera, CameraFormat};
+use std::sync::{Arc, OnceLock};
+use stlfr::camera::CameraFormat;
 use stlfr::capture::Capture;
 use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::pipeline::open_field;
 use stlfr::progress::Reporter;
 use stlfr::publish::{PublishError, PublishOptions, publish};
-use stlfr::raster::{Image, read_image};
+use stlfr::raster::read_image;
 use tempfile::TempDir;
 
 /// Three cameras with three frames each, and the site of their light field.
@@ -56,73 +58,6 @@ fn published() -> &'static Published {
     })
 }
 
-/// A static web server; the paths that were asked for.
-fn serve(folder: &Path) -> (u16, Arc<Mutex<Vec<String>>>) {
-    let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
-    let port = listener.local_addr().unwrap().port();
-    let asked = Arc::new(Mutex::new(Vec::new()));
-    let (folder, heard) = (folder.to_owned(), asked.clone());
-    std::thread::spawn(move || {
-        for stream in listener.incoming() {
-            let (folder, heard) = (folder.clone(), heard.clone());
-            std::thread::spawn(move || answer(stream.unwrap(), &folder, &heard));
-        }
-    });
-    (port, asked)
-}
-
-fn answer(mut stream: TcpStream, folder: &Path, asked: &Mutex<Vec<String>>) {
-    let mut lines = BufReader::new(stream.try_clone().unwrap()).lines();
-    let Some(Ok(first)) = lines.next() else { return };
-    let path = first.split(' ').nth(1).unwrap_or_default().to_owned();
-    asked.lock().unwrap().push(path.clone());
-    while lines.next().is_some_and(|line| line.is_ok_and(|line| !line.is_empty())) {}
-    let kind = match path.rsplit_once('.') {
-        Some((_, "js")) => "text/javascript",
-        Some((_, "css")) => "text/css",
-        _ => "text/html",
-    };
-    let (status, body) = match std::fs::read(folder.join(&path[1..])) {
-        Ok(body) => ("200 OK", body),
-        Err(_) => ("404 Not Found", Vec::new()),
-    };
-    let head = format!(
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
-        body.len()
-    );
-    // The browser may have gone.
-    let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body));
-}
-
-const DRAWN: &str = "typeof stlfr !== 'undefined' && stlfr.statistics?.pictures > 0";
-
-/// Opens the page, and waits for its first picture.
-fn open<'a>(browser: &'a mut Chromium, address: &str, size: (u32, u32)) -> Tab<'a> {
-    let mut tab = browser.tab(size, "dark");
-    tab.open(address);
-    tab.until(DRAWN);
-    tab
-}
-
-/// The page's picture of a view.
-fn drawn(tab: &mut Tab, camera: &Camera, time_s: f64) -> Image {
-    use base64::Engine;
-    let view = json!(CameraFormat::from(camera));
-    let address = tab.value(&format!(
-        "stlfr.picture({view}, {time_s}).then((canvas) => canvas.toDataURL('image/png'))"
-    ));
-    let png = address.as_str().unwrap().split_once(',').unwrap().1;
-    let png = base64::engine::general_purpose::STANDARD.decode(png).unwrap();
-    let file = tempfile::NamedTempFile::with_suffix(".png").unwrap();
-    std::fs::write(file.path(), png).unwrap();
-    read_image(file.path()).unwrap().0
-}
-
-fn psnr_db(a: &Image, b: &Image) -> f64 {
-    let squares = a.data().iter().zip(b.data()).map(|(a, b)| f64::from(a - b).powi(2));
-    -10.0 * (squares.sum::<f64>() / a.data().len() as f64).log10()
-}
-
 /// Places and instants between cameras and frames: metres to the right of the first camera, and seconds.
 const HELD: [(f64, f64); 2] = [(0.03, 1.2 / 30.0), (0.085, 1.55 / 30.0)];
 
@@ -142,7 +77,7 @@ fn the_page_draws_what_render_renders_and_asks_for_nothing_else() {
         let mut arguments = vec!["render", text(&capture), "--proxy", "scene-flow", "-q"];
         arguments.extend(["--camera", text(&view), "--time", &time, "-o", text(&png)]);
         succeed(&arguments);
-        let db = psnr_db(&drawn(&mut tab, &camera, time_s), &read_image(&png).unwrap().0);
+        let db = psnr_db(&drawn(&mut tab, &camera, time_s), &read_image(&png).unwrap().0, 0);
         assert!(db >= 35.0, "{x_m} m, {time_s} s: {db:.1} dB");
     }
     assert_eq!(tab.errors, Vec::<String>::new());
@@ -203,7 +138,9 @@ fn what_is_published_is_told() {
         let found = published.printed.lines().find(|line| line.contains(words));
         found.unwrap_or_else(|| panic!("{words}: {}", published.printed)).to_owned()
     };
-    assert!(line("frames of").starts_with("7 frames of 3 cameras at 128x96, from 0.0233 to 0.0667 s"));
+    assert!(
+        line("frames of").starts_with("7 frames of 3 cameras at 128x96, from 0.0233 to 0.0667 s")
+    );
     let total = line("Together").split(' ').rev().nth(1).unwrap().parse::<f64>().unwrap();
     let size = |path: &Path| -> u64 {
         let entries = std::fs::read_dir(path).unwrap().map(|e| e.unwrap());
@@ -215,7 +152,11 @@ fn what_is_published_is_told() {
     assert!(lowest > 35.0, "{lowest}");
     assert!(line("<iframe").contains(r#"src="site/index.html""#));
     let index = std::fs::read_to_string(published.site().join("index.html")).unwrap();
-    assert!(index.contains("\"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "));
+    assert!(
+        index.contains(
+            "\"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+        )
+    );
 }
 
 #[test]
@@ -245,9 +186,13 @@ fn a_folder_with_other_files_is_not_replaced() {
     std::os::unix::fs::symlink(published.site(), &site).unwrap();
     refused("is a link, which is not written through");
     let output = run(&["publish", text(&capture), "-o", text(&capture), "-q"]);
-    assert_refused(&output, 2, "holds other files");
+    assert_refused(&output, 2, "is a capture, and results need a folder of their own");
     let of_frames = capture.join("truth/site");
-    assert_refused(&run(&["publish", text(&capture), "-o", text(&of_frames)]), 2, "belongs to the capture");
+    assert_refused(
+        &run(&["publish", text(&capture), "-o", text(&of_frames)]),
+        2,
+        "belongs to the capture",
+    );
     let output = run(&["publish", text(&capture), "-o", text(&of_frames), "--span", "5:6"]);
     assert_refused(&output, 2, "belongs to the capture");
     let elsewhere = folder.path().join("b");

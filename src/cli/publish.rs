@@ -51,9 +51,9 @@ pub fn run(args: &PublishArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     // The page draws by scene flow, whatever the method of other commands.
     options.proxy.method = ProxyMethod::SceneFlow;
     (options.auto.proxy, options.auto.blend, options.auto.sync) = (false, false, false);
+    CommandOutput::Folder(&args.output, &[]).check(Some(&args.capture))?;
     check_folder(&args.output)?;
-    let output = CommandOutput::Folder(&args.output, &["index.html"]);
-    let capture = open_capture(&args.capture, Some(output), reporter)?;
+    let capture = open_capture(&args.capture, None, reporter)?;
     let origin_s = capture.time_origin_s;
     let span_s = args.span.map(|Span(first, last)| (first - origin_s, last - origin_s));
     if let Some((first, last)) = span_s {

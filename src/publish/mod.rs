@@ -105,7 +105,8 @@ pub fn publish(
 ) -> Result<Publication, PublishError> {
     check_folder(folder)?;
     let reference = field.capture().reference;
-    let span_s = wanted.span_s.or_else(|| field.common_span_s()).or_else(|| field.span_s(reference));
+    let span_s =
+        wanted.span_s.or_else(|| field.common_span_s()).or_else(|| field.span_s(reference));
     let span_s = span_s.ok_or(RenderError::NoClock)?;
     let ids = field.frames_within(span_s);
     if ids.is_empty() {
@@ -189,8 +190,10 @@ impl Job<'_> {
         let mut published = Published::new();
         for ids in self.ids.chunks(FRAMES_AT_ONCE) {
             let loaded = self.field.frames_with_flow(ids, self.options)?;
-            let encode = |(id, l): (&(usize, usize), _)| Ok((*id, PublishedFrame::new(l, quality)?));
-            let encoded = ids.par_iter().zip(&loaded).map(encode).collect::<Result<Vec<_>, String>>();
+            let encode =
+                |(id, l): (&(usize, usize), _)| Ok((*id, PublishedFrame::new(l, quality)?));
+            let encoded =
+                ids.par_iter().zip(&loaded).map(encode).collect::<Result<Vec<_>, String>>();
             published.extend(encoded.map_err(PublishError::Encoding)?);
             task.set(published.len());
         }

@@ -14,8 +14,7 @@ pub(super) fn files<'a>(
     order: &[(usize, usize)],
     published: &'a Published,
 ) -> Vec<Vec<((usize, usize), &'a PublishedFrame)>> {
-    let frames: Vec<_> =
-        order.iter().filter_map(|id| Some((*id, published.get(id)?))).collect();
+    let frames: Vec<_> = order.iter().filter_map(|id| Some((*id, published.get(id)?))).collect();
     frames.chunks(FRAMES_A_FILE).map(<[_]>::to_vec).collect()
 }
 

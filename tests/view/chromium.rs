@@ -149,7 +149,8 @@ impl Chromium {
         let downloads = json!({"behavior": "allow", "browserContextId": context,
             "downloadPath": self.folder.path().join("downloads")});
         self.call("Browser.setDownloadBehavior", &downloads, None);
-        let mut tab = Tab { browser: self, session, context, errors: Vec::new(), requests: Vec::new() };
+        let mut tab =
+            Tab { browser: self, session, context, errors: Vec::new(), requests: Vec::new() };
         for domain in ["Page.enable", "Runtime.enable", "Log.enable", "Network.enable"] {
             tab.call(domain, json!({}));
         }

@@ -67,6 +67,48 @@ function unpacked(planes, width, height) {
   return { flow, bend };
 }
 
+// Largest differences within a cell of blocks that one point stands for while something moves: of disparities, and of
+// velocities a frame, pixels.
+const CELL_DISPARITY_PX = 0.5;
+const CELL_VELOCITY_PX = 0.5;
+// Sides of these cells, blocks, largest first.
+const CELLS = [4, 2, 1];
+
+// The points of a map for pictures in motion: large where depth and motion hardly change. A point is x + y · 2¹⁴ + side · 2²⁸.
+function cells(flow, width, height, steps) {
+  const points = [];
+  const most = [CELL_DISPARITY_PX / steps.disparity_px, CELL_VELOCITY_PX / steps.velocity_px, CELL_VELOCITY_PX / steps.velocity_px];
+  const isEven = (x, y, side) => {
+    const at = 4 * (y * width + x);
+    for (let c = 0; c < 3; c++) {
+      let low = flow[at + c];
+      let high = low;
+      for (let v = 0; v < side; v++) {
+        for (let u = 0, k = at + 4 * v * width + c; u < side; u++, k += 4) {
+          const value = flow[k];
+          if (value < low) low = value;
+          else if (value > high) high = value;
+        }
+      }
+      if (high - low > most[c]) return false;
+    }
+    return true;
+  };
+  const add = (x, y, level) => {
+    const side = CELLS[level];
+    if (x >= width || y >= height) return;
+    const isWhole = x + side <= width && y + side <= height;
+    if (side === 1 || (isWhole && isEven(x, y, side))) {
+      points.push(x + y * 2 ** 14 + side * 2 ** 28);
+      return;
+    }
+    const half = CELLS[level + 1];
+    for (let v = 0; v < side; v += half) for (let u = 0; u < side; u += half) add(x + u, y + v, level + 1);
+  };
+  for (let y = 0; y < height; y += CELLS[0]) for (let x = 0; x < width; x += CELLS[0]) add(x, y, 0);
+  return new Uint32Array(points);
+}
+
 // The frames: their files, and those that the graphics card has, as layers of textures.
 class Frames {
   constructor(gl, scene, onready) {
@@ -167,6 +209,11 @@ class Frames {
     gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, width, height, 1, gl.RGBA_INTEGER, gl.SHORT, flow);
     into(this.bends);
     gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, width, height, 1, gl.RG_INTEGER, gl.SHORT, bend);
+    frame.points ??= gl.createBuffer();
+    const points = cells(flow, width, height, this.scene.steps);
+    gl.bindBuffer(gl.ARRAY_BUFFER, frame.points);
+    gl.bufferData(gl.ARRAY_BUFFER, points, gl.STATIC_DRAW);
+    frame.pointCount = points.length;
     this.layers[layer] = frame;
     frame.layer = layer;
     frame.trust = null;

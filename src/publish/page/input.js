@@ -93,7 +93,6 @@ function listen(element, motion, changed) {
     if (event.button !== 0) return;
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
     element.setPointerCapture(event.pointerId);
-    askForTilt(motion, changed);
   });
   element.addEventListener("pointermove", (event) => {
     const from = pointers.get(event.pointerId);
@@ -109,6 +108,7 @@ function listen(element, motion, changed) {
     changed();
   });
   for (const name of ["pointerup", "pointercancel"]) element.addEventListener(name, (event) => pointers.delete(event.pointerId));
+  element.addEventListener("click", () => askForTilt(motion, changed));
   element.addEventListener("wheel", (event) => {
     const lines = event.deltaMode === 1 ? 16 : 1;
     if (Math.abs(event.deltaX) > Math.abs(event.deltaY) || event.shiftKey) {

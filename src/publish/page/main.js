@@ -1,15 +1,16 @@
 "use strict";
 
-// How views are drawn while something moves, best first: cameras, blocks a point, size of the picture, and whether images are
-// sampled by a cubic.
+// How views are drawn while something moves, best first: cameras, whether a point may stand for a cell of blocks, size of the
+// picture, and whether images are sampled by a cubic.
 const LEVELS = [
-  { cameras: 8, stride: 1, scale: 1, isCubic: true },
-  { cameras: 6, stride: 1, scale: 1, isCubic: false },
-  { cameras: 4, stride: 1, scale: 0.75, isCubic: false },
-  { cameras: 4, stride: 2, scale: 0.6, isCubic: false },
-  { cameras: 3, stride: 2, scale: 0.45, isCubic: false },
+  { cameras: 8, hasCells: false, scale: 1, isCubic: true },
+  { cameras: 8, hasCells: true, scale: 1, isCubic: true },
+  { cameras: 6, hasCells: true, scale: 1, isCubic: false },
+  { cameras: 4, hasCells: true, scale: 0.75, isCubic: false },
+  { cameras: 4, hasCells: true, scale: 0.5, isCubic: false },
+  { cameras: 3, hasCells: true, scale: 0.4, isCubic: false },
 ].map((level) => ({ ...level, anyTrust: true }));
-const AT_REST = { cameras: MAX_SOURCES, stride: 1, scale: 1, isCubic: true, anyTrust: false };
+const AT_REST = { cameras: MAX_SOURCES, hasCells: false, scale: 1, isCubic: true, anyTrust: false };
 // The level that is tried first.
 const FIRST_LEVEL = 2;
 // Intervals between pictures above which the next level is used, and below which the one before, milliseconds.
@@ -145,7 +146,8 @@ class Viewer {
     if (this.drewMoving && moved) this.adapt(interval);
     this.drewMoving = false;
     if (this.asked || !(moved || this.isDirty || (isResting && !this.isExact))) return;
-    const quality = isResting ? AT_REST : LEVELS[this.level];
+    // The first picture is a quick one.
+    const quality = isResting && this.isShown ? AT_REST : LEVELS[this.level];
     const size = this.pixelSize;
     const whole = this.rig.view(motion.place, size);
     const scale = quality.scale * Math.min(1, MAX_ENLARGEMENT / whole.scale);
@@ -165,7 +167,7 @@ class Viewer {
       this.problem(error);
       return;
     }
-    this.isExact = isResting && this.isReady;
+    this.isExact = quality === AT_REST && this.isReady;
     this.isDirty = !this.isReady;
     this.drewMoving = !isResting;
     this.statistics.pictures += 1;

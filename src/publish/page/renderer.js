@@ -88,11 +88,17 @@ class Renderer {
     if (!gl) throw new Error("This page needs WebGL 2, which this browser doesn't give.");
     this.gl = gl;
     this.scene = scene;
-    const programs = { confidence: [WHOLE, CONFIDENCE], splat: [SPLAT_VERTEX, SPLAT], blend: [WHOLE, BLEND], fill: [WHOLE, FILL], show: [WHOLE, SHOW] };
-    this.programs = Object.fromEntries(Object.entries(programs).map(([name, [v, f]]) => [name, new Program(gl, v, f)]));
+    this.programs = {
+      confidence: new Program(gl, WHOLE, CONFIDENCE),
+      splat: new Program(gl, SPLAT_VERTEX, SPLAT),
+      quick: this.sampling(HEAD),
+      show: new Program(gl, WHOLE, SHOW),
+    };
     this.frames = new Frames(gl, scene, onready);
     gl.bindVertexArray(gl.createVertexArray());
     gl.disable(gl.DITHER);
+    // Of points without an attribute.
+    gl.vertexAttribI4ui(0, 0, 0, 0, 0);
     this.framebuffer = gl.createFramebuffer();
     this.targets = null;
     // Views towards the scene have points nearer than any frame.
@@ -100,6 +106,11 @@ class Renderer {
     this.maxPoint = gl.getParameter(gl.ALIASED_POINT_SIZE_RANGE)[1];
     const { steps } = scene;
     this.map = { steps: [steps.disparity_px, steps.velocity_px, steps.acceleration_px, steps.rate_px], block_px: steps.block_px };
+  }
+
+  // The programs that sample images.
+  sampling(head) {
+    return { blend: new Program(this.gl, WHOLE, head + BLEND), fill: new Program(this.gl, WHOLE, head + FILL) };
   }
 
   // Textures of a view's size: candidates, blend and filled picture.
@@ -186,15 +197,17 @@ class Renderer {
     this.resize(view.size);
     gl.disable(gl.BLEND);
     this.trust(sources, quality.anyTrust);
-    this.splat(view, time, sources, quality.stride);
+    this.splat(view, time, sources, quality.hasCells);
     const { candidates, colors, depths, filled, size } = this.targets;
     const layers = sources.map((s) => s.frame.layer);
     const sizes = sources.flatMap((s) => s.camera.size);
     const disparities = sources.map((s) => s.camera.disparity_px);
     const images = [gl.TEXTURE_2D_ARRAY, this.frames.images];
-    const shared = { count: sources.length, layers, sizes, is_cubic: quality.isCubic };
+    const shared = { count: sources.length, layers, sizes };
+    // The cubic is compiled when it is first used: the first picture is sooner without.
+    const programs = quality.isCubic ? (this.programs.fine ??= this.sampling(`${HEAD}#define IS_CUBIC\n`)) : this.programs.quick;
     this.into(() => { this.flat(colors)(); this.flat(depths, 1)(); }, size, 2);
-    this.programs.blend.use({
+    programs.blend.use({
       ...shared,
       is_color: sources.map((s) => Number(s.camera.is_color)),
       reach: CLUSTER_PX / Math.max(...disparities) / this.maxInverseDepth,
@@ -202,7 +215,7 @@ class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     const between = sources.map((s) => projection(view, s.camera));
     this.into(this.flat(filled), size);
-    this.programs.fill.use({
+    programs.fill.use({
       ...this.map,
       ...shared,
       size,
@@ -214,7 +227,7 @@ class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  splat(view, time, sources, stride) {
+  splat(view, time, sources, hasCells) {
     const gl = this.gl;
     const { candidates, hidden, large } = this.targets;
     const focal = mean(view.lens.slice(0, 2));
@@ -232,7 +245,7 @@ class Renderer {
         ...this.map,
         layer: frame.layer,
         blocks: camera.blocks,
-        stride,
+        has_cells: hasCells,
         disparity_px: camera.disparity_px,
         a,
         b,
@@ -245,8 +258,13 @@ class Renderer {
         frame_size: camera.size,
         max_score: this.maxInverseDepth * camera.disparity_px / HIDING_PX,
       }, { ...this.mapTextures, trusts: [gl.TEXTURE_2D_ARRAY, this.frames.trusts] });
-      const [columns, rows] = camera.blocks.map((n) => Math.ceil(n / stride));
-      gl.drawArrays(gl.POINTS, 0, columns * rows);
+      if (hasCells) {
+        gl.enableVertexAttribArray(0);
+        gl.bindBuffer(gl.ARRAY_BUFFER, frame.points);
+        gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
+      }
+      gl.drawArrays(gl.POINTS, 0, hasCells ? frame.pointCount : camera.blocks[0] * camera.blocks[1]);
+      gl.disableVertexAttribArray(0);
     });
     gl.disable(gl.DEPTH_TEST);
   }

@@ -103,11 +103,12 @@ void main() {
   found = vec4(max(confirmed / all, 1.0 / 255.0), sides / 255.0, 0.0, 0.0);
 }`;
 
-// A point for every block, or every few of them, moved to the instant and projected into the view.
+// A point for every block, or for cells of blocks where they are alike, moved to the instant and projected into the view.
 const SPLAT_VERTEX = `${HEAD}${MAP}
 uniform int layer;
 uniform ivec2 blocks;
-uniform int stride;
+uniform bool has_cells;
+layout(location = 0) in uint cell_of_blocks;
 uniform float disparity_px;
 uniform mat3 a;
 uniform vec3 b;
@@ -131,9 +132,13 @@ const vec2 ERROR_BY_TIME = vec2(0.03, 0.009);
 const float EXACT_PX = 0.01;
 
 void main() {
-  int columns = (blocks.x + stride - 1) / stride;
-  ivec2 cell = ivec2(gl_VertexID % columns, gl_VertexID / columns) * stride;
-  ivec3 at = ivec3(min(cell + stride / 2, blocks - 1), layer);
+  ivec2 cell = ivec2(gl_VertexID % blocks.x, gl_VertexID / blocks.x);
+  int stride = 1;
+  if (has_cells) {
+    cell = ivec2(cell_of_blocks & 16383u, (cell_of_blocks >> 14) & 16383u);
+    stride = int(cell_of_blocks >> 28);
+  }
+  ivec3 at = ivec3(cell + stride / 2, layer);
   Element e = element(at, disparity_px);
   float cell_px = float(stride) * block_px;
   vec2 pixel = (vec2(cell) + 0.5 * float(stride)) * block_px;
@@ -146,7 +151,7 @@ void main() {
   bool is_near = all(greaterThan(to.xy, -limit)) && all(lessThan(to.xy, size + limit));
   if (!is_near || to.z <= 0.0 || !e.is_filmed) return;
   vec2 trust = texelFetch(trusts, at, 0).xy;
-  int edges = int(trust.y * 255.0 + 0.5);
+  int edges = stride > 1 ? 0 : int(trust.y * 255.0 + 0.5);
   float inner = 0.5 * (cell_px - 1.0);
   vec4 is_edge = vec4(edges & 1, (edges >> 1) & 1, (edges >> 2) & 1, (edges >> 3) & 1);
   sides = scale * (inner + mix(vec4(HALF_WIDTH), vec4(HALF_WIDTH_AT_EDGE), is_edge));
@@ -183,33 +188,33 @@ void main() {
 
 const SAMPLING = `
 uniform sampler2DArray images;
-uniform bool is_cubic;
 
 vec3 bilinear(vec2 at, int layer) { return texture(images, vec3(at / vec2(textureSize(images, 0).xy), layer)).rgb; }
 
+#ifdef IS_CUBIC
 // Catmull and Rom's cubic, of nine bilinear samples; of a frame of this size, at a pixel.
 vec3 image(vec2 at, int layer, vec2 size) {
-  if (!is_cubic) return bilinear(clamp(at, vec2(0.5), size - 0.5), layer);
   vec2 middle = floor(at - 0.5) + 0.5;
   vec2 f = at - middle;
-  vec2 w0 = f * (-0.5 + f * (1.0 - 0.5 * f));
-  vec2 w1 = 1.0 + f * f * (-2.5 + 1.5 * f);
-  vec2 w2 = f * (0.5 + f * (2.0 - 1.5 * f));
-  vec2 w3 = f * f * (-0.5 + 0.5 * f);
-  vec2 w12 = w1 + w2;
+  vec2 w[3] = vec2[](f * (-0.5 + f * (1.0 - 0.5 * f)), 1.0 + f * f * (-2.5 + 1.5 * f) + f * (0.5 + f * (2.0 - 1.5 * f)), f * f * (-0.5 + 0.5 * f));
   vec2 low = vec2(0.5);
   vec2 high = size - 0.5;
-  vec2 p0 = clamp(middle - 1.0, low, high);
-  vec2 p12 = clamp(middle + w2 / w12, low, high);
-  vec2 p3 = clamp(middle + 2.0, low, high);
-  return (bilinear(p0, layer) * w0.x + bilinear(vec2(p12.x, p0.y), layer) * w12.x + bilinear(vec2(p3.x, p0.y), layer) * w3.x) * w0.y
-    + (bilinear(vec2(p0.x, p12.y), layer) * w0.x + bilinear(p12, layer) * w12.x + bilinear(vec2(p3.x, p12.y), layer) * w3.x) * w12.y
-    + (bilinear(vec2(p0.x, p3.y), layer) * w0.x + bilinear(vec2(p12.x, p3.y), layer) * w12.x + bilinear(p3, layer) * w3.x) * w3.y;
+  vec2 p[3] = vec2[](clamp(middle - 1.0, low, high), clamp(middle + f * (0.5 + f * (2.0 - 1.5 * f)) / w[1], low, high), clamp(middle + 2.0, low, high));
+  vec3 sum = vec3(0.0);
+  ${[0, 1, 2].map((y) => [0, 1, 2].map((x) => `sum += w[${x}].x * w[${y}].y * bilinear(vec2(p[${x}].x, p[${y}].y), layer);`).join(" ")).join("\n  ")}
+  return sum;
 }
+#else
+vec3 image(vec2 at, int layer, vec2 size) { return bilinear(clamp(at, vec2(0.5), size - 0.5), layer); }
+#endif
 `;
 
+// A statement for each source, k. Constant indices of arrays are several times as fast as variable ones where there is no
+// graphics card.
+const each = (statement) => Array.from({ length: MAX_SOURCES }, (_, k) => `  ${statement.replaceAll("[k]", `[${k}]`)}`).join("\n");
+
 // The pixel of the nearest cluster of candidates with enough weight, and what shows through it.
-const BLEND = `${HEAD}${SAMPLING}
+const BLEND = `${SAMPLING}
 uniform usampler2DArray candidates;
 uniform int count;
 uniform int layers[MAX_SOURCES];
@@ -227,58 +232,60 @@ const float COLOR = 0.06;
 
 vec2 sources[MAX_SOURCES];
 float depths[MAX_SOURCES];
+// 0 where a frame has no candidate.
 float weights[MAX_SOURCES];
+float clustered[MAX_SOURCES];
+vec3 colors[MAX_SOURCES];
+
+void read(ivec2 at, int k, vec2 size, out vec2 source, out float found_depth, out float weight) {
+  source = vec2(0.0);
+  found_depth = -1e9;
+  weight = 0.0;
+  if (k >= count) return;
+  uvec4 found = texelFetch(candidates, ivec3(at, k), 0);
+  if (found.w == 0u) return;
+  source = vec2(found.xy) / 65535.0 * size;
+  found_depth = float(found.z) / 65535.0;
+  weight = exp2(float(found.w) / 65535.0 * 64.0 - 32.0);
+}
 
 float support(float q) {
   float sum = 0.0;
-  for (int k = 0; k < count; k++) if (abs(depths[k] - q) < reach) sum += weights[k];
+${each("if (abs(depths[k] - q) < reach) sum += weights[k];")}
   return sum;
 }
 
 // Depth and weight of the heaviest cluster between two depths.
 vec2 heaviest(float from, float to) {
   vec2 best = vec2(0.0);
-  for (int k = 0; k < count; k++) {
-    if (weights[k] == 0.0 || depths[k] <= from || depths[k] >= to) continue;
-    float sum = support(depths[k]);
-    if (sum > best.y) best = vec2(depths[k], sum);
-  }
+  float sum;
+${each("if (weights[k] > 0.0 && depths[k] > from && depths[k] < to) { sum = support(depths[k]); if (sum > best.y) best = vec2(depths[k], sum); }")}
   return best;
 }
 
 // The mean of a cluster, and its depth; colours that differ count less.
 vec4 mean_of(float q) {
   bool has_color = false;
-  for (int k = 0; k < count; k++) has_color = has_color || (weights[k] > 0.0 && abs(depths[k] - q) < reach && is_color[k]);
   float most = 0.0;
-  for (int k = 0; k < count; k++) {
-    if (abs(depths[k] - q) < reach && is_color[k] == has_color) most = max(most, weights[k]);
-  }
-  vec3 colors[MAX_SOURCES];
-  float of[MAX_SOURCES];
+${each("clustered[k] = abs(depths[k] - q) < reach ? weights[k] : 0.0;")}
+${each("has_color = has_color || (clustered[k] > 0.0 && is_color[k]);")}
+${each("if (is_color[k] != has_color) clustered[k] = 0.0;")}
+${each("most = max(most, clustered[k]);")}
+${each("if (clustered[k] < MIN_SHARE * most) clustered[k] = 0.0;")}
+${each("colors[k] = vec3(0.0); if (clustered[k] > 0.0) colors[k] = image(sources[k], layers[k], sizes[k]);")}
   vec4 sum = vec4(0.0);
   float near = 0.0;
-  for (int k = 0; k < count; k++) {
-    of[k] = 0.0;
-    if (weights[k] == 0.0 || abs(depths[k] - q) >= reach || is_color[k] != has_color || weights[k] < MIN_SHARE * most) continue;
-    of[k] = weights[k];
-    colors[k] = image(sources[k], layers[k], sizes[k]);
-    sum += weights[k] * vec4(colors[k], 1.0);
-    near += weights[k] * depths[k];
-  }
+${each("sum += clustered[k] * vec4(colors[k], 1.0); near += clustered[k] * depths[k];")}
   vec3 mean = sum.rgb / sum.a;
-  float all = sum.a;
+  near /= sum.a;
+  vec3 difference;
+  float kept;
   for (int round = 0; round < 2; round++) {
     sum = vec4(0.0);
-    for (int k = 0; k < count; k++) {
-      if (of[k] == 0.0) continue;
-      vec3 difference = colors[k] - mean;
-      float kept = 1.0 / (1.0 + dot(difference, difference) / (COLOR * COLOR));
-      sum += of[k] * kept * kept * vec4(colors[k], 1.0);
-    }
+${each("difference = colors[k] - mean; kept = 1.0 / (1.0 + dot(difference, difference) / (COLOR * COLOR)); sum += clustered[k] * kept * kept * vec4(colors[k], 1.0);")}
     mean = sum.rgb / sum.a;
   }
-  return vec4(clamp(mean, 0.0, 1.0), near / all);
+  return vec4(clamp(mean, 0.0, 1.0), near);
 }
 
 void main() {
@@ -286,40 +293,32 @@ void main() {
   float nearest = 0.0;
   float farthest = 1e9;
   float total = 0.0;
-  for (int k = 0; k < count; k++) {
-    uvec4 found = texelFetch(candidates, ivec3(at, k), 0);
-    weights[k] = found.w == 0u ? 0.0 : exp2(float(found.w) / 65535.0 * 64.0 - 32.0);
-    if (found.w == 0u) { depths[k] = -1e9; continue; }
-    sources[k] = vec2(found.xy) / 65535.0 * sizes[k];
-    depths[k] = float(found.z) / 65535.0;
-    nearest = max(nearest, depths[k]);
-    farthest = min(farthest, depths[k]);
-    total += weights[k];
-  }
+${Array.from({ length: MAX_SOURCES }, (_, k) => `  read(at, ${k}, sizes[${k}], sources[${k}], depths[${k}], weights[${k}]);`).join("\n")}
+${each("if (weights[k] > 0.0) { nearest = max(nearest, depths[k]); farthest = min(farthest, depths[k]); total += weights[k]; }")}
   color = vec4(0.0);
   depth = 0u;
   if (total == 0.0) return;
-  vec4 found;
-  if (nearest - farthest < reach) {
-    found = mean_of(nearest);
-  } else {
+  float shown = nearest;
+  float behind = 0.0;
+  float opacity = 1.0;
+  if (nearest - farthest >= reach) {
     vec2 best = heaviest(-1e8, 1e8);
     float front = best.x;
-    for (int k = 0; k < count; k++) {
-      if (weights[k] > 0.0 && depths[k] > best.x && support(depths[k]) > FRONT * total) front = max(front, depths[k]);
-    }
+${each("if (weights[k] > 0.0 && depths[k] > front && support(depths[k]) > FRONT * total) front = depths[k];")}
     if (front > best.x) best = heaviest(front - reach, front + reach);
-    found = mean_of(best.x);
-    vec2 behind = heaviest(-1e8, best.x - 2.0 * reach);
-    float opacity = clamp((best.y / total - FRONT) / (OPAQUE - FRONT), 0.0, 1.0);
-    if (behind.y > BEHIND * total && opacity < 1.0) found.rgb = mix(mean_of(behind.x).rgb, found.rgb, opacity);
+    shown = best.x;
+    vec2 back = heaviest(-1e8, shown - 2.0 * reach);
+    if (back.y > BEHIND * total) opacity = clamp((best.y / total - FRONT) / (OPAQUE - FRONT), 0.0, 1.0);
+    behind = back.x;
   }
+  vec4 found = mean_of(shown);
   color = vec4(found.rgb, 1.0);
   depth = uint(clamp(found.w * 65535.0 + 0.5, 1.0, 65535.0));
+  if (opacity < 1.0) color.rgb = mix(mean_of(behind).rgb, color.rgb, opacity);
 }`;
 
 // What no map has gets the depth of what is behind it, and the colour of the nearest frame that shows that depth.
-const FILL = `${HEAD}${MAP}${SAMPLING}
+const FILL = `${MAP}${SAMPLING}
 uniform sampler2D colors;
 uniform usampler2D depths;
 uniform ivec2 size;
