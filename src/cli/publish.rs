@@ -3,7 +3,7 @@
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
-use super::values::{Span, image_size};
+use super::values::{TimeSpan, image_size};
 use super::viewpoint::rounded;
 use std::path::{Path, PathBuf};
 use stlfr::light_field::check_times_before_offsets;
@@ -32,7 +32,7 @@ pub struct PublishArgs {
     output: PathBuf,
     /// The span of time, seconds on the reference camera's clock [default: while all cameras film].
     #[arg(long, value_name = "START:END", allow_hyphen_values = true)]
-    span: Option<Span>,
+    span: Option<TimeSpan>,
     /// Largest size of the frames: larger ones are halved until they fit.
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     size: Option<(u32, u32)>,
@@ -55,7 +55,7 @@ pub fn run(args: &PublishArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     check_folder(&args.output)?;
     let capture = open_capture(&args.capture, None, reporter)?;
     let origin_s = capture.time_origin_s;
-    let span_s = args.span.map(|Span(first, last)| (first - origin_s, last - origin_s));
+    let span_s = args.span.map(|TimeSpan(first, last)| (first - origin_s, last - origin_s));
     if let Some((first, last)) = span_s {
         let checked = check_times_before_offsets(&capture, None, &[first, last]);
         checked.map_err(|e| CliError::from(e).of_flag("--span"))?;

@@ -86,9 +86,9 @@ impl FromStr for Times {
 
 /// `START:END`: a span of time, seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Span(pub f64, pub f64);
+pub struct TimeSpan(pub f64, pub f64);
 
-impl FromStr for Span {
+impl FromStr for TimeSpan {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -230,10 +230,10 @@ mod tests {
 
     #[test]
     fn spans() {
-        assert_eq!("-0.5:2".parse(), Ok(Span(-0.5, 2.0)));
-        assert_eq!("1:1".parse(), Ok(Span(1.0, 1.0)));
+        assert_eq!("-0.5:2".parse(), Ok(TimeSpan(-0.5, 2.0)));
+        assert_eq!("1:1".parse(), Ok(TimeSpan(1.0, 1.0)));
         for wrong in ["", "1", "2:1", "nan:1", "0:inf", "0:1:2"] {
-            assert!(wrong.parse::<Span>().is_err(), "{wrong}");
+            assert!(wrong.parse::<TimeSpan>().is_err(), "{wrong}");
         }
     }
 

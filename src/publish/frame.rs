@@ -8,6 +8,10 @@ use crate::raster::Image;
 use crate::scene_flow::FlowFrame;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageFormat};
+use std::collections::BTreeMap;
+
+/// The published frames by camera and index.
+pub(super) type Published = BTreeMap<(usize, usize), PublishedFrame>;
 
 /// A frame that is published, at some quality.
 pub(super) struct PublishedFrame {

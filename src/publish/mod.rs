@@ -6,9 +6,10 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `quality.rs` | how finely frames are stored, and what that costs |
+//! | `quality.rs` | how finely frames are stored |
 //! | `frame.rs` | a frame that is published |
 //! | `flow.rs` | its depth and motion, quantized and compressed |
+//! | `measure.rs` | how far the views are from `render`'s |
 //! | `scene.rs` | the description of the light field for the page |
 //! | `site.rs` | the folder |
 //! | `page/` | the page: `shaders.js` and `renderer.js` are `scene_flow`'s splats, confidences and blend |
@@ -21,6 +22,7 @@
 
 mod flow;
 mod frame;
+mod measure;
 mod quality;
 mod scene;
 mod site;
@@ -32,8 +34,9 @@ use crate::options::RenderOptions;
 use crate::progress::Reporter;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use frame::PublishedFrame;
-use quality::{Published, Quality, measured};
+use frame::{Published, PublishedFrame};
+use measure::measured;
+use quality::Quality;
 use rayon::prelude::*;
 use site::SiteFiles;
 use std::collections::BTreeSet;
@@ -115,8 +118,8 @@ pub fn publish(
     let task = reporter.task("Preparing frames", ids.len());
     field.prepare_frames(&ids, options, |done| task.set(done.min(ids.len())))?;
     drop(task);
-    let job = Job { field, options, ids: &ids, span_s };
-    let EncodedSite { quality, published, site } = job.encoded(wanted, reporter)?;
+    let encoding = Encoding { field, options, ids: &ids, span_s };
+    let EncodedSite { quality, published, site } = encoding.encoded(wanted, reporter)?;
     let psnr_db = measured(field, options, &published, &quality, span_s)?;
     site.write(folder)?;
     let in_base64 = |bytes: usize| (bytes as u64 * 4).div_ceil(3);
@@ -139,7 +142,7 @@ pub fn publish(
 }
 
 /// What is encoded.
-struct Job<'a> {
+struct Encoding<'a> {
     field: &'a LightField,
     options: &'a RenderOptions,
     /// Camera and index of the frames, in order of time.
@@ -157,7 +160,7 @@ struct EncodedSite {
 /// Number of frames that are encoded, or by which qualities are judged, at a time.
 const FRAMES_AT_ONCE: usize = 8;
 
-impl Job<'_> {
+impl Encoding<'_> {
     /// Encodes all frames at the best quality that holds the bounds.
     fn encoded(
         &self,

@@ -1,7 +1,7 @@
 //! The description of the published light field, which the page reads first.
 
-use super::frame::PublishedFrame;
-use super::quality::{Published, Quality};
+use super::frame::{Published, PublishedFrame};
+use super::quality::Quality;
 use crate::light_field::LightField;
 use nalgebra::Isometry3;
 use serde_json::{Value, json};

@@ -41,7 +41,9 @@ fn bench(capture: &Path, bounds_mb: &[u64], played: Duration) -> Result<(), Erro
     let folder = tempfile::tempdir()?;
     let sites: Vec<PathBuf> =
         bounds_mb.iter().map(|mb| folder.path().join(mb.to_string())).collect();
-    println!("| at most, MB | size | JPEG | block | images, MB | depth and motion, MB | all, MB | beside render, dB |");
+    println!(
+        "| at most, MB | size | JPEG | block | images, MB | depth and motion, MB | all, MB | beside render, dB |"
+    );
     println!("|---|---|---|---|---|---|---|---|");
     for (mb, site) in bounds_mb.iter().zip(&sites) {
         let wanted = PublishOptions { span_s: None, max_size: None, max_bytes: mb * 1_000_000 };
@@ -51,7 +53,9 @@ fn bench(capture: &Path, bounds_mb: &[u64], played: Duration) -> Result<(), Erro
         let db: Vec<String> = found.psnr_db.iter().map(|db| format!("{db:.1}")).collect();
         let ([width, height], jpeg, block) = (found.size, found.jpeg, found.block_px);
         let db = db.join(", ");
-        println!("| {mb} | {width}×{height} | {jpeg} | {block} | {images} | {flow} | {all} | {db} |");
+        println!(
+            "| {mb} | {width}×{height} | {jpeg} | {block} | {images} | {flow} | {all} | {db} |"
+        );
     }
     let Some(site) = sites.first() else { return Ok(()) };
     let (port, _) = serve(site);
