@@ -27,15 +27,15 @@ const FINEST: FlowSteps = FlowSteps {
 const LADDER: [(u8, usize, f32); 11] = [
     (94, 1, 1.0),
     (92, 1, 2.0),
-    (90, 1, 4.0),
-    (86, 1, 4.0),
-    (80, 1, 6.0),
-    (75, 1, 8.0),
+    (90, 1, 3.0),
+    (87, 1, 4.0),
+    (88, 2, 2.0),
+    (84, 2, 3.0),
+    (80, 2, 4.0),
     (75, 2, 4.0),
-    (70, 2, 4.0),
-    (60, 2, 6.0),
-    (60, 3, 6.0),
-    (50, 4, 6.0),
+    (75, 3, 4.0),
+    (68, 3, 6.0),
+    (60, 4, 6.0),
 ];
 /// How often frames may be halved so that a site is small enough.
 const MAX_HALVINGS: usize = 3;

@@ -128,7 +128,6 @@ class Frames {
     this.decoding = 0;
     this.failure = null;
     this.wanted = [];
-    this.used = 0;
     const most = (of) => Math.max(...scene.cameras.map(of));
     this.size = [most((c) => c.size[0]), most((c) => c.size[1])];
     this.blocks = [most((c) => c.blocks[0]), most((c) => c.blocks[1])];
@@ -155,12 +154,10 @@ class Frames {
     });
   }
 
-  // Asks for these frames first, then for those nearest to the time as far as there is room.
-  want(first, time) {
-    const rest = [...this.all].sort((f, g) => Math.abs(f.time - time) - Math.abs(g.time - time));
+  // Asks for these frames, and if `all`, then for those nearest to the time as far as there is room.
+  want(first, time, all) {
+    const rest = all ? [...this.all].sort((f, g) => Math.abs(f.time - time) - Math.abs(g.time - time)) : [];
     this.wanted = [...new Set([...first, ...rest])].slice(0, this.layers.length);
-    this.used += 1;
-    for (const frame of first) frame.used = this.used;
     this.proceed();
   }
 

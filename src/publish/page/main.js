@@ -92,7 +92,7 @@ class Viewer {
       this.asked = sources.map((s) => s.frame);
       while (this.asked.some((f) => f.layer < 0)) {
         if (this.renderer.frames.failure) throw this.renderer.frames.failure;
-        this.renderer.frames.want(this.asked, time);
+        this.renderer.frames.want(this.asked, time, true);
         await new Promise((resolve) => setTimeout(resolve, 5));
       }
       this.renderer.draw(target, time, sources, AT_REST);
@@ -153,7 +153,7 @@ class Viewer {
     const scale = quality.scale * Math.min(1, MAX_ENLARGEMENT / whole.scale);
     const view = this.rig.view(motion.place, size.map((v) => Math.max(1, Math.round(v * scale))));
     const sources = renderer.frames.of(view.center, motion.time, quality.cameras);
-    renderer.frames.want(sources.map((s) => s.frame), motion.time);
+    renderer.frames.want(sources.map((s) => s.frame), motion.time, this.isShown);
     const ready = sources.filter((s) => s.frame.layer >= 0);
     this.isReady = ready.length === sources.length;
     this.isDirty = false;
@@ -168,7 +168,8 @@ class Viewer {
       return;
     }
     this.isExact = quality === AT_REST && this.isReady;
-    this.isDirty = !this.isReady;
+    // After the first picture, the other frames are asked for.
+    this.isDirty = !this.isReady || !this.isShown;
     this.drewMoving = !isResting;
     this.statistics.pictures += 1;
     this.statistics.firstMs ??= performance.now();
