@@ -72,7 +72,7 @@
 //! plan
 //! pipeline
 //! compare
-//! tradeoff live farm
+//! tradeoff live farm publish
 //! toolchain
 //! python
 //! ```
@@ -94,6 +94,7 @@
 //! | [`plan`] | the methods that a capture requires |
 //! | [`tradeoff`] | what each combination of methods costs and gives |
 //! | [`live`] | a light field in a browser: the server and its page |
+//! | [`publish`] | a light field as a site: a folder that any web server shows |
 //! | [`farm`] | the work as jobs of farms: Open Job Description, Slurm, Flamenco |
 //! | [`toolchain`] | the Python side: its environment, filming, the calibration check |
 //!
@@ -132,6 +133,14 @@
 //! `--options` are those of `render`. In motion they have the same where the instant is prepared, else the options of
 //! `draft`; a picture of full quality fades in. The page is served on this machine alone, at an address with a random
 //! token. A link works until the server ends. `stlfr view CAPTURE --at LINK` opens the same place in a new run.
+//!
+//! # On the web
+//!
+//! `stlfr publish CAPTURE -o SITE` writes a folder for any static web server: the light field of a span of time and of the
+//! places among the cameras, drawn by the visitor's graphics card. It sways until it is dragged, touched or tilted, the
+//! wheel and the bar pass through time, the button stops it. The command prints the sizes, how far the pictures are from
+//! `render`'s, and an `<iframe>` line. The page asks for nothing outside of its folder, and opens from disk.
+//! `stlfr.picture(VIEW, SECONDS)` on the page gives a canvas with the view of a `view.json`.
 //!
 //! # On several machines
 //!
@@ -224,6 +233,7 @@ pub mod options;
 pub mod pipeline;
 pub mod plan;
 pub mod progress;
+pub mod publish;
 #[cfg(feature = "python")]
 mod python;
 pub mod random;

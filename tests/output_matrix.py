@@ -76,6 +76,7 @@ OPTIONS = [
     ),
     Option("compare -o", "compare CAPTURE --preset draft -o", "", "truth"),
     Option("tradeoff -o", "tradeoff CAPTURE --rounds 0 --runs 1 -o", "", "cam0"),
+    Option("publish -o", "publish CAPTURE --max-mb 1 -o", "", "truth"),
     Option("import -o", "import CAPTURE/colmap --images CAPTURE --rate 30 -o", "", ""),
     Option(
         "capture -o",

@@ -80,6 +80,7 @@ fn nothing_of_a_capture_is_written_over() {
     for (name, words) in [("", "is a capture"), ("cam0", "frames"), ("truth", "belongs to")] {
         with(name, words, &["compare", "-o"]);
         with(name, words, &["tradeoff", "-o"]);
+        with(name, words, &["publish", "-o"]);
         with(name, words, &["export", "--format", "colmap", "-o"]);
     }
     let rig = run_into(&["rig", "line", "-o"], &root.join("capture.json"));
@@ -122,7 +123,7 @@ fn only_regular_files_are_written_over() {
         assert_refused(&run_into(&arguments, Path::new("/dev/null")), 2, "is a device");
     }
     assert!(!Path::new("/dev/null").symlink_metadata().unwrap().is_file());
-    for command in ["compare", "tradeoff"] {
+    for command in ["compare", "tradeoff", "publish"] {
         let file = out.path().join("goal");
         let arguments = [command, text(folder.path()), "-o"];
         assert_refused(&run_into(&arguments, &file), 2, "is no folder");
@@ -143,6 +144,7 @@ fn folder_outputs(capture: &str) -> Vec<Vec<&str>> {
     vec![
         vec!["compare", capture, "-o"],
         vec!["tradeoff", capture, "--rounds", "0", "--runs", "1", "-o"],
+        vec!["publish", capture, "-o"],
         vec!["export", capture, "--format", "colmap", "-o"],
         vec!["export", capture, "--format", "colmap-text", "-o"],
         vec!["import", capture, "--images", capture, "--rate", "25", "-o"],

@@ -11,6 +11,7 @@ use stlfr::capture::CaptureError;
 use stlfr::compare::CompareError;
 use stlfr::json::JsonError;
 use stlfr::light_field::RenderError;
+use stlfr::publish::PublishError;
 use stlfr::text::printable;
 use stlfr::toolchain::ToolchainError;
 use stlfr::tradeoff::TradeoffError;
@@ -56,6 +57,11 @@ fn is_failure(error: &(dyn Error + 'static)) -> bool {
         Some(TradeoffError::Capture(error)) => return is_failure(error),
         Some(TradeoffError::Compare(error)) => return is_failure(error),
         Some(TradeoffError::Render(error)) => return is_failure(error),
+        _ => {}
+    }
+    match error.downcast_ref() {
+        Some(PublishError::Render(error)) => return is_failure(error),
+        Some(PublishError::Encoding(_)) => return true,
         _ => {}
     }
     match error.downcast_ref() {

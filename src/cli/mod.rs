@@ -12,6 +12,7 @@ mod options;
 mod plan;
 mod prepare;
 mod print;
+mod publish;
 mod render;
 mod rig;
 mod toolchain;
@@ -58,6 +59,7 @@ enum Command {
     Prepare(prepare::PrepareArgs),
     Render(Box<render::RenderArgs>),
     View(view::ViewArgs),
+    Publish(publish::PublishArgs),
     Compare(compare::CompareArgs),
     Tradeoff(tradeoff::TradeoffArgs),
     Options(options::OptionListArgs),
@@ -88,6 +90,7 @@ impl Cli {
             Command::Prepare(args) => prepare::run(args, page, &reporter),
             Command::Render(args) => render::run(args, &reporter),
             Command::View(args) => view::run(args, &reporter),
+            Command::Publish(args) => publish::run(args, page, &reporter),
             Command::Compare(args) => compare::run(args, page, &reporter),
             Command::Tradeoff(args) => tradeoff::run(args, page, &reporter),
             Command::Options(args) => options::run(args, page),

@@ -84,6 +84,22 @@ impl FromStr for Times {
     }
 }
 
+/// `START:END`: a span of time, seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeSpan(pub f64, pub f64);
+
+impl FromStr for TimeSpan {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let ends = text.split_once(':');
+        let ends = ends.and_then(|(a, b)| Some((a.parse::<f64>().ok()?, b.parse::<f64>().ok()?)));
+        ends.filter(|(start, end)| start.is_finite() && end.is_finite() && start <= end)
+            .map(|(start, end)| Self(start, end))
+            .ok_or_else(|| "is no span of time like 0.1:0.4".into())
+    }
+}
+
 /// `K-L/N`: parts K to L, both included and counted from 1, of N equal parts of some images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parts {
@@ -209,6 +225,15 @@ mod tests {
         for wrong in ["", "1:2", "1:2:0", "nan:1:2", "0:inf:2", "0:1:2:3", "0:1:-4", "0:1:9999999"]
         {
             assert!(wrong.parse::<Times>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn spans() {
+        assert_eq!("-0.5:2".parse(), Ok(TimeSpan(-0.5, 2.0)));
+        assert_eq!("1:1".parse(), Ok(TimeSpan(1.0, 1.0)));
+        for wrong in ["", "1", "2:1", "nan:1", "0:inf", "0:1:2"] {
+            assert!(wrong.parse::<TimeSpan>().is_err(), "{wrong}");
         }
     }
 

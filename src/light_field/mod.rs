@@ -23,6 +23,7 @@
 //! | `geometry.rs` | the depths of a view, and what is occluded in the cameras |
 //! | `view.rs` | §6: the blended view |
 //! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, which are found together, and views from them |
+//! | `flow_frames.rs` | frames with depth and motion, to be shown by other means |
 //! | `all_cameras.rs` | a camera's image from all cameras |
 //! | `request.rs` | the request of a view |
 //! | `render.rs`, `trail.rs` | a view, and Fig. 1: temporal integration |
@@ -34,6 +35,7 @@ mod context;
 mod correspondences;
 mod depth;
 mod error;
+mod flow_frames;
 mod frame_pair;
 mod geometry;
 mod graph;
@@ -55,5 +57,6 @@ pub use graph::LightField;
 pub use prepare::{PREPARED, Preparation};
 pub use render::render;
 pub use request::{Request, Viewpoint};
+pub use scene_flow::LoadedFrame;
 pub use stages::{GivenImages, Images};
 pub use timeline::check_times_before_offsets;

@@ -19,8 +19,6 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Maximum number of cameras from whose frames a view is blended.
-const MAX_CAMERAS: usize = 8;
 /// Maximum number of other cameras with whose frames a frame is matched.
 const MAX_PARTNERS: usize = 7;
 /// Maximum motion a frame of the search, as a fraction of the image's longer side.
@@ -143,19 +141,19 @@ pub(super) fn store_slot(
 }
 
 /// A frame and its map.
-struct LoadedFrame {
-    frame: Arc<FlowFrame>,
-    map: Arc<FlowMap>,
+pub struct LoadedFrame {
+    pub frame: Arc<FlowFrame>,
+    pub map: Arc<FlowMap>,
 }
 
 impl LoadedFrame {
-    fn mapped(&self) -> MappedFrame<'_> {
+    pub fn mapped(&self) -> MappedFrame<'_> {
         MappedFrame { frame: &self.frame, map: &self.map }
     }
 }
 
 /// Frames with their maps, from memory or disk, else computed. `None` if nothing is known of the scene's depths.
-fn load(
+pub(super) fn load(
     field: &LightField,
     frames: &[FrameId],
     options: FlowOptions,
@@ -243,12 +241,7 @@ pub(super) fn flow_view(
     context: &Context,
 ) -> Result<Option<FlowView>, RenderError> {
     let &Request { time_s, options, .. } = request;
-    let mut cameras = nearest(field.capture(), &field.usable(time_s), target.center());
-    cameras.truncate(MAX_CAMERAS);
-    let frame = |c: usize| field.nearest_frame(c, time_s).map(|k| (c, k));
-    let mut frames: Vec<FrameId> = cameras.into_iter().filter_map(frame).collect();
-    // Sorted, so that views from other places share them.
-    frames.sort_unstable();
+    let frames = field.frames_of_view(target, time_s);
     let options = FlowOptions::new(options);
     let Some(loaded) = load(field, &frames, options, context)? else { return Ok(None) };
     let mapped: Vec<MappedFrame> = loaded.iter().map(LoadedFrame::mapped).collect();

@@ -38,7 +38,7 @@ impl LightField {
     }
 
     /// A time in frames of the reference. All times of a static light field are 0.
-    pub(super) fn in_frames(&self, time_s: f64) -> f64 {
+    pub(crate) fn in_frames(&self, time_s: f64) -> f64 {
         let frame_s = self.capture().frame_s();
         // A reference with one frame has no interval: seconds do then.
         let frame_s = if frame_s > 0.0 { frame_s } else { 1.0 };

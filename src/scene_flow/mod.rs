@@ -47,7 +47,8 @@ mod tests;
 
 pub use blend::{FlowView, blend};
 pub use confidence::confidences;
+pub use element::Element;
 pub use estimate::Estimation;
 pub use frame::{FlowFrame, MatchingImage, PyramidFrame};
-pub use map::{FlowMap, MappedFrame};
+pub use map::{ElementMap, FlowMap, MappedFrame};
 pub use sweep::Limits;

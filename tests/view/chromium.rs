@@ -37,6 +37,8 @@ pub struct Tab<'a> {
     context: String,
     /// Errors of its scripts, and what its console says.
     pub errors: Vec<String>,
+    /// The addresses that it asked for.
+    pub requests: Vec<String>,
 }
 
 fn pipe() -> [OwnedFd; 2] {
@@ -59,12 +61,22 @@ impl Chromium {
     /// # Panics
     /// If it isn't installed, with the line that installs it.
     pub fn start() -> Self {
+        Self::start_with(&["--disable-gpu"])
+    }
+
+    /// Starts it with WebGL, drawn by software.
+    pub fn start_drawing() -> Self {
+        Self::start_with(&["--use-angle=swiftshader", "--enable-unsafe-swiftshader"])
+    }
+
+    fn start_with(arguments: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let [[its_input, to], [from, its_output]] = [pipe(), pipe()];
         let given = [its_input.as_raw_fd(), its_output.as_raw_fd()];
         let mut command = Command::new("chromium");
         command
-            .args(["--headless=new", "--remote-debugging-pipe", "--no-first-run", "--disable-gpu"])
+            .args(["--headless=new", "--remote-debugging-pipe", "--no-first-run"])
+            .args(arguments)
             // Tests may run as root in a container, where there is neither a sandbox nor much shared memory. What is
             // opened is the page alone.
             .args(["--no-sandbox", "--disable-dev-shm-usage", "--disable-background-networking"])
@@ -137,8 +149,9 @@ impl Chromium {
         let downloads = json!({"behavior": "allow", "browserContextId": context,
             "downloadPath": self.folder.path().join("downloads")});
         self.call("Browser.setDownloadBehavior", &downloads, None);
-        let mut tab = Tab { browser: self, session, context, errors: Vec::new() };
-        for domain in ["Page.enable", "Runtime.enable", "Log.enable"] {
+        let mut tab =
+            Tab { browser: self, session, context, errors: Vec::new(), requests: Vec::new() };
+        for domain in ["Page.enable", "Runtime.enable", "Log.enable", "Network.enable"] {
             tab.call(domain, json!({}));
         }
         let size =
@@ -169,6 +182,10 @@ impl Tab<'_> {
         for event in events.iter().filter(|e| e["sessionId"] == json!(self.session)) {
             match event["method"].as_str() {
                 Some("Runtime.exceptionThrown") => self.errors.push(event["params"].to_string()),
+                Some("Network.requestWillBeSent") => {
+                    let address = event["params"]["request"]["url"].as_str();
+                    self.requests.extend(address.map(str::to_owned));
+                }
                 Some("Log.entryAdded") if event["params"]["entry"]["level"] == "error" => {
                     self.errors.push(event["params"].to_string());
                 }

@@ -1,0 +1,80 @@
+//! Frames with their depth and motion, for whoever shows the light field by other means.
+
+use super::graph::LightField;
+use super::points::nearest;
+use super::scene_flow::{LoadedFrame, load, store_slot};
+use super::slots::{FrameId, Slot, Slots};
+use super::stages::FlowOptions;
+use super::{Context, RenderError};
+use crate::camera::Camera;
+use crate::options::RenderOptions;
+use std::collections::BTreeSet;
+
+/// Maximum number of cameras from whose frames a view is blended.
+const MAX_CAMERAS: usize = 8;
+
+impl LightField {
+    /// The frames from which a view by scene flow is blended, as camera and index: those nearest in time, one of each of the
+    /// nearest cameras.
+    pub fn frames_of_view(&self, target: &Camera, time_s: f64) -> Vec<(usize, usize)> {
+        let mut cameras = nearest(self.capture(), &self.usable(time_s), target.center());
+        cameras.truncate(MAX_CAMERAS);
+        let frame = |c: usize| self.nearest_frame(c, time_s).map(|k| (c, k));
+        let mut frames: Vec<FrameId> = cameras.into_iter().filter_map(frame).collect();
+        // Sorted, so that views from other places share them.
+        frames.sort_unstable();
+        frames
+    }
+
+    /// The frames, as camera and index, that views by scene flow use in a span of time, seconds from the capture's start:
+    /// of every camera, those that are its nearest at some instant of the span. In order of time.
+    pub fn frames_within(&self, (first_s, last_s): (f64, f64)) -> Vec<(usize, usize)> {
+        let of = |camera: usize| {
+            let ends = [first_s, last_s].map(|t| self.nearest_frame(camera, t));
+            let range = ends[0].zip(ends[1]).map(|(first, last)| first..last + 1);
+            range.into_iter().flatten().map(move |frame| (camera, frame))
+        };
+        let mut frames: Vec<FrameId> = (0..self.capture().cameras.len()).flat_map(of).collect();
+        let time_s = |&(camera, frame): &FrameId| self.times_s(camera)[frame];
+        frames.sort_by(|a, b| time_s(a).total_cmp(&time_s(b)).then(a.cmp(b)));
+        frames
+    }
+
+    /// Stores depth and motion of these frames on disk, as [`Self::prepare`] does. `progress` is called with the number of
+    /// finished frames, which may exceed those of the list: frames are prepared in groups.
+    ///
+    /// # Errors
+    /// [`RenderError::NoPoints`] if nothing is known of the scene's depths, else those of [`Self::prepare`].
+    pub fn prepare_frames(
+        &self,
+        frames: &[(usize, usize)],
+        options: &RenderOptions,
+        progress: impl Fn(usize),
+    ) -> Result<(), RenderError> {
+        let (slots, options) = (Slots::new(self), FlowOptions::new(options));
+        let needed: BTreeSet<Slot> = frames.iter().map(|&frame| slots.of(frame)).collect();
+        let mut done = 0;
+        for slot in needed {
+            let stored = store_slot(&slots, slot, options, &Context::unattended())?;
+            if stored.is_empty() {
+                return Err(RenderError::NoPoints);
+            }
+            done += stored.len();
+            progress(done);
+        }
+        Ok(())
+    }
+
+    /// Frames with their depth and motion, from memory or disk, else computed.
+    ///
+    /// # Errors
+    /// [`RenderError::NoPoints`] if nothing is known of the scene's depths, and [`RenderError::Capture`].
+    pub fn frames_with_flow(
+        &self,
+        frames: &[(usize, usize)],
+        options: &RenderOptions,
+    ) -> Result<Vec<LoadedFrame>, RenderError> {
+        let options = FlowOptions::new(options);
+        load(self, frames, options, &Context::unattended())?.ok_or(RenderError::NoPoints)
+    }
+}

@@ -1,0 +1,68 @@
+//! How far views from what is published are from `render`'s.
+
+use super::PublishError;
+use super::frame::Published;
+use super::quality::Quality;
+use crate::camera::{Camera, CameraModel};
+use crate::light_field::{LightField, LoadedFrame};
+use crate::options::RenderOptions;
+use crate::raster::Image;
+use crate::scene_flow::{MappedFrame, blend, confidences};
+
+/// Places and instants at which the pictures of a site are compared with `render`'s.
+const HELD: usize = 4;
+
+/// PSNR of views from what is published beside the same views from the capture, dB, at places between two cameras and
+/// instants between two frames. Nothing of the browser's drawing is in them.
+pub(super) fn measured(
+    field: &LightField,
+    options: &RenderOptions,
+    published: &Published,
+    quality: &Quality,
+    span_s: (f64, f64),
+) -> Result<Vec<f64>, PublishError> {
+    let mut found = Vec::new();
+    for k in 0..HELD {
+        let fraction = (k as f64 + 0.5) / HELD as f64;
+        let time_s = span_s.0 + fraction * (span_s.1 - span_s.0);
+        let Some(view) = held_view(field, k, quality.halvings) else { break };
+        let ids = field.frames_of_view(&view, time_s);
+        let frames = ids.iter().filter_map(|id| published.get(id));
+        let decoded = frames.map(|f| f.decoded(&quality.steps));
+        let decoded: Vec<LoadedFrame> =
+            decoded.collect::<Result<_, String>>().map_err(PublishError::Encoding)?;
+        let mapped: Vec<MappedFrame> = decoded.iter().map(LoadedFrame::mapped).collect();
+        let time = field.in_frames(time_s);
+        let ours = blend(&mapped, &confidences(&mapped), &view, time).rendered;
+        let theirs = field.view(&view, time_s, options)?;
+        let both: Vec<bool> =
+            ours.coverage.iter().zip(&theirs.coverage).map(|(a, b)| *a && *b).collect();
+        found.extend(psnr_db(&ours.image.to_rgb(), &theirs.image.to_rgb(), &both));
+    }
+    Ok(found)
+}
+
+/// A view between the reference camera, or one beside it, and the camera nearest to that. `None` for a single camera.
+fn held_view(field: &LightField, held: usize, halvings: usize) -> Option<Camera> {
+    let capture = field.capture();
+    let cameras: Vec<&Camera> = capture.cameras.iter().map(|c| &c.camera).collect();
+    let from = cameras[(capture.reference + held) % cameras.len()];
+    let distance = |c: &&Camera| (c.center() - from.center()).norm();
+    let others = cameras.iter().copied().filter(|c| distance(c) > 0.0);
+    let nearest = others.min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+    let (fx, fy, cx, cy) = from.model.intrinsics();
+    let middle = 0.5 * (nearest.center() - from.center());
+    let mut view = from.shifted(from.cam_from_world.rotation * middle);
+    view.model = CameraModel::Pinhole { fx, fy, cx, cy };
+    (0..halvings).try_fold(view, |view, _| view.halved())
+}
+
+fn psnr_db(a: &Image, b: &Image, mask: &[bool]) -> Option<f64> {
+    let pixels = a.data().chunks_exact(3).zip(b.data().chunks_exact(3)).zip(mask);
+    let (mut squares, mut values) = (0.0, 0usize);
+    for ((a, b), _) in pixels.filter(|(_, is_compared)| **is_compared) {
+        squares += a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+        values += 3;
+    }
+    (values > 0 && squares > 0.0).then(|| -10.0 * (squares / values as f64).log10())
+}

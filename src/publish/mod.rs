@@ -1,0 +1,219 @@
+//! A light field as a site: a folder that any static web server shows, drawn by the visitor's graphics card.
+//!
+//! ```text
+//! frames, depth, motion ── JPEG, quantized maps ── base64 in scripts ── page: WebGL 2 moves and blends as scene flow does
+//! ```
+//!
+//! | file | what |
+//! |---|---|
+//! | `quality.rs` | how finely frames are stored |
+//! | `frame.rs` | a frame that is published |
+//! | `flow.rs` | its depth and motion, quantized and compressed |
+//! | `measure.rs` | how far the views are from `render`'s |
+//! | `scene.rs` | the description of the light field for the page |
+//! | `site.rs` | the folder |
+//! | `page/` | the page: `shaders.js` and `renderer.js` are `scene_flow`'s splats, confidences and blend |
+//!
+//! The page asks for nothing outside of its folder, and its Content-Security-Policy allows nothing else. Frames are in
+//! scripts, as base64, a third longer than they need be: browsers refuse to read other files beside a page that is opened
+//! from disk, and most web servers compress scripts, which takes the third off again.
+//!
+//! Known limits: places outside of the cameras' are bounded by the page; a view blends at most eight cameras.
+
+mod flow;
+mod frame;
+mod measure;
+mod quality;
+mod scene;
+mod site;
+
+pub use site::check_folder;
+
+use crate::light_field::{LightField, RenderError};
+use crate::options::RenderOptions;
+use crate::progress::Reporter;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use frame::{Published, PublishedFrame};
+use measure::measured;
+use quality::Quality;
+use rayon::prelude::*;
+use site::SiteFiles;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// What is published.
+#[derive(Clone, Copy, Debug)]
+pub struct PublishOptions {
+    /// Seconds on the reference's clock, from the capture's start. `None`: while all cameras film.
+    pub span_s: Option<(f64, f64)>,
+    /// Largest width and height of the frames, pixels: larger ones are halved until they fit.
+    pub max_size: Option<[usize; 2]>,
+    /// Largest size of the folder's files together.
+    pub max_bytes: u64,
+}
+
+/// Why nothing was published. Every message is one sentence.
+#[derive(Debug, thiserror::Error)]
+pub enum PublishError {
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    #[error("{path}: {reason}")]
+    Folder { path: PathBuf, reason: String },
+    #[error("{path}: can't be written ({source})")]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("a frame can't be encoded ({0})")]
+    Encoding(String),
+    #[error("no camera filmed within this span")]
+    NoFrames,
+    #[error("{:.1} MB can't hold {frames} frames even at the lowest quality: publish a shorter span", *.max_bytes as f64 / 1e6)]
+    TooLarge { max_bytes: u64, frames: usize },
+}
+
+/// What was published.
+#[derive(Clone, Debug)]
+pub struct Publication {
+    pub cameras: usize,
+    pub frames: usize,
+    /// Width and height of the reference camera's frames, pixels.
+    pub size: [usize; 2],
+    /// Seconds on the reference's clock, from the capture's start.
+    pub span_s: (f64, f64),
+    /// JPEG's quality of the frames, 1 to 100.
+    pub jpeg: u8,
+    /// Width and height of the blocks of pixels that share depth and motion, pixels.
+    pub block_px: usize,
+    /// Step of the stored disparities, pixels.
+    pub disparity_step_px: f32,
+    /// Sizes in the folder, bytes: images, depth and motion, and everything.
+    pub image_bytes: u64,
+    pub flow_bytes: u64,
+    pub bytes: u64,
+    /// PSNR of views from what is published beside those of `render`, dB, at a few places between two cameras and instants
+    /// between two frames. Empty where they are equal, or where there is one camera.
+    pub psnr_db: Vec<f64>,
+}
+
+/// Publishes a light field with the depth and motion of its frames, which are computed and stored if they aren't yet.
+///
+/// # Errors
+/// If the folder holds anything but an earlier site, if nothing is known of the scene's depths, or if `max_bytes` is too
+/// little.
+pub fn publish(
+    field: &LightField,
+    options: &RenderOptions,
+    wanted: &PublishOptions,
+    folder: &Path,
+    reporter: &Reporter,
+) -> Result<Publication, PublishError> {
+    check_folder(folder)?;
+    let reference = field.capture().reference;
+    let span_s =
+        wanted.span_s.or_else(|| field.common_span_s()).or_else(|| field.span_s(reference));
+    let span_s = span_s.ok_or(RenderError::NoClock)?;
+    let ids = field.frames_within(span_s);
+    if ids.is_empty() {
+        return Err(PublishError::NoFrames);
+    }
+    let task = reporter.task("Preparing frames", ids.len());
+    field.prepare_frames(&ids, options, |done| task.set(done.min(ids.len())))?;
+    drop(task);
+    let encoding = Encoding { field, options, ids: &ids, span_s };
+    let EncodedSite { quality, published, site } = encoding.encoded(wanted, reporter)?;
+    let psnr_db = measured(field, options, &published, &quality, span_s)?;
+    site.write(folder)?;
+    let in_base64 = |bytes: usize| (bytes as u64 * 4).div_ceil(3);
+    let first = published.iter().find(|((c, _), _)| *c == reference).or(published.iter().next());
+    let size = first.map_or([0; 2], |(_, frame)| [frame.view.width, frame.view.height]);
+    let cameras: BTreeSet<usize> = ids.iter().map(|id| id.0).collect();
+    Ok(Publication {
+        cameras: cameras.len(),
+        frames: ids.len(),
+        size,
+        span_s,
+        jpeg: quality.jpeg,
+        block_px: quality.steps.block_px,
+        disparity_step_px: quality.steps.disparity_px,
+        image_bytes: in_base64(published.values().map(|f| f.jpeg.len()).sum()),
+        flow_bytes: in_base64(published.values().map(|f| f.flow.len()).sum()),
+        bytes: site.bytes(),
+        psnr_db,
+    })
+}
+
+/// What is encoded.
+struct Encoding<'a> {
+    field: &'a LightField,
+    options: &'a RenderOptions,
+    /// Camera and index of the frames, in order of time.
+    ids: &'a [(usize, usize)],
+    span_s: (f64, f64),
+}
+
+/// The frames at the best quality that fits.
+struct EncodedSite {
+    quality: Quality,
+    published: Published,
+    site: SiteFiles,
+}
+
+/// Number of frames that are encoded, or by which qualities are judged, at a time.
+const FRAMES_AT_ONCE: usize = 8;
+
+impl Encoding<'_> {
+    /// Encodes all frames at the best quality that holds the bounds.
+    fn encoded(
+        &self,
+        wanted: &PublishOptions,
+        reporter: &Reporter,
+    ) -> Result<EncodedSite, PublishError> {
+        let middle = self.ids.len().saturating_sub(FRAMES_AT_ONCE) / 2;
+        let sample = &self.ids[middle..(middle + FRAMES_AT_ONCE).min(self.ids.len())];
+        let loaded = self.field.frames_with_flow(sample, self.options)?;
+        for quality in Quality::ladder(self.halvings(wanted.max_size)) {
+            let sizes = loaded.par_iter().map(|l| Ok(PublishedFrame::new(l, &quality)?.bytes()));
+            let sampled = sizes.sum::<Result<usize, String>>().map_err(PublishError::Encoding)?;
+            let estimated = sampled as f64 * self.ids.len() as f64 / sample.len() as f64;
+            if 4.0 / 3.0 * estimated > wanted.max_bytes as f64 {
+                continue;
+            }
+            let published = self.published(&quality, reporter)?;
+            let files = scene::files(self.ids, &published);
+            let scene = scene::scene(self.field, &files, &quality, self.span_s);
+            let site = SiteFiles::new(&scene, files.iter().map(|file| base64(file)).collect());
+            if site.bytes() <= wanted.max_bytes {
+                return Ok(EncodedSite { quality, published, site });
+            }
+        }
+        Err(PublishError::TooLarge { max_bytes: wanted.max_bytes, frames: self.ids.len() })
+    }
+
+    fn published(&self, quality: &Quality, reporter: &Reporter) -> Result<Published, PublishError> {
+        let task = reporter.task("Encoding frames", self.ids.len());
+        let mut published = Published::new();
+        for ids in self.ids.chunks(FRAMES_AT_ONCE) {
+            let loaded = self.field.frames_with_flow(ids, self.options)?;
+            let encode =
+                |(id, l): (&(usize, usize), _)| Ok((*id, PublishedFrame::new(l, quality)?));
+            let encoded =
+                ids.par_iter().zip(&loaded).map(encode).collect::<Result<Vec<_>, String>>();
+            published.extend(encoded.map_err(PublishError::Encoding)?);
+            task.set(published.len());
+        }
+        Ok(published)
+    }
+
+    /// How often frames are halved to have this size.
+    fn halvings(&self, max_size: Option<[usize; 2]>) -> usize {
+        let Some([width, height]) = max_size else { return 0 };
+        let cameras = || self.field.capture().cameras.iter().map(|c| &c.camera);
+        let is_large = |n: usize| cameras().any(|c| c.width >> n > width || c.height >> n > height);
+        (0..).take_while(|&n| is_large(n)).count()
+    }
+}
+
+/// The frames of a file in base64, one after another: image, then depth and motion.
+fn base64(file: &[((usize, usize), &PublishedFrame)]) -> String {
+    let parts = file.iter().flat_map(|(_, frame)| [&*frame.jpeg, &*frame.flow]);
+    BASE64.encode(parts.collect::<Vec<_>>().concat())
+}

@@ -1,0 +1,210 @@
+"use strict";
+
+// How views are drawn while something moves, best first: cameras, whether a point may stand for a cell of blocks, size of the
+// picture, and whether images are sampled by a cubic.
+const LEVELS = [
+  { cameras: 8, hasCells: false, scale: 1, isCubic: true },
+  { cameras: 8, hasCells: true, scale: 1, isCubic: true },
+  { cameras: 6, hasCells: true, scale: 1, isCubic: false },
+  { cameras: 4, hasCells: true, scale: 0.75, isCubic: false },
+  { cameras: 4, hasCells: true, scale: 0.5, isCubic: false },
+  { cameras: 3, hasCells: true, scale: 0.4, isCubic: false },
+].map((level) => ({ ...level, anyTrust: true }));
+const AT_REST = { cameras: MAX_SOURCES, hasCells: false, scale: 1, isCubic: true, anyTrust: false };
+// The level that is tried first.
+const FIRST_LEVEL = 2;
+// Intervals between pictures above which the next level is used, and below which the one before, milliseconds.
+const SLOW_MS = 38;
+const FAST_MS = 20;
+// Pictures that are drawn quickly before a better level is tried; it grows each time that was too slow.
+const PATIENCE = 24;
+const MAX_PATIENCE = 2000;
+// Intervals that are judged together: a number, and on slow cards a time.
+const JUDGED = 8;
+const JUDGED_MS = 500;
+// Largest focal length of a picture, as a multiple of the frames': more has no more detail.
+const MAX_ENLARGEMENT = 2;
+// Largest number of the screen's pixels a pixel of the page.
+const MAX_PIXEL_RATIO = 2;
+
+const byId = (id) => document.getElementById(id);
+
+stlfr.scene = (scene) => {
+  const problem = (error) => {
+    byId("problem").textContent = error.message ?? String(error);
+    byId("problem").hidden = false;
+    byId("loading").classList.add("done");
+  };
+  try {
+    if (typeof DecompressionStream === "undefined") throw new Error("This page needs a newer browser.");
+    new Viewer(scene, problem).start();
+  } catch (error) {
+    problem(error);
+  }
+};
+
+class Viewer {
+  constructor(scene, problem) {
+    this.scene = scene;
+    this.problem = problem;
+    scene.cameras = scene.cameras.map((c) => ({ ...c, ...cameraFromPose(c.size, c.lens, c.pose) }));
+    this.canvas = byId("view");
+    this.renderer = new Renderer(this.canvas, scene, (failure) => this.arrived(failure));
+    this.rig = new Rig(scene);
+    this.motion = new Motion(this.rig, scene);
+    this.level = FIRST_LEVEL;
+    this.patience = PATIENCE;
+    this.fast = 0;
+    this.intervals = [];
+    this.isDirty = true;
+    this.isShown = false;
+    this.statistics = { pictures: 0, firstMs: null, level: this.level };
+  }
+
+  start() {
+    const { motion, canvas, scene } = this;
+    document.title = scene.name;
+    document.documentElement.classList.toggle("framed", window.parent !== window);
+    document.documentElement.classList.toggle("still", motion.length === 0);
+    listen(canvas, motion, () => { this.isDirty = true; });
+    new ResizeObserver(() => { this.isDirty = true; }).observe(canvas);
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => location.reload());
+    byId("play").addEventListener("click", () => { motion.isPlaying = !motion.isPlaying; });
+    byId("time").addEventListener("input", (event) => {
+      motion.isPlaying = false;
+      motion.set({ time: motion.span[0] + (event.target.value / 1000) * motion.length });
+    });
+    this.follow(location.hash);
+    addEventListener("hashchange", () => this.follow(location.hash));
+    byId("bar").hidden = false;
+    this.offer();
+    requestAnimationFrame((now) => this.frame(now));
+  }
+
+  // What a page's own scripts, and tests, may call.
+  offer() {
+    // A view as `view.json` of `stlfr render --camera` has it, at an instant, seconds, as a canvas.
+    stlfr.picture = async (view, seconds) => {
+      const target = viewOf(view);
+      const time = (seconds - this.scene.origin_s) / (this.scene.frame_s || 1);
+      const sources = this.renderer.frames.of(target.center, time, MAX_SOURCES);
+      this.asked = sources.map((s) => s.frame);
+      while (this.asked.some((f) => f.layer < 0)) {
+        if (this.renderer.frames.failure) throw this.renderer.frames.failure;
+        this.renderer.frames.want(this.asked, time, true);
+        await new Promise((resolve) => setTimeout(resolve, 5));
+      }
+      this.renderer.draw(target, time, sources, AT_REST);
+      this.asked = null;
+      this.isDirty = true;
+      return this.renderer.picture();
+    };
+    stlfr.statistics = this.statistics;
+    stlfr.motion = this.motion;
+  }
+
+  // An address that ends with #t=0.1&x=0.02 begins there, with time stopped.
+  follow(hash) {
+    const given = new URLSearchParams(hash.slice(1));
+    const number = (name) => {
+      const value = Number.parseFloat(given.get(name));
+      return Number.isFinite(value) ? value : undefined;
+    };
+    const [x, y, z, t] = ["x", "y", "z", "t"].map(number);
+    if ([x, y, z, t].every((v) => v === undefined)) return;
+    this.motion.isPlaying = false;
+    this.motion.isStill = true;
+    const time = t === undefined ? undefined : (t - this.scene.origin_s) / (this.scene.frame_s || 1);
+    this.motion.set({ x, y, z, time });
+    this.isDirty = true;
+  }
+
+  arrived(failure) {
+    if (failure) this.problem(failure);
+    const fraction = Math.min(1, this.renderer.frames.fraction);
+    byId("loading").style.transform = `scaleX(${fraction})`;
+    byId("loading").classList.toggle("done", fraction >= 1);
+    this.isDirty = true;
+  }
+
+  get pixelSize() {
+    const ratio = Math.min(devicePixelRatio, MAX_PIXEL_RATIO);
+    return [this.canvas.clientWidth, this.canvas.clientHeight].map((v) => Math.max(1, Math.round(v * ratio)));
+  }
+
+  frame(now) {
+    requestAnimationFrame((next) => this.frame(next));
+    const interval = now - (this.before ?? now);
+    const elapsed = Math.min(interval, 250);
+    this.before = now;
+    const { motion, renderer } = this;
+    const moved = motion.step(elapsed / 1000, this.isShown && this.isReady);
+    if (moved) this.moved = now;
+    this.update();
+    const isResting = now - (this.moved ?? 0) > 200;
+    if (this.drewMoving && moved) this.adapt(interval);
+    this.drewMoving = false;
+    if (this.asked || !(moved || this.isDirty || (isResting && !this.isExact))) return;
+    // The first picture is a quick one.
+    const quality = isResting && this.isShown ? AT_REST : LEVELS[this.level];
+    const size = this.pixelSize;
+    const whole = this.rig.view(motion.place, size);
+    const scale = quality.scale * Math.min(1, MAX_ENLARGEMENT / whole.scale);
+    const view = this.rig.view(motion.place, size.map((v) => Math.max(1, Math.round(v * scale))));
+    const sources = renderer.frames.of(view.center, motion.time, quality.cameras);
+    renderer.frames.want(sources.map((s) => s.frame), motion.time, this.isShown);
+    const ready = sources.filter((s) => s.frame.layer >= 0);
+    this.isReady = ready.length === sources.length;
+    this.isDirty = false;
+    // The first picture has all that it needs; later ones do with what is there.
+    if (!this.isReady && (!this.isShown || ready.length === 0)) return;
+    try {
+      if (this.canvas.width !== size[0] || this.canvas.height !== size[1]) [this.canvas.width, this.canvas.height] = size;
+      renderer.draw(view, motion.time, ready, quality);
+      renderer.show(whole.size);
+    } catch (error) {
+      this.problem(error);
+      return;
+    }
+    this.isExact = quality === AT_REST && this.isReady;
+    // After the first picture, the other frames are asked for.
+    this.isDirty = !this.isReady || !this.isShown;
+    this.drewMoving = !isResting;
+    this.statistics.pictures += 1;
+    this.statistics.firstMs ??= performance.now();
+    this.isShown = true;
+  }
+
+  // Chooses the level by the median interval between the last pictures.
+  adapt(milliseconds) {
+    const { intervals } = this;
+    intervals.push(milliseconds);
+    const total = intervals.reduce((all, v) => all + v, 0);
+    if (intervals.length < JUDGED && (total < JUDGED_MS || intervals.length < 2)) return;
+    const median = [...intervals].sort((p, q) => p - q)[Math.floor(intervals.length / 2)];
+    intervals.length = 0;
+    this.fast = median < FAST_MS ? this.fast + JUDGED : 0;
+    if (median > SLOW_MS && this.level < LEVELS.length - 1) {
+      this.level += 1;
+      this.patience = Math.min(4 * this.patience, MAX_PATIENCE);
+    } else if (this.fast >= this.patience && this.level > 0) {
+      this.level -= 1;
+      this.fast = 0;
+    }
+    this.statistics.level = this.level;
+  }
+
+  // The bar's elements show the state.
+  update() {
+    const { motion, scene } = this;
+    const seconds = scene.origin_s + scene.frame_s * motion.time;
+    byId("play").setAttribute("aria-pressed", String(motion.isPlaying));
+    const label = motion.isPlaying ? "Stop time" : "Play";
+    byId("play").setAttribute("aria-label", label);
+    byId("play").title = `${label} (space)`;
+    if (motion.length > 0) byId("time").value = (1000 * (motion.time - motion.span[0])) / motion.length;
+    byId("time").setAttribute("aria-valuetext", `${seconds.toFixed(3)} seconds`);
+    byId("clock").textContent = motion.length > 0 ? `${seconds.toFixed(3)} s` : "";
+  }
+}
