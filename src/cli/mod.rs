@@ -2,10 +2,12 @@
 
 mod capture;
 mod compare;
+mod display;
 mod error;
 mod exchange;
 mod farm;
 mod files;
+mod frames;
 mod info;
 mod offsets;
 mod options;
@@ -14,10 +16,12 @@ mod prepare;
 mod print;
 mod render;
 mod rig;
+mod shots;
 mod toolchain;
 mod tradeoff;
 mod values;
 mod view;
+mod view_writer;
 mod viewpoint;
 
 pub use error::{exit, usage};
