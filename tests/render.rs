@@ -128,6 +128,32 @@ fn ready_made_paths_see_the_whole_scene() {
     }
 }
 
+#[test]
+fn processes_share_a_sequence_and_leave_only_its_images() {
+    let capture = capture();
+    let root = capture.path();
+    let sweep = ["--path", "sweep", "--duration", "1", "--fps", "15", "--time", "0.05"];
+    render(root, &sweep, &root.join("alone/%d.png"));
+    let start = ["-q", "render", text(root), "--preset", "draft", "--proxy", "plane"];
+    let out = root.join("shared/%d.png");
+    let rest = ["--set", "proxy.plane_depth_m=2", "-o", text(&out)];
+    let spawn =
+        |_| common::stlfr().args([start.as_slice(), &sweep, &rest].concat()).spawn().unwrap();
+    let mut processes: Vec<_> = (0..3).map(spawn).collect();
+    assert!(processes.iter_mut().all(|process| process.wait().unwrap().success()));
+    let names = |folder: &str| -> Vec<_> {
+        let entries = std::fs::read_dir(root.join(folder)).unwrap().flatten();
+        let mut names: Vec<_> = entries.map(|entry| entry.file_name()).collect();
+        names.sort();
+        names
+    };
+    assert_eq!((names("alone").len(), names("shared")), (16, names("alone")));
+    for name in names("alone") {
+        let [alone, shared] = ["alone", "shared"].map(|f| std::fs::read(root.join(f).join(&name)));
+        assert!(alone.unwrap() == shared.unwrap(), "{name:?}");
+    }
+}
+
 /// The camera of a view.
 fn camera(x_m: f64) -> Camera {
     serde_json::from_value::<CameraFormat>(view(x_m, 0.0)).unwrap().camera().unwrap()
