@@ -64,7 +64,7 @@
 //! raster
 //! camera video metrics chart
 //! capture
-//! exchange registration rig
+//! exchange registration rig path display
 //! offset interpolation lumigraph
 //! stereo scene_flow
 //! options
@@ -88,6 +88,8 @@
 //! | [`metrics`] | PSNR, SSIM, FLIP, the moving part |
 //! | [`video`] | video files, through ffmpeg |
 //! | [`chart`] | charts as SVG |
+//! | [`path`] | camera paths: place, direction, lens and time of a view over the seconds of a video |
+//! | [`display`] | quilts of light-field displays, and views of two eyes |
 //! | [`rig`] | simulated arrays: their description and their generator |
 //! | [`exchange`] | other programs' calibrations |
 //! | [`options`] | the methods and parameters of all stages |
@@ -120,6 +122,24 @@
 //! ([`offset::file`]).
 //! Times are seconds on the reference camera's clock. Outside of what the cameras recorded there is no
 //! image; the message states the times that there are.
+//!
+//! # Paths and displays
+//!
+//! `stlfr render --path` follows a camera path: a file ([`path`] has the format), the animated scene camera of a `.blend`,
+//! or one by name. `sweep`, `orbit`, `bullet-time` and `dolly` are fitted to the rig and to the scene's depths, so that
+//! cameras see all of every view. `--time` stops time along any path. A trail is that of each frame's instant, from its
+//! viewpoint.
+//!
+//! The suffix of `-o` chooses the format. `.exr` has the channels `R`, `G`, `B`, `A` in linear light, half floats, and `Z`,
+//! metres along the axis; what has no depth is 1e10 m away.
+//!
+//! `--quilt` renders for Looking Glass displays, `--stereo` for two eyes: views in one direction, sheared about the plane
+//! of `--convergence`, which has no parallax ([`display`]). A quilt's cone is never wider than the cameras cover: eight
+//! cameras 6 cm apart cover 12 degrees at 2 m.
+//!
+//! Processes that run the same command for a sequence of images share it, each taking images that no other has, on
+//! machines that see one folder with locks. Stopped, it continues. A folder `.stlfr-render-…` beside the images says
+//! what is done, until all is.
 //!
 //! # In the browser
 //!
@@ -217,6 +237,7 @@ pub mod camera;
 pub mod capture;
 pub mod chart;
 pub mod compare;
+pub mod display;
 pub mod exchange;
 pub mod farm;
 pub mod host;
@@ -230,6 +251,7 @@ pub mod metrics;
 pub mod offset;
 pub mod option;
 pub mod options;
+pub mod path;
 pub mod pipeline;
 pub mod plan;
 pub mod progress;

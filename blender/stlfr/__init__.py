@@ -24,7 +24,7 @@ Of the extension alone:
 
 - `engine`: the render engine `STLFR`
 - `viewport`: its `Rendered` shading; `live` renders for it, `viewpoint` is the region's camera
-- `view`: which image of the light field a frame of the scene shows
+- `view`: which image of the light field a frame of the scene shows; `camera_path`: all frames, as a path
 - `fields`: the capture that is open; `timing`: which scene frames it covers; `spans`: read beside the main thread
 - `properties`, `panels`, `operators`, `comparison`: what the user sees and presses
 - `reels`: a comparison as scenes of strips

@@ -42,18 +42,23 @@ class Request:
 
 def request(scene: Any, camera_object: Any, capture: Path) -> Request:
     """What a scene at its current frame and sub-frame asks for, seen through a camera."""
-    if camera_object is None or camera_object.type != "CAMERA":
-        raise BadInputError("the scene has no camera to look through")
-    if camera_object.data.type != "PERSP":
-        raise BadInputError(
-            f"camera {camera_object.name} isn't a perspective camera, the only kind that the light field can show"
-        )
+    require_perspective(camera_object)
     return Request(
         capture=capture,
         time_s=capture_time_s(scene),
         camera=describe_object(camera_object, scene),
         options=options(scene.stlfr),
     )
+
+
+def require_perspective(camera_object: Any) -> None:
+    """Refuse what the light field can't be seen through."""
+    if camera_object is None or camera_object.type != "CAMERA":
+        raise BadInputError("the scene has no camera to look through")
+    if camera_object.data.type != "PERSP":
+        raise BadInputError(
+            f"camera {camera_object.name} isn't a perspective camera, the only kind that the light field can show"
+        )
 
 
 def capture_time_s(scene: Any) -> float:

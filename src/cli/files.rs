@@ -11,8 +11,9 @@ use stlfr::host::{open_file, read_text, try_folder};
 use stlfr::json;
 use stlfr::method::Method;
 use stlfr::options::{Preset, RenderOptions};
+use stlfr::path::{CameraPath, PathFormat};
 use stlfr::progress::Reporter;
-use stlfr::toolchain::find_ffmpeg;
+use stlfr::toolchain::{Environment, blend_path, find_ffmpeg, project_root};
 
 /// Largest options or view file that is read, bytes.
 const MAX_BYTES: u64 = 1 << 20;
@@ -106,6 +107,24 @@ pub fn read_view(path: &Path) -> Result<Camera, CliError> {
     format.camera().map_err(|error| wrong(path, error))
 }
 
+/// Reads a camera path from a JSON file.
+pub fn read_path(path: &Path) -> Result<CameraPath, CliError> {
+    let format: PathFormat = json::read(path).map_err(|error| wrong(path, error))?;
+    format.path().map_err(|error| wrong(path, error))
+}
+
+/// Reads the path of the animated camera of a `.blend` file.
+pub fn read_blend_path(path: &Path, reporter: &Reporter) -> Result<CameraPath, CliError> {
+    must_be_a_file(path)?;
+    let environment = project_root().ok().and_then(|root| Environment::find(&root));
+    let environment = environment.ok_or_else(|| {
+        CliError::Failure("a .blend needs Blender's Python package: run stlfr setup".into())
+    })?;
+    let text = blend_path(&environment, path, reporter)?;
+    let format: PathFormat = json::parse(&text).map_err(|error| wrong(path, error))?;
+    format.path().map_err(|error| wrong(path, error))
+}
+
 fn wrong(path: &Path, error: impl std::fmt::Display) -> CliError {
     CliError::BadInput(format!("{}: {error}", path.display()))
 }
@@ -162,6 +181,7 @@ fn must_be_writable(output: &Path) -> Result<(), CliError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::values::ImageFile;
 
     #[test]
     fn views_name_file_and_field() {
@@ -199,7 +219,7 @@ mod tests {
         check(&folder.path().join("file")).unwrap();
         assert!(check(&folder.path().join("file/c.png")).is_err());
         assert!(CommandOutput::Folder(&folder.path().join("file"), &[]).check(None).is_err());
-        let many = ImageOutput::Sequence(folder.path().join("many/%d.png"));
+        let many = ImageOutput::Sequence(folder.path().join("many/%d.png"), ImageFile::Exr);
         CommandOutput::Images(&many, 2).check(None).unwrap();
     }
 }

@@ -2,10 +2,12 @@
 
 mod capture;
 mod compare;
+mod display;
 mod error;
 mod exchange;
 mod farm;
 mod files;
+mod frames;
 mod info;
 mod offsets;
 mod options;
@@ -15,10 +17,12 @@ mod print;
 mod publish;
 mod render;
 mod rig;
+mod shots;
 mod toolchain;
 mod tradeoff;
 mod values;
 mod view;
+mod view_writer;
 mod viewpoint;
 
 pub use error::{exit, usage};

@@ -1,58 +1,75 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
-use super::values::{AUTO, ImageOutput, Parts, Times, method, method_or_auto};
-use super::viewpoint::{ViewpointArgs, far_outside};
-use std::ops::Range;
-use std::panic::resume_unwind;
-use std::path::PathBuf;
-use std::sync::mpsc::sync_channel;
-use stlfr::capture::{Capture, NamedView};
-use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{
-    Context, RenderError, Request, Viewpoint, check_times_before_offsets, render,
+use super::display::{DisplayArgs, Layout, camera};
+use super::files::{CommandOutput, OptionsArgs, open_capture};
+use super::frames::Frames;
+use super::shots::{ShotArgs, Shots, viewpoint};
+use super::values::{
+    AUTO, ImageFile, ImageOutput, Parts, Times, method, method_or_auto, positive, rate_hz,
 };
-use stlfr::lumigraph::{BlendMethod, Rendered};
+use super::view_writer::{View, ViewWriter};
+use super::viewpoint::ViewpointArgs;
+use std::ops::Range;
+use std::path::PathBuf;
+use stlfr::capture::NamedView;
+use stlfr::host::Claim;
+use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::{Context, LightField, Request, render};
+use stlfr::lumigraph::BlendMethod;
 use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
-use stlfr::raster::write_image;
-use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
-/// Render the view of any camera at any instant, or over a span of time.
+/// Render the view of any camera at any instant, over a span of time, or along a path.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr render .captures/demo --like between --time 0.1 -o between.png\n  \
     stlfr render .captures/demo --like cam3 --shift 0.03,0,0 --time 0.1 -o right.png\n  \
-    stlfr render .captures/demo --camera view.json --time 0.1 -o view.png\n  \
     stlfr render .captures/demo --camera view.json --times 0.05:0.25:60 -o out/%04d.png\n  \
-    stlfr render .captures/demo --like cam3 --times 0.05:0.25:60 -o slow.mkv\n  \
-    stlfr render .captures/demo --like between --time 0.1 --preset draft -o between.png\n  \
+    stlfr render .captures/demo --like cam3 --times 0.05:0.25:60 --fps 24 -o slow.mp4\n  \
+    stlfr render .captures/demo --path bullet-time -o bullet.mp4\n  \
+    stlfr render .captures/demo --path orbit --time 0.1 --duration 3 -o orbit.gif\n  \
+    stlfr render .captures/demo --path path.json -o out/%04d.jpg\n  \
+    stlfr render .captures/demo --like between --time 0.1 --quilt go -o quilt.png\n  \
+    stlfr render .captures/demo --path sweep --stereo 0.06 -o eyes.mp4\n  \
     stlfr render .captures/demo --like between --time 0.1 --sync auto --proxy auto -o between.png\n  \
     stlfr render .captures/demo --like cam3 --time 0.2 --trail 0.15 --trail-instants 31 -o trail.png\n\n\
-    stlfr info prints an example for your capture. A view's file holds a camera as capture.json has it.")]
+    The images of a sequence are shared by all processes that run the same command at the same time; stopped, it continues.\n\
+    stlfr info prints an example for your capture. A view's file holds a camera as capture.json has it. A path's file\n\
+    holds {\"format\": \"stlfr-path\", \"version\": 1, \"keys\": [{\"at_s\": 0, \"time_s\": 0.1, \"camera\": {…}}, …]}: the view\n\
+    and the instant at seconds of the video, interpolated smoothly. Equal instants freeze time, falling ones reverse it;\n\
+    \"rest\": true in a key eases in and out; \"constant_speed\": true moves evenly.")]
 pub struct RenderArgs {
     /// The capture's folder.
     capture: PathBuf,
     #[command(flatten)]
     viewpoint: ViewpointArgs,
-    /// The instant, seconds on the reference camera's clock.
+    /// The instant, seconds on the reference camera's clock; along a path, the one at which time stops.
     #[arg(
         long,
         value_name = "SECONDS",
         allow_negative_numbers = true,
-        required_unless_present = "times",
+        required_unless_present_any = ["times", "path"],
         conflicts_with = "times"
     )]
     time: Option<f64>,
     /// N instants evenly from START to END, both included: slow motion in one run.
-    #[arg(long, value_name = "START:END:N", allow_hyphen_values = true)]
+    #[arg(long, value_name = "START:END:N", allow_hyphen_values = true, conflicts_with = "path")]
     times: Option<Times>,
+    /// Seconds of the video along a path [default: the path's own, 4 for those by name].
+    #[arg(long, value_name = "SECONDS", requires = "path", value_parser = positive)]
+    duration: Option<f64>,
+    /// Frames a second of a video, and along a path [default: the path's or 30; for --times the capture's].
+    #[arg(long, value_name = "HZ", value_parser = rate_hz)]
+    fps: Option<f64>,
+    #[command(flatten)]
+    display: DisplayArgs,
     /// Only parts K to L of N, such as 3-6/100: other commands, on any machine, render the others.
-    #[arg(long, value_name = "K-L/N", requires = "times")]
+    #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
-    /// The image, for --times a pattern such as out/%04d.png or a video such as out.mkv.
+    /// An image (.png, .jpg, .exr with depth); for --times and --path a pattern such as out/%04d.png, or a video (.mp4
+    /// and .webm for browsers and slides, .gif, .mkv without loss).
     #[arg(short, long, value_name = "FILE")]
     output: ImageOutput,
     /// How each camera's image is synchronized to the instant.
@@ -100,26 +117,53 @@ impl RenderArgs {
         Ok(options)
     }
 
-    /// The instants, checked: seconds on the reference's clock as its file has it, without the capture's origin.
-    fn times_s(&self) -> Result<Vec<f64>, CliError> {
-        let wrong = |sentence: &str| Err(CliError::BadInput(sentence.to_owned()));
-        Ok(match (self.time, &self.times, &self.output) {
-            (Some(time_s), _, _) if !time_s.is_finite() => return wrong("--time: must be finite"),
-            (Some(time_s), _, ImageOutput::Image(_)) => vec![time_s],
-            (Some(_), ..) => return wrong("--time gives one image: -o must name a .png"),
-            (None, Some(_), ImageOutput::Image(_)) => {
-                return wrong("--times gives many images: -o must be like out/%04d.png or out.mkv");
-            }
-            (None, Some(Times(times_s)), _) => times_s.clone(),
-            (None, None, _) => return wrong("--time or --times must be given"),
-        })
+    fn shots(&self, reporter: &Reporter) -> Result<Shots<'_>, CliError> {
+        let args = ShotArgs {
+            viewpoint: &self.viewpoint,
+            time_s: self.time,
+            times: self.times.as_ref(),
+            duration_s: self.duration,
+            rate_hz: self.fps,
+        };
+        let shots = args.shots(reporter)?;
+        if self.display.is_of_several() && self.output.image_file() == Some(ImageFile::Exr) {
+            return Err(CliError::BadInput(
+                "an .exr holds one view: for --quilt and --stereo -o must be another image or a video".into(),
+            ));
+        }
+        match (&self.output, shots.is_sequence()) {
+            (ImageOutput::Image(..), true) => Err(CliError::BadInput(
+                "many images are rendered: -o must be like out/%04d.png or out.mp4".into(),
+            )),
+            (ImageOutput::Sequence(..) | ImageOutput::Video(..), false) => Err(CliError::BadInput(
+                "--time gives one image: -o must name a .png or .jpg".into(),
+            )),
+            _ => Ok(shots),
+        }
     }
 
-    /// Indices of the times whose views are rendered now, of this many.
+    /// The images that this process renders. Those of a whole sequence are shared with the processes of the same
+    /// command, which `key` tells.
+    fn frames<'a>(
+        &self,
+        wanted: Range<usize>,
+        output: &'a ImageOutput,
+        key: &str,
+    ) -> Result<Frames<'a>, CliError> {
+        match (output, &self.part, output.file(0)) {
+            (ImageOutput::Sequence(..), None, Some(first)) => {
+                let folder = first.with_file_name(format!(".stlfr-render-{key}"));
+                Frames::shared(output, wanted.len(), &folder)
+            }
+            _ => Ok(Frames::all(output, wanted)),
+        }
+    }
+
+    /// Indices of the images that are rendered now, of this many.
     fn wanted(&self, count: usize) -> Result<Range<usize>, CliError> {
         match &self.part {
             None => Ok(0..count),
-            Some(part) if matches!(self.output, ImageOutput::Sequence(_)) => Ok(part.range(count)),
+            Some(part) if matches!(self.output, ImageOutput::Sequence(..)) => Ok(part.range(count)),
             Some(_) => Err(CliError::BadInput(
                 "--part gives images of a sequence: -o must be like out/%04d.png".into(),
             )),
@@ -128,122 +172,72 @@ impl RenderArgs {
 }
 
 pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
-    let times_s = args.times_s()?;
-    let wanted = args.wanted(times_s.len())?;
-    let given = args.viewpoint.camera()?;
+    let mut shots = args.shots(reporter)?;
+    let wanted = args.wanted(shots.len())?;
     let options = args.render_options()?;
-    let output = CommandOutput::Images(&args.output, times_s.len());
+    let named = args.display.named(&args.output);
+    let output = CommandOutput::Images(&named, shots.len());
     let capture = open_capture(&args.capture, Some(output), reporter)?;
-    let view = args.viewpoint.view(given, &capture)?;
-    let times_s: Vec<f64> = times_s.iter().map(|t| t - capture.time_origin_s).collect();
-    let (from, filming) = match &view {
-        NamedView::Filming(index) => (Viewpoint::Like(*index), Some(*index)),
-        NamedView::Free(camera) => (Viewpoint::View(camera), None),
-    };
-    check_times_before_offsets(&capture, filming, &times_s)?;
-    if let Viewpoint::View(camera) = from {
-        far_outside(camera, &capture).inspect(|note| reporter.note(note));
-    }
-    let writer = Writer::new(&args.output, &capture, wanted.start, reporter)?;
+    shots.place(&capture, reporter)?;
+    let rate_hz = shots.rate_hz(&capture);
+    let mut writer = ViewWriter::new(&named, &capture, rate_hz, reporter)?;
 
     let field = pipeline::open_field(capture, &options, reporter)?;
-    field.check_times(from, &times_s)?;
+    shots.check(&field)?;
     let options = pipeline::resolved(&field, &options, reporter)?;
+    shots.fit(&field, &options)?;
+    let layout = args.display.layout(&field, &shots, &options, reporter)?;
+    writer.parts = layout.parts(&field, &shots.get(0).view);
+    let has_depths = named.image_file() == Some(ImageFile::Exr);
     let instants = options.trail.count();
-    let times_s = &times_s[wanted];
-    let task = reporter.task("rendering", times_s.len() * instants);
-    writer.write_all(times_s.iter().enumerate().map(|(index, &time_s)| {
+    let parts = writer.parts.as_ref().map_or(1, |parts| parts.origins.len());
+    let task = reporter.task("rendering", wanted.len() * parts * instants);
+    let name = named.file(0).unwrap_or_default();
+    let more = format!("{:?} {:?}", args.display, name.file_name());
+    let frames = args.frames(wanted, &named, &shots.key(&field, &options, &more))?;
+    let shared = frames.shared_folder();
+    let views = frames.flat_map(|frame| views_of(frame, &layout, &field, &shots));
+    writer.write_all(views.enumerate().map(|(index, view)| -> Result<View, CliError> {
+        let ViewOfFrame { frame, part, view, claim } = view?;
         let proceed = |done, _| {
             task.set(index * instants + done);
             true
         };
-        render(&field, &Request::new(from, time_s, &options), &Context::new(&proceed))
-    }))
+        let request = Request::new(viewpoint(&view), shots.get(frame).time_s, &options);
+        let rendered = render(&field, &request, &Context::new(&proceed))?;
+        let depths = || field.geometry(camera(&field, &view), &request).map(|g| g.view);
+        let depths = has_depths.then(depths).transpose()?;
+        Ok(View { frame, part, rendered, depths, claim })
+    }))?;
+    shared.map_or(Ok(()), |folder| folder.end())
 }
 
-/// Finished views that may wait to be written. More: memory; fewer: rendering waits for a file that takes longer
-/// than others.
-const WAITING_VIEWS: usize = 2;
-
-/// Where finished images go.
-struct Writer<'a> {
-    output: &'a ImageOutput,
-    /// Index of the first image.
-    first: usize,
-    format: VideoFormat,
-    /// The encoder; `None` if the output is no video.
-    ffmpeg: Option<PathBuf>,
-    /// The video, from its first frame on.
-    video: Option<VideoWriter>,
-    /// The smallest fraction of a view's pixels that cameras see.
-    seen_fraction: f64,
-    reporter: &'a Reporter,
+/// A view of a picture that is to be rendered.
+struct ViewOfFrame {
+    frame: usize,
+    part: usize,
+    view: NamedView,
+    claim: Option<Claim>,
 }
 
-/// Fraction of a view's pixels that cameras must see, or else a note says how few they see.
-const MIN_SEEN_FRACTION: f64 = 0.5;
-
-impl<'a> Writer<'a> {
-    fn new(
-        output: &'a ImageOutput,
-        capture: &Capture,
-        first: usize,
-        reporter: &'a Reporter,
-    ) -> Result<Self, CliError> {
-        let is_video = matches!(output, ImageOutput::Video(_));
-        let ffmpeg = is_video.then(|| ffmpeg_for("a video")).transpose()?;
-        let frame_s = capture.frame_s();
-        let rate_hz = if frame_s > 0.0 { 1.0 / frame_s } else { 30.0 };
-        let format = VideoFormat { depth: capture.bit_depth(), rate_hz, codec: Codec::Ffv1 };
-        Ok(Self { output, first, format, ffmpeg, video: None, seen_fraction: 1.0, reporter })
-    }
-
-    /// Writes views while the next ones are rendered. Views before an error are written, but no video is finished then.
-    fn write_all(
-        mut self,
-        views: impl Iterator<Item = Result<Rendered, RenderError>>,
-    ) -> Result<(), CliError> {
-        let (send, received) = sync_channel(WAITING_VIEWS);
-        std::thread::scope(|scope| {
-            // ffmpeg ends with the thread that started it, which therefore finishes the video.
-            let writing = scope.spawn(move || {
-                for (index, view) in received.into_iter().enumerate() {
-                    self.write(index, &view?)?;
-                }
-                if self.seen_fraction < MIN_SEEN_FRACTION {
-                    self.reporter.note(&format!(
-                        "Cameras see only {:.0} % of the view; stlfr info prints one that they see.",
-                        100.0 * self.seen_fraction
-                    ));
-                }
-                self.video.map_or(Ok(()), |video| Ok(video.finish()?))
-            });
-            for view in views {
-                let failed = view.is_err();
-                // Without a receiver, writing has failed, and says why.
-                if send.send(view).is_err() || failed {
-                    break;
-                }
-            }
-            drop(send);
-            writing.join().unwrap_or_else(|panic| resume_unwind(panic))
-        })
-    }
-
-    fn write(&mut self, index: usize, view: &Rendered) -> Result<(), CliError> {
-        let path = self.output.file(self.first + index).unwrap_or_default();
-        let seen = view.coverage.iter().filter(|is_seen| **is_seen).count();
-        self.seen_fraction = self.seen_fraction.min(seen as f64 / view.coverage.len() as f64);
-        let Some(ffmpeg) = &self.ffmpeg else {
-            let coverage = view.coverage.contains(&false).then_some(view.coverage.as_slice());
-            return Ok(write_image(&path, &view.image, coverage, self.format.depth)?);
-        };
-        let video = match &mut self.video {
-            Some(video) => video,
-            video => video.insert(VideoWriter::create(ffmpeg, &path, &view.image, self.format)?),
-        };
-        Ok(video.push(&view.image)?)
-    }
+/// The views of a picture, in order.
+fn views_of(
+    frame: Result<(usize, Option<Claim>), CliError>,
+    layout: &Layout,
+    field: &LightField,
+    shots: &Shots,
+) -> Vec<Result<ViewOfFrame, CliError>> {
+    let (frame, mut claim) = match frame {
+        Ok(frame) => frame,
+        Err(error) => return vec![Err(error)],
+    };
+    let views = layout.views(field, &shots.get(frame).view);
+    let last = views.len() - 1;
+    let view_of = |(part, view)| {
+        let claim = if part == last { claim.take() } else { None };
+        Ok(ViewOfFrame { frame, part, view, claim })
+    };
+    views.into_iter().enumerate().map(view_of).collect()
 }
 
 #[cfg(test)]
@@ -264,9 +258,9 @@ mod tests {
 
     fn times_s(line: &str) -> Result<Vec<f64>, String> {
         let args = parsed(line)?;
-        let times_s = args.viewpoint.camera().and_then(|_| args.times_s());
-        let checked = times_s.and_then(|s| args.wanted(s.len()).map(|_| s));
-        checked.map_err(|e| e.to_string())
+        let shots = args.shots(&Reporter::silent()).map_err(|e| e.to_string())?;
+        args.wanted(shots.len()).map_err(|e| e.to_string())?;
+        Ok(shots.times_in_file_s())
     }
 
     #[test]
@@ -282,17 +276,31 @@ mod tests {
     #[test]
     fn what_does_not_go_together_is_refused() {
         for (line, words) in [
-            ("c --time 0 -o a.png", "--camera <VIEW.json>|--like <NAME>"),
-            ("c --shift 0,0,0 --time 0 -o a.png", "--camera <VIEW.json>|--like <NAME>"),
+            ("c --time 0 -o a.png", "--camera <VIEW.json>|--like <NAME>|--path <PATH>"),
+            (
+                "c --shift 0,0,0 --time 0 -o a.png",
+                "--camera <VIEW.json>|--like <NAME>|--path <PATH>",
+            ),
             ("c --like a --shift 0,0 --time 0 -o a.png", "0.03,0,0"),
             ("c --like a --camera b --time 0 -o a.png", "cannot be used with"),
             ("c --like a -o a.png", "--time"),
             ("c --like a --time 0 --times 0:1:2 -o a.png", "cannot be used with"),
             ("c --like a --time nan -o a.png", "finite"),
             ("c --like a --time 0 -o a.mkv", "must name a .png"),
-            ("c --like a --times 0:1:2 -o a.png", "%04d"),
+            ("c --like a --time 0 -o o/%d.png", "must name a .png"),
+            ("c --like a --times 0:1:2 -o a.jpg", "%04d"),
             ("c --like a --times 0:1 -o a.mkv", "0.1:0.4:30"),
-            ("c --like a --time 0 -o a.jpg", ".mkv"),
+            ("c --like a --time 0 -o a.bmp", ".mkv"),
+            ("c --path spiral -o a.mp4", "sweep, orbit, bullet-time, dolly"),
+            ("c --path sweep --times 0:1:2 -o a.mp4", "cannot be used with"),
+            ("c --path sweep -o a.png", "%04d"),
+            ("c --path sweep --shift 0,0,0 -o a.mp4", "cannot be used with"),
+            ("c --path sweep --fps 0 -o a.mp4", "from 0.001 to 1000"),
+            ("c --path sweep --duration 1e6 --fps 1000 -o a.mp4", "at most 1000000"),
+            ("c --path /nowhere.json -o a.mp4", "/nowhere.json"),
+            ("c --like a --time 0 --quilt glass -o a.png", "16-landscape"),
+            ("c --like a --time 0 --cone 3 -o a.png", "--quilt"),
+            ("c --like a --time 0 --quilt go --stereo 0.06 -o a.png", "cannot be used with"),
             ("c --like a --times 0:1:2 --part 1/2 -o a.mkv", "must be like out/%04d.png"),
             ("c --like a --times 0:1:2 --part 3/2 -o o/%d.png", "3-6/100"),
             ("c --like a --time 0 --part 1/2 -o a.png", "of a sequence"),

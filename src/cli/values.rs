@@ -6,6 +6,9 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
 use stlfr::method::Method;
+use stlfr::path::{MAX_RATE_HZ, MIN_RATE_HZ, ReadyMadePath, is_rate_hz};
+use stlfr::raster::StillFormat;
+use stlfr::video::Codec;
 
 /// The value, in place of a method's name, that has the method chosen by measurements of the capture.
 pub const AUTO: &str = "auto";
@@ -136,13 +139,61 @@ impl Parts {
     }
 }
 
+/// A camera path: one by name, or a file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PathSource {
+    ReadyMade(ReadyMadePath),
+    Json(PathBuf),
+    /// The animated camera of a Blender scene.
+    Blend(PathBuf),
+}
+
+impl FromStr for PathSource {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Some(kind) = ReadyMadePath::from_name(text) {
+            return Ok(Self::ReadyMade(kind));
+        }
+        let path = PathBuf::from(text);
+        match path.extension().and_then(|e| e.to_str()) {
+            Some("json") => Ok(Self::Json(path)),
+            Some("blend") => Ok(Self::Blend(path)),
+            _ => {
+                let names: Vec<_> = ReadyMadePath::ALL.iter().map(|kind| kind.name()).collect();
+                Err(format!("is no .json, no .blend and none of {}", names.join(", ")))
+            }
+        }
+    }
+}
+
+/// Parses frames a second.
+pub fn rate_hz(text: &str) -> Result<f64, String> {
+    let rate_hz = text.parse().ok().filter(|rate_hz| is_rate_hz(*rate_hz));
+    rate_hz.ok_or_else(|| format!("must be a number from {MIN_RATE_HZ} to {MAX_RATE_HZ}"))
+}
+
+/// Parses a number above 0.
+pub fn positive(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| (1e-6..=1e6).contains(number));
+    number.ok_or_else(|| "must be a number from 0.000001 to 1000000".into())
+}
+
+/// The format of image files.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ImageFile {
+    Still(StillFormat),
+    /// OpenEXR, with depth.
+    Exr,
+}
+
 /// Where images go: one file, a numbered sequence, or a video.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ImageOutput {
-    Image(PathBuf),
+    Image(PathBuf, ImageFile),
     /// Printf pattern, such as `out/%04d.png`.
-    Sequence(PathBuf),
-    Video(PathBuf),
+    Sequence(PathBuf, ImageFile),
+    Video(PathBuf, Codec),
 }
 
 impl FromStr for ImageOutput {
@@ -150,30 +201,40 @@ impl FromStr for ImageOutput {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let path = PathBuf::from(text);
-        match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
-            Some("png") if text.contains('%') => {
-                let output = Self::Sequence(path);
-                output.file(0).map(|_| output).ok_or_else(|| "has no field like %04d".into())
-            }
-            Some("png") => Ok(Self::Image(path)),
-            Some("mkv") => Ok(Self::Video(path)),
-            _ => Err("must end in .png or .mkv".into()),
+        let suffix = path.extension().and_then(|e| e.to_str()).map(str::to_lowercase);
+        let suffix = suffix.as_deref().unwrap_or_default();
+        if let Some(codec) = Codec::of_suffix(suffix) {
+            return Ok(Self::Video(path, codec));
         }
+        let format = match (suffix, StillFormat::of_suffix(suffix)) {
+            ("exr", _) => ImageFile::Exr,
+            (_, Some(format)) => ImageFile::Still(format),
+            _ => {
+                let reason =
+                    "must end in .png, .jpg or .exr, or for a video in .mp4, .webm, .gif or .mkv";
+                return Err(reason.into());
+            }
+        };
+        if !text.contains('%') {
+            return Ok(Self::Image(path, format));
+        }
+        let output = Self::Sequence(path, format);
+        output.file(0).map(|_| output).ok_or_else(|| "has no field like %04d".into())
     }
 }
 
 impl ImageOutput {
     /// Paths of `images` images.
     pub fn files(&self, images: usize) -> impl Iterator<Item = PathBuf> {
-        let files = if matches!(self, Self::Sequence(_)) { images } else { 1 };
+        let files = if matches!(self, Self::Sequence(..)) { images } else { 1 };
         (0..files).filter_map(|index| self.file(index))
     }
 
     /// Path of the `index`-th image. An image or a video has one path for all. `None` for a sequence
     /// whose pattern has no number field.
     pub fn file(&self, index: usize) -> Option<PathBuf> {
-        let (Self::Image(path) | Self::Sequence(path) | Self::Video(path)) = self;
-        if !matches!(self, Self::Sequence(_)) {
+        let (Self::Image(path, _) | Self::Sequence(path, _) | Self::Video(path, _)) = self;
+        if !matches!(self, Self::Sequence(..)) {
             return Some(path.clone());
         }
         let text = path.to_str()?;
@@ -184,6 +245,29 @@ impl ImageOutput {
             _ => digits.strip_prefix('0')?.parse().ok().filter(|w| *w <= 18)?,
         };
         (!after.contains('%')).then(|| PathBuf::from(format!("{before}{index:0width$}{after}")))
+    }
+
+    /// The format of its images; `None` for a video.
+    pub fn image_file(&self) -> Option<ImageFile> {
+        match self {
+            Self::Image(_, file) | Self::Sequence(_, file) => Some(*file),
+            Self::Video(..) => None,
+        }
+    }
+
+    /// The output with `end` before its suffix, unless it is there.
+    #[must_use]
+    pub fn ending(&self, end: &str) -> Self {
+        let mut output = self.clone();
+        let (Self::Image(path, _) | Self::Sequence(path, _) | Self::Video(path, _)) = &mut output;
+        let mut name = path.file_stem().unwrap_or_default().to_owned();
+        if !name.as_encoded_bytes().ends_with(end.as_bytes()) {
+            name.push(end);
+            name.push(".");
+            name.push(path.extension().unwrap_or_default());
+            path.set_file_name(name);
+        }
+        output
     }
 }
 
@@ -261,12 +345,46 @@ mod tests {
 
     #[test]
     fn outputs() {
-        let sequence: ImageOutput = "out/%04d.png".parse().unwrap();
-        assert_eq!(sequence.file(7), Some("out/0007.png".into()));
-        assert_eq!("a.png".parse(), Ok(ImageOutput::Image("a.png".into())));
-        assert_eq!("a.mkv".parse(), Ok(ImageOutput::Video("a.mkv".into())));
-        for wrong in ["a", "a.jpg", "%s.png", "%4d.png", "%04d%d.png"] {
-            assert!(wrong.parse::<ImageOutput>().is_err(), "{wrong}");
+        let output = |text: &str| text.parse::<ImageOutput>();
+        assert_eq!(output("out/%04d.png").unwrap().file(7), Some("out/0007.png".into()));
+        assert_eq!(
+            output("a.PNG"),
+            Ok(ImageOutput::Image("a.PNG".into(), ImageFile::Still(StillFormat::Png)))
+        );
+        let jpeg = ImageFile::Still(StillFormat::Jpeg);
+        assert_eq!(output("a.jpg"), Ok(ImageOutput::Image("a.jpg".into(), jpeg)));
+        assert_eq!(output("a.exr"), Ok(ImageOutput::Image("a.exr".into(), ImageFile::Exr)));
+        for codec in Codec::ALL {
+            let path = PathBuf::from(format!("a.{}", codec.suffix()));
+            assert_eq!(output(&path.display().to_string()), Ok(ImageOutput::Video(path, codec)));
         }
+        for wrong in ["a", "a.bmp", "%s.png", "%4d.png", "%04d%d.png"] {
+            assert!(output(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn ends_of_names_are_added_once() {
+        for (given, ended) in [
+            ("out/a.b.png", "out/a.b_qs8x6a0.75.png"),
+            ("a_qs8x6a0.75.mp4", "a_qs8x6a0.75.mp4"),
+            ("out/%04d.jpg", "out/%04d_qs8x6a0.75.jpg"),
+        ] {
+            let output = given.parse::<ImageOutput>().unwrap().ending("_qs8x6a0.75");
+            assert_eq!(output, ended.parse().unwrap());
+        }
+    }
+
+    #[test]
+    fn paths_are_names_or_files() {
+        assert_eq!("orbit".parse(), Ok(PathSource::ReadyMade(ReadyMadePath::Orbit)));
+        assert_eq!("a/b.json".parse(), Ok(PathSource::Json("a/b.json".into())));
+        assert_eq!("b.blend".parse(), Ok(PathSource::Blend("b.blend".into())));
+        assert!(
+            "spiral"
+                .parse::<PathSource>()
+                .unwrap_err()
+                .contains("sweep, orbit, bullet-time, dolly")
+        );
     }
 }

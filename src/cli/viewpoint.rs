@@ -2,7 +2,7 @@
 
 use super::CliError;
 use super::files::read_view;
-use super::values::Shift;
+use super::values::{PathSource, Shift};
 use nalgebra::{Point3, distance};
 use std::path::{Path, PathBuf};
 use stlfr::camera::Camera;
@@ -18,8 +18,12 @@ pub struct ViewpointArgs {
     /// The view by its name: a camera of the capture, or a view that was filmed as truth, such as between.
     #[arg(long, value_name = "NAME", group = "view")]
     like: Option<String>,
+    /// A camera path over place, direction, lens and time: path.json, the animated camera of my.blend, or one of sweep,
+    /// orbit, bullet-time and dolly, which stay inside of what the rig sees.
+    #[arg(long, value_name = "PATH", group = "view")]
+    pub path: Option<PathSource>,
     /// Move the view right, down and ahead, in metres along its own axes, such as 0.03,0,0.
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "path")]
     shift: Option<Shift>,
 }
 

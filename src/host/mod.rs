@@ -1,7 +1,8 @@
 //! Access to the machine: files read within bounds and written whole, child processes, signals, time, memory, caches in
-//! memory and on disk.
+//! memory and on disk, work that processes share.
 
 mod cache;
+mod claims;
 mod disk_cache;
 mod file_hashes;
 mod files;
@@ -10,6 +11,7 @@ pub(crate) mod process;
 pub(crate) mod temporary;
 
 pub use cache::{BoundedCache, Memo};
+pub use claims::{Claim, Claims, Taken};
 pub(crate) use disk_cache::ENTRY_OVERHEAD_BYTES;
 pub use disk_cache::{CacheKind, CacheUse, DiskCache};
 pub(crate) use file_hashes::{HeldFile, file_hash, file_hashes};

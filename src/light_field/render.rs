@@ -95,4 +95,25 @@ impl LightField {
     pub fn geometry(&self, target: &Camera, request: &Request) -> Result<Geometry, RenderError> {
         on_workers(|| super::geometry::geometry(self, target, request, &Context::unattended()))
     }
+
+    /// Depths of the scene in a view, metres: near, middle and far, which are the 5th, 50th and 95th percentile of its
+    /// pixels.
+    ///
+    /// # Errors
+    /// Those of [`Self::proxy`]; [`RenderError::NoPoints`] if no pixel has a finite depth.
+    pub fn depth_range_m(
+        &self,
+        target: &Camera,
+        request: &Request,
+    ) -> Result<[f64; 3], RenderError> {
+        let geometry = self.geometry(target, request)?;
+        let mut depths_m: Vec<f32> =
+            geometry.view.data().iter().copied().filter(|z| z.is_finite()).collect();
+        if depths_m.is_empty() {
+            return Err(RenderError::NoPoints);
+        }
+        depths_m.sort_unstable_by(f32::total_cmp);
+        let last = (depths_m.len() - 1) as f64;
+        Ok([0.05, 0.5, 0.95].map(|fraction| f64::from(depths_m[(fraction * last) as usize])))
+    }
 }

@@ -4,7 +4,7 @@ use crate::json::JsonError;
 use crate::lumigraph::Rendered;
 use crate::method::Method;
 use crate::options::{Preset, RenderOptions};
-use crate::raster::{BitDepth, Image, Samples, quantize};
+use crate::raster::{BitDepth, Image, Quantized, Samples};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
@@ -118,7 +118,7 @@ pub fn image_to_python<'py>(
     coverage: Option<&[bool]>,
     depth: BitDepth,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let (channels, samples) = py.detach(|| quantize(image, coverage, depth));
+    let Quantized { channels, samples, .. } = py.detach(|| Quantized::new(image, coverage, depth));
     let shape = [image.height(), image.width(), channels];
     Ok(match samples {
         Samples::Eight(raw) => raw.into_pyarray(py).reshape(shape)?.into_any(),

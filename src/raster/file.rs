@@ -1,8 +1,9 @@
 //! Reading and writing image files.
 
 use super::png;
-use super::{BitDepth, Image};
+use super::{BitDepth, Image, Quantized, Samples};
 use crate::host::{FileRead, open_bounded, read_hashed, write_atomically};
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageReader, Limits};
 use std::fs::File;
@@ -168,6 +169,48 @@ fn unpacked(decoded: DynamicImage) -> Image {
     }
 }
 
+/// The format of an image file that is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StillFormat {
+    /// PNG, lossless, with transparency.
+    Png,
+    /// JPEG of high quality: 8 bits, uncovered pixels black.
+    Jpeg,
+}
+
+impl StillFormat {
+    /// Whether files have alpha and 16 bits a channel.
+    pub fn is_lossless(self) -> bool {
+        self == Self::Png
+    }
+
+    /// The format of files with a suffix, in lower case; `None` if there is none.
+    pub fn of_suffix(suffix: &str) -> Option<Self> {
+        match suffix {
+            "png" => Some(Self::Png),
+            "jpg" | "jpeg" => Some(Self::Jpeg),
+            _ => None,
+        }
+    }
+}
+
+/// JPEG's quality, of 100. Lower, and blocks show around edges; higher, and files grow without a visible gain.
+const JPEG_QUALITY: u8 = 95;
+
+/// Writes a picture, creating its folder if there is none.
+///
+/// # Errors
+/// If the file can't be written; for JPEG if a picture has alpha, 16 bits a channel or a side of more than 65535 pixels.
+pub fn write_still(
+    path: &Path,
+    picture: &Quantized,
+    format: StillFormat,
+) -> Result<(), ImageFileError> {
+    let bytes = encode(picture, format).map_err(|e| image_error(path, e))?;
+    write_atomically(path, &bytes)
+        .map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
+}
+
 /// Writes an image of 1 or 3 channels as PNG, creating its folder if there is none.
 ///
 /// `coverage` has one value a pixel, row by row. It adds an alpha channel: 0, with black, where the
@@ -178,9 +221,7 @@ pub fn write_image(
     coverage: Option<&[bool]>,
     depth: BitDepth,
 ) -> Result<(), ImageFileError> {
-    let bytes = encode_png(image, coverage, depth).map_err(|e| image_error(path, e))?;
-    write_atomically(path, &bytes)
-        .map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
+    write_still(path, &Quantized::new(image, coverage, depth), StillFormat::Png)
 }
 
 /// Effort of the WebP encoder, 0 to 6, and 0 to 100 within it. Larger: files a tenth smaller at most, in up to a hundred
@@ -192,49 +233,16 @@ const WEBP_EFFORT: (i32, f32) = (1, 20.0);
 /// A file has 0.5 to 0.65 times the bytes of [`write_image`]'s. An error if a side has more than 16,383 pixels.
 pub(crate) fn write_webp(path: &Path, image: &Image) -> Result<(), ImageFileError> {
     let failed = |reason: &str| image_error(path, reason);
-    let (_, Samples::Eight(raw)) = quantize(&image.to_rgb(), None, BitDepth::Eight) else {
+    let quantized = Quantized::new(&image.to_rgb(), None, BitDepth::Eight);
+    let Samples::Eight(raw) = &quantized.samples else {
         return Err(failed("has no 8-bit samples"));
     };
     let mut config = webp::WebPConfig::new().map_err(|()| failed("the WebP encoder is missing"))?;
     (config.lossless, config.method, config.quality) = (1, WEBP_EFFORT.0, WEBP_EFFORT.1);
-    let encoder = webp::Encoder::from_rgb(&raw, image.width() as u32, image.height() as u32);
+    let encoder = webp::Encoder::from_rgb(raw, image.width() as u32, image.height() as u32);
     let bytes = encoder.encode_advanced(&config).map_err(|e| failed(&format!("{e:?}")))?;
     write_atomically(path, &bytes)
         .map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
-}
-
-/// Samples of a file: row by row, channels interleaved.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Samples {
-    Eight(Vec<u8>),
-    Sixteen(Vec<u16>),
-}
-
-/// Rounds an image to the samples of a file of this bit depth. Returns the number of channels, and the samples. Values
-/// beyond 0 to 1 are clamped, and NaN becomes 0.
-///
-/// `coverage` has one value a pixel, row by row. It adds an alpha channel; where it is false, all
-/// samples of the pixel are 0.
-pub fn quantize(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> (usize, Samples) {
-    let channels = image.channels() + usize::from(coverage.is_some());
-    let mut samples = Vec::with_capacity(image.width() * image.height() * channels);
-    for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
-        let covered = coverage.is_none_or(|c| c[k]);
-        samples.extend(pixel.iter().map(|&v| if covered { v } else { 0.0 }));
-        if coverage.is_some() {
-            samples.push(if covered { 1.0 } else { 0.0 });
-        }
-    }
-    // `f32 as integer` saturates and takes NaN to 0; adding 0.5 rounds.
-    let samples = match depth {
-        BitDepth::Eight => {
-            Samples::Eight(samples.iter().map(|v| (v * 255.0 + 0.5) as u8).collect())
-        }
-        BitDepth::Sixteen => {
-            Samples::Sixteen(samples.iter().map(|v| (v * 65535.0 + 0.5) as u16).collect())
-        }
-    };
-    (channels, samples)
 }
 
 /// Encodes an image, grey or RGB, as PNG of 8 bits a channel, with this compression.
@@ -260,18 +268,29 @@ pub(crate) fn encode_png(
     coverage: Option<&[bool]>,
     depth: BitDepth,
 ) -> image::ImageResult<Vec<u8>> {
+    encode(&Quantized::new(image, coverage, depth), StillFormat::Png)
+}
+
+fn encode(picture: &Quantized, format: StillFormat) -> image::ImageResult<Vec<u8>> {
     use ExtendedColorType::{L8, L16, La8, La16, Rgb8, Rgb16, Rgba8, Rgba16};
-    let (channels, samples) = quantize(image, coverage, depth);
-    let (bytes, colors) = match samples {
-        Samples::Eight(raw) => (raw, [L8, La8, Rgb8, Rgba8]),
+    let (width, height) = (picture.width as u32, picture.height as u32);
+    let (colors, deep) = ([L8, La8, Rgb8, Rgba8], [L16, La16, Rgb16, Rgba16]);
+    let words: Vec<u8>;
+    let (bytes, colors) = match &picture.samples {
+        Samples::Eight(raw) => (raw, colors),
         Samples::Sixteen(raw) => {
-            (raw.into_iter().flat_map(u16::to_ne_bytes).collect(), [L16, La16, Rgb16, Rgba16])
+            words = raw.iter().flat_map(|v| v.to_ne_bytes()).collect();
+            (&words, deep)
         }
     };
-    let mut png = Vec::new();
-    let (w, h) = (image.width() as u32, image.height() as u32);
-    PngEncoder::new(&mut png).write_image(&bytes, w, h, colors[channels - 1])?;
-    Ok(png)
+    let color = colors[picture.channels - 1];
+    let mut file = Vec::new();
+    match format {
+        StillFormat::Png => PngEncoder::new(&mut file).write_image(bytes, width, height, color)?,
+        StillFormat::Jpeg => JpegEncoder::new_with_quality(&mut file, JPEG_QUALITY)
+            .write_image(bytes, width, height, color)?,
+    }
+    Ok(file)
 }
 
 #[cfg(test)]
@@ -326,6 +345,22 @@ mod tests {
         let back = image::open(&path).unwrap().into_rgba8();
         assert_eq!(back.get_pixel(1, 1).0, [0; 4]);
         assert_eq!(back.get_pixel(2, 1).0[3], 255);
+    }
+
+    #[test]
+    fn jpeg_shows_the_image_and_black_where_nothing_is_covered() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jpg");
+        let coverage: Vec<bool> = (0..32 * 16).map(|k| k % 32 < 16).collect();
+        for channels in [1, 3] {
+            let image = Image::filled(32, 16, channels, 0.6);
+            let mut picture = Quantized::blank([32, 16], channels, BitDepth::Eight);
+            picture.place(&image, Some(&coverage), [0, 0]);
+            write_still(&path, &picture, StillFormat::Jpeg).unwrap();
+            let (back, depth) = read_image(&path).unwrap();
+            assert_eq!((back.channels(), depth), (channels, BitDepth::Eight));
+            assert!((back.pixel(3, 3)[0] - 0.6).abs() < 0.01 && back.pixel(28, 3)[0] < 0.01);
+        }
     }
 
     #[test]

@@ -4,16 +4,20 @@
 //! Positions are in pixels; the centre of the top-left pixel is (0.5, 0.5).
 
 mod color;
+mod exr;
 mod file;
 mod filter;
 mod png;
+mod quantized;
 mod sample;
 mod tiles;
 
 pub use color::{LUMINANCE, encoded_from_linear, gray_from_rgb, linear_from_encoded, luma};
-pub use file::{ImageFileError, MAX_PIXELS, Samples, quantize, read_image, write_image};
+pub use exr::write_exr;
+pub use file::{ImageFileError, MAX_PIXELS, StillFormat, read_image, write_image, write_still};
 pub(crate) use file::{encode_png, encode_png_8, read_hashed_image, read_header, write_webp};
 pub(crate) use filter::{box_filter, max_filter, padded};
+pub use quantized::{Quantized, Samples};
 pub use sample::Sampling;
 pub(crate) use sample::{sample, sample_all, sample_each};
 pub use tiles::Tiles;

@@ -8,7 +8,7 @@ mod script;
 mod setup;
 
 pub use programs::{
-    Check, CheckVerdict, FilmOptions, FilmedScene, build_extension, check, film, review,
+    Check, CheckVerdict, FilmOptions, FilmedScene, blend_path, build_extension, check, film, review,
 };
 pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};
 

@@ -3,7 +3,9 @@
 
 use super::setup::{self, Environment};
 use super::{ToolchainError, script};
+use crate::host::read_text;
 use crate::host::temporary::Temporary;
+use crate::json;
 use crate::progress::Reporter;
 use serde::Deserialize;
 use serde_json::Value;
@@ -176,6 +178,24 @@ pub fn review(
     command.arg(layout);
     script::run(&mut command, "review.blend", reporter, |_| ())?;
     Ok(layout.with_file_name("review.blend"))
+}
+
+/// Name of a path's file inside its temporary folder.
+const PATH_FILE: &str = "path.json";
+
+/// The animated scene camera of a `.blend` file as a path: the text of the path's file.
+pub fn blend_path(
+    environment: &Environment,
+    blend: &Path,
+    reporter: &Reporter,
+) -> Result<String, ToolchainError> {
+    let failed = |error| ToolchainError::Failure(format!("path.py: {error}"));
+    let temporary = Temporary::inside(&std::env::temp_dir()).map_err(failed)?;
+    let file = temporary.path().join(PATH_FILE);
+    let mut command = script::command(environment, "path.py");
+    command.arg(std::path::absolute(blend).map_err(failed)?).arg(&file);
+    script::run(&mut command, "reading the camera's path", reporter, |_| ())?;
+    read_text(&file, json::MAX_BYTES).map_err(failed)
 }
 
 /// Name of the extension's zip inside its temporary folder.

@@ -15,6 +15,11 @@ pub enum VideoError {
     /// ffmpeg failed to write; the reason is its own message.
     #[error("{path}: can't be written ({reason})")]
     Encode { path: PathBuf, reason: String },
+    /// ffmpeg was built without an encoder.
+    #[error(
+        "{ffmpeg}: has no encoder {encoder}, which .{suffix} needs; install an ffmpeg with it, or write .mkv"
+    )]
+    NoEncoder { ffmpeg: PathBuf, encoder: &'static str, suffix: &'static str },
     /// A file can't be decoded; the reason is a sentence without its subject.
     #[error("{reason}")]
     Decode { reason: String },

@@ -3,7 +3,8 @@
 use super::{VideoError, without_address};
 use crate::host::process::{Ended, Process};
 use crate::host::temporary::Temporary;
-use crate::raster::{BitDepth, Image, Samples, quantize};
+use crate::raster::{BitDepth, Image, Quantized, Samples};
+use std::borrow::Cow;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
@@ -15,6 +16,10 @@ pub enum Codec {
     Ffv1,
     /// H.264 in MP4, which browsers play: 8 bits, 4:2:0, visually lossless.
     H264,
+    /// VP9 in WebM, which browsers play: 8 bits, 4:2:0.
+    Vp9,
+    /// GIF, with a palette of 256 colours a frame. It repeats without end.
+    Gif,
 }
 
 /// The format of a video file.
@@ -28,17 +33,27 @@ pub struct VideoFormat {
     pub codec: Codec,
 }
 
+/// Filter of the 4:2:0 codecs: even sides, and BT.709 colours that are labelled as such.
+const BROWSER_COLORS: &str = "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p,\
+     setparams=range=tv:color_primaries=bt709:color_trc=iec61966-2-1:colorspace=bt709";
+
+/// Filter of GIF. Palettes of single frames need no memory for the whole video.
+const FRAME_PALETTES: &str =
+    "split[a][b];[a]palettegen=stats_mode=single[palette];[b][palette]paletteuse=new=1";
+
 impl Codec {
+    /// All codecs.
+    pub const ALL: [Self; 4] = [Self::H264, Self::Vp9, Self::Gif, Self::Ffv1];
+
     /// H.264 if the given ffmpeg supports it, else FFV1. Starts ffmpeg, so that one that can't run is found before
     /// rendering begins.
     pub fn for_browsers(ffmpeg: &Path) -> Result<Self, VideoError> {
-        let output = Command::new(ffmpeg)
-            .args(["-hide_banner", "-encoders"])
-            .stdin(Stdio::null())
-            .output()
-            .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
-        let h264 = String::from_utf8_lossy(&output.stdout).contains(" libx264 ");
-        Ok(if h264 { Self::H264 } else { Self::Ffv1 })
+        Ok(if Self::H264.is_supported(ffmpeg)? { Self::H264 } else { Self::Ffv1 })
+    }
+
+    /// The codec of files with a suffix, in lower case; `None` if there is none.
+    pub fn of_suffix(suffix: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|codec| codec.suffix() == suffix)
     }
 
     /// The suffix of the codec's files.
@@ -46,15 +61,63 @@ impl Codec {
         match self {
             Self::Ffv1 => "mkv",
             Self::H264 => "mp4",
+            Self::Vp9 => "webm",
+            Self::Gif => "gif",
         }
     }
 
-    fn arguments(self) -> impl Iterator<Item = &'static str> {
-        let arguments = match self {
-            Self::Ffv1 => "-c:v ffv1 -level 3 -g 1 -slicecrc 1 -f matroska",
-            Self::H264 => "-c:v libx264 -pix_fmt yuv420p -crf 16 -movflags +faststart -f mp4",
+    /// Whether frames of 16 bits a channel keep them.
+    pub fn is_deep(self) -> bool {
+        self == Self::Ffv1
+    }
+
+    /// ffmpeg's name of the encoder.
+    fn encoder(self) -> &'static str {
+        match self {
+            Self::Ffv1 => "ffv1",
+            Self::H264 => "libx264",
+            Self::Vp9 => "libvpx-vp9",
+            Self::Gif => "gif",
+        }
+    }
+
+    /// Refuses an ffmpeg that can't run, or lacks the codec's encoder.
+    ///
+    /// # Errors
+    /// [`VideoError::NoEncoder`] or [`VideoError::File`].
+    pub fn require(self, ffmpeg: &Path) -> Result<(), VideoError> {
+        if self.is_supported(ffmpeg)? {
+            return Ok(());
+        }
+        let (encoder, suffix) = (self.encoder(), self.suffix());
+        Err(VideoError::NoEncoder { ffmpeg: ffmpeg.to_owned(), encoder, suffix })
+    }
+
+    fn is_supported(self, ffmpeg: &Path) -> Result<bool, VideoError> {
+        let output = Command::new(ffmpeg)
+            .args(["-hide_banner", "-encoders"])
+            .stdin(Stdio::null())
+            .output()
+            .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
+        let listed = String::from_utf8_lossy(&output.stdout);
+        Ok(listed.lines().any(|line| line.split_whitespace().nth(1) == Some(self.encoder())))
+    }
+
+    fn arguments(self) -> Vec<&'static str> {
+        let (filter, rest) = match self {
+            Self::Ffv1 => ("", "-level 3 -g 1 -slicecrc 1 -f matroska"),
+            Self::H264 => (BROWSER_COLORS, "-crf 16 -movflags +faststart -f mp4"),
+            Self::Vp9 => {
+                (BROWSER_COLORS, "-crf 20 -b:v 0 -deadline good -cpu-used 4 -row-mt 0 -f webm")
+            }
+            Self::Gif => (FRAME_PALETTES, "-loop 0 -f gif"),
         };
-        arguments.split(' ')
+        let mut arguments = vec!["-c:v", self.encoder()];
+        if !filter.is_empty() {
+            arguments.extend(["-vf", filter]);
+        }
+        arguments.extend(rest.split(' '));
+        arguments
     }
 }
 
@@ -81,10 +144,20 @@ impl VideoWriter {
         like: &Image,
         format: VideoFormat,
     ) -> Result<Self, VideoError> {
+        Self::sized(ffmpeg, path, (like.width(), like.height(), like.channels()), format)
+    }
+
+    /// Begins a video whose frames all have this width, height and number of channels (1 or 3).
+    pub fn sized(
+        ffmpeg: &Path,
+        path: &Path,
+        size: (usize, usize, usize),
+        format: VideoFormat,
+    ) -> Result<Self, VideoError> {
         let VideoFormat { depth, rate_hz, codec } = format;
         let temporary = Temporary::for_file(path)
             .map_err(|source| VideoError::File { path: path.to_owned(), source })?;
-        let pixel_format = match (like.channels(), depth) {
+        let pixel_format = match (size.2, depth) {
             (1, BitDepth::Eight) => "gray",
             (1, BitDepth::Sixteen) => "gray16le",
             (_, BitDepth::Eight) => "rgb24",
@@ -97,7 +170,7 @@ impl VideoWriter {
         command
             .args(["-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo"])
             .args(["-pixel_format", pixel_format])
-            .args(["-video_size", &format!("{}x{}", like.width(), like.height())])
+            .args(["-video_size", &format!("{}x{}", size.0, size.1)])
             .args(["-framerate", &format!("{rate_hz}"), "-i", "pipe:0"])
             .args(codec.arguments())
             // Equal frames give equal bytes on every machine.
@@ -109,7 +182,7 @@ impl VideoWriter {
             path: path.to_owned(),
             stdin: process.take_stdin(),
             process: Some(process),
-            size: (like.width(), like.height(), like.channels()),
+            size,
             depth,
             temporary,
         })
@@ -120,14 +193,18 @@ impl VideoWriter {
     /// # Panics
     /// If its size or channels differ from those of the first.
     pub fn push(&mut self, image: &Image) -> Result<(), VideoError> {
-        assert_eq!(
-            (image.width(), image.height(), image.channels()),
-            self.size,
-            "one size a video"
-        );
-        let bytes = match quantize(image, None, self.depth).1 {
-            Samples::Eight(samples) => samples,
-            Samples::Sixteen(samples) => samples.into_iter().flat_map(u16::to_le_bytes).collect(),
+        self.push_quantized(&Quantized::new(image, None, self.depth))
+    }
+
+    /// Appends a frame of the video's bit depth.
+    ///
+    /// # Panics
+    /// If its size or channels differ from those of the first.
+    pub fn push_quantized(&mut self, frame: &Quantized) -> Result<(), VideoError> {
+        assert_eq!((frame.width, frame.height, frame.channels), self.size, "one size a video");
+        let bytes = match &frame.samples {
+            Samples::Eight(samples) => Cow::Borrowed(samples.as_slice()),
+            Samples::Sixteen(samples) => samples.iter().flat_map(|v| v.to_le_bytes()).collect(),
         };
         match self.stdin.as_mut().map(|pipe| pipe.write_all(&bytes)) {
             Some(Ok(())) => Ok(()),

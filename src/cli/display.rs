@@ -1,0 +1,163 @@
+//! Several views in one picture: `--quilt` and `--stereo` of `stlfr render`.
+
+use super::CliError;
+use super::shots::Shots;
+use super::values::{ImageOutput, positive};
+use stlfr::camera::Camera;
+use stlfr::capture::NamedView;
+use stlfr::display::{QuiltLayout, covered_cone_deg, stereo};
+use stlfr::light_field::{LightField, Request, Viewpoint};
+use stlfr::options::RenderOptions;
+use stlfr::progress::Reporter;
+
+/// The smallest cone that a quilt is rendered for, degrees: less shows no depth.
+const MIN_CONE_DEG: f64 = 1.0;
+
+/// Pictures of several views.
+#[derive(Debug, clap::Args)]
+pub struct DisplayArgs {
+    /// A quilt for a Looking Glass display: go, portrait, 16-landscape, 16-portrait, 27-landscape, 27-portrait,
+    /// 32-landscape, 32-portrait, 65, or a layout such as 8x6:3360x3360. The name gets its end, such as _qs8x6a0.75.
+    #[arg(long, value_name = "DISPLAY")]
+    quilt: Option<QuiltLayout>,
+    /// Angle between a quilt's first and last view [default: the display's, or as much as the cameras cover].
+    #[arg(long, value_name = "DEGREES", requires = "quilt", value_parser = positive)]
+    cone: Option<f64>,
+    /// Views of the left and the right eye side by side, the eyes this far apart.
+    #[arg(long, value_name = "METRES", conflicts_with = "quilt", value_parser = positive)]
+    stereo: Option<f64>,
+    /// Distance of the plane without parallax, which a display shows as its own [default: the middle of the scene's
+    /// depths].
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    convergence: Option<f64>,
+}
+
+/// How pictures are made of views.
+pub enum Layout {
+    Single,
+    Quilt { quilt: QuiltLayout, cone_deg: f64, convergence_m: f64 },
+    Stereo { distance_m: f64, convergence_m: f64 },
+}
+
+/// Where the views of a picture are.
+pub struct PictureParts {
+    /// Width and height of the picture, pixels.
+    pub size_px: [usize; 2],
+    /// The top left pixel of each view.
+    pub origins: Vec<[usize; 2]>,
+}
+
+impl DisplayArgs {
+    /// Whether pictures have several views.
+    pub fn is_of_several(&self) -> bool {
+        self.quilt.is_some() || self.stereo.is_some()
+    }
+
+    /// The output, with the end of a quilt's name.
+    pub fn named(&self, output: &ImageOutput) -> ImageOutput {
+        self.quilt.map_or_else(|| output.clone(), |quilt| output.ending(&quilt.name()))
+    }
+
+    /// The layout of all pictures, decided by the first view.
+    pub fn layout(
+        &self,
+        field: &LightField,
+        shots: &Shots,
+        options: &RenderOptions,
+        reporter: &Reporter,
+    ) -> Result<Layout, CliError> {
+        if !self.is_of_several() {
+            return match self.convergence {
+                None => Ok(Layout::Single),
+                Some(_) => Err(CliError::BadInput(
+                    "--convergence: must be given with --quilt or --stereo".into(),
+                )),
+            };
+        }
+        let shot = shots.get(0);
+        let view = camera(field, &shot.view);
+        let convergence_m = match self.convergence {
+            Some(convergence_m) => convergence_m,
+            None => {
+                let request = Request::new(Viewpoint::View(view), shot.time_s, options);
+                field.depth_range_m(view, &request)?[1]
+            }
+        };
+        let Some(quilt) = self.quilt else {
+            let distance_m = self.stereo.unwrap_or_default();
+            return Ok(Layout::Stereo { distance_m, convergence_m });
+        };
+        let cameras: Vec<Camera> =
+            field.capture().cameras.iter().map(|filmed| filmed.camera.clone()).collect();
+        let covered =
+            |k| covered_cone_deg(camera(field, &shots.get(k).view), &cameras, convergence_m);
+        let covered_deg = (0..shots.len()).map(covered).fold(f64::INFINITY, f64::min);
+        let cone_deg = self.cone_deg(quilt, covered_deg, convergence_m)?;
+        reporter.note(&format!(
+            "The cameras cover a cone of {covered_deg:.1} degrees at {convergence_m:.2} m; the quilt has {cone_deg:.1} \
+             of the display's {:.0}.",
+            quilt.cone_deg
+        ));
+        Ok(Layout::Quilt { quilt, cone_deg, convergence_m })
+    }
+
+    fn cone_deg(&self, quilt: QuiltLayout, covered_deg: f64, at_m: f64) -> Result<f64, CliError> {
+        let cone_deg = self.cone.unwrap_or(quilt.cone_deg.min(covered_deg));
+        let covered = format!(
+            "the cameras cover a cone of {covered_deg:.1} degrees about this view at {at_m:.2} m"
+        );
+        if self.cone.is_some() && cone_deg > covered_deg {
+            return Err(CliError::BadInput(format!("--cone: {covered}")));
+        }
+        if cone_deg < MIN_CONE_DEG {
+            return Err(CliError::BadInput(format!(
+                "--quilt: {covered}, and a quilt needs {MIN_CONE_DEG}: choose a view amid the cameras, or a nearer \
+                 --convergence"
+            )));
+        }
+        Ok(cone_deg)
+    }
+}
+
+/// The camera of a view.
+pub fn camera<'a>(field: &'a LightField, view: &'a NamedView) -> &'a Camera {
+    match view {
+        NamedView::Filming(index) => &field.capture().cameras[*index].camera,
+        NamedView::Free(camera) => camera,
+    }
+}
+
+impl Layout {
+    /// The views of one picture, in order.
+    pub fn views(&self, field: &LightField, view: &NamedView) -> Vec<NamedView> {
+        let middle = camera(field, view);
+        let cameras = match self {
+            Self::Single => return vec![view.clone()],
+            Self::Quilt { quilt, cone_deg, convergence_m } => {
+                quilt.cameras(middle, *cone_deg, *convergence_m)
+            }
+            Self::Stereo { distance_m, convergence_m } => {
+                stereo(middle, *distance_m, *convergence_m).to_vec()
+            }
+        };
+        cameras.into_iter().map(NamedView::Free).collect()
+    }
+
+    /// Where the views are in a picture; `None` if it has but one.
+    pub fn parts(&self, field: &LightField, view: &NamedView) -> Option<PictureParts> {
+        match self {
+            Self::Single => None,
+            Self::Quilt { quilt, .. } => {
+                let origins = (0..quilt.views()).map(|k| quilt.tile_origin(k)).collect();
+                Some(PictureParts { size_px: quilt.size_px, origins })
+            }
+            Self::Stereo { .. } => {
+                let Camera { width, height, .. } = *camera(field, view);
+                Some(PictureParts {
+                    size_px: [2 * width, height],
+                    origins: vec![[0, 0], [width, 0]],
+                })
+            }
+        }
+    }
+}

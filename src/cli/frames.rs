@@ -1,0 +1,84 @@
+//! Which images of a sequence this process renders: all, some parts, or those that no other process has.
+
+use super::CliError;
+use super::error::written;
+use super::values::ImageOutput;
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use stlfr::host::{Claim, Claims, Taken};
+
+/// Between two looks at the images of other processes. Larger, and the end is noticed later; smaller reads more often.
+const LOOK: Duration = Duration::from_millis(300);
+
+/// A folder by which processes share images.
+#[derive(Clone)]
+pub struct SharedFolder {
+    claims: Claims,
+    folder: PathBuf,
+}
+
+impl SharedFolder {
+    /// Removes the folder, all images being done.
+    pub fn end(&self) -> Result<(), CliError> {
+        written(&self.folder, self.claims.end())
+    }
+}
+
+/// Images to render, in order. Those that other processes render are waited for at the end, and taken over where such a
+/// process has ended.
+pub struct Frames<'a> {
+    output: &'a ImageOutput,
+    claims: Option<SharedFolder>,
+    left: VecDeque<usize>,
+    elsewhere: Vec<usize>,
+}
+
+impl<'a> Frames<'a> {
+    /// All of these images.
+    pub fn all(output: &'a ImageOutput, frames: impl Iterator<Item = usize>) -> Self {
+        Self { output, claims: None, left: frames.collect(), elsewhere: Vec::new() }
+    }
+
+    /// The first so many images, shared with all processes that use the same folder.
+    pub fn shared(output: &'a ImageOutput, count: usize, folder: &Path) -> Result<Self, CliError> {
+        let claims = written(folder, Claims::join(folder))?;
+        let claims = Some(SharedFolder { claims, folder: folder.to_owned() });
+        Ok(Self { claims, ..Self::all(output, 0..count) })
+    }
+
+    /// The folder of the shared work; `None` if it isn't shared.
+    pub fn shared_folder(&self) -> Option<SharedFolder> {
+        self.claims.clone()
+    }
+}
+
+impl Iterator for Frames<'_> {
+    type Item = Result<(usize, Option<Claim>), CliError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            let Some(frame) = self.left.pop_front() else {
+                if self.elsewhere.is_empty() {
+                    return None;
+                }
+                std::thread::sleep(LOOK);
+                self.left.extend(self.elsewhere.drain(..));
+                continue;
+            };
+            let Some(SharedFolder { claims, folder }) = &self.claims else {
+                return Some(Ok((frame, None)));
+            };
+            match written(folder, claims.take(frame)) {
+                Ok(Taken::Mine(claim)) => return Some(Ok((frame, Some(claim)))),
+                Ok(Taken::Elsewhere) => self.elsewhere.push(frame),
+                // An image that was deleted since is rendered again.
+                Ok(Taken::Done) if !self.output.file(frame).is_some_and(|f| f.exists()) => {
+                    return Some(Ok((frame, None)));
+                }
+                Ok(Taken::Done) => {}
+                Err(error) => return Some(Err(error)),
+            }
+        }
+    }
+}

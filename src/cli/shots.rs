@@ -1,0 +1,248 @@
+//! The views and instants that `stlfr render` renders: one, many instants of one view, or a camera path.
+
+use super::CliError;
+use super::files::{read_blend_path, read_path};
+use super::values::{PathSource, Times};
+use super::viewpoint::{ViewpointArgs, far_outside};
+use stlfr::camera::Camera;
+use stlfr::capture::{Capture, NamedView};
+use stlfr::light_field::{LightField, Request, Viewpoint, check_times_before_offsets};
+use stlfr::options::RenderOptions;
+use stlfr::path::{CameraPath, PathFrame, PathScene, ReadyMadePath};
+use stlfr::progress::Reporter;
+
+/// Frames a second along a path that has no rate of its own.
+const PATH_RATE_HZ: f64 = 30.0;
+
+/// Seconds that a ready-made path takes.
+const READY_MADE_S: f64 = 4.0;
+
+/// What the command line says about views and instants.
+pub struct ShotArgs<'a> {
+    pub viewpoint: &'a ViewpointArgs,
+    pub time_s: Option<f64>,
+    pub times: Option<&'a Times>,
+    pub duration_s: Option<f64>,
+    pub rate_hz: Option<f64>,
+}
+
+/// A view at an instant.
+#[derive(Debug)]
+pub struct Shot {
+    pub view: NamedView,
+    /// Seconds from the capture's start.
+    pub time_s: f64,
+}
+
+/// All views, in order.
+pub struct Shots<'a> {
+    viewpoint: &'a ViewpointArgs,
+    source: ShotSource,
+    /// Frames a second, if they are known without the capture.
+    rate_hz: Option<f64>,
+    /// The number of views.
+    count: usize,
+    is_sequence: bool,
+    /// The views, once they are known.
+    shots: Vec<Shot>,
+}
+
+enum ShotSource {
+    /// One view, which may be given as a camera, at times of the reference's clock.
+    Still(Option<Camera>, Vec<f64>),
+    Path(Vec<PathFrame>),
+    ReadyMade {
+        kind: ReadyMadePath,
+        duration_s: f64,
+        frozen_s: Option<f64>,
+    },
+}
+
+impl<'a> ShotArgs<'a> {
+    /// Reads and checks what needs no capture.
+    pub fn shots(self, reporter: &Reporter) -> Result<Shots<'a>, CliError> {
+        if self.time_s.is_some_and(|time_s| !time_s.is_finite()) {
+            return Err(CliError::BadInput("--time: must be finite".into()));
+        }
+        let path = self.viewpoint.path.as_ref();
+        let given = self.viewpoint.camera()?;
+        let path = match path {
+            None => return self.still(given),
+            Some(PathSource::ReadyMade(kind)) => return self.ready_made(*kind),
+            Some(PathSource::Json(file)) => read_path(file)?,
+            Some(PathSource::Blend(file)) => read_blend_path(file, reporter)?,
+        };
+        let path = self.duration_s.map_or_else(|| path.clone(), |s| path.lasting(s));
+        let rate_hz = self.rate_hz.or(path.rate_hz).unwrap_or(PATH_RATE_HZ);
+        let mut frames = frames(&path, rate_hz)?;
+        if let Some(time_s) = self.time_s {
+            frames.iter_mut().for_each(|frame| frame.time_s = time_s);
+        }
+        let (count, is_sequence) = (frames.len(), true);
+        let (viewpoint, source) = (self.viewpoint, ShotSource::Path(frames));
+        Ok(Shots {
+            viewpoint,
+            source,
+            rate_hz: Some(rate_hz),
+            count,
+            is_sequence,
+            shots: Vec::new(),
+        })
+    }
+
+    fn still(self, given: Option<Camera>) -> Result<Shots<'a>, CliError> {
+        let times_s = match (self.time_s, self.times) {
+            (Some(time_s), _) => vec![time_s],
+            (None, Some(Times(times_s))) => times_s.clone(),
+            (None, None) => {
+                return Err(CliError::BadInput("--time or --times must be given".into()));
+            }
+        };
+        let (viewpoint, rate_hz, count) = (self.viewpoint, self.rate_hz, times_s.len());
+        let source = ShotSource::Still(given, times_s);
+        let is_sequence = self.time_s.is_none();
+        Ok(Shots { viewpoint, source, rate_hz, count, is_sequence, shots: Vec::new() })
+    }
+
+    fn ready_made(self, kind: ReadyMadePath) -> Result<Shots<'a>, CliError> {
+        let rate_hz = self.rate_hz.unwrap_or(PATH_RATE_HZ);
+        let duration_s = self.duration_s.unwrap_or(READY_MADE_S);
+        let count = CameraPath::frame_count(duration_s, rate_hz).map_err(of_path)?;
+        let source = ShotSource::ReadyMade { kind, duration_s, frozen_s: self.time_s };
+        let (viewpoint, is_sequence) = (self.viewpoint, true);
+        Ok(Shots {
+            viewpoint,
+            source,
+            rate_hz: Some(rate_hz),
+            count,
+            is_sequence,
+            shots: Vec::new(),
+        })
+    }
+}
+
+fn of_path(error: impl std::fmt::Display) -> CliError {
+    CliError::BadInput(format!("--path: {error}"))
+}
+
+fn frames(path: &CameraPath, rate_hz: f64) -> Result<Vec<PathFrame>, CliError> {
+    path.frames(rate_hz).map_err(of_path)
+}
+
+impl Shots<'_> {
+    /// The number of views.
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Whether the views are a sequence, if only of one.
+    pub fn is_sequence(&self) -> bool {
+        self.is_sequence
+    }
+
+    /// The instants as given, seconds on the reference's clock; none for a ready-made path.
+    #[cfg(test)]
+    pub fn times_in_file_s(&self) -> Vec<f64> {
+        match &self.source {
+            ShotSource::Still(_, times_s) => times_s.clone(),
+            ShotSource::Path(frames) => frames.iter().map(|frame| frame.time_s).collect(),
+            ShotSource::ReadyMade { .. } => Vec::new(),
+        }
+    }
+
+    /// A view. Panics before [`Self::fit`].
+    pub fn get(&self, index: usize) -> &Shot {
+        &self.shots[index]
+    }
+
+    /// What tells these views, rendered with these options, from others: 16 letters. `more` tells what is made of them.
+    pub fn key(&self, field: &LightField, options: &RenderOptions, more: &str) -> String {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(format!("{:?} {options:?} {more}", field.offsets()).as_bytes());
+        self.shots.iter().for_each(|shot| {
+            hasher.update(format!("{shot:?}").as_bytes());
+        });
+        hasher.finalize().to_hex()[..16].to_owned()
+    }
+
+    /// Frames a second.
+    pub fn rate_hz(&self, capture: &Capture) -> f64 {
+        let frame_s = capture.frame_s();
+        let own_hz = if frame_s > 0.0 { 1.0 / frame_s } else { PATH_RATE_HZ };
+        self.rate_hz.unwrap_or(own_hz)
+    }
+
+    /// Places the views in a capture, and checks what can be checked before its offsets are known.
+    pub fn place(&mut self, capture: &Capture, reporter: &Reporter) -> Result<(), CliError> {
+        let origin_s = capture.time_origin_s;
+        match &self.source {
+            ShotSource::Still(given, times_s) => {
+                let view = self.viewpoint.view(given.clone(), capture)?;
+                let shot = |time_s: &f64| Shot { view: view.clone(), time_s: time_s - origin_s };
+                self.shots = times_s.iter().map(shot).collect();
+            }
+            ShotSource::Path(frames) => {
+                let shot = |PathFrame { camera, time_s }: &PathFrame| Shot {
+                    view: NamedView::Free(camera.clone()),
+                    time_s: time_s - origin_s,
+                };
+                self.shots = frames.iter().map(shot).collect();
+            }
+            ShotSource::ReadyMade { frozen_s, .. } => {
+                let frozen_s: Vec<f64> = frozen_s.iter().map(|time_s| time_s - origin_s).collect();
+                return Ok(check_times_before_offsets(capture, None, &frozen_s)?);
+            }
+        }
+        let filming = match self.shots.first().map(|shot| &shot.view) {
+            Some(NamedView::Filming(index)) => Some(*index),
+            _ => None,
+        };
+        check_times_before_offsets(capture, filming, &self.times_s())?;
+        let notes = self.shots.iter().filter_map(|shot| match &shot.view {
+            NamedView::Free(camera) => far_outside(camera, capture),
+            NamedView::Filming(_) => None,
+        });
+        notes.take(1).for_each(|note| reporter.note(&note));
+        Ok(())
+    }
+
+    fn times_s(&self) -> Vec<f64> {
+        self.shots.iter().map(|shot| shot.time_s).collect()
+    }
+
+    /// Checks that the light field has all instants.
+    pub fn check(&self, field: &LightField) -> Result<(), CliError> {
+        let Some(first) = self.shots.first() else { return Ok(()) };
+        Ok(field.check_times(viewpoint(&first.view), &self.times_s())?)
+    }
+
+    /// Fits a ready-made path to the scene; other views stay as they are.
+    pub fn fit(&mut self, field: &LightField, options: &RenderOptions) -> Result<(), CliError> {
+        let ShotSource::ReadyMade { kind, duration_s, frozen_s } = self.source else {
+            return Ok(());
+        };
+        let capture = field.capture();
+        let lens = &capture.cameras[capture.reference].camera;
+        let own_span = || field.span_s(capture.reference);
+        let span_s = field.common_span_s().or_else(own_span).unwrap_or_default();
+        let frozen_s = frozen_s.map(|time_s| time_s - capture.time_origin_s);
+        let middle_s = frozen_s.unwrap_or(0.5 * (span_s.0 + span_s.1));
+        let request = Request::new(Viewpoint::View(lens), middle_s, options);
+        let depths_m = field.depth_range_m(lens, &request)?;
+        let cameras: Vec<Camera> = capture.cameras.iter().map(|c| c.camera.clone()).collect();
+        let scene = PathScene { cameras: &cameras, lens, depths_m, span_s, frozen_s, duration_s };
+        let path = kind.path(&scene).map_err(of_path)?;
+        let shot = |PathFrame { camera, time_s }| Shot { view: NamedView::Free(camera), time_s };
+        let frames = frames(&path, self.rate_hz.unwrap_or(PATH_RATE_HZ))?;
+        self.shots = frames.into_iter().map(shot).collect();
+        self.check(field)
+    }
+}
+
+/// The viewpoint of a request for a view.
+pub fn viewpoint(view: &NamedView) -> Viewpoint<'_> {
+    match view {
+        NamedView::Filming(index) => Viewpoint::Like(*index),
+        NamedView::Free(camera) => Viewpoint::View(camera),
+    }
+}

@@ -1,0 +1,156 @@
+//! Quilts, the pictures of Looking Glass displays: a grid of views, the first, leftmost one at the bottom left, the last
+//! at the top right. The file's name ends in `_qsCxRaA`: columns, rows, and the views' aspect ratio.
+//!
+//! Sizes are those of <https://docs.lookingglassfactory.com/keyconcepts/quilts>, view cones those of the vendor's
+//! LKG-Toolkit; where it has none, the documentation's standard of 35°.
+
+use super::sheared;
+use crate::camera::{Camera, CameraModel};
+use std::str::FromStr;
+
+/// The layout of a quilt.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct QuiltLayout {
+    /// Views beside each other.
+    pub columns: usize,
+    /// Views above each other.
+    pub rows: usize,
+    /// Width and height of the quilt, pixels.
+    pub size_px: [usize; 2],
+    /// Width of the display divided by its height. Views are stretched to their tiles.
+    pub aspect: f64,
+    /// Angle between the first and the last view, seen from the middle of the plane of convergence, degrees.
+    pub cone_deg: f64,
+}
+
+/// Why a text names no quilt: a sentence without its subject.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum QuiltLayoutError {
+    #[error("is no display ({}) and no layout like 8x6:3360x3360", names())]
+    Unknown,
+    #[error(
+        "must have from 2 to {MAX_VIEWS} views, of at least {MIN_TILE_PX} pixels a side, in at most {MAX_SIDE_PX}"
+    )]
+    Size,
+}
+
+const MAX_VIEWS: usize = 1024;
+const MIN_TILE_PX: usize = 8;
+const MAX_SIDE_PX: usize = 8192;
+
+/// The documentation's standard cone, degrees.
+const STANDARD_CONE_DEG: f64 = 35.0;
+
+const fn device(
+    columns: usize,
+    rows: usize,
+    size_px: [usize; 2],
+    aspect: f64,
+    cone_deg: f64,
+) -> QuiltLayout {
+    QuiltLayout { columns, rows, size_px, aspect, cone_deg }
+}
+
+const LANDSCAPE: f64 = 16.0 / 9.0;
+const PORTRAIT: f64 = 9.0 / 16.0;
+
+/// Displays by name.
+const DEVICES: [(&str, QuiltLayout); 9] = [
+    ("go", device(11, 6, [4092, 4092], PORTRAIT, 54.0)),
+    ("portrait", device(8, 6, [3360, 3360], 0.75, 40.0)),
+    ("16-landscape", device(8, 6, [7680, 4320], LANDSCAPE, 50.0)),
+    ("16-portrait", device(11, 6, [5995, 6000], PORTRAIT, 50.0)),
+    ("27-landscape", device(8, 6, [7680, 4320], LANDSCAPE, STANDARD_CONE_DEG)),
+    ("27-portrait", device(12, 4, [7680, 4320], PORTRAIT, STANDARD_CONE_DEG)),
+    ("32-landscape", device(7, 7, [8190, 8190], LANDSCAPE, 50.0)),
+    ("32-portrait", device(11, 6, [8184, 8184], PORTRAIT, 54.0)),
+    ("65", device(8, 9, [8192, 8192], LANDSCAPE, 40.0)),
+];
+
+fn names() -> String {
+    DEVICES.map(|(name, _)| name).join(", ")
+}
+
+/// Parses a display's name, or `COLUMNSxROWS:WIDTHxHEIGHT`, with the aspect ratio of its tiles.
+impl FromStr for QuiltLayout {
+    type Err = QuiltLayoutError;
+
+    fn from_str(text: &str) -> Result<Self, QuiltLayoutError> {
+        if let Some((_, layout)) = DEVICES.iter().find(|(name, _)| *name == text) {
+            return Ok(*layout);
+        }
+        let pair = |text: &str| -> Option<[usize; 2]> {
+            let (a, b) = text.split_once('x')?;
+            Some([a.parse().ok()?, b.parse().ok()?])
+        };
+        let parsed = text.split_once(':').and_then(|(grid, size)| Some((pair(grid)?, pair(size)?)));
+        let ([columns, rows], size_px) = parsed.ok_or(QuiltLayoutError::Unknown)?;
+        let views = columns.saturating_mul(rows);
+        if !(2..=MAX_VIEWS).contains(&views) || size_px.iter().any(|side| *side > MAX_SIDE_PX) {
+            return Err(QuiltLayoutError::Size);
+        }
+        let tile = [size_px[0] / columns, size_px[1] / rows];
+        if tile.iter().any(|side| *side < MIN_TILE_PX) {
+            return Err(QuiltLayoutError::Size);
+        }
+        let aspect = tile[0] as f64 / tile[1] as f64;
+        Ok(Self { columns, rows, size_px, aspect, cone_deg: STANDARD_CONE_DEG })
+    }
+}
+
+impl QuiltLayout {
+    /// The number of views.
+    pub fn views(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// Width and height of a view, pixels. What the quilt has beyond the tiles is black, at the right and at the top.
+    pub fn tile_px(&self) -> [usize; 2] {
+        [self.size_px[0] / self.columns, self.size_px[1] / self.rows]
+    }
+
+    /// The top left pixel of a view, from the quilt's top left.
+    pub fn tile_origin(&self, view: usize) -> [usize; 2] {
+        let [width, height] = self.tile_px();
+        let (column, row) = (view % self.columns, view / self.columns);
+        [column * width, self.size_px[1] - (row + 1) * height]
+    }
+
+    /// The end of the file's name before its suffix: `_qs8x6a0.75`.
+    pub fn name(&self) -> String {
+        let aspect = format!("{:.5}", self.aspect);
+        let aspect = aspect.trim_end_matches('0').trim_end_matches('.');
+        format!("_qs{}x{}a{aspect}", self.columns, self.rows)
+    }
+
+    /// The views about a middle one, the leftmost first: `cone_deg` degrees from first to last, seen from the plane of
+    /// convergence, `convergence_m` metres ahead. They show what of the middle view fits the display.
+    pub fn cameras(&self, view: &Camera, cone_deg: f64, convergence_m: f64) -> Vec<Camera> {
+        let framed = self.framed(view);
+        let last = (self.views() - 1) as f64;
+        let offset_m =
+            |k: usize| convergence_m * ((k as f64 / last - 0.5) * cone_deg.to_radians()).tan();
+        (0..self.views()).map(|k| sheared(&framed, offset_m(k), convergence_m)).collect()
+    }
+
+    /// The largest part of a view with the display's aspect ratio, about the view's middle, in a tile's pixels.
+    fn framed(&self, view: &Camera) -> Camera {
+        let (fx, fy, cx, cy) = view.model.intrinsics();
+        let [width, height] = [view.width, view.height].map(|side| side as f64);
+        // Sides of the part on the plane z = 1.
+        let [whole_x, whole_y] = [width / fx, height / fy];
+        let (x, y) = match whole_x / whole_y > self.aspect {
+            true => (whole_y * self.aspect, whole_y),
+            false => (whole_x, whole_x / self.aspect),
+        };
+        let tile = self.tile_px();
+        let [fx_tile, fy_tile] = [tile[0] as f64 / x, tile[1] as f64 / y];
+        let model = CameraModel::Pinhole {
+            fx: fx_tile,
+            fy: fy_tile,
+            cx: 0.5 * tile[0] as f64 + (cx - 0.5 * width) / fx * fx_tile,
+            cy: 0.5 * tile[1] as f64 + (cy - 0.5 * height) / fy * fy_tile,
+        };
+        Camera { width: tile[0], height: tile[1], model, ..view.clone() }
+    }
+}

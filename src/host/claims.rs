@@ -1,0 +1,131 @@
+//! Work that several processes share, each item done once: on one machine, or on several that share a folder with locks.
+//!
+//! A process holds a lock on the file of an item while it works on it. The file of a finished item says so. The item of
+//! a process that has ended is free again, because its lock is.
+//!
+//! Known limit: where a file system has no locks that hold among machines, several machines do the same items.
+
+use super::files::{ignore_absent, read_text};
+use super::temporary::is_temporary;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{ErrorKind, Result, Write};
+use std::path::{Path, PathBuf};
+
+/// What the file of a finished item holds.
+const DONE: &str = "done\n";
+
+/// A folder of items that processes share.
+#[derive(Clone, Debug)]
+pub struct Claims {
+    folder: PathBuf,
+}
+
+/// An item that this process has. Dropped without [`Self::finish`], it is free again.
+#[derive(Debug)]
+pub struct Claim {
+    file: File,
+}
+
+/// What became of an attempt to take an item.
+#[derive(Debug)]
+pub enum Taken {
+    /// It is this process's now.
+    Mine(Claim),
+    /// Another process works on it.
+    Elsewhere,
+    /// It is finished.
+    Done,
+}
+
+impl Claims {
+    /// The shared items of a folder, which is created if there is none.
+    pub fn join(folder: &Path) -> Result<Self> {
+        std::fs::create_dir_all(folder)?;
+        Ok(Self { folder: folder.to_owned() })
+    }
+
+    /// Takes an item if it is free.
+    pub fn take(&self, item: usize) -> Result<Taken> {
+        let path = self.folder.join(item.to_string());
+        let opened =
+            OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
+        let file = match opened {
+            // The folder is removed when all items are done.
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Taken::Done),
+            opened => opened?,
+        };
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => return Ok(Taken::Elsewhere),
+            Err(TryLockError::Error(error)) => return Err(error),
+            Ok(()) => {}
+        }
+        let is_done = read_text(&path, DONE.len() as u64).is_ok_and(|text| text == DONE);
+        Ok(if is_done { Taken::Done } else { Taken::Mine(Claim { file }) })
+    }
+
+    /// Removes the folder, all items being done.
+    pub fn end(&self) -> Result<()> {
+        let gone = self.folder.with_extension(format!("{}.tmp", std::process::id()));
+        debug_assert!(gone.file_name().is_some_and(is_temporary));
+        // At once: another process finds either all items done, or no folder.
+        ignore_absent(std::fs::rename(&self.folder, &gone))?;
+        ignore_absent(std::fs::remove_dir_all(&gone))
+    }
+}
+
+impl Claim {
+    /// Says that the item is done.
+    pub fn finish(mut self) -> Result<()> {
+        self.file.write_all(DONE.as_bytes())?;
+        self.file.sync_all()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mine(taken: Taken) -> Claim {
+        match taken {
+            Taken::Mine(claim) => claim,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn an_item_is_taken_once_and_free_after_a_failure() {
+        let folder = tempfile::tempdir().unwrap();
+        let name = folder.path().join(".stlfr-render-1");
+        let [a, b] = [0, 1].map(|_| Claims::join(&name).unwrap());
+        let first = mine(a.take(0).unwrap());
+        assert!(matches!(b.take(0).unwrap(), Taken::Elsewhere));
+        drop(first);
+        mine(b.take(0).unwrap()).finish().unwrap();
+        assert!(matches!(a.take(0).unwrap(), Taken::Done));
+        let second = mine(a.take(1).unwrap());
+        second.finish().unwrap();
+        b.end().unwrap();
+        assert!(matches!(a.take(5).unwrap(), Taken::Done), "the folder is gone");
+        a.end().unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn threads_do_each_item_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let name = folder.path().join(".stlfr-render-1");
+        let counts: Vec<usize> = std::thread::scope(|scope| {
+            let work = || {
+                let claims = Claims::join(&name).unwrap();
+                let done = (0..200).filter(|item| match claims.take(*item).unwrap() {
+                    Taken::Mine(claim) => claim.finish().is_ok(),
+                    Taken::Elsewhere | Taken::Done => false,
+                });
+                done.count()
+            };
+            let threads: Vec<_> = (0..4).map(|_| scope.spawn(work)).collect();
+            threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+        });
+        assert_eq!(counts.iter().sum::<usize>(), 200, "{counts:?}");
+    }
+}

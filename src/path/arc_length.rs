@@ -1,0 +1,76 @@
+//! Constant speed: parameters of a curve by its length.
+
+use super::curve::Hermite;
+use nalgebra::Vector3;
+
+/// Parts of an interval between two keys whose lengths are stored. Fewer, and the quadrature misses cusps.
+const PARTS: usize = 32;
+
+/// Halvings of a part: to 1e-12 of it.
+const HALVINGS: usize = 40;
+
+/// The length of a curve up to each of many parameters.
+#[derive(Clone, Debug)]
+pub(super) struct ArcLength {
+    keys: Vec<(f64, (Vector3<f64>, Vector3<f64>))>,
+    /// Parameters with the lengths up to them, both ascending.
+    lengths: Vec<(f64, f64)>,
+}
+
+impl ArcLength {
+    /// The lengths of a curve with these tangents; `None` if it has no length.
+    pub fn new(at: &[f64], places: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Self> {
+        let keys: Vec<_> = at.iter().copied().zip(places.iter().copied()).collect();
+        let mut curve = Self { keys, lengths: vec![(at[0], 0.0)] };
+        for pair in at.windows(2) {
+            for part in 1..=PARTS {
+                let end = pair[0] + (pair[1] - pair[0]) * part as f64 / PARTS as f64;
+                let (start, before) = curve.lengths[curve.lengths.len() - 1];
+                curve.lengths.push((end, before + curve.length(start, end)));
+            }
+        }
+        let whole = curve.whole();
+        (whole > 0.0 && whole.is_finite()).then_some(curve)
+    }
+
+    fn whole(&self) -> f64 {
+        self.lengths[self.lengths.len() - 1].1
+    }
+
+    fn speed(&self, at: f64) -> f64 {
+        let place = Hermite::at(at, &self.keys, |key| key.0);
+        place.slope(self.keys[place.key].1, self.keys[place.next].1).norm()
+    }
+
+    /// The length between two parameters of one interval, by Gauss's rule of five points.
+    fn length(&self, start: f64, end: f64) -> f64 {
+        const POINTS: [(f64, f64); 3] = [
+            (0.0, 0.568_888_888_888_888_9),
+            (0.538_469_310_105_683, 0.478_628_670_499_366_5),
+            (0.906_179_845_938_664, 0.236_926_885_056_189_1),
+        ];
+        let (middle, half) = (0.5 * (start + end), 0.5 * (end - start));
+        let pairs = POINTS.iter().map(|&(x, weight)| match x {
+            0.0 => weight * self.speed(middle),
+            _ => weight * (self.speed(middle - half * x) + self.speed(middle + half * x)),
+        });
+        half * pairs.sum::<f64>()
+    }
+
+    /// The parameter at which as much of the length has passed as of the time at `at`.
+    pub fn parameter(&self, at: f64) -> f64 {
+        let (first, last) = (self.lengths[0].0, self.lengths[self.lengths.len() - 1].0);
+        let wanted = self.whole() * (at - first) / (last - first);
+        let after = self.lengths.partition_point(|entry| entry.1 <= wanted);
+        if after == 0 || after == self.lengths.len() {
+            return if after == 0 { first } else { last };
+        }
+        let (start, before) = self.lengths[after - 1];
+        let (mut low, mut high) = (start, self.lengths[after].0);
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (low + high);
+            if before + self.length(start, middle) < wanted { low = middle } else { high = middle }
+        }
+        0.5 * (low + high)
+    }
+}

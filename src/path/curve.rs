@@ -1,0 +1,133 @@
+//! Tangents at keys, and the cubic between two keys.
+
+use nalgebra::Vector3;
+use std::ops::{Add, Mul, Sub};
+
+/// Distance up to which two keys are at one place, metres.
+const SAME_PLACE_M: f64 = 1e-9;
+
+/// Tangents of a curve through values at ascending parameters: those of the parabola through each value and its
+/// neighbours, and at an end through the three values there. 0 where a neighbour is at the same place.
+pub(super) fn tangents(at: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    let steps: Vec<Vector3<f64>> =
+        (1..at.len()).map(|k| (values[k] - values[k - 1]) / (at[k] - at[k - 1])).collect();
+    let stands: Vec<bool> =
+        (1..at.len()).map(|k| (values[k] - values[k - 1]).norm() <= SAME_PLACE_M).collect();
+    parabolic(at, &steps, &stands)
+}
+
+/// Tangents at keys from the mean slopes between them. `stands` says between which keys nothing moves.
+pub(super) fn parabolic(at: &[f64], slopes: &[Vector3<f64>], stands: &[bool]) -> Vec<Vector3<f64>> {
+    let length = |k: usize| at[k + 1] - at[k];
+    let end = |near: usize, far: usize| {
+        let (h, g) = (length(near), length(far));
+        slopes[near] + (slopes[near] - slopes[far]) * (h / (h + g))
+    };
+    let last = slopes.len();
+    let tangent = |k: usize| match (k, last) {
+        (_, 0) => Vector3::zeros(),
+        (_, 1) => slopes[0],
+        (0, _) => end(0, 1),
+        (k, _) if k == last => end(last - 1, last - 2),
+        (k, _) => {
+            let (h, g) = (length(k - 1), length(k));
+            (slopes[k - 1] * g + slopes[k] * h) / (h + g)
+        }
+    };
+    let is_still = |k: usize| k > 0 && stands[k - 1] || k < last && stands[k];
+    (0..at.len()).map(|k| if is_still(k) { Vector3::zeros() } else { tangent(k) }).collect()
+}
+
+/// Slopes of the monotone cubic through values at ascending parameters (Fritsch and Butland 1984): between two values
+/// the curve stays between them, and values on a line stay on it.
+pub(super) fn monotone_tangents(at: &[f64], values: &[f64]) -> Vec<f64> {
+    let last = at.len() - 1;
+    let length = |k: usize| at[k + 1] - at[k];
+    let slope = |k: usize| (values[k + 1] - values[k]) / length(k);
+    let end = |near: usize, far: usize| {
+        let (h, g, near, far) = (length(near), length(far), slope(near), slope(far));
+        let parabola = near + (near - far) * (h / (h + g));
+        let limit = 3.0 * near.abs();
+        if parabola * near <= 0.0 { 0.0 } else { parabola.clamp(-limit, limit) }
+    };
+    let tangent = |k: usize| match (k, last) {
+        (_, 0) => 0.0,
+        (_, 1) => slope(0),
+        (0, _) => end(0, 1),
+        (k, _) if k == last => end(last - 1, last - 2),
+        (k, _) => {
+            let (before, after) = (slope(k - 1), slope(k));
+            // The product could underflow.
+            if before == 0.0 || after == 0.0 || (before > 0.0) != (after > 0.0) {
+                return 0.0;
+            }
+            let (h, g) = (length(k - 1), length(k));
+            let (w, v) = (2.0 * g + h, g + 2.0 * h);
+            (w + v) / (w / before + v / after)
+        }
+    };
+    (0..=last).map(tangent).collect()
+}
+
+/// The tangents, 0 where a key rests.
+pub(super) fn resting<T: Default>(rests: &[bool], tangents: Vec<T>) -> Vec<T> {
+    let pairs = tangents.into_iter().zip(rests);
+    pairs.map(|(tangent, rests)| if *rests { T::default() } else { tangent }).collect()
+}
+
+/// A place between two keys.
+pub(super) struct Hermite {
+    /// Index of the key before.
+    pub key: usize,
+    /// Index of the key after; of the same key if there is one alone.
+    pub next: usize,
+    /// Fraction of the interval that has passed.
+    pub passed: f64,
+    /// Length of the interval, seconds.
+    pub length: f64,
+}
+
+impl Hermite {
+    /// The place at a parameter, within the first and the last of `keys`, of which there is at least one.
+    pub fn at<K>(at: f64, keys: &[K], parameter: impl Fn(&K) -> f64) -> Self {
+        let after = keys.partition_point(|key| parameter(key) <= at).min(keys.len() - 1);
+        let key = after.saturating_sub(1);
+        let (start, length) =
+            (parameter(&keys[key]), parameter(&keys[after]) - parameter(&keys[key]));
+        let passed = if length > 0.0 { ((at - start) / length).clamp(0.0, 1.0) } else { 0.0 };
+        Self { key, next: after, passed, length }
+    }
+
+    /// The cubic through two values with their tangents.
+    pub fn value<T>(&self, (a, a_slope): (T, T), (b, b_slope): (T, T)) -> T
+    where
+        T: Copy + Mul<f64, Output = T> + Add<Output = T> + Sub<Output = T>,
+    {
+        let t = self.passed;
+        let (u, h) = (1.0 - t, self.length);
+        // What stands still is exactly the same, so that results for it are found in caches.
+        a + ((b - a) * (t * t * (1.0 + 2.0 * u))
+            + a_slope * (h * t * u * u)
+            + b_slope * (-h * t * t * u))
+    }
+
+    /// The cubic through two values with monotone tangents. It stays between them, whatever rounding does.
+    pub fn monotone(&self, a: (f64, f64), b: (f64, f64)) -> f64 {
+        self.value(a, b).clamp(a.0.min(b.0), a.0.max(b.0))
+    }
+
+    /// The derivative of [`Self::value`] by the parameter.
+    pub fn slope(
+        &self,
+        (a, a_slope): (Vector3<f64>, Vector3<f64>),
+        (b, b_slope): (Vector3<f64>, Vector3<f64>),
+    ) -> Vector3<f64> {
+        let t = self.passed;
+        if self.length == 0.0 {
+            return Vector3::zeros();
+        }
+        (b - a) * (6.0 * t * (1.0 - t) / self.length)
+            + a_slope * ((1.0 - t) * (1.0 - 3.0 * t))
+            + b_slope * (t * (3.0 * t - 2.0))
+    }
+}

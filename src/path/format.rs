@@ -1,0 +1,57 @@
+//! The file of a path, read and checked.
+
+use super::{CameraPath, PathError, PathKey, is_rate_hz};
+use crate::camera::ViewFormat;
+use serde::Deserialize;
+
+const FORMAT: &str = "stlfr-path";
+const VERSION: u32 = 1;
+
+/// A path in JSON.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PathFormat {
+    format: String,
+    version: u32,
+    /// Frames a second that the path was made for.
+    rate_hz: Option<f64>,
+    /// Whether the place moves at constant speed.
+    #[serde(default)]
+    constant_speed: bool,
+    keys: Vec<ReadKey>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ReadKey {
+    at_s: f64,
+    time_s: f64,
+    camera: ViewFormat,
+    #[serde(default)]
+    rest: bool,
+}
+
+impl PathFormat {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// A sentence that starts with the field.
+    pub fn path(self) -> Result<CameraPath, String> {
+        if self.format != FORMAT {
+            return Err(format!("format: must be {FORMAT}"));
+        }
+        if self.version != VERSION {
+            return Err(format!("version: is {}, must be {VERSION}", self.version));
+        }
+        if self.rate_hz.is_some_and(|rate_hz| !is_rate_hz(rate_hz)) {
+            return Err(PathError::Rate.to_string());
+        }
+        let key = |(index, key): (usize, ReadKey)| {
+            let camera = key.camera.camera().map_err(|e| format!("keys[{index}].camera.{e}"))?;
+            Ok(PathKey { at_s: key.at_s, time_s: key.time_s, camera, rest: key.rest })
+        };
+        let keys = self.keys.into_iter().enumerate().map(key).collect::<Result<_, String>>()?;
+        let path = CameraPath::new(keys, self.constant_speed).map_err(|e| e.to_string())?;
+        Ok(CameraPath { rate_hz: self.rate_hz, ..path })
+    }
+}

@@ -1,0 +1,259 @@
+//! Camera paths: place, direction, lens and time of a view, continuous over the seconds of a video.
+//!
+//! A path is given by keys. Between keys all four are interpolated, without a jump in the first derivative at keys:
+//!
+//! - the place by cubic Hermite splines, whose tangents are those of parabolas through three keys. It doesn't move
+//!   between keys at the same place;
+//! - the direction on the sphere of unit quaternions, along the shorter arc, with the same tangents;
+//! - the lens and the time by monotone splines, which never overshoot: time stands still between keys of one time.
+//!
+//! A path's file ([`PathFormat`]):
+//!
+//! ```json
+//! { "format": "stlfr-path", "version": 1, "rate_hz": 30,
+//!   "keys": [
+//!     { "at_s": 0, "time_s": 0.05, "camera": { "width": 640, "height": 480, "model": "PINHOLE",
+//!       "params": [686, 686, 320, 240],
+//!       "cam_from_world": { "rotation_wxyz": [1, 0, 0, 0], "translation": [0.1, 0, 0] } } },
+//!     { "at_s": 2, "time_s": 0.05, "rest": true, "camera": { "…": "a camera as in capture.json" } } ] }
+//! ```
+//!
+//! `at_s` is a second of the video, `time_s` the instant that it shows then: equal times freeze it, falling ones
+//! reverse it, and their distances slow it. `rest` eases in and out of a key. `"constant_speed": true` moves the place by
+//! equal lengths in equal times. `rate_hz`, `rest` and `constant_speed` may be left out.
+//!
+//! | file | what |
+//! |---|---|
+//! | `format.rs` | the file of a path |
+//! | `curve.rs` | tangents and cubic splines |
+//! | `rotation.rs` | splines of rotations |
+//! | `arc_length.rs` | constant speed |
+//! | `ready_made.rs` | paths by name, inside of what a rig sees |
+
+mod arc_length;
+mod curve;
+mod format;
+mod ready_made;
+mod rotation;
+
+pub use format::PathFormat;
+pub use ready_made::{PathScene, ReadyMadePath};
+
+use crate::camera::{Camera, CameraModel};
+use crate::text::number;
+use arc_length::ArcLength;
+use curve::{Hermite, monotone_tangents, resting, tangents};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use rotation::{cumulative, rotation_tangents};
+
+/// A key of a path: a view at a second of the video.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PathKey {
+    /// Seconds of the video.
+    pub at_s: f64,
+    /// The instant that is shown, seconds on the reference camera's clock.
+    pub time_s: f64,
+    /// Place, direction and lens.
+    pub camera: Camera,
+    /// Whether all four stand still here for a moment: their derivatives are 0.
+    pub rest: bool,
+}
+
+/// A frame of a video along a path.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PathFrame {
+    pub camera: Camera,
+    /// The instant that is shown, seconds on the reference camera's clock.
+    pub time_s: f64,
+}
+
+/// A continuous path through its keys.
+#[derive(Clone, Debug)]
+pub struct CameraPath {
+    keys: Vec<PathKey>,
+    /// Frames a second that the path was made for, if it says so.
+    pub rate_hz: Option<f64>,
+    /// The cameras' centres with their tangents, metres.
+    places: Vec<(Vector3<f64>, Vector3<f64>)>,
+    /// `world_from_cam` with the angular velocities in the camera's frame, radians a second.
+    rotations: Vec<(UnitQuaternion<f64>, Vector3<f64>)>,
+    /// The model's parameters with their tangents.
+    lenses: Vec<Vec<(f64, f64)>>,
+    /// The times with their tangents.
+    times: Vec<(f64, f64)>,
+    /// Parameters of equal lengths, where the speed is constant.
+    lengths: Option<ArcLength>,
+}
+
+/// Why keys are no path. The message starts with the field.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum PathError {
+    #[error("keys: there are none")]
+    NoKeys,
+    #[error("keys: there are {count}, must be at most {MAX_KEYS}")]
+    Keys { count: usize },
+    #[error("keys[{key}].{field}: must be within {max:e} of 0")]
+    Range { key: usize, field: &'static str, max: f64 },
+    #[error("keys[{key}].at_s: is {}, must be at least {MIN_INTERVAL_S} s after {}", number(*.at_s), number(*.before_s))]
+    Order { key: usize, at_s: f64, before_s: f64 },
+    #[error(
+        "keys[{key}].camera: is {model}, {width}×{height}, but keys[0] is {first}: a path keeps model and size"
+    )]
+    Lens { key: usize, model: &'static str, width: usize, height: usize, first: String },
+    #[error("rate_hz: must be from {MIN_RATE_HZ} to {MAX_RATE_HZ}")]
+    Rate,
+    #[error("a path of {} s has {} frames at {} a second, must be at most {MAX_FRAMES}", number(*.duration_s), number(*.frames), number(*.rate_hz))]
+    Frames { duration_s: f64, frames: f64, rate_hz: f64 },
+}
+
+/// Maximum number of keys: an hour at 27 a second.
+const MAX_KEYS: usize = 100_000;
+/// Maximum of a video's and of an instant's seconds, a century: differences resolve microseconds.
+const MAX_SECONDS: f64 = 4e9;
+/// Minimum seconds between two keys: differences of less would be rounding.
+const MIN_INTERVAL_S: f64 = 1e-6;
+/// Maximum of a lens's parameters, so that their derivatives are finite.
+const MAX_PARAM: f64 = 1e9;
+/// Limits of frames a second: those of a video's player, and of a day's time lapse.
+pub const MIN_RATE_HZ: f64 = 1e-3;
+/// See [`MIN_RATE_HZ`].
+pub const MAX_RATE_HZ: f64 = 1e3;
+/// Maximum number of frames.
+const MAX_FRAMES: usize = 1_000_000;
+
+/// Whether a number of frames a second is one.
+pub fn is_rate_hz(rate_hz: f64) -> bool {
+    (MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz)
+}
+
+impl CameraPath {
+    /// A path through keys, ascending in `at_s`. With `constant_speed` the place moves by equal lengths in equal times
+    /// between the first and the last key; direction and lens follow it, the time does not.
+    ///
+    /// # Errors
+    /// If there is no key or too many, if a number is out of range, if keys do not ascend, or if their lenses differ in
+    /// model or size.
+    pub fn new(keys: Vec<PathKey>, constant_speed: bool) -> Result<Self, PathError> {
+        check(&keys)?;
+        let at_s: Vec<f64> = keys.iter().map(|key| key.at_s).collect();
+        let rests: Vec<bool> = keys.iter().map(|key| key.rest).collect();
+        let centers: Vec<Vector3<f64>> =
+            keys.iter().map(|key| key.camera.center().coords).collect();
+        let place_tangents = resting(&rests, tangents(&at_s, &centers));
+        let rotations: Vec<_> =
+            keys.iter().map(|key| key.camera.cam_from_world.rotation.inverse()).collect();
+        let velocities = resting(&rests, rotation_tangents(&at_s, &rotations));
+        let with_tangents = |values: Vec<f64>| -> Vec<(f64, f64)> {
+            let slopes = resting(&rests, monotone_tangents(&at_s, &values));
+            values.into_iter().zip(slopes).collect()
+        };
+        let params: Vec<Vec<f64>> = keys.iter().map(|key| key.camera.model.params()).collect();
+        let param = |p: usize| params.iter().map(|params| params[p]).collect();
+        let lenses = (0..params[0].len()).map(|p| with_tangents(param(p))).collect();
+        let times = with_tangents(keys.iter().map(|key| key.time_s).collect());
+        let places: Vec<_> = centers.into_iter().zip(place_tangents).collect();
+        let lengths = if constant_speed { ArcLength::new(&at_s, &places) } else { None };
+        let rotations = rotations.into_iter().zip(velocities).collect();
+        Ok(Self { keys, rate_hz: None, places, rotations, lenses, times, lengths })
+    }
+
+    /// The keys, ascending.
+    pub fn keys(&self) -> &[PathKey] {
+        &self.keys
+    }
+
+    /// Seconds from the first key to the last.
+    pub fn duration_s(&self) -> f64 {
+        self.keys[self.keys.len() - 1].at_s - self.keys[0].at_s
+    }
+
+    /// The same path, played in another time. A path of one key has none, and is not changed.
+    #[must_use]
+    pub fn lasting(&self, duration_s: f64) -> Self {
+        let factor = duration_s / self.duration_s();
+        let mut keys = self.keys.clone();
+        keys.iter_mut().for_each(|key| key.at_s = (key.at_s - self.keys[0].at_s) * factor);
+        let played = Self::new(keys, self.lengths.is_some());
+        played.map_or_else(|_| self.clone(), |path| Self { rate_hz: self.rate_hz, ..path })
+    }
+
+    /// The view, this many seconds after the first key; before it that of the first, after the last key that of the
+    /// last.
+    pub fn at(&self, passed_s: f64) -> PathFrame {
+        let at_s = self.keys[0].at_s + passed_s.clamp(0.0, self.duration_s());
+        let moved_s = self.lengths.as_ref().map_or(at_s, |lengths| lengths.parameter(at_s));
+        let moved = self.interval(moved_s);
+        let place = moved.value(self.places[moved.key], self.places[moved.next]);
+        let (before, after) = (self.rotations[moved.key], self.rotations[moved.next]);
+        let rotation = cumulative(moved.passed, moved.length, before, after);
+        let cam_from_world = Isometry3::from_parts(place.into(), rotation).inverse();
+        let params: Vec<f64> =
+            self.lenses.iter().map(|of| moved.monotone(of[moved.key], of[moved.next])).collect();
+        let shown = self.interval(at_s);
+        let time_s = shown.monotone(self.times[shown.key], self.times[shown.next]);
+        let first = &self.keys[0].camera;
+        // These are the name and the number of parameters of a model of the path.
+        let model = CameraModel::from_params(first.model.name(), &params).unwrap_or(first.model);
+        PathFrame { camera: Camera { model, cam_from_world, ..first.clone() }, time_s }
+    }
+
+    /// The number of frames of a video that takes so long.
+    ///
+    /// # Errors
+    /// If there are too many.
+    pub fn frame_count(duration_s: f64, rate_hz: f64) -> Result<usize, PathError> {
+        // The last frame is not lost by rounding.
+        let frames = (duration_s * rate_hz + 1e-6).floor() + 1.0;
+        if !(frames <= MAX_FRAMES as f64) {
+            return Err(PathError::Frames { duration_s, frames, rate_hz });
+        }
+        Ok(frames as usize)
+    }
+
+    /// The frames of a video with so many a second: the first shows the first key, the last the last key or up to one
+    /// frame before it.
+    ///
+    /// # Errors
+    /// If there are too many.
+    pub fn frames(&self, rate_hz: f64) -> Result<Vec<PathFrame>, PathError> {
+        let count = Self::frame_count(self.duration_s(), rate_hz)?;
+        Ok((0..count).map(|k| self.at(k as f64 / rate_hz)).collect())
+    }
+
+    fn interval(&self, at_s: f64) -> Hermite {
+        Hermite::at(at_s, &self.keys, |key| key.at_s)
+    }
+}
+
+fn check(keys: &[PathKey]) -> Result<(), PathError> {
+    let first = &keys.first().ok_or(PathError::NoKeys)?.camera;
+    if keys.len() > MAX_KEYS {
+        return Err(PathError::Keys { count: keys.len() });
+    }
+    let lens = |camera: &Camera| (camera.model.name(), camera.width, camera.height);
+    for (index, key) in keys.iter().enumerate() {
+        let within = |field, max: f64, values: &[f64]| match values.iter().all(|v| v.abs() <= max) {
+            true => Ok(()),
+            false => Err(PathError::Range { key: index, field, max }),
+        };
+        within("at_s", MAX_SECONDS, &[key.at_s])?;
+        within("time_s", MAX_SECONDS, &[key.time_s])?;
+        within("camera.params", MAX_PARAM, &key.camera.model.params())?;
+        let (model, width, height) = lens(&key.camera);
+        if lens(first) != (model, width, height) {
+            let (name, w, h) = lens(first);
+            let first = format!("{name}, {w}×{h}");
+            return Err(PathError::Lens { key: index, model, width, height, first });
+        }
+        if let Some(before) = index.checked_sub(1).map(|before| &keys[before])
+            && !(key.at_s - before.at_s >= MIN_INTERVAL_S)
+        {
+            let (at_s, before_s) = (key.at_s, before.at_s);
+            return Err(PathError::Order { key: index, at_s, before_s });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

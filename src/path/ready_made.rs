@@ -1,0 +1,303 @@
+//! Paths by name, for any rig. They stay where the cameras see all of the view.
+//!
+//! The rig is described by a parabola through its cameras' centres along their longest extent, and by their mean
+//! directions along it: lines, arcs and grids alike. A path's extent is the largest for which every view is seen whole
+//! at the scene's depths.
+//!
+//! Known limit: occlusion is not considered; what only hidden cameras see may have holes.
+
+use super::{CameraPath, PathError, PathKey};
+use crate::camera::{Camera, CameraModel};
+use crate::method::methods;
+use nalgebra::{Isometry3, Matrix3, Point2, Point3, UnitQuaternion, Vector3};
+use std::f64::consts::{PI, TAU};
+
+/// A ready-made path.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReadyMadePath {
+    #[default]
+    Sweep,
+    Orbit,
+    BulletTime,
+    Dolly,
+}
+
+methods!(ReadyMadePath {
+    Sweep = "sweep": "from one end of the rig to the other",
+    Orbit = "orbit": "a loop along the rig, aimed at the subject",
+    BulletTime = "bullet-time": "time stops, the view moves along the rig, time goes on",
+    Dolly = "dolly": "ahead towards the subject, and back",
+});
+
+/// What a ready-made path is fitted to.
+#[derive(Clone, Copy, Debug)]
+pub struct PathScene<'a> {
+    /// The rig's cameras, at least one.
+    pub cameras: &'a [Camera],
+    /// The camera whose lens and size the views have, without its distortion.
+    pub lens: &'a Camera,
+    /// Depths of the scene before `lens`, metres: near, of the subject, far.
+    pub depths_m: [f64; 3],
+    /// The first and the last instant that all cameras film, seconds.
+    pub span_s: (f64, f64),
+    /// The instant to stop time at; `None` lets it run, and stops bullet time in the middle.
+    pub frozen_s: Option<f64>,
+    /// Seconds of the video.
+    pub duration_s: f64,
+}
+
+/// Keys between which the splines follow a path's formula. Fewer, and an orbit bulges.
+const KEYS: usize = 24;
+
+/// Fields of view that are tried, as fractions of the lens's: narrower ones leave more room to move.
+const LENSES: [f64; 4] = [0.95, 0.85, 0.7, 0.55];
+
+/// The fraction of a path's full extent that ends the search for a lens.
+const ENOUGH: f64 = 0.6;
+
+/// Halvings in the search for the extent.
+const HALVINGS: usize = 12;
+
+/// Points of a view, a side, that must be seen at each depth.
+const SEEN_POINTS: usize = 9;
+
+/// Fractions of the video in bullet time at which time stops and goes on.
+const STOP: [f64; 2] = [0.25, 0.75];
+
+/// How far a dolly goes, as a fraction of the distance to the nearest part of the scene.
+const DOLLY: f64 = 0.4;
+
+impl ReadyMadePath {
+    /// The path for a scene.
+    ///
+    /// # Errors
+    /// If the scene's times or duration are out of range.
+    pub fn path(self, scene: &PathScene) -> Result<CameraPath, PathError> {
+        let rig = RigCurve::new(scene);
+        let mut best: Option<(f64, f64)> = None;
+        for field in LENSES {
+            let is_seen = |extent: f64| {
+                let views = self.keys(scene, &rig, (extent, field));
+                views.iter().all(|key| rig.sees(&key.camera, scene.cameras))
+            };
+            let extent = largest(is_seen);
+            if extent.is_some_and(|extent| best.is_none_or(|(found, _)| extent > found)) {
+                best = extent.map(|extent| (extent, field));
+            }
+            if best.is_some_and(|(extent, _)| extent >= ENOUGH) {
+                break;
+            }
+        }
+        // Where even a still view isn't seen whole, the narrowest is the best.
+        let (extent, field) = best.unwrap_or((0.0, LENSES[LENSES.len() - 1]));
+        CameraPath::new(self.keys(scene, &rig, (extent, field)), false)
+    }
+
+    fn keys(self, scene: &PathScene, rig: &RigCurve, extent_and_field: (f64, f64)) -> Vec<PathKey> {
+        let (extent, field) = extent_and_field;
+        let model = narrowed(scene.lens, field);
+        let key = |k: usize| {
+            let passed = k as f64 / KEYS as f64;
+            let pose = match self {
+                Self::Sweep => rig.pose([extent * (2.0 * passed - 1.0), 0.0], 0.0),
+                Self::BulletTime => {
+                    let moved = ((passed - STOP[0]) / (STOP[1] - STOP[0])).clamp(0.0, 1.0);
+                    rig.pose([extent * (2.0 * eased(moved) - 1.0), 0.0], 0.0)
+                }
+                Self::Orbit => {
+                    let (sin, cos) = (TAU * passed).sin_cos();
+                    rig.aimed([extent * sin, extent * cos])
+                }
+                Self::Dolly => {
+                    let ahead_m = DOLLY * rig.depths_m[0] * 0.5 * (1.0 - (TAU * passed).cos());
+                    rig.pose([0.0; 2], extent * ahead_m)
+                }
+            };
+            let camera = Camera { model, cam_from_world: pose, ..scene.lens.clone() };
+            let (first_s, last_s) = scene.span_s;
+            let time_s = self.time_s(scene, passed);
+            let time_s = scene.frozen_s.map_or_else(|| time_s.clamp(first_s, last_s), |_| time_s);
+            let at_s = scene.duration_s * passed;
+            // An orbit is a loop, whose ends fit.
+            let rest = self != Self::Orbit && (k == 0 || k == KEYS);
+            PathKey { at_s, time_s, camera, rest }
+        };
+        (0..=KEYS).map(key).collect()
+    }
+
+    /// The instant after a fraction of the video. Time runs as in the scene, or slower where the recording is shorter.
+    fn time_s(self, scene: &PathScene, passed: f64) -> f64 {
+        let (first_s, last_s) = scene.span_s;
+        let middle_s = 0.5 * (first_s + last_s);
+        if self != Self::BulletTime {
+            let half_s = 0.5 * (last_s - first_s).min(scene.duration_s);
+            let runs_s = middle_s + half_s * (2.0 * passed - 1.0);
+            return scene.frozen_s.unwrap_or(runs_s);
+        }
+        let stop_s = scene.frozen_s.unwrap_or(middle_s);
+        let [stops, goes_on] = STOP;
+        let running_s = 0.5 * scene.duration_s * stops;
+        if passed <= stops {
+            // At full speed first, then braking.
+            let left = 1.0 - passed / stops;
+            stop_s - (stop_s - first_s).clamp(0.0, running_s) * left * left
+        } else if passed >= goes_on {
+            let past = (passed - goes_on) / (1.0 - goes_on);
+            stop_s + (last_s - stop_s).clamp(0.0, running_s) * past * past
+        } else {
+            stop_s
+        }
+    }
+}
+
+/// From 0 to 1 with derivatives 0 at both.
+fn eased(x: f64) -> f64 {
+    0.5 * (1.0 - (PI * x).cos())
+}
+
+/// The largest extent of 0 to 1 that is seen, given that smaller ones are; `None` if not even 0 is.
+fn largest(is_seen: impl Fn(f64) -> bool) -> Option<f64> {
+    if !is_seen(0.0) {
+        return None;
+    }
+    if is_seen(1.0) {
+        return Some(1.0);
+    }
+    let (mut seen, mut unseen) = (0.0, 1.0);
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (seen + unseen);
+        if is_seen(middle) { seen = middle } else { unseen = middle }
+    }
+    Some(seen)
+}
+
+/// The lens without distortion, with the field of view times `field`, about the image's middle.
+fn narrowed(lens: &Camera, field: f64) -> CameraModel {
+    let (fx, fy, ..) = lens.model.intrinsics();
+    let (cx, cy) = (0.5 * lens.width as f64, 0.5 * lens.height as f64);
+    CameraModel::Pinhole { fx: fx / field, fy: fy / field, cx, cy }
+}
+
+/// A rig as a curve of places with directions.
+struct RigCurve {
+    /// Mean of the cameras' centres, and of their axes.
+    center: Vector3<f64>,
+    ahead: Vector3<f64>,
+    down: Vector3<f64>,
+    /// Longest extent of the centres, and the one across it: half their extents, metres.
+    axes: [Vector3<f64>; 2],
+    /// Coefficients of places and axes by the coordinate along the first extent: 1, s, s².
+    places: [Vector3<f64>; 3],
+    aheads: [Vector3<f64>; 3],
+    /// Depths from `center` along `ahead`, metres.
+    depths_m: [f64; 3],
+}
+
+impl RigCurve {
+    fn new(scene: &PathScene) -> Self {
+        let count = scene.cameras.len() as f64;
+        let mean = |of: &dyn Fn(&Camera) -> Vector3<f64>| {
+            scene.cameras.iter().map(of).sum::<Vector3<f64>>() / count
+        };
+        let center = mean(&|camera| camera.center().coords);
+        let unit = |v: Vector3<f64>, or: Vector3<f64>| v.try_normalize(1e-9).unwrap_or(or);
+        let ahead = unit(mean(&|camera| camera.axis()), scene.lens.axis());
+        let down_of = |camera: &Camera| {
+            camera.cam_from_world.rotation.inverse_transform_vector(&Vector3::y())
+        };
+        let down = unit(mean(&down_of), down_of(scene.lens));
+        let offsets = || scene.cameras.iter().map(|camera| camera.center().coords - center);
+        let scatter: Matrix3<f64> = offsets().map(|offset| offset * offset.transpose()).sum();
+        let right = down.cross(&ahead);
+        let [first, second] = extents(&scatter, right);
+        let half = |axis: &Vector3<f64>| offsets().map(|o| o.dot(axis).abs()).fold(0.0, f64::max);
+        let half_m = half(&first);
+        let along: Vec<f64> =
+            offsets().map(|o| if half_m > 0.0 { o.dot(&first) / half_m } else { 0.0 }).collect();
+        let fit = |of: &dyn Fn(&Camera) -> Vector3<f64>| {
+            parabola(&along, &scene.cameras.iter().map(of).collect::<Vec<_>>())
+        };
+        let places = fit(&|camera| camera.center().coords);
+        let aheads = fit(&|camera| camera.axis());
+        let behind_m = ahead.dot(&(scene.lens.center().coords - center));
+        let depths_m = scene.depths_m.map(|depth_m| depth_m + behind_m);
+        let axes = [first * half_m, second * half(&second)];
+        Self { center, ahead, down, axes, places, aheads, depths_m }
+    }
+
+    /// The place at coordinates of the rig, each from −1 to 1.
+    fn place(&self, [s, t]: [f64; 2]) -> Vector3<f64> {
+        at(&self.places, s) + self.axes[1] * t
+    }
+
+    /// The pose at coordinates of the rig, moved ahead.
+    fn pose(&self, along: [f64; 2], ahead_m: f64) -> Isometry3<f64> {
+        let ahead = at(&self.aheads, along[0]).try_normalize(1e-9).unwrap_or(self.ahead);
+        looking(self.place(along) + ahead * ahead_m, ahead, self.down)
+    }
+
+    /// The pose at coordinates of the rig, aimed at the subject.
+    fn aimed(&self, along: [f64; 2]) -> Isometry3<f64> {
+        let place = self.place(along);
+        let subject = self.center + self.ahead * self.depths_m[1];
+        let ahead = (subject - place).try_normalize(1e-9).unwrap_or(self.ahead);
+        looking(place, ahead, self.down)
+    }
+
+    /// Whether every part of a view is in some camera's image, at the scene's depths.
+    fn sees(&self, view: &Camera, cameras: &[Camera]) -> bool {
+        let center = view.center();
+        let last = (SEEN_POINTS - 1) as f64;
+        let points = (0..SEEN_POINTS * SEEN_POINTS).map(|k| {
+            let [x, y] = [k % SEEN_POINTS, k / SEEN_POINTS].map(|i| i as f64 / last);
+            Point2::new(x * view.width as f64, y * view.height as f64)
+        });
+        points.filter_map(|pixel| view.ray_world(&pixel)).all(|ray| {
+            self.depths_m.iter().all(|depth_m| {
+                let towards = ray.dot(&self.ahead);
+                let left_m = depth_m - self.ahead.dot(&(center.coords - self.center));
+                let point = center + ray * (left_m / towards);
+                towards > 0.0 && left_m > 0.0 && cameras.iter().any(|c| is_inside(c, &point))
+            })
+        })
+    }
+}
+
+fn is_inside(camera: &Camera, point: &Point3<f64>) -> bool {
+    camera.project(point).is_some_and(|pixel| camera.contains(&pixel))
+}
+
+/// The axes of the largest and the second largest extent, unit length; the first points to the side of `right`.
+fn extents(scatter: &Matrix3<f64>, right: Vector3<f64>) -> [Vector3<f64>; 2] {
+    let eigen = scatter.symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    let axis = |k: usize| -> Vector3<f64> { eigen.eigenvectors.column(order[k]).into_owned() };
+    let first = axis(0);
+    [if first.dot(&right) < 0.0 { -first } else { first }, axis(1)]
+}
+
+/// Coefficients of the least-squares parabola through values at coordinates from −1 to 1; of lower degree where fewer
+/// coordinates differ.
+fn parabola(along: &[f64], values: &[Vector3<f64>]) -> [Vector3<f64>; 3] {
+    let basis = |s: f64| Vector3::new(1.0, s, s * s);
+    let mean = values.iter().sum::<Vector3<f64>>() / values.len() as f64;
+    let normal: Matrix3<f64> = along.iter().map(|s| basis(*s) * basis(*s).transpose()).sum();
+    let right: Matrix3<f64> =
+        along.iter().zip(values).map(|(s, value)| basis(*s) * (value - mean).transpose()).sum();
+    // The smallest deviation from the mean where the coordinates leave a degree open.
+    let inverse = normal.pseudo_inverse(1e-9).unwrap_or_else(|_| Matrix3::zeros());
+    let solved = inverse * right;
+    let [constant, linear, square] = [0, 1, 2].map(|row| solved.row(row).transpose());
+    [mean + constant, linear, square]
+}
+
+fn at([constant, linear, square]: &[Vector3<f64>; 3], s: f64) -> Vector3<f64> {
+    constant + linear * s + square * (s * s)
+}
+
+/// The pose at a place, looking ahead, upright by `down`.
+fn looking(place: Vector3<f64>, ahead: Vector3<f64>, down: Vector3<f64>) -> Isometry3<f64> {
+    let rotation = UnitQuaternion::face_towards(&ahead, &down);
+    Isometry3::from_parts(place.into(), rotation).inverse()
+}

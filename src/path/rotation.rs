@@ -1,0 +1,46 @@
+//! Splines of rotations: Kim, Kim and Shin, SIGGRAPH 1995.
+
+use super::curve::parabolic;
+use nalgebra::{UnitQuaternion, Vector3};
+
+/// Angle up to which two keys have one direction, radians: rounding of quaternions.
+const SAME_DIRECTION_RAD: f64 = 1e-9;
+
+/// The rotation vector from one rotation to another along the shorter arc, in the frame of the first. Half a turn has
+/// two, of which one is taken.
+fn step(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> Vector3<f64> {
+    (from.inverse() * to).scaled_axis()
+}
+
+/// Angular velocities at keys, in the frame of each key.
+pub(super) fn rotation_tangents(
+    at: &[f64],
+    rotations: &[UnitQuaternion<f64>],
+) -> Vec<Vector3<f64>> {
+    // The axis of a step is the same in the frames of both of its ends.
+    let steps: Vec<Vector3<f64>> =
+        (1..at.len()).map(|k| step(&rotations[k - 1], &rotations[k])).collect();
+    let stands: Vec<bool> = steps.iter().map(|s| s.norm() <= SAME_DIRECTION_RAD).collect();
+    let slopes: Vec<Vector3<f64>> =
+        steps.iter().enumerate().map(|(k, step)| step / (at[k + 1] - at[k])).collect();
+    parabolic(at, &slopes, &stands)
+}
+
+/// The cumulative cubic between two rotations `length` seconds apart, with their angular velocities at the ends.
+/// `passed` is from 0 to 1.
+pub(super) fn cumulative(
+    passed: f64,
+    length: f64,
+    (a, a_velocity): (UnitQuaternion<f64>, Vector3<f64>),
+    (b, b_velocity): (UnitQuaternion<f64>, Vector3<f64>),
+) -> UnitQuaternion<f64> {
+    let [first, last] =
+        [a_velocity, b_velocity].map(|velocity| UnitQuaternion::new(velocity * (length / 3.0)));
+    let middle = step(&(a * first), &(b * last.inverse()));
+    let (t, u) = (passed, 1.0 - passed);
+    let turned = a
+        * UnitQuaternion::new(a_velocity * (length / 3.0 * (1.0 - u * u * u)))
+        * UnitQuaternion::new(middle * (t * t * (1.0 + 2.0 * u)))
+        * UnitQuaternion::new(b_velocity * (length / 3.0 * t * t * t));
+    UnitQuaternion::new_normalize(turned.into_inner())
+}

@@ -1,0 +1,255 @@
+//! OpenEXR files: linear light in half floats, and depth, in the channels that compositors and Blender know.
+//!
+//! The format: <https://openexr.com/en/latest/OpenEXRFileLayout.html>. Written are single-part scanline files of version
+//! 2, compressed by ZIP in blocks of 16 rows. (The crate `exr` brings dozens of others, for what is read and for codecs
+//! that aren't needed here.)
+
+use super::file::ImageFileError;
+use super::{Image, linear_from_encoded};
+use crate::host::write_atomically;
+use flate2::{Compression, write::ZlibEncoder};
+use std::io::Write;
+use std::path::Path;
+
+/// Depth of a pixel without a surface, metres: as Blender writes it.
+const NO_DEPTH_M: f32 = 1e10;
+
+/// Rows that are compressed together, by definition of the format's ZIP.
+const BLOCK_ROWS: usize = 16;
+
+/// Numbers of the format.
+const MAGIC: u32 = 20_000_630;
+const VERSION: u32 = 2;
+const ZIP: u8 = 3;
+const HALF: u32 = 1;
+const FLOAT: u32 = 2;
+
+/// A channel's samples, row by row.
+enum Channel {
+    Half(Vec<u16>),
+    Float(Vec<f32>),
+}
+
+/// Writes an image of 1 or 3 channels as OpenEXR, creating its folder if there is none.
+///
+/// Channels: `R`, `G`, `B` and `A`, scene-linear half floats, alpha 0 with black where `coverage`, one value a pixel, is
+/// false; and `Z`, 32-bit floats, the depths along the camera's axis in metres. A depth that is not finite is 1e10.
+///
+/// # Panics
+/// If the coverage or the depths are not one a pixel.
+///
+/// # Errors
+/// If the file can't be written.
+pub fn write_exr(
+    path: &Path,
+    image: &Image,
+    coverage: &[bool],
+    depths_m: &[f32],
+) -> Result<(), ImageFileError> {
+    let channels = channels(image, coverage, depths_m);
+    let written = encode(image.width(), image.height(), &channels)
+        .and_then(|bytes| write_atomically(path, &bytes));
+    written.map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
+}
+
+/// The channels in the format's order, which is that of their names.
+fn channels(image: &Image, coverage: &[bool], depths_m: &[f32]) -> [(&'static str, Channel); 5] {
+    let pixels = image.width() * image.height();
+    assert_eq!((coverage.len(), depths_m.len()), (pixels, pixels), "one a pixel");
+    let count = image.channels();
+    let color = |channel: usize| {
+        let pixels = image.data().chunks_exact(count).zip(coverage);
+        let samples = pixels.map(|(pixel, is_covered)| {
+            let value = f64::from(pixel[channel.min(count - 1)]);
+            half(if *is_covered { linear_from_encoded(value) as f32 } else { 0.0 })
+        });
+        Channel::Half(samples.collect())
+    };
+    let alpha = coverage.iter().map(|c| half(if *c { 1.0 } else { 0.0 })).collect();
+    let depths = depths_m.iter().map(|z| if z.is_finite() { *z } else { NO_DEPTH_M }).collect();
+    [
+        ("A", Channel::Half(alpha)),
+        ("B", color(2)),
+        ("G", color(1)),
+        ("R", color(0)),
+        ("Z", Channel::Float(depths)),
+    ]
+}
+
+/// The half float nearest to a value, ties to even; NaN becomes 0, and what is too large the largest.
+fn half(value: f32) -> u16 {
+    const MAX: f32 = 65_504.0;
+    /// 2^−24, the smallest half above 0, and 2^−14, the smallest of full precision.
+    const MIN: f32 = 5.960_464_5e-8;
+    const MIN_NORMAL: f32 = 6.103_515_6e-5;
+    let sign = if value.is_sign_negative() { 0x8000 } else { 0 };
+    let size = if value.is_nan() { 0.0 } else { value.abs().min(MAX) };
+    if size < MIN_NORMAL {
+        return sign | (size / MIN).round_ties_even() as u16;
+    }
+    // Exponents differ by 112 in their bias, mantissas by 13 bits. Rounding may carry into the exponent.
+    let bits = size.to_bits();
+    let rounded = bits + 0x0fff + ((bits >> 13) & 1);
+    sign | ((rounded >> 13) - (112 << 10)) as u16
+}
+
+fn encode(width: usize, height: usize, channels: &[(&str, Channel)]) -> std::io::Result<Vec<u8>> {
+    let mut file = Vec::new();
+    file.extend(MAGIC.to_le_bytes());
+    file.extend(VERSION.to_le_bytes());
+    header(&mut file, [width as u32, height as u32], channels);
+    let blocks = height.div_ceil(BLOCK_ROWS);
+    let mut offset = file.len() + 8 * blocks;
+    let (mut offsets, mut body) = (Vec::new(), Vec::new());
+    for start in (0..height).step_by(BLOCK_ROWS) {
+        let rows = start..(start + BLOCK_ROWS).min(height);
+        let raw: Vec<u8> = rows.flat_map(|y| row(channels, width, y)).collect();
+        let packed = compressed(&raw)?;
+        // A block that grows is stored as it is.
+        let block = if packed.len() < raw.len() { packed } else { raw };
+        offsets.extend((offset as u64).to_le_bytes());
+        body.extend((start as i32).to_le_bytes());
+        body.extend((block.len() as u32).to_le_bytes());
+        offset += 8 + block.len();
+        body.extend(block);
+    }
+    file.extend(offsets);
+    file.extend(body);
+    Ok(file)
+}
+
+fn header(file: &mut Vec<u8>, [width, height]: [u32; 2], channels: &[(&str, Channel)]) {
+    let mut attribute = |name: &str, kind: &str, value: &[u8]| {
+        for word in [name, kind] {
+            file.extend(word.as_bytes());
+            file.push(0);
+        }
+        file.extend((value.len() as u32).to_le_bytes());
+        file.extend(value);
+    };
+    let mut list = Vec::new();
+    for (name, channel) in channels {
+        list.extend(name.as_bytes());
+        list.push(0);
+        let kind = if matches!(channel, Channel::Half(_)) { HALF } else { FLOAT };
+        // Kind, linearity with padding, and the sampling of columns and rows.
+        [kind, 0, 1, 1].iter().for_each(|number| list.extend(number.to_le_bytes()));
+    }
+    list.push(0);
+    let window: Vec<u8> =
+        [0, 0, width - 1, height - 1].iter().flat_map(|v| v.to_le_bytes()).collect();
+    attribute("channels", "chlist", &list);
+    attribute("compression", "compression", &[ZIP]);
+    attribute("dataWindow", "box2i", &window);
+    attribute("displayWindow", "box2i", &window);
+    attribute("lineOrder", "lineOrder", &[0]);
+    attribute("pixelAspectRatio", "float", &1.0_f32.to_le_bytes());
+    attribute("screenWindowCenter", "v2f", &[0; 8]);
+    attribute("screenWindowWidth", "float", &1.0_f32.to_le_bytes());
+    file.push(0);
+}
+
+/// A row of all channels, one after the other.
+fn row(channels: &[(&str, Channel)], width: usize, y: usize) -> Vec<u8> {
+    let span = y * width..(y + 1) * width;
+    let bytes = |(_, channel): &(&str, Channel)| -> Vec<u8> {
+        match channel {
+            Channel::Half(all) => all[span.clone()].iter().flat_map(|v| v.to_le_bytes()).collect(),
+            Channel::Float(all) => all[span.clone()].iter().flat_map(|v| v.to_le_bytes()).collect(),
+        }
+    };
+    channels.iter().flat_map(bytes).collect()
+}
+
+/// The format's ZIP: even bytes before odd ones, differences of neighbours, deflate.
+fn compressed(raw: &[u8]) -> std::io::Result<Vec<u8>> {
+    let halves = raw.iter().step_by(2).chain(raw.iter().skip(1).step_by(2));
+    let mut before = None;
+    let differences = halves.map(|&byte| {
+        let difference =
+            before.map_or(byte, |before: u8| byte.wrapping_sub(before).wrapping_add(128));
+        before = Some(byte);
+        difference
+    });
+    let differences: Vec<u8> = differences.collect();
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::new(4));
+    encoder.write_all(&differences)?;
+    encoder.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flate2::read::ZlibDecoder;
+    use std::io::Read;
+
+    /// The value of a half float, by its definition.
+    fn value(half: u16) -> f64 {
+        let (exponent, mantissa) = (i32::from(half >> 10 & 31), f64::from(half & 1023));
+        let size = match exponent {
+            0 => mantissa * 2.0_f64.powi(-24),
+            31 => f64::INFINITY,
+            _ => (1024.0 + mantissa) * 2.0_f64.powi(exponent - 25),
+        };
+        if half >> 15 == 1 { -size } else { size }
+    }
+
+    #[test]
+    fn halves_are_the_nearest() {
+        for bits in (0..31 << 10).chain(0x8000..0x8000 + (31 << 10)) {
+            assert_eq!(half(value(bits) as f32), bits);
+        }
+        for number in [0.1_f32, 1.0 / 3.0, 0.999_9, 1234.5, 3e-5, 1e-7, 2049.0, 2051.0] {
+            let found = half(number);
+            let error = |bits: u16| (value(bits) - f64::from(number)).abs();
+            assert!(
+                error(found) <= error(found + 1) && error(found) <= error(found - 1),
+                "{number}"
+            );
+        }
+        assert_eq!((half(f32::NAN) & 0x7fff, value(half(1e30))), (0, 65_504.0));
+        // Halfway between two, to the even one.
+        assert_eq!((value(half(2049.0)), value(half(2051.0))), (2048.0, 2052.0));
+    }
+
+    #[test]
+    fn blocks_are_undone_to_the_rows() {
+        let raw: Vec<u8> = (0..999_u32).map(|k| (k * k / 7) as u8).collect();
+        let mut bytes = Vec::new();
+        ZlibDecoder::new(&*compressed(&raw).unwrap()).read_to_end(&mut bytes).unwrap();
+        for k in 1..bytes.len() {
+            bytes[k] = bytes[k].wrapping_add(bytes[k - 1]).wrapping_sub(128);
+        }
+        let (even, odd) = bytes.split_at(raw.len().div_ceil(2));
+        let undone: Vec<u8> =
+            (0..raw.len()).map(|k| if k % 2 == 0 { even[k / 2] } else { odd[k / 2] }).collect();
+        assert_eq!(undone, raw);
+    }
+
+    #[test]
+    fn channels_are_linear_light_alpha_and_depth() {
+        // sRGB 0.735357 is half the light.
+        let image = Image::from_data(2, 1, 3, vec![0.735_357, 1.0, 0.0, 1.0, 1.0, 1.0]);
+        let found = channels(&image, &[true, false], &[2.5, f32::NAN]);
+        let values: Vec<(&str, Vec<f64>)> = found
+            .iter()
+            .map(|(name, channel)| match channel {
+                Channel::Half(all) => (*name, all.iter().map(|v| value(*v)).collect()),
+                Channel::Float(all) => (*name, all.iter().map(|v| f64::from(*v)).collect()),
+            })
+            .collect();
+        let expected = [
+            ("A", [1.0, 0.0]),
+            ("B", [0.0; 2]),
+            ("G", [1.0, 0.0]),
+            ("R", [0.5, 0.0]),
+            ("Z", [2.5, 1e10]),
+        ];
+        for ((name, values), (expected_name, expected)) in values.iter().zip(expected) {
+            assert_eq!(*name, expected_name);
+            for (value, expected) in values.iter().zip(expected) {
+                assert!((value - expected).abs() <= 1e-3 * expected, "{name}: {values:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Pictures in the samples of files.
+
+use super::{BitDepth, Image};
+
+/// Samples of a file: row by row, channels interleaved.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Samples {
+    Eight(Vec<u8>),
+    Sixteen(Vec<u16>),
+}
+
+/// A picture in the samples of a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quantized {
+    /// Width, pixels.
+    pub width: usize,
+    /// Height, pixels.
+    pub height: usize,
+    /// Samples a pixel; the second of 2 and the fourth of 4 are alpha.
+    pub channels: usize,
+    pub samples: Samples,
+}
+
+/// Rounds a value of 0 to 1 to a sample. `f32 as integer` saturates and takes NaN to 0; adding 0.5 rounds.
+fn eight(value: f32) -> u8 {
+    (value * 255.0 + 0.5) as u8
+}
+
+fn sixteen(value: f32) -> u16 {
+    (value * 65535.0 + 0.5) as u16
+}
+
+impl Quantized {
+    /// Rounds an image to samples of this bit depth. Values beyond 0 to 1 are clamped, and NaN becomes 0.
+    ///
+    /// `coverage` has one value a pixel, row by row. It adds an alpha channel; where it is false, all
+    /// samples of the pixel are 0.
+    pub fn new(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> Self {
+        let channels = image.channels() + usize::from(coverage.is_some());
+        let mut values = Vec::with_capacity(image.width() * image.height() * channels);
+        for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
+            let covered = coverage.is_none_or(|c| c[k]);
+            values.extend(pixel.iter().map(|&v| if covered { v } else { 0.0 }));
+            if coverage.is_some() {
+                values.push(if covered { 1.0 } else { 0.0 });
+            }
+        }
+        let samples = match depth {
+            BitDepth::Eight => Samples::Eight(values.into_iter().map(eight).collect()),
+            BitDepth::Sixteen => Samples::Sixteen(values.into_iter().map(sixteen).collect()),
+        };
+        Self { width: image.width(), height: image.height(), channels, samples }
+    }
+
+    /// A black picture without alpha, `channels` being 1 or 3.
+    pub fn blank([width, height]: [usize; 2], channels: usize, depth: BitDepth) -> Self {
+        let count = width * height * channels;
+        let samples = match depth {
+            BitDepth::Eight => Samples::Eight(vec![0; count]),
+            BitDepth::Sixteen => Samples::Sixteen(vec![0; count]),
+        };
+        Self { width, height, channels, samples }
+    }
+
+    /// Replaces the pixels from `x`, `y` on by those of an image; those without coverage are black.
+    ///
+    /// # Panics
+    /// If the image doesn't fit, or has another number of channels.
+    pub fn place(&mut self, image: &Image, coverage: Option<&[bool]>, [x, y]: [usize; 2]) {
+        assert_eq!(image.channels(), self.channels, "a part has the channels of the whole");
+        assert!(x + image.width() <= self.width && y + image.height() <= self.height);
+        let (channels, length) = (self.channels, image.width() * self.channels);
+        for row in 0..image.height() {
+            let start = ((y + row) * self.width + x) * channels;
+            let values = image.row(row).iter().enumerate().map(|(k, value)| {
+                let is_covered = coverage.is_none_or(|c| c[row * image.width() + k / channels]);
+                if is_covered { *value } else { 0.0 }
+            });
+            match &mut self.samples {
+                Samples::Eight(all) => {
+                    let part = all[start..start + length].iter_mut();
+                    part.zip(values).for_each(|(sample, value)| *sample = eight(value));
+                }
+                Samples::Sixteen(all) => {
+                    let part = all[start..start + length].iter_mut();
+                    part.zip(values).for_each(|(sample, value)| *sample = sixteen(value));
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_placed_by_their_top_left_pixel() {
+        let mut whole = Quantized::blank([4, 3], 1, BitDepth::Eight);
+        let part = Image::from_data(2, 2, 1, vec![1.0, 0.5, 2.0, f32::NAN]);
+        whole.place(&part, Some(&[true, true, true, false]), [1, 1]);
+        assert_eq!(whole.samples, Samples::Eight(vec![0, 0, 0, 0, 0, 255, 128, 0, 0, 255, 0, 0]));
+        let mut deep = Quantized::blank([2, 2], 1, BitDepth::Sixteen);
+        deep.place(&part, None, [0, 0]);
+        assert_eq!(deep, Quantized::new(&part, None, BitDepth::Sixteen));
+    }
+}
