@@ -123,11 +123,16 @@ impl CameraModel {
 
     /// The model for pixels of twice the size.
     pub fn halved(&self) -> Self {
+        self.scaled(0.5)
+    }
+
+    /// The model of images with `factor` times as many pixels a side.
+    pub fn scaled(&self, factor: f64) -> Self {
         let has_two_focals =
             ["PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV"].contains(&self.name());
         let intrinsics = if has_two_focals { 4 } else { 3 };
         let mut params = self.params();
-        params[..intrinsics].iter_mut().for_each(|v| *v *= 0.5);
+        params[..intrinsics].iter_mut().for_each(|v| *v *= factor);
         // These are the name and the number of parameters of this very model.
         Self::from_params(self.name(), &params).unwrap_or(*self)
     }

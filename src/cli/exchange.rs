@@ -2,37 +2,61 @@
 
 use super::CliError;
 use super::files::{CommandOutput, open_capture};
-use std::path::{Path, PathBuf};
-use stlfr::exchange::{self, ExchangeError, ImportClock, NamedCamera};
+use std::path::PathBuf;
+use stlfr::capture::Opening;
+use stlfr::exchange::{self, ImportClock, ImportRequest, NamedCamera};
 use stlfr::progress::Reporter;
+use stlfr::toolchain::find_ffmpeg;
 
-/// Make a capture from another program's calibration and from image sequences.
+/// Make a capture from another program's calibration and from videos or image sequences.
 ///
-/// The calibration is a folder with a COLMAP model, or a file `transforms.json` or
-/// `poses_bounds.npy`, which has no names: its rows are the folders in the order of the numbers in their
-/// names. Images are copied.
+/// The calibration is a folder with a COLMAP model, or a file: transforms.json, poses_bounds.npy, Calib.toml of Anipose
+/// or Pose2Sim, camera_array.toml of caliscope, or Qualisys' .qca.txt. Each camera's recording is the video or the folder
+/// of images with its name, else with its number. Images are copied, videos linked. Notes say what was decided.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr import sparse/0 --images frames --rate 30 -o .captures/mine\n  \
-    stlfr import transforms.json --images frames --rate 29.97 -o .captures/mine")]
+    stlfr import Calib.toml --images videos -o .captures/mine\n  \
+    stlfr import camera_array.toml --images recording_1 --times recording_1/timestamps.csv -o .captures/mine\n  \
+    stlfr import transforms.json -o .captures/mine\n\n\
+    A table of --table has the columns camera and frames, one of --times camera and time_s (or time_ms, time_us, time_ns).")]
 pub struct ImportArgs {
     /// The calibration's folder or file.
     calibration: PathBuf,
-    /// The folder with a sub-folder of images for each camera.
+    /// The folder with a video or a sub-folder of images for each camera [default for transforms.json: its own].
     #[arg(long, value_name = "FOLDER")]
-    images: PathBuf,
-    /// Frames a second.
-    #[arg(long, value_name = "HZ")]
-    rate: f64,
+    images: Option<PathBuf>,
+    /// A table that says which camera filmed what (CSV).
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    /// Frames a second [default: the times of the videos, of timestamps.csv or of the calibration].
+    #[arg(long, value_name = "HZ", conflicts_with = "times")]
+    rate: Option<f64>,
     /// The first frame's time on each camera's own clock, seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
     first: f64,
+    /// A table with the time of every frame (CSV).
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
     /// All cameras share one clock: there is nothing to estimate.
     #[arg(long)]
     shared: bool,
+    /// Images smaller than the calibration's are its top left part.
+    #[arg(long)]
+    crop: bool,
+    /// The unit of the calibration's lengths; Qualisys' are millimetres.
+    #[arg(long, value_enum, default_value = "m")]
+    unit: Unit,
     /// The capture to make: a new folder.
     #[arg(short, long, value_name = "CAPTURE")]
     output: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Unit {
+    M,
+    Cm,
+    Mm,
 }
 
 /// Write a capture's calibration for another program. Frames are not copied.
@@ -69,24 +93,31 @@ enum Format {
 }
 
 pub fn run_import(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError> {
-    if !(args.rate.is_finite() && args.rate > 0.0 && args.first.is_finite()) {
+    let is_rate = |rate: f64| rate.is_finite() && rate > 0.0;
+    if !(args.rate.is_none_or(is_rate) && args.first.is_finite()) {
         return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
     }
     CommandOutput::Capture(&args.output).check(None)?;
-    let cameras = read(&args.calibration)?;
+    let unit_m = match args.unit {
+        Unit::M => 1.0,
+        Unit::Cm => 0.01,
+        Unit::Mm => 0.001,
+    };
+    let cameras = exchange::read_calibration(&args.calibration, unit_m)?;
+    let is_json = args.calibration.extension().is_some_and(|e| e == "json");
+    let own = args.calibration.parent().filter(|_| is_json);
+    let images = args.images.as_deref().or(own).ok_or_else(|| {
+        CliError::BadInput("--images must name the folder of the cameras' recordings".into())
+    })?;
     let clock = ImportClock { rate_hz: args.rate, first_s: args.first, shared: args.shared };
-    if let Some(note) = exchange::import(&cameras, &args.images, clock, &args.output)? {
+    let (table, times) = (args.table.as_deref(), args.times.as_deref());
+    let request = ImportRequest { images, table, times, clock, is_cropped: args.crop };
+    let ffmpeg = find_ffmpeg();
+    let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter };
+    for note in exchange::import(&cameras, &request, &args.output, &opening)? {
         reporter.note(&note);
     }
     Ok(())
-}
-
-fn read(calibration: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
-    match calibration.extension().and_then(|e| e.to_str()) {
-        Some("npy") => exchange::read_llff(calibration),
-        Some("json") => exchange::read_nerf(calibration),
-        _ => exchange::read_colmap(calibration),
-    }
 }
 
 pub fn run_export(args: &ExportArgs, reporter: &Reporter) -> Result<(), CliError> {
@@ -106,7 +137,7 @@ pub fn run_export(args: &ExportArgs, reporter: &Reporter) -> Result<(), CliError
     let cameras: Vec<NamedCamera> = capture
         .cameras
         .iter()
-        .map(|c| NamedCamera { name: format!("{}/0000.png", c.id), camera: c.camera.clone() })
+        .map(|c| NamedCamera { name: format!("{}/0000.png", c.id), time_ns: None, camera: c.camera.clone() })
         .collect();
     match args.format {
         Format::Colmap => exchange::write_colmap_binary(output, &cameras)?,

@@ -65,7 +65,7 @@ fn named(lenses: &Lenses, image: ModelImage) -> Result<NamedCamera, String> {
     }
     let translation = Translation3::from(image.translation);
     let pose = Isometry3::from_parts(translation, UnitQuaternion::from_quaternion(rotation));
-    Ok(NamedCamera { name: image.name, camera: checked(*size, model, &pose)? })
+    Ok(NamedCamera { name: image.name, time_ns: None, camera: checked(*size, model, &pose)? })
 }
 
 fn bytes(path: &Path) -> Result<Vec<u8>, ExchangeError> {
@@ -289,7 +289,7 @@ pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), E
 pub fn write_colmap_binary(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let count = (cameras.len() as u64).to_le_bytes();
     let (mut lenses, mut images) = (count.to_vec(), count.to_vec());
-    for (number, NamedCamera { name, camera }) in (1_u32..).zip(cameras) {
+    for (number, NamedCamera { name, camera, .. }) in (1_u32..).zip(cameras) {
         let model = camera.model.name();
         let id = CameraModel::KNOWN.iter().find(|(known, ..)| *known == model);
         lenses.extend(number.to_le_bytes());

@@ -170,7 +170,7 @@ pub fn depth_npy() -> Target {
 }
 
 fn cameras() -> Vec<NamedCamera> {
-    ["cam0", "cam1"].map(|id| NamedCamera { name: id.into(), camera: camera() }).into()
+    ["cam0", "cam1"].map(|id| NamedCamera { name: id.into(), time_ns: None, camera: camera() }).into()
 }
 
 fn parse_colmap(folder: &Path) -> Result<(), String> {
