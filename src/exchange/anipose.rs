@@ -4,7 +4,9 @@
 //! or four of a fisheye), `rotation` (a vector of Rodrigues or a matrix) and `translation`, from the world to the camera.
 //! OpenCV has the centre of the first pixel at 0: half a pixel is added. Other tables are skipped.
 
-use super::{ExchangeError, NamedCamera, checked, content, opencv_model, pose_from_axes, whole_size};
+use super::{
+    ExchangeError, NamedCamera, checked, content, opencv_model, pose_from_axes, whole_size,
+};
 use crate::camera::CameraModel;
 use crate::host::read_text;
 use nalgebra::{Matrix3, Rotation3, Vector3};
@@ -12,8 +14,8 @@ use serde::Deserialize;
 use std::path::Path;
 use toml::{Table, Value};
 
-/// Largest file that is read, bytes: ten thousand cameras. Parsed, it takes some ten times as much memory.
-const MAX_BYTES: u64 = 16 << 20;
+/// Largest file that is read, bytes: two thousand cameras. Parsed, a hostile one takes a hundred times as much memory.
+const MAX_BYTES: u64 = 2 << 20;
 
 /// The fields of a camera. Others are skipped.
 #[derive(Debug, Deserialize)]
@@ -101,7 +103,11 @@ fn camera(key: &str, table: &CameraTable) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, time_ns: None, camera: checked(size, &model, &pose)? })
 }
 
-fn model(matrix: &[[f64; 3]; 3], distortions: &[f64], fisheye: bool) -> Result<CameraModel, String> {
+fn model(
+    matrix: &[[f64; 3]; 3],
+    distortions: &[f64],
+    fisheye: bool,
+) -> Result<CameraModel, String> {
     let [[fx, skew, cx], [zero, fy, cy], last] = *matrix;
     if skew != 0.0 || zero != 0.0 || last != [0.0, 0.0, 1.0] {
         return Err("matrix must be fx 0 cx, 0 fy cy, 0 0 1".into());

@@ -5,49 +5,49 @@ use crate::host::read_text;
 use crate::text::short;
 use std::path::Path;
 
-/// Largest table that is read, bytes: a day of sixteen cameras at 60 Hz has some 2 GB, an hour 100 MB.
-const MAX_BYTES: u64 = 256 << 20;
+/// Largest table that is read, bytes: an hour of sixteen cameras at 60 Hz has some 80 MB.
+const MAX_BYTES: u64 = 128 << 20;
 
-/// A row's number in its file, counted from 1, and its values in the order of the wanted columns.
-pub(super) struct Row {
-    pub line: usize,
-    pub values: Vec<String>,
-}
-
-/// Reads the wanted columns of a table. Each column is given by the names that it may have; returns the names that were
-/// found, and the rows. Empty lines are skipped.
+/// Reads the wanted columns of a table. Each column is given by the names that it may have; the names that were found
+/// and the number of the row's line are passed with the row's values in the wanted order. Empty lines are skipped.
 ///
 /// # Errors
-/// A missing column, a row with too few or too many values.
-pub(super) fn read_columns(
+/// A missing column, a row with too few or too many values, a reason of `row`.
+pub(super) fn read_columns<const N: usize>(
     path: &Path,
-    wanted: &[&[&str]],
-) -> Result<(Vec<String>, Vec<Row>), ExchangeError> {
+    wanted: [&[&str]; N],
+    row: impl FnMut(&[String; N], [&str; N]) -> Result<(), String>,
+) -> Result<(), ExchangeError> {
     let text = read_text(path, MAX_BYTES)
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
-    columns(&text, wanted).map_err(|reason| content(path, reason))
+    columns(&text, wanted, row).map_err(|reason| content(path, reason))
 }
 
-fn columns(text: &str, wanted: &[&[&str]]) -> Result<(Vec<String>, Vec<Row>), String> {
+fn columns<const N: usize>(
+    text: &str,
+    wanted: [&[&str]; N],
+    mut row: impl FnMut(&[String; N], [&str; N]) -> Result<(), String>,
+) -> Result<(), String> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let (_, head) = lines.next().ok_or("is empty")?;
-    let head = fields(head);
-    let mut at = Vec::new();
-    for names in wanted {
-        let found = head.iter().position(|name| names.contains(&name.to_lowercase().as_str()));
-        at.push(found.ok_or_else(|| format!("has no column {}", names.join(" or ")))?);
+    let head: Vec<String> = fields(head).iter().map(|name| name.to_lowercase()).collect();
+    let mut at = [0; N];
+    for (at, names) in at.iter_mut().zip(wanted) {
+        let found = head.iter().position(|name| names.contains(&name.as_str()));
+        *at = found.ok_or_else(|| format!("has no column {}", names.join(" or ")))?;
     }
-    let mut rows = Vec::new();
+    let names = at.map(|c| head[c].clone());
     for (k, line) in lines {
         let values = fields(line);
+        let wrong = |reason: String| format!("line {}: {reason}", k + 1);
         if values.len() != head.len() {
             let (found, expected) = (values.len(), head.len());
-            return Err(format!("line {}: has {found} values for {expected} columns", k + 1));
+            return Err(wrong(format!("has {found} values for {expected} columns")));
         }
-        rows.push(Row { line: k + 1, values: at.iter().map(|&c| values[c].clone()).collect() });
+        row(&names, at.map(|c| values[c].as_str())).map_err(wrong)?;
     }
-    Ok((at.iter().map(|&c| head[c].to_lowercase()).collect(), rows))
+    Ok(())
 }
 
 /// The values of a line, without blanks around them. Quotes hold a comma; two of them are one.
@@ -126,15 +126,21 @@ mod tests {
     fn columns_are_found_by_name() {
         let text = "\u{feff}index, Cam_ID ,\"frame_time\"\n\n1,\"a, b\",0.5\n2,c,0.75\n";
         let wanted: [&[&str]; 2] = [&["time_s", "frame_time"], &["cam_id"]];
-        let (names, rows) = columns(text, &wanted).unwrap();
-        assert_eq!(names, ["frame_time", "cam_id"]);
-        assert_eq!((rows[0].line, &rows[0].values[..]), (3, &["0.5".into(), "a, b".into()][..]));
+        let mut rows = Vec::new();
+        let read = columns(text, wanted, |names, values| {
+            assert_eq!(names, &["frame_time", "cam_id"]);
+            rows.push(values.map(str::to_owned));
+            Ok(())
+        });
+        assert_eq!((read, rows.len()), (Ok(()), 2));
+        assert_eq!(rows[0], ["0.5", "a, b"]);
         for (text, words) in [
             ("", "is empty"),
             ("cam_id\n", "no column time_s or frame_time"),
             ("cam_id,time_s\na\n", "line 2: has 1 values for 2 columns"),
+            ("cam_id,time_s\n\na,1\n", "line 3: no"),
         ] {
-            let error = columns(text, &wanted).err().unwrap();
+            let error = columns(text, wanted, |_, _| Err("no".into())).unwrap_err();
             assert!(error.contains(words), "{error}");
         }
     }

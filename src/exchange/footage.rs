@@ -249,7 +249,9 @@ fn grouped(
         *id = if are_ids { ids[k].clone() } else { format!("cam{k}") };
     }
     let (first, count) = (&groups[0].0, groups.len());
-    notes.push(format!("Images of one pose and lens are one camera: {count} cameras, from {first} on."));
+    notes.push(format!(
+        "Images of one pose and lens are one camera: {count} cameras, from {first} on."
+    ));
     Ok(groups)
 }
 

@@ -76,7 +76,8 @@ pub fn import(
     let [whole, scratch] = [WHOLE, SCRATCH].map(|name| temporary.path().join(name));
     [&whole, &scratch].into_iter().try_for_each(std::fs::create_dir).map_err(failed)?;
 
-    let Found { mut footage, mut notes, has_one_clock } = find(cameras, request, opening, &scratch)?;
+    let Found { mut footage, mut notes, has_one_clock } =
+        find(cameras, request, opening, &scratch)?;
     for one in &mut footage {
         notes.extend(fit(one, request.is_cropped)?);
     }
@@ -115,7 +116,8 @@ fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, Exchan
         return Ok(None);
     }
     let id = &footage.id;
-    let sizes = format!("{width}×{height} pixels, its calibration {}×{}", calibrated[0], calibrated[1]);
+    let sizes =
+        format!("{width}×{height} pixels, its calibration {}×{}", calibrated[0], calibrated[1]);
     if width * calibrated[1] == height * calibrated[0] {
         camera.model = camera.model.scaled(width as f64 / calibrated[0] as f64);
         (camera.width, camera.height) = (width, height);
@@ -146,7 +148,9 @@ fn steady_rate_hz(times_s: &[f64]) -> Option<f64> {
     let rounding = if times_s.iter().all(is_whole_ms) { MILLISECONDS_S } else { MICROSECONDS_S };
     let is_steady = |rate: &f64| {
         let off = |(k, t): (usize, &f64)| (t - first - k as f64 / rate).abs();
-        rate.is_finite() && *rate > 0.0 && times_s.iter().enumerate().all(|e| off(e) <= 2.0 * rounding)
+        rate.is_finite()
+            && *rate > 0.0
+            && times_s.iter().enumerate().all(|e| off(e) <= 2.0 * rounding)
     };
     let ntsc = (mean * 1.001).round() / 1.001;
     [mean.round(), ntsc, mean].into_iter().find(is_steady)

@@ -15,7 +15,10 @@
 
 mod anipose;
 mod colmap;
+mod colmap_rigs;
+mod colmap_values;
 mod csv;
+mod dataset;
 mod footage;
 mod import;
 mod llff;
@@ -23,14 +26,18 @@ mod nerf;
 mod pairing;
 mod qualisys;
 mod times;
+mod undistort;
 
 pub use anipose::read_anipose;
 pub use colmap::{COLMAP_BINARY_FILES, COLMAP_TEXT_FILES, colmap_text, read_colmap};
 pub use colmap::{write_colmap_binary, write_colmap_text};
+pub use dataset::{Dataset, DatasetFormat};
 pub use import::{ImportClock, ImportRequest, import};
 pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};
 pub use qualisys::read_qualisys;
+pub use times::{FrameTimes, read_times};
+pub use undistort::Undistortion;
 
 use crate::camera::{Camera, CameraFormat, CameraModel, PoseFormat};
 use crate::text::number;
@@ -82,8 +89,6 @@ pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, Ex
     Ok(cameras)
 }
 
-/// Largest file of a COLMAP model that is read, bytes: thousands of images with their points.
-const MAX_MODEL_BYTES: u64 = 768 << 20;
 /// Largest number of images, and of cameras, in a calibration.
 const MAX_ENTRIES: usize = 100_000;
 /// Largest entry of RᵀR − I for a rotation R; files with few printed digits are off by 1e-4.

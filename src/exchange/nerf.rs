@@ -126,7 +126,14 @@ fn name_and_distortion(model: &CameraModel) -> Option<(&'static str, BTreeMap<&'
         CameraModel::SimpleRadial { k, .. } => brown(k, 0.0, 0.0, 0.0),
         CameraModel::Radial { k, .. } => brown(k[0], k[1], 0.0, 0.0),
         CameraModel::OpenCv { k1, k2, p1, p2, .. } => brown(k1, k2, p1, p2),
-        CameraModel::FullOpenCv { .. } => None,
+        CameraModel::SimpleFisheye { .. } | CameraModel::Fisheye { .. } => fisheye([0.0; 4]),
+        CameraModel::FullOpenCv { .. }
+        | CameraModel::Fov { .. }
+        | CameraModel::ThinPrismFisheye { .. }
+        | CameraModel::RadTanThinPrismFisheye { .. }
+        | CameraModel::SimpleDivision { .. }
+        | CameraModel::Division { .. }
+        | CameraModel::Eucm { .. } => None,
         CameraModel::SimpleRadialFisheye { k, .. } => fisheye([k, 0.0, 0.0, 0.0]),
         CameraModel::RadialFisheye { k, .. } => fisheye([k[0], k[1], 0.0, 0.0]),
         CameraModel::OpenCvFisheye { k, .. } => fisheye(k),

@@ -1,7 +1,7 @@
 //! Pairs the cameras of a calibration with their videos or folders of images: by a table, by name, else by the numbers in
 //! the names.
 
-use super::csv::{Row, read_columns};
+use super::csv::read_columns;
 use super::{ExchangeError, NamedCamera, content};
 use crate::camera::Camera;
 use crate::text::{check_id, short};
@@ -13,8 +13,8 @@ const MAX_MOTION: f64 = 1e-6;
 
 /// File extensions of videos.
 const VIDEOS: [&str; 20] = [
-    "mkv", "mp4", "mov", "avi", "webm", "m4v", "mts", "m2ts", "ts", "mpg", "mpeg", "mxf", "3gp", "3g2", "ogv", "wmv",
-    "flv", "y4m", "nut", "ivf",
+    "mkv", "mp4", "mov", "avi", "webm", "m4v", "mts", "m2ts", "ts", "mpg", "mpeg", "mxf", "3gp",
+    "3g2", "ogv", "wmv", "flv", "y4m", "nut", "ivf",
 ];
 
 /// Cameras, named by their ids, with the folder or video of each camera's frames.
@@ -82,30 +82,28 @@ pub(super) fn pair_by_table(
 ) -> Result<Pairs, ExchangeError> {
     let is_nameless = is_nameless(cameras);
     let known = one_each(cameras).map_err(|reason| content(images, reason))?;
-    let (_, rows) = read_columns(table, &[&["camera"], &["frames", "video", "images"]])?;
     let mut pairs = Pairs { cameras: Vec::new(), recordings: Vec::new(), notes: Vec::new() };
-    let mut listed = Vec::new();
-    for Row { line, values } in rows {
-        let wrong = |reason: String| content(table, format!("line {line}: {reason}"));
-        let name = &values[0];
-        let camera = known.iter().find(|c| c.name == *name);
-        let camera = camera.ok_or_else(|| wrong(format!("there is no camera '{}'", short(name))))?;
-        if listed.contains(name) {
-            return Err(wrong(format!("there is a camera '{}' already", short(name))));
+    let mut listed: Vec<String> = Vec::new();
+    read_columns(table, [&["camera"], &["frames", "video", "images"]], |_, [name, frames]| {
+        let camera = known.iter().find(|c| c.name == name);
+        let mut camera =
+            camera.ok_or_else(|| format!("there is no camera '{}'", short(name)))?.clone();
+        if listed.iter().any(|other| other == name) {
+            return Err(format!("there is a camera '{}' already", short(name)));
         }
-        let path = images.join(&values[1]);
+        let path = images.join(frames);
         if !path.is_dir() && !path.is_file() {
-            return Err(wrong(format!("there is no '{}' in {}", short(&values[1]), images.display())));
+            return Err(format!("there is no '{}' in {}", short(frames), images.display()));
         }
-        let mut camera = camera.clone();
         if is_nameless {
             camera.name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            check_id(&camera.name).map_err(|reason| wrong(format!("the recording's name {reason}")))?;
+            check_id(&camera.name).map_err(|reason| format!("the recording's name {reason}"))?;
         }
-        listed.push(name.clone());
+        listed.push(name.to_owned());
         pairs.cameras.push(camera);
         pairs.recordings.push(path);
-    }
+        Ok(())
+    })?;
     if pairs.cameras.is_empty() {
         return Err(content(table, "lists no camera"));
     }
@@ -173,15 +171,21 @@ fn pair_by_number(
     let (first, last) = (&names[0], &names[wanted - 1]);
     let note = if is_nameless {
         for (camera, name) in cameras.iter_mut().zip(&names) {
-            check_id(name).map_err(|reason| content(images, format!("a recording's name {reason}")))?;
+            check_id(name)
+                .map_err(|reason| content(images, format!("a recording's name {reason}")))?;
             camera.name.clone_from(name);
         }
-        format!("The calibration has no names; its rows are the recordings by number, {first} to {last}.")
+        format!(
+            "The calibration has no names; its rows are the recordings by number, {first} to {last}."
+        )
     } else {
         let ids: Vec<String> = cameras.iter().map(|camera| camera.name.clone()).collect();
         let order = numbered_order(&ids).unwrap_or_default();
         if !order.iter().map(|&k| numbers(&ids[k])).eq(names.iter().map(|name| numbers(name))) {
-            return Err(content(images, format!("has recordings like {first}, and none {}", ids[0])));
+            return Err(content(
+                images,
+                format!("has recordings like {first}, and none {}", ids[0]),
+            ));
         }
         cameras = order.iter().map(|&k| cameras[k].clone()).collect();
         format!("Cameras and recordings are paired by number: {} is {first}.", ids[order[0]])

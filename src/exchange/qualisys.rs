@@ -4,14 +4,16 @@
 //! half a pixel is added. `transform` has the camera's axes right, up and back in the world, row by row. `fov_video` is the
 //! part of the sensor that is filmed. Distortion coefficients are OpenCV's, without a unit.
 
-use super::{ExchangeError, NamedCamera, checked, content, opencv_model, pose_from_axes, whole_size};
+use super::{
+    ExchangeError, NamedCamera, checked, content, opencv_model, pose_from_axes, whole_size,
+};
 use crate::host::read_text;
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 use std::path::Path;
 
-/// Largest file that is read, bytes: ten thousand cameras.
-const MAX_BYTES: u64 = 16 << 20;
+/// Largest file that is read, bytes: two thousand cameras.
+const MAX_BYTES: u64 = 4 << 20;
 /// Parts of a pixel in which the file counts.
 const PARTS: f64 = 64.0;
 const MM_PER_M: f64 = 1000.0;
@@ -28,7 +30,9 @@ pub fn read_qualisys(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let nodes = document.descendants().filter(|node| node.has_tag_name("camera")).filter(is_active);
     let cameras: Vec<NamedCamera> = nodes
         .enumerate()
-        .map(|(k, node)| camera(node).map_err(|reason| wrong(format!("camera {}: {reason}", k + 1))))
+        .map(|(k, node)| {
+            camera(node).map_err(|reason| wrong(format!("camera {}: {reason}", k + 1)))
+        })
         .collect::<Result<_, _>>()?;
     if cameras.is_empty() {
         return Err(wrong("holds no camera".into()));

@@ -280,7 +280,8 @@ fn every_frame_counts_in_an_import() {
         let folder = tempfile::tempdir().unwrap();
         let camera = sequence_of(&folder.path().join("images"), numbers);
         let target = folder.path().join("capture");
-        let error = import_by(&[camera], &folder.path().join("images"), CLOCK, &target).unwrap_err();
+        let error =
+            import_by(&[camera], &folder.path().join("images"), CLOCK, &target).unwrap_err();
         assert!(error.to_string().contains(words), "{error}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "only the images");
     }
@@ -358,7 +359,11 @@ fn every_camera_keeps_its_pose_through_export_and_import() {
             let last = name(count - 1);
             std::fs::create_dir_all(images.join(&last)).unwrap();
             let at = |k: usize| pinhole_at([0.5 + k as f64, 0.0, 0.0]);
-            let named = |k| NamedCamera { name: format!("{}/0000.png", name(k)), time_ns: None, camera: at(k) };
+            let named = |k| NamedCamera {
+                name: format!("{}/0000.png", name(k)),
+                time_ns: None,
+                camera: at(k),
+            };
             let cameras: Vec<NamedCamera> = (0..count).map(named).collect();
             let of_its_name = |pairs: &pairing::Pairs| {
                 assert_eq!(pairs.recordings.len(), count);
@@ -393,8 +398,11 @@ fn every_camera_keeps_its_pose_through_export_and_import() {
 #[test]
 fn names_that_differ_pair_by_number_or_not_at_all() {
     let folder = tempfile::tempdir().unwrap();
-    let camera =
-        |name: &str, x| NamedCamera { name: name.into(), time_ns: None, camera: pinhole_at([x, 0.0, 0.0]) };
+    let camera = |name: &str, x| NamedCamera {
+        name: name.into(),
+        time_ns: None,
+        camera: pinhole_at([x, 0.0, 0.0]),
+    };
     let cameras = [camera("view10.png", 10.0), camera("view9.png", 9.0)];
     for name in ["cam9", "cam10"] {
         std::fs::create_dir(folder.path().join(name)).unwrap();

@@ -2,7 +2,7 @@
 
 use super::csv::{nanoseconds, read_columns};
 use super::pairing::numbers;
-use super::{ExchangeError, content};
+use super::{ExchangeError, check_count};
 use crate::text::short;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,29 +14,44 @@ pub(super) const TIMES_FILE: &str = "timestamps.csv";
 const CAMERA: &[&str] = &["camera", "cam_id", "camera_id", "cam", "port"];
 /// Names of the column with the time.
 const TIME: &[&str] = &[
-    "time_s", "frame_time", "time", "timestamp", "timestamp_s", "time_ms", "timestamp_ms",
-    "time_us", "timestamp_us", "time_ns", "t_ns", "timestamp_ns",
+    "time_s",
+    "frame_time",
+    "time",
+    "timestamp",
+    "timestamp_s",
+    "time_ms",
+    "timestamp_ms",
+    "time_us",
+    "timestamp_us",
+    "time_ns",
+    "t_ns",
+    "timestamp_ns",
 ];
 
 /// Ascending times of each camera's frames by the camera's name in the table, nanoseconds.
-pub(super) type FrameTimes = BTreeMap<String, Vec<i64>>;
+pub type FrameTimes = BTreeMap<String, Vec<i64>>;
 
 /// Reads the times of all cameras. Rows may have any order. A column's name tells its unit: `time_ms`, `time_us` and
 /// `time_ns`, or else seconds.
-pub(super) fn read_times(path: &Path) -> Result<FrameTimes, ExchangeError> {
-    let (names, rows) = read_columns(path, &[CAMERA, TIME])?;
-    let digits = match names[1].rsplit('_').next() {
-        Some("ms") => 6,
-        Some("us") => 3,
-        Some("ns") => 0,
-        _ => 9,
-    };
+pub fn read_times(path: &Path) -> Result<FrameTimes, ExchangeError> {
     let mut times = FrameTimes::new();
-    for row in rows {
-        let time_ns = nanoseconds(&row.values[1], digits)
-            .map_err(|reason| content(path, format!("line {}: {reason}", row.line)))?;
-        times.entry(row.values[0].clone()).or_default().push(time_ns);
-    }
+    read_columns(path, [CAMERA, TIME], |[_, name], [camera, time]| {
+        let digits = match name.rsplit('_').next() {
+            Some("ms") => 6,
+            Some("us") => 3,
+            Some("ns") => 0,
+            _ => 9,
+        };
+        let time_ns = nanoseconds(time, digits)?;
+        match times.get_mut(camera) {
+            Some(times) => times.push(time_ns),
+            None => {
+                check_count(times.len() + 1, "cameras")?;
+                times.insert(camera.to_owned(), vec![time_ns]);
+            }
+        }
+        Ok(())
+    })?;
     times.values_mut().for_each(|times| times.sort_unstable());
     Ok(times)
 }

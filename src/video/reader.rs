@@ -65,7 +65,8 @@ pub fn decode(
     folder: &Path,
     limits: VideoLimits,
 ) -> Result<Vec<f64>, VideoError> {
-    let max_pixels: usize = limits.size.iter().map(|side| side.next_multiple_of(BLOCK_PX)).product();
+    let max_pixels: usize =
+        limits.size.iter().map(|side| side.next_multiple_of(BLOCK_PX)).product();
     let mut command = command(ffmpeg, folder, max_pixels);
     command
         .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-noautoscale"])
@@ -227,8 +228,7 @@ mod tests {
 
     #[test]
     fn listings_of_time_stamps() {
-        let text =
-            "#tb 0: 1/1000000\n#dimensions 0: 64x48\n0, 0, 0, 33000, 9, 0xe6\n0,  -5,   67000,    33000,   9, 0x59\n";
+        let text = "#tb 0: 1/1000000\n#dimensions 0: 64x48\n0, 0, 0, 33000, 9, 0xe6\n0,  -5,   67000,    33000,   9, 0x59\n";
         assert_eq!(times_s(text).unwrap(), [0.0, 0.067]);
         assert_eq!(dimensions(text), Some([64, 48]));
         assert!(times_s("0, 0, NOPTS, 1, 1, 0x0\n").is_err());

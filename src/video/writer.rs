@@ -15,6 +15,8 @@ pub enum Codec {
     Ffv1,
     /// H.264 in MP4, which browsers play: 8 bits, 4:2:0, visually lossless.
     H264,
+    /// H.264 in MP4 without loss, in RGB of 8 bits, which other programs' readers of videos decode.
+    H264Lossless,
 }
 
 /// The format of a video file.
@@ -45,7 +47,7 @@ impl Codec {
     pub fn suffix(self) -> &'static str {
         match self {
             Self::Ffv1 => "mkv",
-            Self::H264 => "mp4",
+            Self::H264 | Self::H264Lossless => "mp4",
         }
     }
 
@@ -53,6 +55,7 @@ impl Codec {
         let arguments = match self {
             Self::Ffv1 => "-c:v ffv1 -level 3 -g 1 -slicecrc 1 -f matroska",
             Self::H264 => "-c:v libx264 -pix_fmt yuv420p -crf 16 -movflags +faststart -f mp4",
+            Self::H264Lossless => "-c:v libx264rgb -qp 0 -movflags +faststart -f mp4",
         };
         arguments.split(' ')
     }

@@ -1,10 +1,10 @@
-//! `stlfr import` and `stlfr export`
+//! `stlfr import`
 
 use super::CliError;
-use super::files::{CommandOutput, open_capture};
+use super::files::CommandOutput;
 use std::path::PathBuf;
 use stlfr::capture::Opening;
-use stlfr::exchange::{self, ImportClock, ImportRequest, NamedCamera};
+use stlfr::exchange::{self, ImportClock, ImportRequest};
 use stlfr::progress::Reporter;
 use stlfr::toolchain::find_ffmpeg;
 
@@ -59,40 +59,7 @@ enum Unit {
     Mm,
 }
 
-/// Write a capture's calibration for another program. Frames are not copied.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  \
-    stlfr export .captures/demo --format colmap -o sparse/0\n  \
-    stlfr export .captures/demo --format llff --near 1 --far 6 -o poses_bounds.npy")]
-pub struct ExportArgs {
-    /// The capture's folder.
-    capture: PathBuf,
-    #[arg(long)]
-    format: Format,
-    /// The nearest depth, metres (llff).
-    #[arg(long, value_name = "METRES", required_if_eq("format", "llff"))]
-    near: Option<f64>,
-    /// The farthest depth, metres (llff).
-    #[arg(long, value_name = "METRES", required_if_eq("format", "llff"))]
-    far: Option<f64>,
-    /// The folder for COLMAP's files, or the file of another format.
-    #[arg(short, long, value_name = "PATH")]
-    output: PathBuf,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Format {
-    /// COLMAP's model in binary files.
-    Colmap,
-    /// COLMAP's model in text files.
-    ColmapText,
-    /// LLFF's poses_bounds.npy, in the order of the numbers in the cameras' ids.
-    Llff,
-    /// NeRF's transforms.json.
-    Nerf,
-}
-
-pub fn run_import(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError> {
     let is_rate = |rate: f64| rate.is_finite() && rate > 0.0;
     if !(args.rate.is_none_or(is_rate) && args.first.is_finite()) {
         return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
@@ -116,34 +83,6 @@ pub fn run_import(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError
     let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter };
     for note in exchange::import(&cameras, &request, &args.output, &opening)? {
         reporter.note(&note);
-    }
-    Ok(())
-}
-
-pub fn run_export(args: &ExportArgs, reporter: &Reporter) -> Result<(), CliError> {
-    let bounds_m = (args.near.unwrap_or(0.0), args.far.unwrap_or(0.0));
-    if matches!(args.format, Format::Llff)
-        && !(bounds_m.0 > 0.0 && bounds_m.1 > bounds_m.0 && bounds_m.1.is_finite())
-    {
-        return Err(CliError::BadInput("--near must be positive and --far larger".into()));
-    }
-    let output = &args.output;
-    let written = match args.format {
-        Format::Colmap => CommandOutput::Folder(output, &exchange::COLMAP_BINARY_FILES),
-        Format::ColmapText => CommandOutput::Folder(output, &exchange::COLMAP_TEXT_FILES),
-        Format::Llff | Format::Nerf => CommandOutput::File(output),
-    };
-    let capture = open_capture(&args.capture, Some(written), reporter)?;
-    let cameras: Vec<NamedCamera> = capture
-        .cameras
-        .iter()
-        .map(|c| NamedCamera { name: format!("{}/0000.png", c.id), time_ns: None, camera: c.camera.clone() })
-        .collect();
-    match args.format {
-        Format::Colmap => exchange::write_colmap_binary(output, &cameras)?,
-        Format::ColmapText => exchange::write_colmap_text(output, &cameras)?,
-        Format::Llff => exchange::write_llff(output, &cameras, bounds_m)?,
-        Format::Nerf => exchange::write_nerf(output, &cameras)?,
     }
     Ok(())
 }
