@@ -123,7 +123,8 @@ def film_with_true_offsets(capture_dir: Path, folder: Path) -> dict[str, float]:
     ids = [camera["id"] for camera in described["cameras"]]
     reference = described.get("reference", ids[(len(ids) - 1) // 2])
     relative = {i: offsets[i] - offsets[reference] for i in ids}
-    cameras = [{"id": i, "offset_s": relative[i], "std_err_s": 1e-5} for i in ids]
+    errors = {i: 0.0 if i == reference else 1e-5 for i in ids}
+    cameras = [{"id": i, "offset_s": relative[i], "std_err_s": errors[i]} for i in ids]
     text = json.dumps({"reference": reference, "cameras": cameras})
     (folder / "offsets.json").write_text(text)
     return relative
