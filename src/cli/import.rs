@@ -11,7 +11,7 @@ use stlfr::toolchain::find_ffmpeg;
 /// Make a capture from another program's calibration and from videos or image sequences.
 ///
 /// The calibration is a folder with a COLMAP model, or a file: transforms.json, poses_bounds.npy, Calib.toml of Anipose
-/// or Pose2Sim, camera_array.toml of caliscope, or Qualisys' .qca.txt. Each camera's recording is the video or the folder
+/// or Pose2Sim, camera_array.toml of caliscope, Qualisys' .qca.txt, or another capture's capture.json. Each camera's recording is the video or the folder
 /// of images with its name, else with its number. Images are copied, videos linked. Notes say what was decided.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -23,7 +23,7 @@ use stlfr::toolchain::find_ffmpeg;
 pub struct ImportArgs {
     /// The calibration's folder or file.
     calibration: PathBuf,
-    /// The folder with a video or a sub-folder of images for each camera [default for transforms.json: its own].
+    /// The folder with a video or a sub-folder of images for each camera [default for a .json: its own].
     #[arg(long, value_name = "FOLDER")]
     images: Option<PathBuf>,
     /// A table that says which camera filmed what (CSV).

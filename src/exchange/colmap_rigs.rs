@@ -21,7 +21,7 @@ const CAMERA: i32 = 0;
 type Rigs = HashMap<u32, HashMap<Sensor, Option<Isometry3<f64>>>>;
 
 /// An instant of a rig.
-struct RigFrame {
+struct ModelFrame {
     rig: u32,
     rig_from_world: Isometry3<f64>,
     /// Sensors and the numbers of their images.
@@ -41,7 +41,7 @@ pub(super) fn frame_poses(
     let rigs = parsed(&rigs_path, if is_binary { binary_rigs } else { text_rigs })?;
     let frames = parsed(&frames_path, if is_binary { binary_frames } else { text_frames })?;
     let mut poses = HashMap::new();
-    for RigFrame { rig, rig_from_world, images } in frames {
+    for ModelFrame { rig, rig_from_world, images } in frames {
         let wrong = |reason: String| content(&frames_path, reason);
         let sensors = rigs.get(&rig).ok_or_else(|| wrong(format!("there is no rig {rig}")))?;
         for (sensor, image) in images.into_iter().filter(|(sensor, _)| sensor.0 == CAMERA) {
@@ -81,7 +81,7 @@ fn binary_rigs(bytes: &[u8]) -> Result<Rigs, String> {
     Ok(rigs)
 }
 
-fn binary_frames(bytes: &[u8]) -> Result<Vec<RigFrame>, String> {
+fn binary_frames(bytes: &[u8]) -> Result<Vec<ModelFrame>, String> {
     let mut bytes = Bytes(bytes);
     let mut frames = Vec::new();
     for _ in 0..bytes.u64()? {
@@ -93,7 +93,7 @@ fn binary_frames(bytes: &[u8]) -> Result<Vec<RigFrame>, String> {
             images.push(((bytes.u32()?.cast_signed(), bytes.u32()?), bytes.u64()?));
             check_count(images.len(), "images of a frame")?;
         }
-        frames.push(RigFrame { rig, rig_from_world, images });
+        frames.push(ModelFrame { rig, rig_from_world, images });
         check_count(frames.len(), "frames")?;
     }
     bytes.is_at_end()?;
@@ -147,7 +147,7 @@ fn text_rigs(bytes: &[u8]) -> Result<Rigs, String> {
     Ok(rigs.into_iter().collect())
 }
 
-fn text_frames(bytes: &[u8]) -> Result<Vec<RigFrame>, String> {
+fn text_frames(bytes: &[u8]) -> Result<Vec<ModelFrame>, String> {
     lines(bytes, |fields| {
         value::<u32>(fields, "FRAME_ID")?;
         let rig = value(fields, "RIG_ID")?;
@@ -158,7 +158,7 @@ fn text_frames(bytes: &[u8]) -> Result<Vec<RigFrame>, String> {
             Ok::<_, String>((text_sensor(fields)?, value(fields, "DATA_ID")?))
         };
         let images = (0..count).map(|_| image(fields)).collect::<Result<_, _>>()?;
-        Ok(RigFrame { rig, rig_from_world, images })
+        Ok(ModelFrame { rig, rig_from_world, images })
     })
 }
 

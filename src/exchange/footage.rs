@@ -3,8 +3,9 @@
 use super::pairing::{
     Pairs, entries, extension, id_of, is_image, is_same, numbers, one_each, pair, pair_by_table,
 };
+use super::request::ImportRequest;
 use super::times::{FrameTimes, TIMES_FILE, read_times, times_of};
-use super::{ExchangeError, ImportRequest, NamedCamera, content};
+use super::{ExchangeError, NamedCamera, content};
 use crate::capture::{MAX_FRAMES, Opening};
 use crate::host::open_file;
 use crate::raster::read_header;
@@ -15,19 +16,19 @@ use std::path::{Path, PathBuf};
 pub(super) struct Footage {
     pub id: String,
     pub camera: NamedCamera,
-    pub frames: Frames,
+    pub frames: FootageFrames,
     /// The frames' times, nanoseconds, if they are known.
     pub times_ns: Option<Vec<i64>>,
 }
 
 /// Where frames are.
-pub(super) enum Frames {
+pub(super) enum FootageFrames {
     /// Image files in order.
     Images(Vec<PathBuf>),
     Video(PathBuf, VideoFacts),
 }
 
-impl Frames {
+impl FootageFrames {
     pub fn len(&self) -> usize {
         match self {
             Self::Images(files) => files.len(),
@@ -45,7 +46,7 @@ impl Frames {
 }
 
 /// The frames of all cameras, what is said about them, and whether their times are of one clock.
-pub(super) struct Found {
+pub(super) struct FoundFootage {
     pub footage: Vec<Footage>,
     pub notes: Vec<String>,
     pub has_one_clock: bool,
@@ -58,7 +59,7 @@ pub(super) fn find(
     request: &ImportRequest,
     opening: &Opening,
     scratch: &Path,
-) -> Result<Found, ExchangeError> {
+) -> Result<FoundFootage, ExchangeError> {
     let has_times = !cameras.is_empty() && cameras.iter().all(|c| c.time_ns.is_some());
     if has_times && request.table.is_none() && request.clock.rate_hz.is_none() {
         return listed(cameras, request.images);
@@ -71,9 +72,9 @@ pub(super) fn find(
     let mut footage = Vec::new();
     for (camera, path) in cameras.into_iter().zip(recordings) {
         let frames = if path.is_dir() {
-            Frames::Images(sequence(&path)?)
+            FootageFrames::Images(sequence(&path)?)
         } else {
-            Frames::Video(path.clone(), facts(&path, opening, scratch)?)
+            FootageFrames::Video(path.clone(), facts(&path, opening, scratch)?)
         };
         let times_ns = match &times {
             Some((file, times)) => Some(checked_times(file, times, &camera.name, frames.len())?),
@@ -81,7 +82,7 @@ pub(super) fn find(
         };
         footage.push(Footage { id: camera.name.clone(), camera, frames, times_ns });
     }
-    Ok(Found { footage, notes, has_one_clock: false })
+    Ok(FoundFootage { footage, notes, has_one_clock: false })
 }
 
 /// The times that are given, or that lie beside the images, and their file.
@@ -135,10 +136,10 @@ fn facts(path: &Path, opening: &Opening, scratch: &Path) -> Result<VideoFacts, E
 }
 
 /// Width and height of the images, pixels.
-pub(super) fn image_size(frames: &Frames) -> Result<[usize; 2], ExchangeError> {
+pub(super) fn image_size(frames: &FootageFrames) -> Result<[usize; 2], ExchangeError> {
     match frames {
-        Frames::Video(_, facts) => Ok(facts.size),
-        Frames::Images(files) => {
+        FootageFrames::Video(_, facts) => Ok(facts.size),
+        FootageFrames::Images(files) => {
             let header = read_header(&files[0]).map_err(|error| {
                 let message = error.to_string();
                 let path = format!("{}: ", files[0].display());
@@ -187,7 +188,7 @@ fn number(file: &Path) -> Result<u64, String> {
 }
 
 /// The images that a calibration lists, each with its time, in the order of their times.
-fn listed(images: &[NamedCamera], folder: &Path) -> Result<Found, ExchangeError> {
+fn listed(images: &[NamedCamera], folder: &Path) -> Result<FoundFootage, ExchangeError> {
     let wrong = |reason: String| content(folder, reason);
     let mut notes = vec!["The frames' times are those of the calibration, as of one clock.".into()];
     let groups = grouped(images, &mut notes).map_err(wrong)?;
@@ -203,11 +204,11 @@ fn listed(images: &[NamedCamera], folder: &Path) -> Result<Found, ExchangeError>
         footage.push(Footage {
             id,
             camera: members[0].clone(),
-            frames: Frames::Images(files),
+            frames: FootageFrames::Images(files),
             times_ns: Some(times_ns),
         });
     }
-    Ok(Found { footage, notes, has_one_clock: true })
+    Ok(FoundFootage { footage, notes, has_one_clock: true })
 }
 
 /// A file that a calibration lists; NeRF's leave its extension out.

@@ -1,7 +1,8 @@
 //! Makes a capture from a calibration, and from videos or image sequences.
 
-use super::footage::{Footage, Found, Frames, find, image_size};
+use super::footage::{Footage, FootageFrames, FoundFootage, find, image_size};
 use super::pairing::{all_entries, extension};
+use super::request::{ImportClock, ImportRequest};
 use super::{ExchangeError, NamedCamera, content};
 use crate::camera::CameraFormat;
 use crate::capture::{
@@ -12,32 +13,6 @@ use crate::host::{open_file, write_json};
 use crate::text::number;
 use std::fs::File;
 use std::path::{Path, PathBuf};
-
-/// The clock of every imported camera, as far as it is given.
-#[derive(Clone, Copy, Debug)]
-pub struct ImportClock {
-    /// Frame rate, hertz; `None` if the frames' times come from a file or the videos.
-    pub rate_hz: Option<f64>,
-    /// Time of the first frame, seconds. It is added to the videos' own times, too.
-    pub first_s: f64,
-    /// Whether all cameras share one clock.
-    pub shared: bool,
-}
-
-/// What is imported.
-#[derive(Clone, Copy, Debug)]
-pub struct ImportRequest<'a> {
-    /// The folder with a sub-folder of images or a video for each camera.
-    pub images: &'a Path,
-    /// A table of cameras and their recordings; without one, they are paired by name or number.
-    pub table: Option<&'a Path>,
-    /// A table of all frames' times.
-    pub times: Option<&'a Path>,
-    pub clock: ImportClock,
-    /// Whether images smaller than the calibration's are its top left part. Otherwise they are refused, unless they are
-    /// the whole image at another resolution.
-    pub is_cropped: bool,
-}
 
 /// Name of the capture inside its temporary folder.
 const WHOLE: &str = "capture";
@@ -76,7 +51,7 @@ pub fn import(
     let [whole, scratch] = [WHOLE, SCRATCH].map(|name| temporary.path().join(name));
     [&whole, &scratch].into_iter().try_for_each(std::fs::create_dir).map_err(failed)?;
 
-    let Found { mut footage, mut notes, has_one_clock } =
+    let FoundFootage { mut footage, mut notes, has_one_clock } =
         find(cameras, request, opening, &scratch)?;
     for one in &mut footage {
         notes.extend(fit(one, request.is_cropped)?);
@@ -191,7 +166,7 @@ fn clocks(
             (None, Some(times_ns), _) => {
                 stamped(times_ns.iter().map(|t| (t - from_ns) as f64 / 1e9).collect())
             }
-            (None, None, Frames::Video(_, facts)) => match steady_rate_hz(&facts.times_s) {
+            (None, None, FootageFrames::Video(_, facts)) => match steady_rate_hz(&facts.times_s) {
                 Some(rate_hz) => {
                     rates.push(rate_hz);
                     steady(rate_hz, first_s + facts.times_s[0])
@@ -201,7 +176,7 @@ fn clocks(
                     stamped(facts.times_s.iter().map(|t| first_s + t).collect())
                 }
             },
-            (None, None, Frames::Images(files)) => {
+            (None, None, FootageFrames::Images(files)) => {
                 let reason = "is an image, which has no time: give --rate or --times";
                 return Err(content(&files[0], reason));
             }
@@ -237,12 +212,12 @@ fn summary(filmed: &[FilmedCameraFormat], footage: &[Footage]) -> String {
 fn place(footage: &Footage, whole: &Path, target: &Path) -> Result<String, ExchangeError> {
     let id = &footage.id;
     match &footage.frames {
-        Frames::Images(files) => {
+        FootageFrames::Images(files) => {
             copy(files, &whole.join(id), target)?;
             let extension = extension(&files[0]).unwrap_or_default();
             Ok(format!("{id}/%04d.{extension}"))
         }
-        Frames::Video(path, _) => {
+        FootageFrames::Video(path, _) => {
             let name = format!("{id}.{}", extension(path).unwrap_or_default());
             let linked = path.canonicalize().and_then(|path| {
                 let to = whole.join(&name);

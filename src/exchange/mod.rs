@@ -25,6 +25,7 @@ mod llff;
 mod nerf;
 mod pairing;
 mod qualisys;
+mod request;
 mod times;
 mod undistort;
 
@@ -32,14 +33,17 @@ pub use anipose::read_anipose;
 pub use colmap::{COLMAP_BINARY_FILES, COLMAP_TEXT_FILES, colmap_text, read_colmap};
 pub use colmap::{write_colmap_binary, write_colmap_text};
 pub use dataset::{Dataset, DatasetFormat};
-pub use import::{ImportClock, ImportRequest, import};
+pub use import::import;
 pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};
 pub use qualisys::read_qualisys;
+pub use request::{ImportClock, ImportRequest};
 pub use times::{FrameTimes, read_times};
 pub use undistort::Undistortion;
 
 use crate::camera::{Camera, CameraFormat, CameraModel, PoseFormat};
+use crate::capture::{CaptureFormat, FilmedCameraFormat};
+use crate::json;
 use crate::text::number;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
@@ -74,12 +78,14 @@ pub enum ExchangeError {
     Content { path: PathBuf, reason: String },
 }
 
-/// Reads a calibration: a folder with a COLMAP model, or a file, whose extension is that of its format. Lengths of all
+/// Reads a calibration: a folder with a COLMAP model, or a file, whose extension is that of its format. That of a
+/// `capture.json` is that of its cameras. Lengths of all
 /// formats but Qualisys', which has millimetres, are in units of `unit_m` metres.
 pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, ExchangeError> {
     let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     let mut cameras = match extension.as_deref().filter(|_| !path.is_dir()) {
         Some("npy") => read_llff(path)?,
+        Some("json") if is_capture(path) => read_capture(path)?,
         Some("json") => read_nerf(path)?,
         Some("toml") => read_anipose(path)?,
         Some("txt" | "qca" | "xml") => return read_qualisys(path),
@@ -87,6 +93,28 @@ pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, Ex
     };
     cameras.iter_mut().for_each(|c| c.camera.cam_from_world.translation.vector *= unit_m);
     Ok(cameras)
+}
+
+/// Whether a JSON file says that it describes a capture.
+fn is_capture(path: &Path) -> bool {
+    #[derive(serde::Deserialize)]
+    struct Head {
+        format: Option<String>,
+    }
+    let head = json::read::<Head>(path);
+    head.is_ok_and(|head| head.format.as_deref() == Some("stlfr-capture"))
+}
+
+/// Reads the cameras of a `capture.json`, named by their ids: the calibration of another recording of the same array.
+fn read_capture(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
+    let format: CaptureFormat = json::read(path).map_err(|error| content(path, error))?;
+    let named = |(k, camera): (usize, FilmedCameraFormat)| {
+        let wrong = |error| content(path, format!("cameras[{k}].{error}"));
+        let FilmedCameraFormat { id, width, height, model, params, cam_from_world, .. } = camera;
+        let format = CameraFormat { width, height, model, params, cam_from_world };
+        Ok(NamedCamera { name: id, time_ns: None, camera: format.camera().map_err(wrong)? })
+    };
+    format.cameras.into_iter().enumerate().map(named).collect()
 }
 
 /// Largest number of images, and of cameras, in a calibration.

@@ -26,7 +26,7 @@ pub(super) struct Pairs {
 }
 
 /// A folder of images or a video, and its name without the extension.
-struct Recording {
+struct NamedRecording {
     name: String,
     path: PathBuf,
 }
@@ -121,7 +121,7 @@ fn is_nameless(cameras: &[NamedCamera]) -> bool {
 }
 
 /// Sub-folders and videos of a folder, by name.
-fn recordings(images: &Path) -> Result<Vec<Recording>, ExchangeError> {
+fn recordings(images: &Path) -> Result<Vec<NamedRecording>, ExchangeError> {
     let mut paths = entries(images)?;
     paths.sort();
     let recording = |path: PathBuf| {
@@ -132,7 +132,7 @@ fn recordings(images: &Path) -> Result<Vec<Recording>, ExchangeError> {
         } else {
             return None;
         };
-        Some(Recording { name, path })
+        Some(NamedRecording { name, path })
     };
     Ok(paths.into_iter().filter_map(recording).collect())
 }
@@ -149,7 +149,7 @@ fn is_footage(path: &Path) -> bool {
 
 fn pair_by_number(
     mut cameras: Vec<NamedCamera>,
-    recordings: Vec<Recording>,
+    recordings: Vec<NamedRecording>,
     is_nameless: bool,
     images: &Path,
 ) -> Result<Pairs, ExchangeError> {
