@@ -107,7 +107,7 @@
 //! | a method of a stage | its enum beside the stage's options, such as [`interpolation::SyncMethod`], with a line in `methods!`; then what the compiler asks for |
 //! | an option | a line in the `options!` of the stage, such as [`lumigraph::BlendOptions`]; command line, schema and Python follow |
 //! | a cached result | its inputs in `light_field/stages.rs`, and a `Stage` for them; on disk a `StoredStage`, which `light_field/prepare.rs` writes |
-//! | a format of `import` or `export` | a file in [`exchange`], and a line in `cli/exchange.rs` |
+//! | a format of `import` or `export` | a file in [`exchange`], and a line in `read_calibration` there or in `cli/export.rs` |
 //!
 //! # The command line
 //!
@@ -140,6 +140,20 @@
 //! Processes that run the same command for a sequence of images share it, each taking images that no other has, on
 //! machines that see one folder with locks. Stopped, it continues. A folder `.stlfr-render-…` beside the images says
 //! what is done, until all is.
+//!
+//! # Recordings of real cameras
+//!
+//! `stlfr import CALIBRATION --images FOLDER -o CAPTURE` makes a capture of another program's calibration ([`exchange`] has
+//! the formats) and of a video or a folder of images for each camera. A recording belongs to the camera of its name, else
+//! of its number, or as `--table` says; the notes say which. Frames have the times of `--times`, of `timestamps.csv` beside
+//! the recordings, of the calibration or of the video; `--rate` overrides them. Times of different cameras need not agree:
+//! `stlfr offsets` estimates how far their clocks are apart, unless `--shared` says that they are one.
+//! Variable rates, rotation flags, limited range, 10 bits, cameras of different rates and sizes, and recordings that start
+//! or end apart are read as they are. Interlaced or damaged video is refused. A calibration at another resolution is
+//! scaled; images of another shape are refused, unless `--crop` says that they are its top left part.
+//!
+//! `stlfr export CAPTURE --synchronized` renders all cameras at common instants, for programs that need synchronized images;
+//! `--frames` writes the frames as filmed with their estimated times. `--undistort` makes them images of pinholes.
 //!
 //! # In the browser
 //!

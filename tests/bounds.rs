@@ -63,7 +63,7 @@ fn npy([height, width]: [usize; 2]) -> Vec<u8> {
 /// Where a file is put, and the command that reads it, with the inputs' folder for `@`.
 type Reader = (&'static str, &'static str);
 
-const READERS: [Reader; 13] = [
+const READERS: [Reader; 17] = [
     ("capture.json", "plan @"),
     ("offsets.json", "offsets @"),
     ("truth/truth.json", "compare @ -o @/review"),
@@ -77,6 +77,10 @@ const READERS: [Reader; 13] = [
     ("txt/images.txt", "import @/txt --images @ --rate 25 -o @/new"),
     ("nerf.json", "import @/nerf.json --images @ --rate 25 -o @/new"),
     ("llff.npy", "import @/llff.npy --images @ --rate 25 -o @/new"),
+    ("Calib.toml", "import @/Calib.toml --images @ --rate 25 -o @/new"),
+    ("Calib.qca.txt", "import @/Calib.qca.txt --images @ --rate 25 -o @/new"),
+    ("times.csv", "import @/nerf.json --images @ --times @/times.csv -o @/new"),
+    ("bin/times.bin", "import @/bin --images @ --rate 25 -o @/new"),
 ];
 
 /// How a command on a hostile input ended.

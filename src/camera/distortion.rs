@@ -1,6 +1,11 @@
 //! Lens distortion on the normalized plane z = 1, its inverse, and its domain.
 
-use nalgebra::{Matrix2, Point2, Vector2};
+use super::prism::PrismFisheye;
+use super::radial_curve::RadialCurve;
+use super::solve::{
+    ITERATIONS, MAX_ANGLE, MAX_RESIDUAL, MIN_SLOPE, STEP, is_positive_up_to, newton, polynomial,
+};
+use nalgebra::{Matrix2, Point2};
 
 /// A lens's distortion as a map of the plane z = 1. Coefficients are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,18 +17,11 @@ pub(super) enum Distortion {
     Brown { k: [f64; 6], p: [f64; 2] },
     /// Kannala and Brandt's model: the angle θ from the axis is mapped to θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸).
     Fisheye { k: [f64; 4] },
+    /// A radial map with an inverse in closed form.
+    Curve(RadialCurve),
+    /// A fisheye whose elements are tilted.
+    Prism(PrismFisheye),
 }
-
-/// Newton's method stops when a step is shorter than this, in normalized units.
-const STEP: f64 = 1e-14;
-/// Maximum number of Newton steps: 3 to 6 are usual, some 30 next to the fold, where convergence is linear.
-const ITERATIONS: usize = 60;
-/// Minimum slope of the distortion, and minimum determinant of its derivative, inside of the fold.
-const MIN_SLOPE: f64 = 1e-9;
-/// Maximum residual of a solution, in normalized units.
-const MAX_RESIDUAL: f64 = 1e-12;
-/// Maximum angle from the axis, radians: at 90° the plane z = 1 has no point.
-const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
 
 impl Distortion {
     /// The distorted point, by the model's formula. It is meaningful only inside of the fold.
@@ -48,6 +46,8 @@ impl Distortion {
                 let theta = r.atan();
                 n * (theta * polynomial(&angular(k), theta * theta) / r)
             }
+            Self::Curve(curve) => n * curve.scale(n.coords.norm()),
+            Self::Prism(prism) => prism.distorted(n),
         }
     }
 
@@ -66,6 +66,8 @@ impl Distortion {
                 let theta = n.coords.norm().atan();
                 is_positive_up_to(&angular_slope(k), theta * theta)
             }
+            Self::Curve(curve) => curve.is_short_of_fold(n.coords.norm()),
+            Self::Prism(prism) => prism.is_short_of_fold(n),
         }
     }
 
@@ -77,40 +79,16 @@ impl Distortion {
         }
         match self {
             Self::None => Some(*d),
-            Self::Brown { .. } => self.undistorted_brown(d),
+            Self::Brown { .. } => newton(
+                d,
+                |n| self.distorted(n),
+                |n| self.derivative(n),
+                |n| self.is_short_of_fold(n),
+            ),
             Self::Fisheye { k } => undistorted_fisheye(k, d),
+            Self::Curve(curve) => curve.undistorted(d),
+            Self::Prism(prism) => prism.undistorted(d),
         }
-    }
-
-    /// Inverts Brown's model by Newton's method; steps that would cross the fold are halved.
-    fn undistorted_brown(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
-        // Starts at the distorted point. With pincushion distortion it may lie beyond the fold; points near
-        // the axis never do.
-        let mut n = *d;
-        for _ in 0..ITERATIONS {
-            if self.is_short_of_fold(&n) {
-                break;
-            }
-            n *= 0.5;
-        }
-        for _ in 0..ITERATIONS {
-            let residual: Vector2<f64> = self.distorted(&n) - d;
-            let mut step = self.derivative(&n).try_inverse()? * residual;
-            let is_last = step.norm() < STEP * (1.0 + n.coords.norm());
-            let mut halvings = 0;
-            while !self.is_short_of_fold(&(n - step)) {
-                step *= 0.5;
-                halvings += 1;
-                if halvings == ITERATIONS {
-                    return None;
-                }
-            }
-            n -= step;
-            if is_last {
-                break;
-            }
-        }
-        ((self.distorted(&n) - d).norm() < MAX_RESIDUAL * (1.0 + d.coords.norm())).then_some(n)
     }
 
     /// Jacobian of [`Self::distorted`] for Brown's model; the identity for the others.
@@ -171,11 +149,6 @@ fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
     (fits && theta < MAX_ANGLE && is_positive_up_to(&slope, t2)).then(|| d * (theta.tan() / target))
 }
 
-/// Value of a polynomial at s, lowest power first.
-fn polynomial<const N: usize>(coefficients: &[f64; N], s: f64) -> f64 {
-    coefficients.iter().rev().fold(0.0, |sum, c| sum * s + c)
-}
-
 /// Coefficients of the numerator and the denominator of Brown's radial part, in powers of s = r².
 fn radial_quotient(k: &[f64; 6]) -> [[f64; 4]; 2] {
     [[1.0, k[0], k[1], k[2]], [1.0, k[3], k[4], k[5]]]
@@ -203,58 +176,11 @@ fn angular_slope(k: &[f64; 4]) -> [f64; 5] {
     [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]]
 }
 
-/// Maximum number of halvings before a polynomial that touches zero counts as crossing it.
-const MAX_DEPTH: usize = 40;
-
-/// Whether a polynomial (lowest power first, 1 at 0) is above [`MIN_SLOPE`] on all of [0, end].
-///
-/// Its Bernstein coefficients bound it on an interval (Farouki 2012, §3); where they don't decide,
-/// the interval is halved. False if a coefficient or `end` is not finite.
-fn is_positive_up_to<const N: usize>(coefficients: &[f64; N], end: f64) -> bool {
-    let mut scaled = *coefficients;
-    let mut power = 1.0;
-    for c in &mut scaled {
-        *c *= power;
-        power *= end;
-    }
-    // b_i = Σ_j≤i C(i, j) / C(n, j) c_j.
-    let degree = N - 1;
-    let mut bernstein = [0.0; N];
-    for (i, b) in bernstein.iter_mut().enumerate() {
-        let mut ratio = 1.0;
-        for (j, c) in scaled.iter().enumerate().take(i + 1) {
-            *b += ratio * c;
-            if j < degree {
-                ratio *= (i - j) as f64 / (degree - j) as f64;
-            }
-        }
-    }
-    bernstein.iter().all(|b| b.is_finite()) && is_bernstein_positive(bernstein, MAX_DEPTH)
-}
-
-fn is_bernstein_positive<const N: usize>(b: [f64; N], depth: usize) -> bool {
-    if b.iter().all(|&v| v > MIN_SLOPE) {
-        return true;
-    }
-    if depth == 0 || !(b[0] > MIN_SLOPE && b[N - 1] > MIN_SLOPE) {
-        return false;
-    }
-    // de Casteljau at the middle: the first of each row is the left half's, the last the right's.
-    let (mut left, mut right, mut row) = ([0.0; N], b, b);
-    for i in 0..N {
-        left[i] = row[0];
-        right[N - 1 - i] = row[N - 1 - i];
-        for j in 0..N - 1 - i {
-            row[j] = 0.5 * (row[j] + row[j + 1]);
-        }
-    }
-    is_bernstein_positive(left, depth - 1) && is_bernstein_positive(right, depth - 1)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::random::Random;
+    use nalgebra::Vector2;
 
     #[test]
     fn positivity_is_that_of_the_densely_sampled_polynomial() {

@@ -198,7 +198,7 @@ mod tests {
         let cases: [(Break, &str); 8] = [
             (|c| c.width = 0, "width"),
             (|c| (c.width, c.height) = (65_536, 65_536), "width"),
-            (|c| c.model = "FISHEYE".into(), "model"),
+            (|c| c.model = "FISH".into(), "model"),
             (|c| c.params.push(0.0), "model"),
             (|c| c.params[0] = -1.0, "params"),
             (|c| c.cam_from_world.rotation_wxyz = [0.9, 0.0, 0.0, 0.0], "cam_from_world.rotation"),

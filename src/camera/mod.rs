@@ -12,6 +12,9 @@ mod distortion;
 mod epipolar;
 mod format;
 mod model;
+mod prism;
+mod radial_curve;
+mod solve;
 
 pub use epipolar::{EpipolarGeometry, EpipolarLine};
 pub use format::{CameraFormat, CameraFormatError, MAX_QUATERNION_ERROR, PoseFormat, ViewFormat};

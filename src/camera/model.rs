@@ -1,6 +1,8 @@
 //! Lens models: normalized image plane (z = 1) to pixels and back.
 
 use super::distortion::Distortion;
+use super::prism::PrismFisheye;
+use super::radial_curve::RadialCurve;
 use nalgebra::Point2;
 
 /// COLMAP's camera models, in its names and parameter order. Focal lengths and principal point
@@ -25,11 +27,35 @@ pub enum CameraModel {
     RadialFisheye { f: f64, cx: f64, cy: f64, k: [f64; 2] },
     /// `OPENCV_FISHEYE`: fx, fy, cx, cy, k1, k2, k3, k4.
     OpenCvFisheye { fx: f64, fy: f64, cx: f64, cy: f64, k: [f64; 4] },
+    /// `FOV`: fx, fy, cx, cy, omega.
+    Fov { fx: f64, fy: f64, cx: f64, cy: f64, omega: f64 },
+    /// `THIN_PRISM_FISHEYE`: fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, sx1, sy1.
+    ThinPrismFisheye { fx: f64, fy: f64, cx: f64, cy: f64, k: [f64; 4], p: [f64; 2], s: [f64; 2] },
+    /// `RAD_TAN_THIN_PRISM_FISHEYE`: fx, fy, cx, cy, k0 to k5, p0, p1, s0 to s3.
+    RadTanThinPrismFisheye {
+        fx: f64,
+        fy: f64,
+        cx: f64,
+        cy: f64,
+        k: [f64; 6],
+        p: [f64; 2],
+        s: [f64; 4],
+    },
+    /// `SIMPLE_DIVISION`: f, cx, cy, k.
+    SimpleDivision { f: f64, cx: f64, cy: f64, k: f64 },
+    /// `DIVISION`: fx, fy, cx, cy, k.
+    Division { fx: f64, fy: f64, cx: f64, cy: f64, k: f64 },
+    /// `SIMPLE_FISHEYE`: f, cx, cy.
+    SimpleFisheye { f: f64, cx: f64, cy: f64 },
+    /// `FISHEYE`: fx, fy, cx, cy.
+    Fisheye { fx: f64, fy: f64, cx: f64, cy: f64 },
+    /// `EUCM`: fx, fy, cx, cy, alpha, beta.
+    Eucm { fx: f64, fy: f64, cx: f64, cy: f64, alpha: f64, beta: f64 },
 }
 
 impl CameraModel {
     /// All models: COLMAP's name, its number in COLMAP's binary files, and the number of parameters.
-    pub const KNOWN: [(&str, i32, usize); 9] = [
+    pub const KNOWN: [(&str, i32, usize); 17] = [
         ("SIMPLE_PINHOLE", 0, 3),
         ("PINHOLE", 1, 4),
         ("SIMPLE_RADIAL", 2, 4),
@@ -39,6 +65,14 @@ impl CameraModel {
         ("FULL_OPENCV", 6, 12),
         ("SIMPLE_RADIAL_FISHEYE", 8, 4),
         ("RADIAL_FISHEYE", 9, 5),
+        ("FOV", 7, 5),
+        ("THIN_PRISM_FISHEYE", 10, 12),
+        ("RAD_TAN_THIN_PRISM_FISHEYE", 11, 16),
+        ("SIMPLE_DIVISION", 12, 4),
+        ("DIVISION", 13, 5),
+        ("SIMPLE_FISHEYE", 14, 3),
+        ("FISHEYE", 15, 4),
+        ("EUCM", 16, 6),
     ];
 
     /// COLMAP's name of the model.
@@ -53,17 +87,29 @@ impl CameraModel {
             Self::SimpleRadialFisheye { .. } => "SIMPLE_RADIAL_FISHEYE",
             Self::RadialFisheye { .. } => "RADIAL_FISHEYE",
             Self::OpenCvFisheye { .. } => "OPENCV_FISHEYE",
+            Self::Fov { .. } => "FOV",
+            Self::ThinPrismFisheye { .. } => "THIN_PRISM_FISHEYE",
+            Self::RadTanThinPrismFisheye { .. } => "RAD_TAN_THIN_PRISM_FISHEYE",
+            Self::SimpleDivision { .. } => "SIMPLE_DIVISION",
+            Self::Division { .. } => "DIVISION",
+            Self::SimpleFisheye { .. } => "SIMPLE_FISHEYE",
+            Self::Fisheye { .. } => "FISHEYE",
+            Self::Eucm { .. } => "EUCM",
         }
     }
 
     /// The parameters in COLMAP's order.
     pub fn params(&self) -> Vec<f64> {
         match *self {
-            Self::SimplePinhole { f, cx, cy } => vec![f, cx, cy],
-            Self::Pinhole { fx, fy, cx, cy } => vec![fx, fy, cx, cy],
-            Self::SimpleRadial { f, cx, cy, k } | Self::SimpleRadialFisheye { f, cx, cy, k } => {
-                vec![f, cx, cy, k]
+            Self::SimplePinhole { f, cx, cy } | Self::SimpleFisheye { f, cx, cy } => {
+                vec![f, cx, cy]
             }
+            Self::Pinhole { fx, fy, cx, cy } | Self::Fisheye { fx, fy, cx, cy } => {
+                vec![fx, fy, cx, cy]
+            }
+            Self::SimpleRadial { f, cx, cy, k }
+            | Self::SimpleRadialFisheye { f, cx, cy, k }
+            | Self::SimpleDivision { f, cx, cy, k } => vec![f, cx, cy, k],
             Self::Radial { f, cx, cy, k } | Self::RadialFisheye { f, cx, cy, k } => {
                 vec![f, cx, cy, k[0], k[1]]
             }
@@ -76,6 +122,16 @@ impl CameraModel {
             Self::OpenCvFisheye { fx, fy, cx, cy, k } => {
                 vec![fx, fy, cx, cy, k[0], k[1], k[2], k[3]]
             }
+            Self::Fov { fx, fy, cx, cy, omega: k } | Self::Division { fx, fy, cx, cy, k } => {
+                vec![fx, fy, cx, cy, k]
+            }
+            Self::ThinPrismFisheye { fx, fy, cx, cy, k, p, s } => {
+                vec![fx, fy, cx, cy, k[0], k[1], p[0], p[1], k[2], k[3], s[0], s[1]]
+            }
+            Self::RadTanThinPrismFisheye { fx, fy, cx, cy, k, p, s } => {
+                [&[fx, fy, cx, cy][..], &k, &p, &s].concat()
+            }
+            Self::Eucm { fx, fy, cx, cy, alpha, beta } => vec![fx, fy, cx, cy, alpha, beta],
         }
     }
 
@@ -102,6 +158,28 @@ impl CameraModel {
             ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
                 Self::OpenCvFisheye { fx, fy, cx, cy, k: [k1, k2, k3, k4] }
             }
+            ("FOV", &[fx, fy, cx, cy, omega]) => Self::Fov { fx, fy, cx, cy, omega },
+            ("THIN_PRISM_FISHEYE", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, sx1, sy1]) => {
+                let k = [k1, k2, k3, k4];
+                Self::ThinPrismFisheye { fx, fy, cx, cy, k, p: [p1, p2], s: [sx1, sy1] }
+            }
+            (
+                "RAD_TAN_THIN_PRISM_FISHEYE",
+                &[fx, fy, cx, cy, k0, k1, k2, k3, k4, k5, p0, p1, s0, s1, s2, s3],
+            ) => Self::RadTanThinPrismFisheye {
+                fx,
+                fy,
+                cx,
+                cy,
+                k: [k0, k1, k2, k3, k4, k5],
+                p: [p0, p1],
+                s: [s0, s1, s2, s3],
+            },
+            ("SIMPLE_DIVISION", &[f, cx, cy, k]) => Self::SimpleDivision { f, cx, cy, k },
+            ("DIVISION", &[fx, fy, cx, cy, k]) => Self::Division { fx, fy, cx, cy, k },
+            ("SIMPLE_FISHEYE", &[f, cx, cy]) => Self::SimpleFisheye { f, cx, cy },
+            ("FISHEYE", &[fx, fy, cx, cy]) => Self::Fisheye { fx, fy, cx, cy },
+            ("EUCM", &[fx, fy, cx, cy, alpha, beta]) => Self::Eucm { fx, fy, cx, cy, alpha, beta },
             _ => return None,
         })
     }
@@ -113,21 +191,34 @@ impl CameraModel {
             | Self::SimpleRadial { f, cx, cy, .. }
             | Self::Radial { f, cx, cy, .. }
             | Self::SimpleRadialFisheye { f, cx, cy, .. }
-            | Self::RadialFisheye { f, cx, cy, .. } => (f, f, cx, cy),
+            | Self::RadialFisheye { f, cx, cy, .. }
+            | Self::SimpleDivision { f, cx, cy, .. }
+            | Self::SimpleFisheye { f, cx, cy } => (f, f, cx, cy),
             Self::Pinhole { fx, fy, cx, cy }
             | Self::OpenCv { fx, fy, cx, cy, .. }
             | Self::FullOpenCv { fx, fy, cx, cy, .. }
-            | Self::OpenCvFisheye { fx, fy, cx, cy, .. } => (fx, fy, cx, cy),
+            | Self::OpenCvFisheye { fx, fy, cx, cy, .. }
+            | Self::Fov { fx, fy, cx, cy, .. }
+            | Self::ThinPrismFisheye { fx, fy, cx, cy, .. }
+            | Self::RadTanThinPrismFisheye { fx, fy, cx, cy, .. }
+            | Self::Division { fx, fy, cx, cy, .. }
+            | Self::Fisheye { fx, fy, cx, cy }
+            | Self::Eucm { fx, fy, cx, cy, .. } => (fx, fy, cx, cy),
         }
     }
 
     /// The model for pixels of twice the size.
     pub fn halved(&self) -> Self {
-        let has_two_focals =
-            ["PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV"].contains(&self.name());
-        let intrinsics = if has_two_focals { 4 } else { 3 };
+        self.scaled(0.5)
+    }
+
+    /// The model of images with `factor` times as many pixels a side.
+    pub fn scaled(&self, factor: f64) -> Self {
+        let has_one_focal =
+            ["SIMPLE_", "RADIAL"].iter().any(|start| self.name().starts_with(start));
+        let intrinsics = if has_one_focal { 3 } else { 4 };
         let mut params = self.params();
-        params[..intrinsics].iter_mut().for_each(|v| *v *= 0.5);
+        params[..intrinsics].iter_mut().for_each(|v| *v *= factor);
         // These are the name and the number of parameters of this very model.
         Self::from_params(self.name(), &params).unwrap_or(*self)
     }
@@ -178,6 +269,32 @@ impl CameraModel {
                 return Distortion::Fisheye { k: [k1, k2, 0.0, 0.0] };
             }
             Self::OpenCvFisheye { k, .. } => return Distortion::Fisheye { k },
+            Self::SimpleFisheye { .. } | Self::Fisheye { .. } => {
+                return Distortion::Fisheye { k: [0.0; 4] };
+            }
+            Self::Fov { omega: 0.0, .. }
+            | Self::SimpleDivision { k: 0.0, .. }
+            | Self::Division { k: 0.0, .. }
+            | Self::Eucm { alpha: 0.0, .. } => return Distortion::None,
+            Self::Fov { omega, .. } => return Distortion::Curve(RadialCurve::Fov { omega }),
+            Self::SimpleDivision { k, .. } | Self::Division { k, .. } => {
+                return Distortion::Curve(RadialCurve::Division { k });
+            }
+            Self::Eucm { alpha, beta, .. } => {
+                return Distortion::Curve(RadialCurve::Eucm { alpha, beta });
+            }
+            Self::ThinPrismFisheye { k: [k1, k2, k3, k4], p: [p1, p2], s: [sx1, sy1], .. } => {
+                return Distortion::Prism(PrismFisheye {
+                    k: [k1, k2, k3, k4, 0.0, 0.0],
+                    // Brown's p2 is the coefficient of x.
+                    p: [p2, p1],
+                    s: [sx1, 0.0, sy1, 0.0],
+                    is_nested: false,
+                });
+            }
+            Self::RadTanThinPrismFisheye { k, p, s, .. } => {
+                return Distortion::Prism(PrismFisheye { k, p, s, is_nested: true });
+            }
             Self::SimpleRadial { k, .. } => ([k, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
             Self::Radial { k: [k1, k2], .. } => ([k1, k2, 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
             Self::OpenCv { k1, k2, p1, p2, .. } => ([k1, k2, 0.0, 0.0, 0.0, 0.0], [p1, p2]),
@@ -194,7 +311,7 @@ mod tests {
     /// One of each model, of a 640×480 image, distorted as real lenses are.
     fn one_of_each() -> Vec<CameraModel> {
         let (f, fx, fy, cx, cy) = (400.0, 686.0, 680.0, 321.0, 239.0);
-        let params: [&[f64]; 9] = [
+        let params: [&[f64]; 17] = [
             &[f, cx, cy],
             &[fx, fy, cx, cy],
             &[fx, cx, cy, -0.15],
@@ -204,6 +321,17 @@ mod tests {
             &[fx, fy, cx, cy, 0.3, -0.1, 1e-3, -2e-3, 0.02, 0.5, 0.1, -0.01],
             &[f, cx, cy, -0.03],
             &[f, cx, cy, 0.05, -0.02],
+            &[f, f, cx, cy, 0.9],
+            &[f, f, cx, cy, 0.02, -0.01, 1e-3, -2e-3, 0.004, -0.001, 2e-3, -1e-3],
+            &[
+                f, f, cx, cy, 0.02, -0.01, 0.004, -0.001, 2e-4, -1e-4, 1e-3, -2e-3, 2e-3, -1e-3,
+                1e-3, 5e-4,
+            ],
+            &[fx, cx, cy, -0.2],
+            &[fx, fy, cx, cy, 0.1],
+            &[f, cx, cy],
+            &[f, f, cx, cy],
+            &[fx, fy, cx, cy, 0.6, 1.1],
         ];
         CameraModel::KNOWN
             .iter()
@@ -224,7 +352,7 @@ mod tests {
             assert_eq!((back.name(), back.params()), (name, params.clone()));
             assert_eq!(CameraModel::from_params(name, &params[1..]), None);
         }
-        assert_eq!(CameraModel::from_params("FISHEYE", &[1.0; 4]), None);
+        assert_eq!(CameraModel::from_params("FISH", &[1.0; 4]), None);
     }
 
     #[test]
@@ -311,6 +439,28 @@ mod tests {
                 let n = Point2::new(0.6 * r, -0.8 * r);
                 let back = model.normalized_from_pixel(&model.pixel_from_normalized(&n)).unwrap();
                 assert!((back - n).norm() < 1e-8, "{model:?} at {r}: {back}");
+            }
+        }
+    }
+
+    /// `tests/golden/make_lens_reference.py` writes what pycolmap says.
+    #[test]
+    fn points_are_projected_as_pycolmap_does() {
+        let text = include_str!("../../tests/golden/lenses.json");
+        let lenses: Vec<serde_json::Value> = serde_json::from_str(text).unwrap();
+        assert_eq!(lenses.len(), CameraModel::KNOWN.len());
+        let numbers = |value: &serde_json::Value| -> Vec<f64> {
+            value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+        };
+        for lens in &lenses {
+            let name = lens["model"].as_str().unwrap();
+            let model = CameraModel::from_params(name, &numbers(&lens["params"])).unwrap();
+            let points = lens["points"].as_array().unwrap().iter().map(numbers);
+            for (point, pixel) in points.zip(lens["pixels"].as_array().unwrap()) {
+                let (n, pixel) = (Point2::new(point[0], point[1]), numbers(pixel));
+                let off = model.pixel_from_normalized(&n) - Point2::new(pixel[0], pixel[1]);
+                assert!(off.norm() < 1e-9, "{name} at {n}: {off}");
+                assert!(model.is_short_of_fold(&n), "{name} at {n}");
             }
         }
     }

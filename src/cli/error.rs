@@ -9,6 +9,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use stlfr::capture::CaptureError;
 use stlfr::compare::CompareError;
+use stlfr::exchange::ExchangeError;
 use stlfr::json::JsonError;
 use stlfr::light_field::RenderError;
 use stlfr::publish::PublishError;
@@ -77,6 +78,7 @@ fn is_failure(error: &(dyn Error + 'static)) -> bool {
     match error.downcast_ref() {
         Some(CaptureError::NoFfmpeg { .. } | CaptureError::Changed { .. }) => return true,
         _ if error.is::<VideoError>() => return true,
+        _ if matches!(error.downcast_ref(), Some(ExchangeError::NoFfmpeg { .. })) => return true,
         _ => {}
     }
     if let Some(error) = error.downcast_ref() {
@@ -169,7 +171,6 @@ fn alternatives(line: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stlfr::exchange::ExchangeError;
 
     #[test]
     fn what_fails_in_mid_work_is_no_bad_input() {

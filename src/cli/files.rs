@@ -200,7 +200,7 @@ mod tests {
             r#", "id": "a", "frames": "a/%d.png", "color": "rgb", "clock": {"shared": true}"#;
         assert_eq!(view("PINHOLE", filming).unwrap(), view("PINHOLE", "").unwrap());
         for (result, field) in
-            [(view("FISHEYE", ""), "model"), (view("PINHOLE", r#", "fov": 1"#), "fov")]
+            [(view("FISH", ""), "model"), (view("PINHOLE", r#", "fov": 1"#), "fov")]
         {
             let message = result.unwrap_err().to_string();
             assert!(message.contains("view.json") && message.contains(field), "{message}");

@@ -4,10 +4,11 @@ mod capture;
 mod compare;
 mod display;
 mod error;
-mod exchange;
+mod export;
 mod farm;
 mod files;
 mod frames;
+mod import;
 mod info;
 mod offsets;
 mod options;
@@ -67,8 +68,8 @@ enum Command {
     Compare(compare::CompareArgs),
     Tradeoff(tradeoff::TradeoffArgs),
     Options(options::OptionListArgs),
-    Import(exchange::ImportArgs),
-    Export(exchange::ExportArgs),
+    Import(Box<import::ImportArgs>),
+    Export(Box<export::ExportArgs>),
     Farm(Box<farm::FarmArgs>),
 }
 
@@ -98,8 +99,8 @@ impl Cli {
             Command::Compare(args) => compare::run(args, page, &reporter),
             Command::Tradeoff(args) => tradeoff::run(args, page, &reporter),
             Command::Options(args) => options::run(args, page),
-            Command::Import(args) => exchange::run_import(args, &reporter),
-            Command::Export(args) => exchange::run_export(args, &reporter),
+            Command::Import(args) => import::run(args, &reporter),
+            Command::Export(args) => export::run(args, &reporter),
             Command::Farm(args) => farm::run(args, page, &reporter),
         }
     }

@@ -1,13 +1,15 @@
 //! COLMAP's sparse model, `cameras`, `images` and `points3D`, as text or binary.
 
-use super::{ExchangeError, MAX_MODEL_BYTES, NamedCamera, check_count, checked, content, write};
-use crate::camera::{CameraFormat, CameraModel, MAX_QUATERNION_ERROR};
-use crate::text::number as number_of;
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use super::colmap_rigs::{frame_poses, image_times};
+use super::colmap_values::{
+    Bytes, MAX_MODEL_BYTES, camera_bytes, counted, has_values, image_bytes, pose, text, value,
+};
+use super::{ExchangeError, NamedCamera, check_count, checked, content, write};
+use crate::camera::{CameraFormat, CameraModel};
+use nalgebra::Isometry3;
 use std::collections::{BTreeMap, HashMap};
 use std::fmt::Write as _;
 use std::path::Path;
-use std::str::{FromStr, SplitWhitespace};
 
 /// Files of a text model: cameras, images, points.
 pub const COLMAP_TEXT_FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
@@ -29,7 +31,8 @@ struct ModelImage {
 type Readers = (fn(&[u8]) -> Result<Lenses, String>, fn(&[u8]) -> Result<Vec<ModelImage>, String>);
 
 /// Reads the cameras of a COLMAP model's folder, one for each image, sorted by image number and named
-/// after the images. Binary files are preferred to text files, as in COLMAP.
+/// after the images. Binary files are preferred to text files, as in COLMAP. Rigs and frames, if there are any, give the
+/// poses. Images have the times of colmap4d's `times`.
 ///
 /// Errors: no images, too many images or cameras, a file that is not regular or larger
 /// than `MAX_MODEL_BYTES`, an unknown camera model, a camera that a capture would refuse.
@@ -45,41 +48,32 @@ pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
         return Err(content(&images_path, "holds no image"));
     }
     images.sort_by_key(|image| image.number);
+    let (poses, times) = (frame_poses(folder, is_binary)?, image_times(folder)?);
     let cameras = images.into_iter().map(|image| {
         let number = image.number;
-        named(&lenses, image)
+        named(&lenses, image, poses.get(&u64::from(number)), times.get(&number).copied())
             .map_err(|reason| content(&images_path, format!("image {number}: {reason}")))
     });
     cameras.collect()
 }
 
-fn named(lenses: &Lenses, image: ModelImage) -> Result<NamedCamera, String> {
+/// The camera of an image. `frame_pose` is that of its frame and rig, which counts for more than the image's own.
+fn named(
+    lenses: &Lenses,
+    image: ModelImage,
+    frame_pose: Option<&Isometry3<f64>>,
+    time_ns: Option<i64>,
+) -> Result<NamedCamera, String> {
     let (size, model) = lenses
         .get(&image.camera_id)
         .ok_or_else(|| format!("there is no camera {}", image.camera_id))?;
-    let [w, x, y, z] = image.rotation_wxyz;
-    let rotation = Quaternion::new(w, x, y, z);
-    if !((rotation.norm() - 1.0).abs() <= MAX_QUATERNION_ERROR) {
-        let length = number_of(rotation.norm());
-        return Err(format!("its quaternion has length {length}, must be of 1"));
-    }
-    let translation = Translation3::from(image.translation);
-    let pose = Isometry3::from_parts(translation, UnitQuaternion::from_quaternion(rotation));
-    Ok(NamedCamera { name: image.name, camera: checked(*size, model, &pose)? })
+    let own = pose(image.rotation_wxyz, image.translation);
+    let cam_from_world = frame_pose.map_or(own, |pose| Ok(*pose))?;
+    Ok(NamedCamera { name: image.name, time_ns, camera: checked(*size, model, &cam_from_world)? })
 }
 
 fn bytes(path: &Path) -> Result<Vec<u8>, ExchangeError> {
     super::read_bytes(path, MAX_MODEL_BYTES)
-}
-
-fn text(bytes: &[u8]) -> Result<&str, String> {
-    std::str::from_utf8(bytes).map_err(|_| "is no text".into())
-}
-
-/// Parses the next value of a line; `what` names it in the error.
-fn value<T: FromStr>(fields: &mut SplitWhitespace, what: &str) -> Result<T, String> {
-    let field = fields.next().ok_or_else(|| format!("{what} is missing"))?;
-    field.parse().map_err(|_| format!("{what} can't be '{field}'"))
 }
 
 fn text_lenses(bytes: &[u8]) -> Result<Lenses, String> {
@@ -92,12 +86,6 @@ fn text_lenses(bytes: &[u8]) -> Result<Lenses, String> {
         check_count(lenses.len(), "cameras")?;
     }
     Ok(lenses)
-}
-
-/// Whether a line of a text file is neither empty nor a comment.
-fn has_values(line: &str) -> bool {
-    let line = line.trim();
-    !line.is_empty() && !line.starts_with('#')
 }
 
 fn text_lens(line: &str) -> Result<(u32, (u64, u64), CameraModel), String> {
@@ -151,47 +139,6 @@ fn text_image(line: &str) -> Result<ModelImage, String> {
         return Err("NAME is missing".into());
     }
     Ok(ModelImage { number, name, camera_id, rotation_wxyz, translation })
-}
-
-/// Reads little-endian values from the front of a file.
-struct Bytes<'a>(&'a [u8]);
-
-impl Bytes<'_> {
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], String> {
-        let (head, rest) = self.0.split_first_chunk().ok_or("is cut short")?;
-        self.0 = rest;
-        Ok(*head)
-    }
-
-    fn u32(&mut self) -> Result<u32, String> {
-        Ok(u32::from_le_bytes(self.take()?))
-    }
-
-    fn u64(&mut self) -> Result<u64, String> {
-        Ok(u64::from_le_bytes(self.take()?))
-    }
-
-    fn f64(&mut self) -> Result<f64, String> {
-        Ok(f64::from_le_bytes(self.take()?))
-    }
-
-    fn name(&mut self) -> Result<String, String> {
-        let end = self.0.iter().position(|&b| b == 0).ok_or("is cut short")?;
-        let name = std::str::from_utf8(&self.0[..end]).map_err(|_| "a name is no text")?;
-        self.0 = &self.0[end + 1..];
-        Ok(name.to_owned())
-    }
-
-    /// Skips `count` records of `size` bytes.
-    fn skip(&mut self, count: u64, size: u64) -> Result<(), String> {
-        let bytes = count.checked_mul(size).and_then(|n| usize::try_from(n).ok());
-        self.0 = bytes.and_then(|n| self.0.get(n..)).ok_or("is cut short")?;
-        Ok(())
-    }
-
-    fn is_at_end(&self) -> Result<(), String> {
-        if self.0.is_empty() { Ok(()) } else { Err("goes on after its last entry".into()) }
-    }
 }
 
 fn binary_lenses(bytes: &[u8]) -> Result<Lenses, String> {
@@ -287,24 +234,10 @@ pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), E
 /// Writes the cameras as a binary COLMAP model: `cameras.bin`, `images.bin` and an empty `points3D.bin`,
 /// numbered as in [`colmap_text`]. The folder is created if missing.
 pub fn write_colmap_binary(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
-    let count = (cameras.len() as u64).to_le_bytes();
-    let (mut lenses, mut images) = (count.to_vec(), count.to_vec());
-    for (number, NamedCamera { name, camera }) in (1_u32..).zip(cameras) {
-        let model = camera.model.name();
-        let id = CameraModel::KNOWN.iter().find(|(known, ..)| *known == model);
-        lenses.extend(number.to_le_bytes());
-        lenses.extend(id.map_or(-1, |(_, id, _)| *id).to_le_bytes());
-        for side in [camera.width, camera.height] {
-            lenses.extend((side as u64).to_le_bytes());
-        }
-        lenses.extend(camera.model.params().iter().flat_map(|p| p.to_le_bytes()));
-        let (q, t) = (camera.cam_from_world.rotation, camera.cam_from_world.translation);
-        images.extend(number.to_le_bytes());
-        images.extend([q.w, q.i, q.j, q.k, t.x, t.y, t.z].iter().flat_map(|v| v.to_le_bytes()));
-        images.extend(number.to_le_bytes());
-        images.extend(name.as_bytes());
-        images.push(0);
-        images.extend(0_u64.to_le_bytes());
+    let (mut lenses, mut images) = (counted(cameras.len()), counted(cameras.len()));
+    for (number, NamedCamera { name, camera, .. }) in (1_u32..).zip(cameras) {
+        lenses.extend(camera_bytes(number, camera));
+        images.extend(image_bytes(number, number, camera, name));
     }
     let points = 0_u64.to_le_bytes();
     COLMAP_BINARY_FILES

@@ -1,65 +1,68 @@
-//! Makes a capture from a calibration and a folder of image sequences.
+//! Makes a capture from a calibration, and from videos or image sequences.
 
-use super::pairing::{Pairs, all_entries, entries, pair};
+use super::footage::{Footage, FootageFrames, FoundFootage, find, image_size};
+use super::pairing::{all_entries, extension};
+use super::request::{ImportClock, ImportRequest};
 use super::{ExchangeError, NamedCamera, content};
 use crate::camera::CameraFormat;
 use crate::capture::{
-    CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color, FilmedCameraFormat,
+    CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color, FilmedCameraFormat, Opening,
 };
 use crate::host::temporary::Temporary;
 use crate::host::{open_file, write_json};
+use crate::text::number;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// The clock of every imported camera, which no calibration contains.
-#[derive(Clone, Copy, Debug)]
-pub struct ImportClock {
-    /// Frame rate, hertz.
-    pub rate_hz: f64,
-    /// Time of the first frame, seconds.
-    pub first_s: f64,
-    /// Whether all cameras share one clock.
-    pub shared: bool,
-}
+/// Name of the capture inside its temporary folder.
+const WHOLE: &str = "capture";
+/// The folder for listings of videos, beside it.
+const SCRATCH: &str = "scratch";
 
-/// File extensions of images.
-const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
-
-/// Makes the capture `target` from a calibration, and copies the sequences in `images` into it. The
-/// target appears only once it is complete and can be opened.
+/// Makes the capture `target` from a calibration. Images are copied, videos linked, or copied where the file system can't
+/// link them. The target appears only once it is complete and can be opened.
 ///
-/// A camera's id is the first folder of its name, or its name without extension. Its sequence is the
-/// sub-folder of `images` with that id, sorted by the numbers in the file names. If no sub-folder has a
-/// camera's id, the numbers in the names pair cameras and folders. A calibration without names has the
-/// folders' names as ids, in the order of their numbers. All images of one folder belong to one camera.
+/// A camera's id is the first folder of its name, or its name without extension. Its recording is the sub-folder or
+/// the video with that name in the request's folder. If there is none for any camera, the numbers in the names pair
+/// cameras and recordings. A calibration without names has the recordings' names as ids, in the order of their numbers.
+/// All images of one folder belong to one camera. If the calibration has a time for every image, it lists the frames.
 ///
-/// Returns a sentence that says how cameras were paired, unless by name.
+/// A frame's time is, of these, the first that there is: by the given rate, of the given table, of `timestamps.csv`
+/// beside the recordings, of the calibration, of the video.
 ///
-/// Errors: a target that is not empty, a moving camera, folders whose pairing is ambiguous, a sequence of mixed
-/// image types or with a gap, a capture that can't be opened.
+/// Returns sentences that say what was found, and what was decided.
+///
+/// Errors: a target that is not empty, a moving camera, recordings whose pairing is ambiguous, a sequence of mixed
+/// image types or with a gap, frames without times, images of another shape than the calibration's, a video that is
+/// damaged or interlaced, a capture that can't be opened.
 pub fn import(
     cameras: &[NamedCamera],
-    images: &Path,
-    clock: ImportClock,
+    request: &ImportRequest,
     target: &Path,
-) -> Result<Option<String>, ExchangeError> {
+    opening: &Opening,
+) -> Result<Vec<String>, ExchangeError> {
     let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
     if target.symlink_metadata().is_ok() && !all_entries(target)?.is_empty() {
         return Err(content(target, "holds files already, which are not written over"));
     }
-    let Pairs { cameras, folders, note } = pair(cameras, images)?;
-    let sequences: Vec<Vec<PathBuf>> =
-        folders.iter().map(|folder| sequence(folder)).collect::<Result<_, _>>()?;
-
     let absolute = std::path::absolute(target).map_err(failed)?;
     let beside = absolute.parent().ok_or_else(|| content(target, "names no folder"))?;
     let temporary = Temporary::inside(beside).map_err(failed)?;
-    let whole = temporary.path().join(WHOLE);
-    let mut filmed = Vec::new();
-    for (camera, files) in cameras.iter().zip(&sequences) {
-        copy(files, &whole.join(&camera.name), target)?;
-        filmed.push(described(camera, files, clock));
+    let [whole, scratch] = [WHOLE, SCRATCH].map(|name| temporary.path().join(name));
+    [&whole, &scratch].into_iter().try_for_each(std::fs::create_dir).map_err(failed)?;
+
+    let FoundFootage { mut footage, mut notes, has_one_clock } =
+        find(cameras, request, opening, &scratch)?;
+    for one in &mut footage {
+        notes.extend(fit(one, request.is_cropped)?);
     }
+    let clocks = clocks(&footage, request, has_one_clock, &mut notes)?;
+    let mut filmed = Vec::new();
+    for (one, clock) in footage.iter().zip(clocks) {
+        let frames = place(one, &whole, target)?;
+        filmed.push(described(one, frames, clock));
+    }
+    notes.push(summary(&filmed, &footage));
     let format = CaptureFormat {
         format: "stlfr-capture".into(),
         version: 1,
@@ -69,95 +72,224 @@ pub fn import(
     };
     write_json(&whole.join(CAPTURE_FILE), &format).map_err(failed)?;
     // Opened here, so that an invalid capture fails the import and not a later command.
-    Capture::open(&whole).map_err(|error| {
+    Capture::open_with(&whole, opening).map_err(|error| {
         let message = error.to_string();
         let path = format!("{}/", whole.display());
         content(target, message.strip_prefix(&path).unwrap_or(&message))
     })?;
     temporary.place(WHOLE, target).map_err(failed)?;
-    Ok(note)
+    Ok(notes)
 }
 
-/// Name of the capture inside its temporary folder.
-const WHOLE: &str = "capture";
+/// Fits the lens to the size of the images: the same shape is the whole image at another resolution. Returns a sentence
+/// if it changes anything.
+fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, ExchangeError> {
+    let [width, height] = image_size(&footage.frames)?;
+    let camera = &mut footage.camera.camera;
+    let calibrated = [camera.width, camera.height];
+    if calibrated == [width, height] {
+        return Ok(None);
+    }
+    let id = &footage.id;
+    let sizes =
+        format!("{width}×{height} pixels, its calibration {}×{}", calibrated[0], calibrated[1]);
+    if width * calibrated[1] == height * calibrated[0] {
+        camera.model = camera.model.scaled(width as f64 / calibrated[0] as f64);
+        (camera.width, camera.height) = (width, height);
+        return Ok(Some(format!("{id} has images of {sizes}: its lens is scaled.")));
+    }
+    if is_cropped && width <= calibrated[0] && height <= calibrated[1] {
+        (camera.width, camera.height) = (width, height);
+        return Ok(Some(format!("{id} has images of {sizes}: they are its top left part.")));
+    }
+    let advice = if width <= calibrated[0] && height <= calibrated[1] {
+        "; if they are its top left part, give --crop"
+    } else {
+        ""
+    };
+    Err(content(footage.frames.path(), format!("has images of {sizes}{advice}")))
+}
+
+/// Rounding of the time stamps of containers that count milliseconds, and of others, seconds.
+const MILLISECONDS_S: f64 = 0.51e-3;
+const MICROSECONDS_S: f64 = 1.1e-6;
+
+/// The constant rate of time stamps, hertz: a whole number or 1000/1001 of one, if the stamps agree. `None` if they are
+/// uneven, or fewer than two.
+fn steady_rate_hz(times_s: &[f64]) -> Option<f64> {
+    let (first, last) = (times_s.first()?, times_s.last()?);
+    let mean = (times_s.len() - 1) as f64 / (last - first);
+    let is_whole_ms = |t: &f64| (1e3 * t - (1e3 * t).round()).abs() < 1e-6;
+    let rounding = if times_s.iter().all(is_whole_ms) { MILLISECONDS_S } else { MICROSECONDS_S };
+    let is_steady = |rate: &f64| {
+        let off = |(k, t): (usize, &f64)| (t - first - k as f64 / rate).abs();
+        rate.is_finite()
+            && *rate > 0.0
+            && times_s.iter().enumerate().all(|e| off(e) <= 2.0 * rounding)
+    };
+    let ntsc = (mean * 1.001).round() / 1.001;
+    [mean.round(), ntsc, mean].into_iter().find(is_steady)
+}
+
+/// Largest time that is written as it is, nanoseconds: a double resolves a tenth of a nanosecond there.
+const MAX_PLAIN_NS: i64 = 1_000_000_000_000_000;
+
+/// The clocks of all cameras.
+fn clocks(
+    footage: &[Footage],
+    request: &ImportRequest,
+    has_one_clock: bool,
+    notes: &mut Vec<String>,
+) -> Result<Vec<ClockFormat>, ExchangeError> {
+    let ImportClock { rate_hz, first_s, shared } = request.clock;
+    let shared = shared || has_one_clock;
+    let all_ns = footage.iter().filter_map(|f| f.times_ns.as_ref()).flatten().copied();
+    let from_ns = all_ns.min().filter(|first| first.saturating_abs() > MAX_PLAIN_NS);
+    let from_ns = from_ns.map_or(0, |first| first.div_euclid(1_000_000_000) * 1_000_000_000);
+    if from_ns != 0 {
+        notes.push(format!("Times count from {} s of the file's.", from_ns / 1_000_000_000));
+    }
+    let mut clocks = Vec::new();
+    let mut uneven = Vec::new();
+    let mut rates = Vec::new();
+    for one in footage {
+        let steady = |rate_hz, first_s| ClockFormat {
+            rate_hz: Some(rate_hz),
+            first_s: Some(first_s),
+            shared,
+            ..ClockFormat::default()
+        };
+        let stamped =
+            |times_s| ClockFormat { times_s: Some(times_s), shared, ..ClockFormat::default() };
+        clocks.push(match (rate_hz, &one.times_ns, &one.frames) {
+            (Some(rate_hz), ..) => steady(rate_hz, first_s),
+            (None, Some(times_ns), _) => {
+                stamped(times_ns.iter().map(|t| (t - from_ns) as f64 / 1e9).collect())
+            }
+            (None, None, FootageFrames::Video(_, facts)) => match steady_rate_hz(&facts.times_s) {
+                Some(rate_hz) => {
+                    rates.push(rate_hz);
+                    steady(rate_hz, first_s + facts.times_s[0])
+                }
+                None => {
+                    uneven.push(one.id.as_str());
+                    stamped(facts.times_s.iter().map(|t| first_s + t).collect())
+                }
+            },
+            (None, None, FootageFrames::Images(files)) => {
+                let reason = "is an image, which has no time: give --rate or --times";
+                return Err(content(&files[0], reason));
+            }
+        });
+    }
+    if let (Some(min), Some(max)) =
+        (rates.iter().copied().reduce(f64::min), rates.iter().copied().reduce(f64::max))
+    {
+        let rates = if min == max { number(min) } else { format!("{min:.6} to {max:.6}") };
+        notes.push(format!("By the videos' own times, they have {rates} frames a second."));
+    }
+    if !uneven.is_empty() {
+        let ids = uneven.join(", ");
+        notes.push(format!("Frames of {ids} are not evenly spaced: their times are the video's."));
+    }
+    Ok(clocks)
+}
+
+/// How many cameras and frames there are.
+fn summary(filmed: &[FilmedCameraFormat], footage: &[Footage]) -> String {
+    let frames = || footage.iter().map(|one| one.frames.len());
+    let (min, max) = (frames().min().unwrap_or(0), frames().max().unwrap_or(0));
+    let frames = if min == max { min.to_string() } else { format!("{min} to {max}") };
+    let unshared = if filmed.iter().all(|c| c.clock.shared) {
+        "on one clock"
+    } else {
+        "each on its own clock: stlfr offsets estimates how far they are apart"
+    };
+    format!("{} cameras with {frames} frames, {unshared}.", filmed.len())
+}
+
+/// Puts a camera's frames into the capture `whole`, which will be `target`. Returns the name or pattern of its frames.
+fn place(footage: &Footage, whole: &Path, target: &Path) -> Result<String, ExchangeError> {
+    let id = &footage.id;
+    match &footage.frames {
+        FootageFrames::Images(files) => {
+            copy(files, &whole.join(id), target)?;
+            let extension = extension(&files[0]).unwrap_or_default();
+            Ok(format!("{id}/%04d.{extension}"))
+        }
+        FootageFrames::Video(path, _) => {
+            let name = format!("{id}.{}", extension(path).unwrap_or_default());
+            let linked = path.canonicalize().and_then(|path| {
+                let to = whole.join(&name);
+                std::fs::hard_link(&path, &to).or_else(|_| copy_file(&path, &to))
+            });
+            let (path, to) = (path.clone(), target.to_owned());
+            linked.map_err(|source| ExchangeError::Copy { path, to, source })?;
+            Ok(name)
+        }
+    }
+}
+
+fn copy_file(from: &Path, to: &Path) -> std::io::Result<()> {
+    let mut to = File::create(to)?;
+    std::io::copy(&mut open_file(from)?, &mut to)?;
+    to.sync_all()
+}
 
 /// Copies the files of a sequence into a new folder, numbered from 0, for the capture `target`.
 fn copy(files: &[PathBuf], folder: &Path, target: &Path) -> Result<(), ExchangeError> {
     let extension = extension(&files[0]).unwrap_or_default();
     for (k, path) in files.iter().enumerate() {
-        let copied = std::fs::create_dir_all(folder).and_then(|()| {
-            let mut to = File::create(folder.join(format!("{k:04}.{extension}")))?;
-            std::io::copy(&mut open_file(path)?, &mut to)?;
-            to.sync_all()
-        });
+        let copied = std::fs::create_dir_all(folder)
+            .and_then(|()| copy_file(path, &folder.join(format!("{k:04}.{extension}"))));
         let to = target.to_owned();
         copied.map_err(|source| ExchangeError::Copy { path: path.clone(), to, source })?;
     }
     Ok(())
 }
 
-fn described(
-    NamedCamera { name: id, camera }: &NamedCamera,
-    files: &[PathBuf],
-    clock: ImportClock,
-) -> FilmedCameraFormat {
-    let CameraFormat { width, height, model, params, cam_from_world } = camera.into();
-    let extension = extension(&files[0]).unwrap_or_default();
+fn described(footage: &Footage, frames: String, clock: ClockFormat) -> FilmedCameraFormat {
+    let CameraFormat { width, height, model, params, cam_from_world } =
+        (&footage.camera.camera).into();
     FilmedCameraFormat {
-        id: id.clone(),
-        frames: format!("{id}/%04d.{extension}"),
+        id: footage.id.clone(),
+        frames,
         width,
         height,
         model,
         params,
         cam_from_world,
         color: Color::Rgb,
-        clock: ClockFormat {
-            rate_hz: Some(clock.rate_hz),
-            first_s: Some(clock.first_s),
-            shared: clock.shared,
-            ..ClockFormat::default()
-        },
+        clock,
     }
 }
 
-/// Images of a folder, sorted by the numbers in their names, which must be consecutive.
-fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
-    let mut files = entries(folder)?;
-    files.retain(|p| extension(p).is_some_and(|e| EXTENSIONS.contains(&e.as_str())));
-    if let Some(other) = files.iter().find(|p| !p.is_file()) {
-        return Err(content(other, "has an image's name and is no regular file"));
-    }
-    let mut numbered = Vec::new();
-    for file in files {
-        numbered.push((number(&file).map_err(|reason| content(&file, reason))?, file));
-    }
-    numbered.sort();
-    let Some((_, first)) = numbered.first() else { return Err(content(folder, "holds no images")) };
-    if let Some((_, other)) = numbered.iter().find(|(_, p)| extension(p) != extension(first)) {
-        let reason = format!("holds images of two kinds, like {}", other.display());
-        return Err(content(folder, reason));
-    }
-    if let Some(k) = numbered.windows(2).position(|w| w[0].0 + 1 != w[1].0) {
-        let [a, b] = [k, k + 1].map(|k| numbered[k].1.file_name().unwrap_or_default().display());
-        let rule = "must follow each other, for every frame counts";
-        return Err(content(folder, format!("the numbers of {a} and {b} {rule}")));
-    }
-    Ok(numbered.into_iter().map(|(_, file)| file).collect())
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// The last number in a file's stem, 0 without one; the error is a reason.
-fn number(file: &Path) -> Result<u64, String> {
-    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
-    let is_other = |c: char| !c.is_ascii_digit();
-    let digits = stem.trim_end_matches(is_other).rsplit(is_other).next().unwrap_or_default();
-    if digits.is_empty() {
-        return Ok(0);
+    #[test]
+    fn rates_of_containers_are_recognized() {
+        let stamps = |rate: f64, unit: f64, n: usize| -> Vec<f64> {
+            (0..n).map(|k| (k as f64 / rate / unit).round() * unit).collect()
+        };
+        for rate in [10.0, 25.0, 30.0, 60.0, 240.0, 30_000.0 / 1001.0, 60_000.0 / 1001.0] {
+            for unit in [1e-3, 1e-6] {
+                let found = steady_rate_hz(&stamps(rate, unit, 900)).unwrap();
+                assert!((found / rate - 1.0).abs() < 1e-12, "{rate} {unit}: {found}");
+            }
+        }
+        // A rate of its own is that of the stamps.
+        let found = steady_rate_hz(&stamps(17.3, 1e-6, 900)).unwrap();
+        assert!((found / 17.3 - 1.0).abs() < 1e-7, "{found}");
     }
-    let number = digits.parse().ok().filter(|n| *n < u64::MAX);
-    number.ok_or_else(|| format!("the number {digits} in its name is too large to count frames"))
-}
 
-fn extension(path: &Path) -> Option<String> {
-    Some(path.extension()?.to_str()?.to_ascii_lowercase())
+    #[test]
+    fn uneven_stamps_have_no_rate() {
+        assert_eq!(steady_rate_hz(&[0.0, 0.033, 0.1, 0.133]), None);
+        assert_eq!(steady_rate_hz(&[0.0, 0.0333, 0.0668, 0.1]), None);
+        assert_eq!(steady_rate_hz(&[0.0]), None);
+        assert_eq!(steady_rate_hz(&[0.0, 0.0]), None);
+        assert_eq!(steady_rate_hz(&[]), None);
+    }
 }

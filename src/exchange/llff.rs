@@ -24,7 +24,7 @@ pub fn read_llff(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let rows = rows(&read_bytes(path, MAX_BYTES)?).map_err(|reason| content(path, reason))?;
     let cameras = rows.iter().enumerate().map(|(k, row)| {
         camera(row)
-            .map(|camera| NamedCamera { name: k.to_string(), camera })
+            .map(|camera| NamedCamera { name: k.to_string(), time_ns: None, camera })
             .map_err(|reason| content(path, format!("row {k}: {reason}")))
     });
     cameras.collect()
@@ -86,7 +86,7 @@ pub fn write_llff(
     let mut data = Vec::new();
     let names: Vec<String> = cameras.iter().map(|camera| camera.name.clone()).collect();
     let order = numbered_order(&names).unwrap_or_else(|| (0..cameras.len()).collect());
-    for NamedCamera { name, camera } in order.iter().map(|&k| &cameras[k]) {
+    for NamedCamera { name, camera, .. } in order.iter().map(|&k| &cameras[k]) {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let (width, height) = (camera.width as f64, camera.height as f64);
         let off = [fx - fy, cx - 0.5 * width, cy - 0.5 * height];

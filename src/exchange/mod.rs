@@ -1,30 +1,49 @@
-//! Calibrations in other programs' files: COLMAP's model, LLFF's `poses_bounds.npy`, NeRF's
-//! `transforms.json`.
+//! Calibrations in other programs' files, and captures made of them and of videos or images.
 //!
 //! | file | camera axes | pose | lens | pixels |
 //! |---|---|---|---|---|
 //! | COLMAP | x right, y down, z forward | camera from world | all of [`crate::camera::CameraModel`] | centre of the first at 0.5 |
 //! | `poses_bounds.npy` | columns down, right, back | world from camera | one focal length, centred | no principal point |
 //! | `transforms.json` | x right, y up, z back | world from camera | pinhole, OpenCV, OpenCV fisheye | as COLMAP |
+//! | `Calib.toml`, `camera_array.toml` | as COLMAP | camera from world | OpenCV, OpenCV fisheye | centre of the first at 0 |
+//! | `.qca.txt` | x right, y up, z back | world from camera, mm | OpenCV | centre of the first at 0 |
 //!
 //! World axes and metres are unchanged. Every count and size that a file states is checked
 //! against the file's length before memory is taken for it.
 //!
 //! Known limit: points and tracks are neither read nor written.
 
+mod anipose;
 mod colmap;
+mod colmap_rigs;
+mod colmap_values;
+mod csv;
+mod dataset;
+mod footage;
 mod import;
 mod llff;
 mod nerf;
 mod pairing;
+mod qualisys;
+mod request;
+mod times;
+mod undistort;
 
+pub use anipose::read_anipose;
 pub use colmap::{COLMAP_BINARY_FILES, COLMAP_TEXT_FILES, colmap_text, read_colmap};
 pub use colmap::{write_colmap_binary, write_colmap_text};
-pub use import::{ImportClock, import};
+pub use dataset::{Dataset, DatasetFormat};
+pub use import::import;
 pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};
+pub use qualisys::read_qualisys;
+pub use request::{ImportClock, ImportRequest};
+pub use times::{FrameTimes, read_times};
+pub use undistort::Undistortion;
 
 use crate::camera::{Camera, CameraFormat, CameraModel, PoseFormat};
+use crate::capture::{CaptureFormat, FilmedCameraFormat};
+use crate::json;
 use crate::text::number;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
@@ -34,6 +53,8 @@ use std::path::{Path, PathBuf};
 pub struct NamedCamera {
     /// Name of an image, such as `cam0/0000.png`, or a number if the format has no names.
     pub name: String,
+    /// Time of that image, nanoseconds, if the file has times.
+    pub time_ns: Option<i64>,
     pub camera: Camera,
 }
 
@@ -49,13 +70,53 @@ pub enum ExchangeError {
     /// A file can't be copied into a folder.
     #[error("{path}: can't be copied to {to} ({source})")]
     Copy { path: PathBuf, to: PathBuf, source: std::io::Error },
+    /// A video can't be read without ffmpeg.
+    #[error("{path}: is a video, and reading one needs ffmpeg: install it, or run stlfr setup")]
+    NoFfmpeg { path: PathBuf },
     /// The contents are invalid, or the format can't hold a camera.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
 }
 
-/// Largest file of a COLMAP model that is read, bytes: thousands of images with their points.
-const MAX_MODEL_BYTES: u64 = 768 << 20;
+/// Reads a calibration: a folder with a COLMAP model, or a file, whose extension is that of its format. That of a
+/// `capture.json` is that of its cameras. Lengths of all
+/// formats but Qualisys', which has millimetres, are in units of `unit_m` metres.
+pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, ExchangeError> {
+    let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    let mut cameras = match extension.as_deref().filter(|_| !path.is_dir()) {
+        Some("npy") => read_llff(path)?,
+        Some("json") if is_capture(path) => read_capture(path)?,
+        Some("json") => read_nerf(path)?,
+        Some("toml") => read_anipose(path)?,
+        Some("txt" | "qca" | "xml") => return read_qualisys(path),
+        _ => read_colmap(path)?,
+    };
+    cameras.iter_mut().for_each(|c| c.camera.cam_from_world.translation.vector *= unit_m);
+    Ok(cameras)
+}
+
+/// Whether a JSON file says that it describes a capture.
+fn is_capture(path: &Path) -> bool {
+    #[derive(serde::Deserialize)]
+    struct Head {
+        format: Option<String>,
+    }
+    let head = json::read::<Head>(path);
+    head.is_ok_and(|head| head.format.as_deref() == Some("stlfr-capture"))
+}
+
+/// Reads the cameras of a `capture.json`, named by their ids: the calibration of another recording of the same array.
+fn read_capture(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
+    let format: CaptureFormat = json::read(path).map_err(|error| content(path, error))?;
+    let named = |(k, camera): (usize, FilmedCameraFormat)| {
+        let wrong = |error| content(path, format!("cameras[{k}].{error}"));
+        let FilmedCameraFormat { id, width, height, model, params, cam_from_world, .. } = camera;
+        let format = CameraFormat { width, height, model, params, cam_from_world };
+        Ok(NamedCamera { name: id, time_ns: None, camera: format.camera().map_err(wrong)? })
+    };
+    format.cameras.into_iter().enumerate().map(named).collect()
+}
+
 /// Largest number of images, and of cameras, in a calibration.
 const MAX_ENTRIES: usize = 100_000;
 /// Largest entry of RᵀR − I for a rotation R; files with few printed digits are off by 1e-4.
@@ -92,6 +153,29 @@ fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
         }
     }
     Ok((width as u64, height as u64))
+}
+
+/// Largest time, seconds: that of a double's nanoseconds, a hundred years.
+const MAX_TIME_S: f64 = 4e9;
+
+/// Seconds as nanoseconds; the error is a reason.
+fn seconds_in_ns(time_s: f64) -> Result<i64, String> {
+    if !(time_s.abs() <= MAX_TIME_S) {
+        return Err(format!("time {} must be within {MAX_TIME_S:e} s of 0", number(time_s)));
+    }
+    Ok((time_s * 1e9).round() as i64)
+}
+
+/// The simplest model with these focal lengths and centre (fx, fy, cx, cy), and Brown's distortion.
+fn opencv_model([fx, fy, cx, cy]: [f64; 4], k: [f64; 6], p: [f64; 2]) -> CameraModel {
+    let ([k1, k2, rest @ ..], [p1, p2]) = (k, p);
+    if k == [0.0; 6] && p == [0.0; 2] {
+        CameraModel::Pinhole { fx, fy, cx, cy }
+    } else if rest == [0.0; 4] {
+        CameraModel::OpenCv { fx, fy, cx, cy, k1, k2, p1, p2 }
+    } else {
+        CameraModel::FullOpenCv { fx, fy, cx, cy, k, p }
+    }
 }
 
 /// A camera from the numbers of a file, with the checks of a capture's cameras; the error is a reason.

@@ -1,8 +1,9 @@
 //! NeRF's `transforms.json`, as instant-ngp and nerfstudio read it. Each frame has a world-from-camera matrix, with
-//! OpenGL's axes (x right, y up, z back). The lens is given once for all frames, or for each frame.
+//! OpenGL's axes (x right, y up, z back). The lens is given once for all frames, or for each frame. A frame's `time` is in
+//! seconds.
 
 use super::{ExchangeError, NamedCamera, axes_and_center, check_count, checked, content};
-use super::{pose_from_axes, whole_size, write};
+use super::{opencv_model, pose_from_axes, seconds_in_ns, whole_size, write};
 use crate::camera::CameraModel;
 use crate::host::read_text;
 use crate::json;
@@ -25,6 +26,7 @@ struct Frames {
 #[derive(Debug, Deserialize)]
 struct FrameEntry {
     file_path: Option<String>,
+    time: Option<f64>,
     transform_matrix: Option<[[f64; 4]; 4]>,
     camera_model: Option<String>,
     w: Option<f64>,
@@ -46,6 +48,8 @@ struct FrameEntry {
 #[derive(Debug, Serialize)]
 struct WrittenFrame<'a> {
     file_path: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time: Option<f64>,
     transform_matrix: [[f64; 4]; 4],
     camera_model: &'static str,
     w: f64,
@@ -95,18 +99,12 @@ fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel
     let cy = either(|f| f.cy).unwrap_or(0.5 * h);
     let k = [either(|f| f.k1), either(|f| f.k2), either(|f| f.k3), either(|f| f.k4)];
     let k @ [k1, k2, k3, k4] = k.map(Option::unwrap_or_default);
-    let p @ [p1, p2] = [either(|f| f.p1), either(|f| f.p2)].map(Option::unwrap_or_default);
+    let p = [either(|f| f.p1), either(|f| f.p2)].map(Option::unwrap_or_default);
     let name = frame.camera_model.as_deref().or(all.camera_model.as_deref()).unwrap_or("OPENCV");
     let model = match name {
         "OPENCV_FISHEYE" => CameraModel::OpenCvFisheye { fx, fy, cx, cy, k },
         "PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "RADIAL" | "SIMPLE_RADIAL" => {
-            if k == [0.0; 4] && p == [0.0; 2] {
-                CameraModel::Pinhole { fx, fy, cx, cy }
-            } else if [k3, k4] == [0.0; 2] {
-                CameraModel::OpenCv { fx, fy, cx, cy, k1, k2, p1, p2 }
-            } else {
-                CameraModel::FullOpenCv { fx, fy, cx, cy, k: [k1, k2, k3, k4, 0.0, 0.0], p }
-            }
+            opencv_model([fx, fy, cx, cy], [k1, k2, k3, k4, 0.0, 0.0], p)
         }
         _ => return Err(format!("camera_model can't be '{name}'")),
     };
@@ -128,7 +126,14 @@ fn name_and_distortion(model: &CameraModel) -> Option<(&'static str, BTreeMap<&'
         CameraModel::SimpleRadial { k, .. } => brown(k, 0.0, 0.0, 0.0),
         CameraModel::Radial { k, .. } => brown(k[0], k[1], 0.0, 0.0),
         CameraModel::OpenCv { k1, k2, p1, p2, .. } => brown(k1, k2, p1, p2),
-        CameraModel::FullOpenCv { .. } => None,
+        CameraModel::SimpleFisheye { .. } | CameraModel::Fisheye { .. } => fisheye([0.0; 4]),
+        CameraModel::FullOpenCv { .. }
+        | CameraModel::Fov { .. }
+        | CameraModel::ThinPrismFisheye { .. }
+        | CameraModel::RadTanThinPrismFisheye { .. }
+        | CameraModel::SimpleDivision { .. }
+        | CameraModel::Division { .. }
+        | CameraModel::Eucm { .. } => None,
         CameraModel::SimpleRadialFisheye { k, .. } => fisheye([k, 0.0, 0.0, 0.0]),
         CameraModel::RadialFisheye { k, .. } => fisheye([k[0], k[1], 0.0, 0.0]),
         CameraModel::OpenCvFisheye { k, .. } => fisheye(k),
@@ -154,6 +159,7 @@ pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
 
 fn camera(frame: FrameEntry, all: &FrameEntry) -> Result<NamedCamera, String> {
     let (size, model) = lens(&frame, all)?;
+    let time_ns = frame.time.map(seconds_in_ns).transpose()?;
     let name = frame.file_path.ok_or("file_path is missing")?;
     let m = frame.transform_matrix.ok_or("transform_matrix is missing")?;
     if m[3] != [0.0, 0.0, 0.0, 1.0] {
@@ -161,13 +167,13 @@ fn camera(frame: FrameEntry, all: &FrameEntry) -> Result<NamedCamera, String> {
     }
     let axes = Matrix3::from_fn(|r, c| if c == 0 { m[r][c] } else { -m[r][c] });
     let pose = pose_from_axes(&axes, [m[0][3], m[1][3], m[2][3]].into())?;
-    Ok(NamedCamera { name, camera: checked(size, &model, &pose)? })
+    Ok(NamedCamera { name, time_ns, camera: checked(size, &model, &pose)? })
 }
 
 /// Writes the cameras, each frame with its own lens. `FULL_OPENCV` is an error: the format can't hold it.
 pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let mut frames = Vec::new();
-    for NamedCamera { name, camera } in cameras {
+    for NamedCamera { name, time_ns, camera } in cameras {
         let (camera_model, distortion) = name_and_distortion(&camera.model).ok_or_else(|| {
             content(path, format!("can't describe {name}, a {}", camera.model.name()))
         })?;
@@ -179,6 +185,7 @@ pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeEr
         }
         frames.push(WrittenFrame {
             file_path: name,
+            time: time_ns.map(|ns| ns as f64 / 1e9),
             transform_matrix,
             camera_model,
             w: camera.width as f64,

@@ -1,105 +1,227 @@
-//! Pairs the cameras of a calibration with the folders of their images: by name, else by the numbers in the names.
+//! Pairs the cameras of a calibration with their videos or folders of images: by a table, by name, else by the numbers in
+//! the names.
 
+use super::csv::read_columns;
 use super::{ExchangeError, NamedCamera, content};
-use crate::text::check_id;
+use crate::camera::Camera;
+use crate::text::{check_id, short};
 use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
 /// Pose difference between two images of a camera above which it counts as moving, metres and radians.
 const MAX_MOTION: f64 = 1e-6;
 
-/// Cameras, named by their ids, with the folder of each camera's images.
+/// File extensions of videos.
+const VIDEOS: [&str; 20] = [
+    "mkv", "mp4", "mov", "avi", "webm", "m4v", "mts", "m2ts", "ts", "mpg", "mpeg", "mxf", "3gp",
+    "3g2", "ogv", "wmv", "flv", "y4m", "nut", "ivf",
+];
+
+/// Cameras, named by their ids, with the folder or video of each camera's frames.
 pub(super) struct Pairs {
     pub cameras: Vec<NamedCamera>,
-    pub folders: Vec<PathBuf>,
-    /// A sentence that says how they were paired, unless by name.
-    pub note: Option<String>,
+    pub recordings: Vec<PathBuf>,
+    /// Sentences that say how they were paired, unless by name, and what was left.
+    pub notes: Vec<String>,
 }
 
-/// Pairs the cameras of a calibration with the sub-folders of `images`. If the calibration has mere row numbers, the
-/// folders' names become the ids.
+/// A folder of images or a video, and its name without the extension.
+struct NamedRecording {
+    name: String,
+    path: PathBuf,
+}
+
+/// Pairs the cameras of a calibration with the sub-folders and videos of `images`. If the calibration has mere row
+/// numbers, the names of the folders or videos become the ids.
 ///
 /// # Errors
-/// A moving camera, a name that can't be an id. If some cameras have a folder of their name and others have none.
-/// Without any, if the numbers in the names leave the order open.
+/// A moving camera, a name that can't be an id. If some cameras have a recording of their name and others have none, or a
+/// camera has two. Without any, if the numbers in the names leave the order open.
 pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, ExchangeError> {
-    let is_nameless = cameras.iter().enumerate().all(|(row, c)| c.name == row.to_string());
+    let is_nameless = is_nameless(cameras);
     let cameras = one_each(cameras).map_err(|reason| content(images, reason))?;
-    let by_name: Vec<PathBuf> = cameras.iter().map(|camera| images.join(&camera.name)).collect();
-    let present = by_name.iter().position(|folder| folder.is_dir()).filter(|_| !is_nameless);
-    let Some(present) = present else { return pair_by_number(cameras, is_nameless, images) };
-    match by_name.iter().position(|folder| !folder.is_dir()) {
-        None => Ok(Pairs { cameras, folders: by_name, note: None }),
-        Some(missing) => {
-            let [present, missing] = [present, missing].map(|k| &cameras[k].name);
-            Err(content(images, format!("has a folder {present}, and none {missing}")))
+    let recordings = recordings(images)?;
+    let is_present = |camera: &NamedCamera| recordings.iter().any(|r| r.name == camera.name);
+    let present = cameras.iter().position(is_present).filter(|_| !is_nameless);
+    let Some(present) = present else {
+        return pair_by_number(cameras, recordings, is_nameless, images);
+    };
+    let mut paths = Vec::new();
+    for camera in &cameras {
+        let mut found = recordings.iter().filter(|r| r.name == camera.name);
+        let Some(first) = found.next() else {
+            let [present, missing] = [&cameras[present].name, &camera.name];
+            let reason = format!("has a recording {present}, and none {missing}");
+            return Err(content(images, reason));
+        };
+        if let Some(second) = found.next() {
+            let [a, b] = [first, second].map(|r| file_name(&r.path));
+            return Err(content(images, format!("has two recordings of one camera, {a} and {b}")));
         }
+        paths.push(first.path.clone());
     }
+    let left = recordings.iter().filter(|r| !paths.contains(&r.path) && is_footage(&r.path));
+    let left: Vec<String> = left.map(|r| file_name(&r.path)).collect();
+    let notes = if left.is_empty() {
+        Vec::new()
+    } else {
+        vec![format!("The calibration has no camera for {}; not imported.", left.join(", "))]
+    };
+    Ok(Pairs { cameras, recordings: paths, notes })
+}
+
+/// Pairs cameras with recordings as a table says: columns `camera` and `frames`. A camera is named, or numbered from 0 if
+/// the calibration has no names; then the recordings' names become the ids. `frames` is a folder or a video in `images`.
+///
+/// # Errors
+/// A camera that is unknown or listed twice, a recording that is missing.
+pub(super) fn pair_by_table(
+    cameras: &[NamedCamera],
+    images: &Path,
+    table: &Path,
+) -> Result<Pairs, ExchangeError> {
+    let is_nameless = is_nameless(cameras);
+    let known = one_each(cameras).map_err(|reason| content(images, reason))?;
+    let mut pairs = Pairs { cameras: Vec::new(), recordings: Vec::new(), notes: Vec::new() };
+    let mut listed: Vec<String> = Vec::new();
+    read_columns(table, [&["camera"], &["frames", "video", "images"]], |_, [name, frames]| {
+        let camera = known.iter().find(|c| c.name == name);
+        let mut camera =
+            camera.ok_or_else(|| format!("there is no camera '{}'", short(name)))?.clone();
+        if listed.iter().any(|other| other == name) {
+            return Err(format!("there is a camera '{}' already", short(name)));
+        }
+        let path = images.join(frames);
+        if !path.is_dir() && !path.is_file() {
+            return Err(format!("there is no '{}' in {}", short(frames), images.display()));
+        }
+        if is_nameless {
+            camera.name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            check_id(&camera.name).map_err(|reason| format!("the recording's name {reason}"))?;
+        }
+        listed.push(name.to_owned());
+        pairs.cameras.push(camera);
+        pairs.recordings.push(path);
+        Ok(())
+    })?;
+    if pairs.cameras.is_empty() {
+        return Err(content(table, "lists no camera"));
+    }
+    let left = known.iter().filter(|c| !listed.contains(&c.name)).map(|c| c.name.clone());
+    let left: Vec<String> = left.collect();
+    if !left.is_empty() {
+        pairs.notes.push(format!("The table has no camera {}; not imported.", left.join(", ")));
+    }
+    Ok(pairs)
+}
+
+/// Whether cameras are named by mere row numbers.
+fn is_nameless(cameras: &[NamedCamera]) -> bool {
+    cameras.iter().enumerate().all(|(row, c)| c.name == row.to_string())
+}
+
+/// Sub-folders and videos of a folder, by name.
+fn recordings(images: &Path) -> Result<Vec<NamedRecording>, ExchangeError> {
+    let mut paths = entries(images)?;
+    paths.sort();
+    let recording = |path: PathBuf| {
+        let name = if path.is_dir() {
+            file_name(&path)
+        } else if is_video(&path) {
+            path.file_stem()?.to_string_lossy().into_owned()
+        } else {
+            return None;
+        };
+        Some(NamedRecording { name, path })
+    };
+    Ok(paths.into_iter().filter_map(recording).collect())
+}
+
+/// Whether a path is a file with a video's extension.
+fn is_video(path: &Path) -> bool {
+    extension(path).is_some_and(|e| VIDEOS.contains(&e.as_str())) && path.is_file()
+}
+
+/// Whether a path is a video, or a folder that holds images.
+fn is_footage(path: &Path) -> bool {
+    is_video(path) || entries(path).is_ok_and(|files| files.iter().any(|file| is_image(file)))
 }
 
 fn pair_by_number(
     mut cameras: Vec<NamedCamera>,
+    recordings: Vec<NamedRecording>,
     is_nameless: bool,
     images: &Path,
 ) -> Result<Pairs, ExchangeError> {
-    let mut folders = entries(images)?;
-    folders.retain(|path| path.is_dir());
-    let (found, wanted) = (folders.len(), cameras.len());
+    let (found, wanted) = (recordings.len(), cameras.len());
     if found != wanted {
         let names = if is_nameless { "" } else { ", none of their names" };
-        return Err(content(images, format!("has {found} folders for {wanted} cameras{names}")));
+        return Err(content(
+            images,
+            format!("has {found} folders and videos for {wanted} cameras{names}"),
+        ));
     }
-    let mut names: Vec<String> = folders.iter().map(|folder| file_name(folder)).collect();
+    let names: Vec<String> = recordings.iter().map(|r| r.name.clone()).collect();
     let Some(order) = numbered_order(&names) else {
-        let reason =
-            "has folders whose names leave their order open: they must differ in numbers alone";
+        let reason = "has folders or videos whose names leave their order open: they must differ in numbers alone";
         return Err(content(images, reason));
     };
-    (folders, names) = order.iter().map(|&k| (folders[k].clone(), names[k].clone())).unzip();
+    let (names, recordings): (Vec<String>, Vec<PathBuf>) =
+        order.iter().map(|&k| (names[k].clone(), recordings[k].path.clone())).unzip();
     let (first, last) = (&names[0], &names[wanted - 1]);
     let note = if is_nameless {
         for (camera, name) in cameras.iter_mut().zip(&names) {
             check_id(name)
-                .map_err(|reason| content(images, format!("a folder's name {reason}")))?;
+                .map_err(|reason| content(images, format!("a recording's name {reason}")))?;
             camera.name.clone_from(name);
         }
         format!(
-            "The calibration has no names; its rows are the folders by number, {first} to {last}."
+            "The calibration has no names; its rows are the recordings by number, {first} to {last}."
         )
     } else {
         let ids: Vec<String> = cameras.iter().map(|camera| camera.name.clone()).collect();
         let order = numbered_order(&ids).unwrap_or_default();
         if !order.iter().map(|&k| numbers(&ids[k])).eq(names.iter().map(|name| numbers(name))) {
-            return Err(content(images, format!("has folders like {first}, and none {}", ids[0])));
+            return Err(content(
+                images,
+                format!("has recordings like {first}, and none {}", ids[0]),
+            ));
         }
         cameras = order.iter().map(|&k| cameras[k].clone()).collect();
-        format!("Cameras and folders are paired by number: {} is {first}.", ids[order[0]])
+        format!("Cameras and recordings are paired by number: {} is {first}.", ids[order[0]])
     };
-    Ok(Pairs { cameras, folders, note: Some(note) })
+    Ok(Pairs { cameras, recordings, notes: vec![note] })
 }
 
 /// Merges all images of a camera into one entry, named by the camera's id, in the order of the first images. The error
 /// is a reason.
-fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
+pub(super) fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     let mut distinct: Vec<NamedCamera> = Vec::new();
-    for NamedCamera { name, camera } in cameras {
+    for NamedCamera { name, camera, .. } in cameras {
         let id = id_of(name)?;
         let Some(known) = distinct.iter().find(|c| c.name == id) else {
-            distinct.push(NamedCamera { name: id, camera: camera.clone() });
+            distinct.push(NamedCamera { name: id, time_ns: None, camera: camera.clone() });
             continue;
         };
-        let (a, b) = (&known.camera.cam_from_world, &camera.cam_from_world);
-        let moved = (a.translation.vector - b.translation.vector).norm();
-        let turned = a.rotation.angle_to(&b.rotation);
-        if !(moved.max(turned) <= MAX_MOTION) || known.camera.model != camera.model {
+        if !is_same(&known.camera, camera) {
             return Err(format!("{id} is not the same camera in all its images: it must not move"));
         }
     }
     Ok(distinct)
 }
 
+/// Whether two images are of one camera that doesn't move.
+pub(super) fn is_same(a: &Camera, b: &Camera) -> bool {
+    let (from, to) = (&a.cam_from_world, &b.cam_from_world);
+    let moved = (from.translation.vector - to.translation.vector).norm();
+    let turned = from.rotation.angle_to(&to.rotation);
+    moved.max(turned) <= MAX_MOTION
+        && a.model == b.model
+        && [a.width, a.height] == [b.width, b.height]
+}
+
 /// The camera id in an image name: `cam0` in `cam0/0000.png`, `images/cam0.png` and `cam0.png`.
-fn id_of(name: &str) -> Result<String, String> {
+pub(super) fn id_of(name: &str) -> Result<String, String> {
     let mut parts: Vec<&str> = name.split('/').filter(|p| !matches!(*p, "" | ".")).collect();
     if parts.len() > 1 && parts[0] == "images" {
         parts.remove(0);
@@ -139,7 +261,7 @@ pub(super) fn numbered_order(names: &[String]) -> Option<Vec<usize>> {
 }
 
 /// The numbers in a name, each as its digits and, ahead of them, their count: of any length, in ascending order.
-fn numbers(name: &str) -> Vec<(usize, &str)> {
+pub(super) fn numbers(name: &str) -> Vec<(usize, &str)> {
     let digits = name.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty());
     digits.map(|digits| digits.trim_start_matches('0')).map(|d| (d.len(), d)).collect()
 }
@@ -156,4 +278,17 @@ pub(super) fn entries(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let mut entries = all_entries(folder)?;
     entries.retain(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."));
     Ok(entries.iter().map(DirEntry::path).collect())
+}
+
+/// File extensions of images.
+const IMAGES: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
+
+/// Whether a path has an image's extension.
+pub(super) fn is_image(path: &Path) -> bool {
+    extension(path).is_some_and(|e| IMAGES.contains(&e.as_str()))
+}
+
+/// A path's extension in small letters.
+pub(super) fn extension(path: &Path) -> Option<String> {
+    Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }

@@ -9,7 +9,7 @@ fn looking_up() -> NamedCamera {
     let pose = pose_from_axes(&axes, Vector3::new(1.0, 2.0, 3.0)).unwrap();
     let model = CameraModel::Pinhole { fx: 700.0, fy: 700.0, cx: 320.0, cy: 240.0 };
     let camera = Camera { width: 640, height: 480, model, cam_from_world: pose };
-    NamedCamera { name: "cam0".into(), camera }
+    NamedCamera { name: "cam0".into(), time_ns: None, camera }
 }
 
 /// Cameras with every known model in odd places.
@@ -23,7 +23,7 @@ fn one_of_each() -> Vec<NamedCamera> {
             let turn = UnitQuaternion::from_euler_angles(0.3 * k as f64, -0.7, 2.0 + k as f64);
             camera.cam_from_world = Isometry3::from_parts([0.1, -1.0 / 7.0, k as f64].into(), turn);
             camera.model = CameraModel::from_params(name, &params).unwrap();
-            NamedCamera { name: format!("cam{k}/0000.png"), camera }
+            NamedCamera { name: format!("cam{k}/0000.png"), time_ns: None, camera }
         })
         .collect()
 }
@@ -224,11 +224,11 @@ fn a_model_and_sequences_become_a_capture() {
             write_image(&path, &shade, None, BitDepth::Eight).unwrap();
             let mut camera = pinhole_at([if id == "left" { 0.0 } else { 0.1 }, 0.0, 0.0]);
             (camera.width, camera.height) = (8, 6);
-            cameras.push(NamedCamera { name: format!("{id}/f{k}.png"), camera });
+            cameras.push(NamedCamera { name: format!("{id}/f{k}.png"), time_ns: None, camera });
         }
     }
-    let clock = ImportClock { rate_hz: 25.0, first_s: 2.0, shared: false };
-    import(&cameras, &images, clock, &target).unwrap();
+    let clock = ImportClock { rate_hz: Some(25.0), first_s: 2.0, shared: false };
+    import_by(&cameras, &images, clock, &target).unwrap();
     let capture = Capture::open(&target).unwrap();
     assert_eq!(capture.cameras.len(), 2);
     assert!((capture.cameras[1].camera.center() - Point3::new(0.1, 0.0, 0.0)).norm() < 1e-12);
@@ -236,11 +236,11 @@ fn a_model_and_sequences_become_a_capture() {
     // f8, f9, f10: by number, not by name.
     assert_eq!(capture.read_frame(0, 2).unwrap().pixel(0, 0), [1.0; 3]);
     assert_eq!(capture.times_in_file_s(0), [2.0, 2.04, 2.08]);
-    let again = import(&cameras, &images, clock, &target).unwrap_err().to_string();
+    let again = import_by(&cameras, &images, clock, &target).unwrap_err().to_string();
     assert!(again.contains("not written over"), "{again}");
 
     cameras[1].camera.cam_from_world.translation.x += 0.01;
-    let moving = import(&cameras, &images, clock, &folder.path().join("other")).unwrap_err();
+    let moving = import_by(&cameras, &images, clock, &folder.path().join("other")).unwrap_err();
     assert!(moving.to_string().contains("must not move"), "{moving}");
 }
 
@@ -256,7 +256,18 @@ fn sequence_of(folder: &Path, numbers: &[&str]) -> NamedCamera {
     NamedCamera { name: "a/0.png".into(), ..camera }
 }
 
-const CLOCK: ImportClock = ImportClock { rate_hz: 25.0, first_s: 0.0, shared: false };
+fn import_by(
+    cameras: &[NamedCamera],
+    images: &Path,
+    clock: ImportClock,
+    target: &Path,
+) -> Result<Vec<String>, ExchangeError> {
+    let request = ImportRequest { images, table: None, times: None, clock, is_cropped: false };
+    let reporter = &crate::progress::Reporter::silent();
+    import(cameras, &request, target, &crate::capture::Opening { ffmpeg: None, reporter })
+}
+
+const CLOCK: ImportClock = ImportClock { rate_hz: Some(25.0), first_s: 0.0, shared: false };
 
 #[test]
 fn every_frame_counts_in_an_import() {
@@ -269,7 +280,8 @@ fn every_frame_counts_in_an_import() {
         let folder = tempfile::tempdir().unwrap();
         let camera = sequence_of(&folder.path().join("images"), numbers);
         let target = folder.path().join("capture");
-        let error = import(&[camera], &folder.path().join("images"), CLOCK, &target).unwrap_err();
+        let error =
+            import_by(&[camera], &folder.path().join("images"), CLOCK, &target).unwrap_err();
         assert!(error.to_string().contains(words), "{error}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "only the images");
     }
@@ -278,7 +290,7 @@ fn every_frame_counts_in_an_import() {
     std::fs::remove_file(folder.path().join("a/1.png")).unwrap();
     std::fs::create_dir(folder.path().join("a/1.png")).unwrap();
     let target = folder.path().join("capture");
-    let error = import(&[camera], folder.path(), CLOCK, &target).unwrap_err();
+    let error = import_by(&[camera], folder.path(), CLOCK, &target).unwrap_err();
     assert!(error.to_string().contains("1.png: has an image's name and is no"), "{error}");
 }
 
@@ -290,33 +302,33 @@ fn an_import_is_whole_or_not_there() {
     // The originals and folders that aren't empty are refused as targets.
     let before = std::fs::read(images.join("a/7.png")).unwrap();
     for target in [&images, &images.join("a"), &images.join("a/7.png")] {
-        assert!(import(&camera, &images, CLOCK, target).is_err());
+        assert!(import_by(&camera, &images, CLOCK, target).is_err());
     }
     assert_eq!(std::fs::read(images.join("a/7.png")).unwrap(), before);
     // A failed import leaves no files, so that it can be repeated.
     let target = folder.path().join("capture");
-    let fast = ImportClock { rate_hz: 1e12, ..CLOCK };
-    let error = import(&camera, &images, fast, &target).unwrap_err().to_string();
+    let fast = ImportClock { rate_hz: Some(1e12), ..CLOCK };
+    let error = import_by(&camera, &images, fast, &target).unwrap_err().to_string();
     assert!(error.contains("capture: capture.json: cameras[0]"), "{error}");
     std::fs::write(images.join("a/8.png"), "no image").unwrap();
-    let error = import(&camera, &images, CLOCK, &target).unwrap_err().to_string();
+    let error = import_by(&camera, &images, CLOCK, &target).unwrap_err().to_string();
     assert!(error.contains("capture: a/0001.png"), "{error}");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     std::fs::copy(images.join("a/7.png"), images.join("a/8.png")).unwrap();
     std::fs::create_dir(&target).unwrap();
-    import(&camera, &images, CLOCK, &target).unwrap();
+    import_by(&camera, &images, CLOCK, &target).unwrap();
     assert_eq!(crate::capture::Capture::open(&target).unwrap().cameras[0].frames.len(), 2);
 }
 
 #[test]
 fn names_that_lead_elsewhere_are_refused() {
-    let clock = ImportClock { rate_hz: 25.0, first_s: 0.0, shared: false };
+    let clock = ImportClock { rate_hz: Some(25.0), first_s: 0.0, shared: false };
     let folder = tempfile::tempdir().unwrap();
     for name in ["../a.png", "", "/", "a%d/0.png", ".x/0.png"] {
         let mut camera = looking_up();
         camera.name = name.into();
         let message =
-            import(&[camera], folder.path(), clock, &folder.path().join("c")).unwrap_err();
+            import_by(&[camera], folder.path(), clock, &folder.path().join("c")).unwrap_err();
         assert!(message.to_string().contains("can't name a camera"), "{name}: {message}");
     }
 }
@@ -347,11 +359,15 @@ fn every_camera_keeps_its_pose_through_export_and_import() {
             let last = name(count - 1);
             std::fs::create_dir_all(images.join(&last)).unwrap();
             let at = |k: usize| pinhole_at([0.5 + k as f64, 0.0, 0.0]);
-            let named = |k| NamedCamera { name: format!("{}/0000.png", name(k)), camera: at(k) };
+            let named = |k| NamedCamera {
+                name: format!("{}/0000.png", name(k)),
+                time_ns: None,
+                camera: at(k),
+            };
             let cameras: Vec<NamedCamera> = (0..count).map(named).collect();
             let of_its_name = |pairs: &pairing::Pairs| {
-                assert_eq!(pairs.folders.len(), count);
-                for (camera, folder) in pairs.cameras.iter().zip(&pairs.folders) {
+                assert_eq!(pairs.recordings.len(), count);
+                for (camera, folder) in pairs.cameras.iter().zip(&pairs.recordings) {
                     let k = camera.camera.center().x.floor() as usize;
                     assert_eq!(folder, &images.join(name(k)), "{} of {count}", camera.name);
                     assert_eq!(camera.name, name(k));
@@ -365,8 +381,8 @@ fn every_camera_keeps_its_pose_through_export_and_import() {
             match pairing::pair(&read_llff(&npy).unwrap(), &images) {
                 Ok(pairs) => {
                     of_its_name(&pairs);
-                    let note = pairs.note.unwrap();
-                    assert!(note.contains("has no names; its rows are the folders"), "{note}");
+                    let note = &pairs.notes[0];
+                    assert!(note.contains("has no names; its rows are the recordings"), "{note}");
                     paired_without_names += 1;
                 }
                 Err(error) => {
@@ -382,18 +398,21 @@ fn every_camera_keeps_its_pose_through_export_and_import() {
 #[test]
 fn names_that_differ_pair_by_number_or_not_at_all() {
     let folder = tempfile::tempdir().unwrap();
-    let camera =
-        |name: &str, x| NamedCamera { name: name.into(), camera: pinhole_at([x, 0.0, 0.0]) };
+    let camera = |name: &str, x| NamedCamera {
+        name: name.into(),
+        time_ns: None,
+        camera: pinhole_at([x, 0.0, 0.0]),
+    };
     let cameras = [camera("view10.png", 10.0), camera("view9.png", 9.0)];
     for name in ["cam9", "cam10"] {
         std::fs::create_dir(folder.path().join(name)).unwrap();
     }
     let pairs = pairing::pair(&cameras, folder.path()).unwrap();
-    assert_eq!(pairs.folders, ["cam9", "cam10"].map(|name| folder.path().join(name)));
+    assert_eq!(pairs.recordings, ["cam9", "cam10"].map(|name| folder.path().join(name)));
     assert_eq!(pairs.cameras[0].camera.center().x, 9.0);
     for other in [["view8.png", "view9.png"], ["left.png", "right.png"]] {
         let cameras = [camera(other[0], 10.0), camera(other[1], 9.0)];
         let error = pairing::pair(&cameras, folder.path()).err().unwrap().to_string();
-        assert!(error.contains("has folders like cam9, and none"), "{error}");
+        assert!(error.contains("has recordings like cam9, and none"), "{error}");
     }
 }

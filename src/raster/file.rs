@@ -305,8 +305,8 @@ mod tests {
             let image = gradient(channels);
             write_webp(&path, &image).unwrap();
             let decoded = webp::Decoder::new(&std::fs::read(&path).unwrap()).decode().unwrap();
-            let (_, samples) = quantize(&image.to_rgb(), None, BitDepth::Eight);
-            assert_eq!(Samples::Eight(decoded.to_vec()), samples);
+            let quantized = Quantized::new(&image.to_rgb(), None, BitDepth::Eight);
+            assert_eq!(Samples::Eight(decoded.to_vec()), quantized.samples);
         }
         let wide = Image::filled(1 << 14, 1, 1, 0.5);
         assert!(write_webp(&path, &wide).unwrap_err().to_string().contains("a.webp"));

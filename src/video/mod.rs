@@ -4,7 +4,7 @@ mod reader;
 mod writer;
 
 pub(crate) use reader::frame_name;
-pub use reader::{VideoLimits, decode};
+pub use reader::{VideoFacts, VideoLimits, decode, inspect};
 pub use writer::{Codec, VideoFormat, VideoWriter};
 
 use std::path::PathBuf;

@@ -1,10 +1,12 @@
 //! Decoding a video into numbered images.
 //!
 //! ffmpeg converts colours to full-range grey or RGB, with 8 bits where the video has 8, and 16 where it has more. A
-//! rotation in the file's metadata is applied, as by a player.
+//! rotation in the file's metadata is applied, as by a player. Interlaced video is refused: the two fields of a frame are
+//! of two instants.
 
 use super::{VideoError, without_address};
 use crate::host::process::{Ended, Process};
+use crate::raster::MAX_PIXELS;
 use std::fs::File;
 use std::io;
 use std::path::Path;
@@ -14,8 +16,11 @@ use std::process::{Command, Stdio};
 const CONTAINERS: &str =
     "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,mxf,nut,yuv4mpegpipe,ogg,asf,flv,ivf";
 
-/// The file in which ffmpeg lists the time stamps, in microseconds.
+/// The file in which ffmpeg lists the size of the images, and the time stamps in microseconds.
 const STAMPS_FILE: &str = "stamps.txt";
+
+/// The file in which ffmpeg lists the first interlaced frame, if any.
+const FIELDS_FILE: &str = "fields.txt";
 
 /// The name of a decoded frame.
 pub(crate) fn frame_name(index: usize) -> String {
@@ -33,24 +38,62 @@ pub struct VideoLimits {
     pub size: [usize; 2],
 }
 
+/// Largest side of an image, pixels.
+const MAX_SIDE_PX: usize = 65_536;
+
 /// The open file on the child's standard input: the child reads it wherever its path leads meanwhile.
 const INPUT: &str = "file:/proc/self/fd/0";
+
+/// The size of a video's images as they are decoded, a rotation applied, and the file's time stamps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VideoFacts {
+    /// Width and height, pixels.
+    pub size: [usize; 2],
+    /// Time stamp of every frame, seconds; the file starts at 0.
+    pub times_s: Vec<f64>,
+}
 
 /// Decodes the first video stream into `folder` as 000000.png, 000001.png and so on, in constant memory. Returns the
 /// file's time stamp of every frame, seconds.
 ///
 /// # Errors
-/// If there are more frames or larger images than `limits` has, and for any error in the file: ffmpeg would conceal
-/// damaged frames.
+/// If there are more frames or larger images than `limits` has, if frames are interlaced, and for any error in the file:
+/// ffmpeg would conceal damaged frames.
 pub fn decode(
     ffmpeg: &Path,
     video: &File,
     folder: &Path,
     limits: VideoLimits,
 ) -> Result<Vec<f64>, VideoError> {
-    let VideoLimits { max_frames, size } = limits;
-    let frames = (max_frames + 1).to_string();
-    let max_pixels: usize = size.iter().map(|side| side.next_multiple_of(BLOCK_PX)).product();
+    let max_pixels: usize =
+        limits.size.iter().map(|side| side.next_multiple_of(BLOCK_PX)).product();
+    let mut command = command(ffmpeg, folder, max_pixels);
+    command
+        .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-noautoscale"])
+        .args(["-frames:v", &(limits.max_frames + 1).to_string()])
+        .args(["-sws_flags", "accurate_rnd+full_chroma_int+bitexact"])
+        // A cache is compressed fast rather than well.
+        .args(["-c:v", "png", "-compression_level", "1"])
+        .args(["-start_number", "0", "-f", "image2", "%06d.png"]);
+    let ended = run(&mut command, ffmpeg, video, limits.max_frames)?;
+    Ok(facts(&ended, folder, limits.max_frames, limits.size)?.times_s)
+}
+
+/// Decodes the first video stream without writing its images. `folder` is for temporary files. Errors: as [`decode`].
+pub fn inspect(
+    ffmpeg: &Path,
+    video: &File,
+    folder: &Path,
+    max_frames: usize,
+) -> Result<VideoFacts, VideoError> {
+    let max_pixels = usize::try_from(MAX_PIXELS).unwrap_or(usize::MAX);
+    let mut command = command(ffmpeg, folder, max_pixels);
+    let ended = run(&mut command, ffmpeg, video, max_frames)?;
+    facts(&ended, folder, max_frames, [MAX_SIDE_PX; 2])
+}
+
+/// The ffmpeg that reads its standard input, and stops at the first error.
+fn command(ffmpeg: &Path, folder: &Path, max_pixels: usize) -> Command {
     let mut command = Command::new(ffmpeg);
     command
         // Names of the outputs are relative, so that a `%` in the folder's own isn't a pattern.
@@ -59,29 +102,60 @@ pub fn decode(
         .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-xerror"])
         .args(["-protocol_whitelist", "file", "-format_whitelist", CONTAINERS])
         .args(["-max_pixels", &max_pixels.to_string()])
-        .args(["-err_detect", "explode", "-i", INPUT])
-        .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-noautoscale"])
-        .args(["-frames:v", &frames])
-        .args(["-sws_flags", "accurate_rnd+full_chroma_int+bitexact"])
-        // A cache is compressed fast rather than well.
-        .args(["-c:v", "png", "-compression_level", "1"])
-        .args(["-start_number", "0", "-f", "image2", "%06d.png"])
+        .args(["-err_detect", "explode", "-i", INPUT]);
+    command
+}
+
+/// Adds the listings to ffmpeg's outputs, and runs it to its end.
+fn run(
+    command: &mut Command,
+    ffmpeg: &Path,
+    video: &File,
+    max_frames: usize,
+) -> Result<Ended, VideoError> {
+    command
         .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-enc_time_base", "1/1000000"])
-        .args(["-frames:v", &frames, "-c:v", "rawvideo", "-f", "framecrc", STAMPS_FILE]);
-    let started =
-        video.try_clone().and_then(|file| Process::start(&mut command, Stdio::from(file)));
-    let ended = started
+        .args(["-frames:v", &(max_frames + 1).to_string()])
+        .args(["-c:v", "rawvideo", "-f", "framecrc", STAMPS_FILE])
+        .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-vf", r"select=gt(interlace_type\,0)"])
+        .args(["-frames:v", "1", "-c:v", "rawvideo", "-f", "framecrc", FIELDS_FILE]);
+    let started = video.try_clone().and_then(|file| Process::start(command, Stdio::from(file)));
+    started
         .and_then(Process::wait)
-        .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
-    succeeded(&ended, folder, size)?;
-    let stamps = folder.join(STAMPS_FILE);
-    let text = std::fs::read_to_string(&stamps)
-        .map_err(|source| VideoError::File { path: stamps, source })?;
-    let times_s = times_s(&text)?;
+        .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })
+}
+
+/// What ffmpeg's listings say. `size` is for the message if images are too large.
+fn facts(
+    ended: &Ended,
+    folder: &Path,
+    max_frames: usize,
+    size: [usize; 2],
+) -> Result<VideoFacts, VideoError> {
+    succeeded(ended, folder, size)?;
+    let text = |name: &str| {
+        let path = folder.join(name);
+        std::fs::read_to_string(&path).map_err(|source| VideoError::File { path, source })
+    };
+    if !times_s(&text(FIELDS_FILE)?)?.is_empty() {
+        return Err(wrong(
+            "is interlaced, and the two fields of a frame are of two instants: deinterlace it first".into(),
+        ));
+    }
+    let listing = text(STAMPS_FILE)?;
+    let times_s = times_s(&listing)?;
     if times_s.len() > max_frames {
         return Err(wrong(format!("has more than {max_frames} frames")));
     }
-    Ok(times_s)
+    let size = dimensions(&listing).ok_or_else(|| wrong("has no frames".into()))?;
+    Ok(VideoFacts { size, times_s })
+}
+
+/// The size in the head of a framecrc listing, pixels.
+fn dimensions(listing: &str) -> Option<[usize; 2]> {
+    let line = listing.lines().find_map(|line| line.strip_prefix("#dimensions 0: "))?;
+    let (width, height) = line.trim().split_once('x')?;
+    Some([width.parse().ok()?, height.parse().ok()?])
 }
 
 /// The error that ffmpeg ended with, or any that it reports.
@@ -154,9 +228,9 @@ mod tests {
 
     #[test]
     fn listings_of_time_stamps() {
-        let text =
-            "#tb 0: 1/1000000\n0, 0, 0, 33000, 9, 0xe6\n0,  -5,   67000,    33000,   9, 0x59\n";
+        let text = "#tb 0: 1/1000000\n#dimensions 0: 64x48\n0, 0, 0, 33000, 9, 0xe6\n0,  -5,   67000,    33000,   9, 0x59\n";
         assert_eq!(times_s(text).unwrap(), [0.0, 0.067]);
+        assert_eq!(dimensions(text), Some([64, 48]));
         assert!(times_s("0, 0, NOPTS, 1, 1, 0x0\n").is_err());
     }
 }

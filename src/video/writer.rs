@@ -20,6 +20,8 @@ pub enum Codec {
     Vp9,
     /// GIF, with a palette of 256 colours a frame. It repeats without end.
     Gif,
+    /// H.264 in MP4 without loss, in RGB of 8 bits, which other programs' readers of videos decode.
+    H264Lossless,
 }
 
 /// The format of a video file.
@@ -60,7 +62,7 @@ impl Codec {
     pub fn suffix(self) -> &'static str {
         match self {
             Self::Ffv1 => "mkv",
-            Self::H264 => "mp4",
+            Self::H264 | Self::H264Lossless => "mp4",
             Self::Vp9 => "webm",
             Self::Gif => "gif",
         }
@@ -76,6 +78,7 @@ impl Codec {
         match self {
             Self::Ffv1 => "ffv1",
             Self::H264 => "libx264",
+            Self::H264Lossless => "libx264rgb",
             Self::Vp9 => "libvpx-vp9",
             Self::Gif => "gif",
         }
@@ -107,6 +110,7 @@ impl Codec {
         let (filter, rest) = match self {
             Self::Ffv1 => ("", "-level 3 -g 1 -slicecrc 1 -f matroska"),
             Self::H264 => (BROWSER_COLORS, "-crf 16 -movflags +faststart -f mp4"),
+            Self::H264Lossless => ("", "-qp 0 -movflags +faststart -f mp4"),
             Self::Vp9 => {
                 (BROWSER_COLORS, "-crf 20 -b:v 0 -deadline good -cpu-used 4 -row-mt 0 -f webm")
             }

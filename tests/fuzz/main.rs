@@ -91,6 +91,14 @@ targets!(
     colmap_text_images,
     colmap_binary_cameras,
     colmap_binary_images,
+    colmap_text_rigs,
+    colmap_text_frames,
+    colmap_binary_rigs,
+    colmap_binary_frames,
+    colmap_times,
     transforms,
-    poses_bounds
+    poses_bounds,
+    calib_toml,
+    qualisys,
+    timestamps
 );

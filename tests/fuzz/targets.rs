@@ -7,8 +7,8 @@ use std::path::Path;
 use stlfr::camera::{Camera, CameraFormat};
 use stlfr::capture::{Capture, read_array};
 use stlfr::exchange::{
-    NamedCamera, read_colmap, read_llff, read_nerf, write_colmap_binary, write_colmap_text,
-    write_llff, write_nerf,
+    Dataset, DatasetFormat, NamedCamera, read_anipose, read_colmap, read_llff, read_nerf,
+    read_qualisys, read_times, write_colmap_binary, write_colmap_text, write_llff, write_nerf,
 };
 use stlfr::json;
 use stlfr::offset::{Offsets, SavedOffsets};
@@ -170,7 +170,9 @@ pub fn depth_npy() -> Target {
 }
 
 fn cameras() -> Vec<NamedCamera> {
-    ["cam0", "cam1"].map(|id| NamedCamera { name: id.into(), camera: camera() }).into()
+    ["cam0", "cam1"]
+        .map(|id| NamedCamera { name: id.into(), time_ns: None, camera: camera() })
+        .into()
 }
 
 fn parse_colmap(folder: &Path) -> Result<(), String> {
@@ -206,6 +208,121 @@ pub fn colmap_binary_cameras() -> Target {
 
 pub fn colmap_binary_images() -> Target {
     Target { name: "colmap_binary_images", file: "images.bin", ..colmap_binary_cameras() }
+}
+
+/// A model of a rig with two cameras at one instant, in text.
+fn write_rig(folder: &Path) {
+    write_colmap_text(folder, &cameras()).unwrap();
+    let rigs = "7 2 CAMERA 1 CAMERA 2 1 1 0 0 0 -0.5 0 0\n";
+    std::fs::write(folder.join("rigs.txt"), rigs).unwrap();
+    let frames = "1 7 1 0 0 0 0 0 -2 2 CAMERA 1 1 CAMERA 2 2\n";
+    std::fs::write(folder.join("frames.txt"), frames).unwrap();
+}
+
+pub fn colmap_text_rigs() -> Target {
+    Target {
+        name: "colmap_text_rigs",
+        file: "rigs.txt",
+        is_text: true,
+        prepare: write_rig,
+        parse: parse_colmap,
+    }
+}
+
+pub fn colmap_text_frames() -> Target {
+    Target { name: "colmap_text_frames", file: "frames.txt", ..colmap_text_rigs() }
+}
+
+/// A dataset with a binary model of a rig.
+fn write_dataset(folder: &Path) {
+    let format = DatasetFormat::Colmap { is_synchronized: true };
+    let cameras = cameras().into_iter().map(|c| (c.name, c.camera)).collect();
+    let mut dataset = Dataset::create(&folder.join("data"), format, cameras).unwrap();
+    let image = Image::filled(8, 6, 1, 0.5);
+    for camera in 0..2 {
+        dataset.push(camera, 1_000_000, &image, BitDepth::Eight).unwrap();
+    }
+    dataset.finish().unwrap();
+}
+
+pub fn colmap_binary_rigs() -> Target {
+    Target {
+        name: "colmap_binary_rigs",
+        file: "data/sparse/0/rigs.bin",
+        is_text: false,
+        prepare: write_dataset,
+        parse: |folder| parse_colmap(&folder.join("data/sparse/0")),
+    }
+}
+
+pub fn colmap_binary_frames() -> Target {
+    Target {
+        name: "colmap_binary_frames",
+        file: "data/sparse/0/frames.bin",
+        ..colmap_binary_rigs()
+    }
+}
+
+pub fn colmap_times() -> Target {
+    Target { name: "colmap_times", file: "data/sparse/0/times.bin", ..colmap_binary_rigs() }
+}
+
+/// A camera as Anipose and Pose2Sim write it.
+const CALIB: &str = r#"[cam_0]
+name = "left"
+size = [ 640, 480.0 ]
+matrix = [ [ 500.0, 0.0, 319.5 ], [ 0.0, 510.0, 239.5 ], [ 0.0, 0.0, 1.0 ] ]
+distortions = [ 0.1, -0.2, 0.001, 0.002, 0.3 ]
+rotation = [ 0.1, 0.2, 0.3 ]
+translation = [ 0.5, 0.0, 1.0 ]
+fisheye = false
+
+[metadata]
+adjusted = false
+"#;
+
+pub fn calib_toml() -> Target {
+    Target {
+        name: "calib_toml",
+        file: "Calib.toml",
+        is_text: true,
+        prepare: |folder| std::fs::write(folder.join("Calib.toml"), CALIB).unwrap(),
+        parse: |folder| read_anipose(&folder.join("Calib.toml")).map(drop).map_err(text),
+    }
+}
+
+/// A camera as Qualisys writes it.
+const QCA: &str = r#"<?xml version='1.0' encoding='ASCII'?>
+<calibration type="regular"><cameras><camera active="1" serial="cam01" model="none">
+<fov_video left="0" top="8" right="639" bottom="487"/>
+<transform r11="1" r12="0" r13="0" r21="0" r22="0" r23="1" r31="0" r32="-1" r33="0" x="100" y="-2000" z="1500"/>
+<intrinsic focalLengthU="32000" focalLengthV="32640" centerPointU="20448" centerPointV="15840" skew="0.0"
+ radialDistortion1="-0.1" radialDistortion2="0.2" tangentalDistortion1="0.001" tangentalDistortion2="0.002"/>
+</camera></cameras></calibration>
+"#;
+
+pub fn qualisys() -> Target {
+    Target {
+        name: "qualisys",
+        file: "Calib.qca.txt",
+        is_text: true,
+        prepare: |folder| std::fs::write(folder.join("Calib.qca.txt"), QCA).unwrap(),
+        parse: |folder| read_qualisys(&folder.join("Calib.qca.txt")).map(drop).map_err(text),
+    }
+}
+
+pub fn timestamps() -> Target {
+    Target {
+        name: "timestamps",
+        file: "timestamps.csv",
+        is_text: true,
+        prepare: |folder| {
+            let text =
+                "sync_index,cam_id,frame_time\n416,3,48033.0121928\n416,\"1\",48033.00157345\n";
+            std::fs::write(folder.join("timestamps.csv"), text).unwrap();
+        },
+        parse: |folder| read_times(&folder.join("timestamps.csv")).map(drop).map_err(text),
+    }
 }
 
 pub fn transforms() -> Target {

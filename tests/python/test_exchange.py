@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import struct
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -110,3 +112,82 @@ def test_pycolmaps_own_files_are_read(program: Path, tmp_path: Path) -> None:
             w, x, y, z = camera["cam_from_world"]["rotation_wxyz"]
             alignment = np.dot(pose.rotation.quat, [x, y, z, w])
             assert abs(alignment) == pytest.approx(1.0, abs=1e-12)
+
+
+def film_with_true_offsets(capture_dir: Path, folder: Path) -> dict[str, float]:
+    """Copy a capture, with its true offsets as if they were estimated; returns them by camera."""
+    shutil.copytree(capture_dir, folder)
+    truth = json.loads((folder / "truth/truth.json").read_text())
+    offsets = {camera["id"]: camera["offset_s"] for camera in truth["offsets"]}
+    described = json.loads((folder / "capture.json").read_text())
+    ids = [camera["id"] for camera in described["cameras"]]
+    reference = described.get("reference", ids[(len(ids) - 1) // 2])
+    relative = {i: offsets[i] - offsets[reference] for i in ids}
+    errors = {i: 0.0 if i == reference else 1e-5 for i in ids}
+    cameras = [{"id": i, "offset_s": relative[i], "std_err_s": errors[i]} for i in ids]
+    text = json.dumps({"reference": reference, "cameras": cameras})
+    (folder / "offsets.json").write_text(text)
+    return relative
+
+
+def test_pycolmap_reads_synchronized_images_as_frames_of_a_rig(
+    program: Path, capture_dir: Path, tmp_path: Path
+) -> None:
+    film, out = tmp_path / "film", tmp_path / "out"
+    film_with_true_offsets(capture_dir, film)
+    instants = ["--times", "0.07:0.1:2", "--set", "sync=crossfade"]
+    command = ["export", film, "--synchronized", "--format", "colmap", *instants]
+    run(program, *command, "-o", out)
+    model = pycolmap.Reconstruction(out / "sparse/0")
+    cameras = json.loads((film / "capture.json").read_text())["cameras"]
+    assert (model.num_rigs(), model.num_frames()) == (1, 2)
+    assert model.num_images() == 2 * len(cameras)
+    poses = {c["id"]: c["cam_from_world"] for c in cameras}
+    for image in model.images.values():
+        assert (out / "images" / image.name).is_file()
+        # The pose is that of the frame and the rig.
+        expected = poses[image.name.split("/")[0]]
+        found = image.cam_from_world()
+        np.testing.assert_allclose(
+            found.translation, expected["translation"], rtol=0, atol=1e-9
+        )
+    frames = [{data.id for data in frame.data_ids} for frame in model.frames.values()]
+    assert [len(frame) for frame in frames] == [len(cameras)] * 2
+    assert not frames[0] & frames[1]
+
+
+def test_filmed_frames_have_colmap4ds_times(
+    program: Path, capture_dir: Path, tmp_path: Path
+) -> None:
+    """colmap4d's specification 1.0: a count, then the number and the nanoseconds of each image."""
+    film, out = tmp_path / "film", tmp_path / "out"
+    offsets = film_with_true_offsets(capture_dir, film)
+    run(program, "export", film, "--frames", "--format", "colmap", "-o", out)
+    model = pycolmap.Reconstruction(out / "sparse/0")
+    data = (out / "sparse/0/times.bin").read_bytes()
+    (count,) = struct.unpack_from("<Q", data)
+    times = dict(struct.iter_unpack("<Iq", data[8:]))
+    assert len(times) == count == model.num_images()
+    clocks = {
+        camera["id"]: camera["clock"]
+        for camera in json.loads((film / "capture.json").read_text())["cameras"]
+    }
+    for number, image in model.images.items():
+        camera, file = image.name.split("/")
+        clock, frame = clocks[camera], int(Path(file).stem)
+        nominal = (
+            clock["times_s"][frame]
+            if "times_s" in clock
+            else clock["first_s"] + frame / clock["rate_hz"]
+        )
+        assert times[number] / 1e9 == pytest.approx(nominal + offsets[camera], abs=1e-9)
+        original = (film / camera / f"{frame:04d}.png").read_bytes()
+        copied = pycolmap.Bitmap.read(out / "images" / image.name, as_rgb=True)
+        (tmp_path / "original.png").write_bytes(original)
+        expected = pycolmap.Bitmap.read(tmp_path / "original.png", as_rgb=True)
+        assert np.array_equal(copied.to_array(), expected.to_array())
+    meta = json.loads((out / "sparse/0/time_meta.json").read_text())
+    assert meta["colmap4d_spec"] == "1.0"
+    assert meta["time_convention"] == "mid_exposure"
+    numbers = {device["camera_ids"][0] for device in meta["devices"].values()}
+    assert numbers == set(model.cameras)

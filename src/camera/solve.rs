@@ -1,0 +1,103 @@
+//! What inverses of lenses are found with: polynomials, and Newton's method inside a domain.
+
+use nalgebra::{Matrix2, Point2, Vector2};
+
+/// Newton's method stops when a step is shorter than this, in normalized units.
+pub(super) const STEP: f64 = 1e-14;
+/// Maximum number of Newton steps: 3 to 6 are usual, some 30 next to the fold, where convergence is linear.
+pub(super) const ITERATIONS: usize = 60;
+/// Minimum slope of the distortion, and minimum determinant of its derivative, inside of the fold.
+pub(super) const MIN_SLOPE: f64 = 1e-9;
+/// Maximum residual of a solution, in normalized units.
+pub(super) const MAX_RESIDUAL: f64 = 1e-12;
+/// Maximum angle from the axis, radians: at 90° the plane z = 1 has no point.
+pub(super) const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
+
+/// The point inside of a domain that a map takes to `d`, by Newton's method; steps that would leave the domain are
+/// halved. The domain contains the origin, and the map is near to the identity there. `None` if there is no such point.
+pub(super) fn newton(
+    d: &Point2<f64>,
+    value: impl Fn(&Point2<f64>) -> Point2<f64>,
+    derivative: impl Fn(&Point2<f64>) -> Matrix2<f64>,
+    is_inside: impl Fn(&Point2<f64>) -> bool,
+) -> Option<Point2<f64>> {
+    // Starts at the distorted point. It may lie beyond the fold; points near the axis never do.
+    let mut n = *d;
+    for _ in 0..ITERATIONS {
+        if is_inside(&n) {
+            break;
+        }
+        n *= 0.5;
+    }
+    for _ in 0..ITERATIONS {
+        let residual: Vector2<f64> = value(&n) - d;
+        let mut step = derivative(&n).try_inverse()? * residual;
+        let is_last = step.norm() < STEP * (1.0 + n.coords.norm());
+        let mut halvings = 0;
+        while !is_inside(&(n - step)) {
+            step *= 0.5;
+            halvings += 1;
+            if halvings == ITERATIONS {
+                return None;
+            }
+        }
+        n -= step;
+        if is_last {
+            break;
+        }
+    }
+    ((value(&n) - d).norm() < MAX_RESIDUAL * (1.0 + d.coords.norm())).then_some(n)
+}
+
+/// Value of a polynomial at s, lowest power first.
+pub(super) fn polynomial<const N: usize>(coefficients: &[f64; N], s: f64) -> f64 {
+    coefficients.iter().rev().fold(0.0, |sum, c| sum * s + c)
+}
+
+/// Maximum number of halvings before a polynomial that touches zero counts as crossing it.
+const MAX_DEPTH: usize = 40;
+
+/// Whether a polynomial (lowest power first, 1 at 0) is above [`MIN_SLOPE`] on all of [0, end].
+///
+/// Its Bernstein coefficients bound it on an interval (Farouki 2012, §3); where they don't decide,
+/// the interval is halved. False if a coefficient or `end` is not finite.
+pub(super) fn is_positive_up_to<const N: usize>(coefficients: &[f64; N], end: f64) -> bool {
+    let mut scaled = *coefficients;
+    let mut power = 1.0;
+    for c in &mut scaled {
+        *c *= power;
+        power *= end;
+    }
+    // b_i = Σ_j≤i C(i, j) / C(n, j) c_j.
+    let degree = N - 1;
+    let mut bernstein = [0.0; N];
+    for (i, b) in bernstein.iter_mut().enumerate() {
+        let mut ratio = 1.0;
+        for (j, c) in scaled.iter().enumerate().take(i + 1) {
+            *b += ratio * c;
+            if j < degree {
+                ratio *= (i - j) as f64 / (degree - j) as f64;
+            }
+        }
+    }
+    bernstein.iter().all(|b| b.is_finite()) && is_bernstein_positive(bernstein, MAX_DEPTH)
+}
+
+fn is_bernstein_positive<const N: usize>(b: [f64; N], depth: usize) -> bool {
+    if b.iter().all(|&v| v > MIN_SLOPE) {
+        return true;
+    }
+    if depth == 0 || !(b[0] > MIN_SLOPE && b[N - 1] > MIN_SLOPE) {
+        return false;
+    }
+    // de Casteljau at the middle: the first of each row is the left half's, the last the right's.
+    let (mut left, mut right, mut row) = ([0.0; N], b, b);
+    for i in 0..N {
+        left[i] = row[0];
+        right[N - 1 - i] = row[N - 1 - i];
+        for j in 0..N - 1 - i {
+            row[j] = 0.5 * (row[j] + row[j + 1]);
+        }
+    }
+    is_bernstein_positive(left, depth - 1) && is_bernstein_positive(right, depth - 1)
+}

@@ -1,0 +1,88 @@
+//! `stlfr import`
+
+use super::CliError;
+use super::files::CommandOutput;
+use std::path::PathBuf;
+use stlfr::capture::Opening;
+use stlfr::exchange::{self, ImportClock, ImportRequest};
+use stlfr::progress::Reporter;
+use stlfr::toolchain::find_ffmpeg;
+
+/// Make a capture from another program's calibration and from videos or image sequences.
+///
+/// The calibration is a folder with a COLMAP model, or a file: transforms.json, poses_bounds.npy, Calib.toml of Anipose
+/// or Pose2Sim, camera_array.toml of caliscope, Qualisys' .qca.txt, or another capture's capture.json. Each camera's recording is the video or the folder
+/// of images with its name, else with its number. Images are copied, videos linked. Notes say what was decided.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr import sparse/0 --images frames --rate 30 -o .captures/mine\n  \
+    stlfr import Calib.toml --images videos -o .captures/mine\n  \
+    stlfr import camera_array.toml --images recording_1 --times recording_1/timestamps.csv -o .captures/mine\n  \
+    stlfr import transforms.json -o .captures/mine\n\n\
+    A table of --table has the columns camera and frames, one of --times camera and time_s (or time_ms, time_us, time_ns).")]
+pub struct ImportArgs {
+    /// The calibration's folder or file.
+    calibration: PathBuf,
+    /// The folder with a video or a sub-folder of images for each camera [default for a .json: its own].
+    #[arg(long, value_name = "FOLDER")]
+    images: Option<PathBuf>,
+    /// A table that says which camera filmed what (CSV).
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    /// Frames a second [default: the times of the videos, of timestamps.csv or of the calibration].
+    #[arg(long, value_name = "HZ", conflicts_with = "times")]
+    rate: Option<f64>,
+    /// The first frame's time on each camera's own clock, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    first: f64,
+    /// A table with the time of every frame (CSV).
+    #[arg(long, value_name = "FILE")]
+    times: Option<PathBuf>,
+    /// All cameras share one clock: there is nothing to estimate.
+    #[arg(long)]
+    shared: bool,
+    /// Images smaller than the calibration's are its top left part.
+    #[arg(long)]
+    crop: bool,
+    /// The unit of the calibration's lengths; Qualisys' are millimetres.
+    #[arg(long, value_enum, default_value = "m")]
+    unit: Unit,
+    /// The capture to make: a new folder.
+    #[arg(short, long, value_name = "CAPTURE")]
+    output: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Unit {
+    M,
+    Cm,
+    Mm,
+}
+
+pub fn run(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError> {
+    let is_rate = |rate: f64| rate.is_finite() && rate > 0.0;
+    if !(args.rate.is_none_or(is_rate) && args.first.is_finite()) {
+        return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
+    }
+    CommandOutput::Capture(&args.output).check(None)?;
+    let unit_m = match args.unit {
+        Unit::M => 1.0,
+        Unit::Cm => 0.01,
+        Unit::Mm => 0.001,
+    };
+    let cameras = exchange::read_calibration(&args.calibration, unit_m)?;
+    let is_json = args.calibration.extension().is_some_and(|e| e == "json");
+    let own = args.calibration.parent().filter(|_| is_json);
+    let images = args.images.as_deref().or(own).ok_or_else(|| {
+        CliError::BadInput("--images must name the folder of the cameras' recordings".into())
+    })?;
+    let clock = ImportClock { rate_hz: args.rate, first_s: args.first, shared: args.shared };
+    let (table, times) = (args.table.as_deref(), args.times.as_deref());
+    let request = ImportRequest { images, table, times, clock, is_cropped: args.crop };
+    let ffmpeg = find_ffmpeg();
+    let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter };
+    for note in exchange::import(&cameras, &request, &args.output, &opening)? {
+        reporter.note(&note);
+    }
+    Ok(())
+}

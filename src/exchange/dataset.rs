@@ -1,0 +1,265 @@
+//! A folder of images with their calibration and times, as other programs read it.
+//!
+//! | format | files |
+//! |---|---|
+//! | COLMAP | `images/cam0/0000.png`, `sparse/0/` with a binary model and colmap4d's times (specification 1.0) |
+//! | NeRF | `images/cam0/0000.png`, `transforms.json` with a `time` for every image, seconds |
+//! | LLFF | `cam00.mp4` and so on in the order of the rows of `poses_bounds.npy` |
+//!
+//! Images of one instant are a frame of one rig in COLMAP's model.
+
+use super::colmap::COLMAP_BINARY_FILES;
+use super::colmap_rigs::TIME_FILES;
+use super::colmap_values::{camera_bytes, counted, image_bytes, pose_bytes};
+use super::pairing::{all_entries, numbered_order};
+use super::{ExchangeError, NamedCamera, content, write, write_llff, write_nerf};
+use crate::camera::Camera;
+use crate::host::temporary::Temporary;
+use crate::raster::{BitDepth, Image, write_image};
+use crate::video::{Codec, VideoFormat, VideoWriter};
+use nalgebra::Isometry3;
+use std::path::{Path, PathBuf};
+
+/// A format of a dataset.
+#[derive(Clone, Debug, PartialEq)]
+pub enum DatasetFormat {
+    /// COLMAP's model in binary files. Images of equal time are a frame of a rig if `is_synchronized`.
+    Colmap { is_synchronized: bool },
+    /// NeRF's `transforms.json`.
+    Nerf,
+    /// LLFF's `poses_bounds.npy`, with videos without loss at `rate_hz`. The nearest and the farthest depth are in metres.
+    Llff { bounds_m: (f64, f64), rate_hz: f64, ffmpeg: PathBuf },
+}
+
+/// An image of a dataset.
+struct DatasetImage {
+    /// Index of its camera.
+    camera: usize,
+    time_ns: i64,
+    /// Its path from the folder of images.
+    name: String,
+}
+
+/// A dataset that is being written. It appears at its path when it is finished; dropped before, it leaves nothing.
+pub struct Dataset {
+    target: PathBuf,
+    format: DatasetFormat,
+    cameras: Vec<(String, Camera)>,
+    images: Vec<DatasetImage>,
+    /// Videos by camera, from their first image on. Declared before the folder that they are in.
+    videos: Vec<Option<VideoWriter>>,
+    temporary: Temporary,
+}
+
+/// The dataset in its temporary folder.
+const WHOLE: &str = "dataset";
+
+impl Dataset {
+    /// Begins a dataset of cameras with their ids. Errors: a target that is not empty, a lens that the format can't hold.
+    pub fn create(
+        target: &Path,
+        format: DatasetFormat,
+        cameras: Vec<(String, Camera)>,
+    ) -> Result<Self, ExchangeError> {
+        let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
+        if target.symlink_metadata().is_ok() && !all_entries(target)?.is_empty() {
+            return Err(content(target, "holds files already, which are not written over"));
+        }
+        let absolute = std::path::absolute(target).map_err(failed)?;
+        let beside = absolute.parent().ok_or_else(|| content(target, "names no folder"))?;
+        let temporary = Temporary::inside(beside).map_err(failed)?;
+        std::fs::create_dir(temporary.path().join(WHOLE)).map_err(failed)?;
+        let videos = cameras.iter().map(|_| None).collect();
+        let (target, images) = (target.to_owned(), Vec::new());
+        let dataset = Self { target, format, cameras, images, videos, temporary };
+        dataset.write_calibration(&dataset.path("."))?; // lenses are refused before images are rendered
+        Ok(dataset)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.temporary.path().join(WHOLE).join(name)
+    }
+
+    /// An error names the target, and not the temporary folder.
+    fn of_target(&self, message: String) -> ExchangeError {
+        let path = format!("{}/", self.temporary.path().join(WHOLE).display());
+        content(&self.target, message.strip_prefix(&path).unwrap_or(&message))
+    }
+
+    /// Appends an image of a camera. Videos need the images of each camera in the order of their times.
+    pub fn push(
+        &mut self,
+        camera: usize,
+        time_ns: i64,
+        image: &Image,
+        depth: BitDepth,
+    ) -> Result<(), ExchangeError> {
+        let id = &self.cameras[camera].0;
+        let index = self.images.iter().filter(|other| other.camera == camera).count();
+        let name = format!("{id}/{index:04}.png");
+        if let DatasetFormat::Llff { rate_hz, ffmpeg, .. } = &self.format {
+            let pushed = if let Some(video) = &mut self.videos[camera] {
+                video.push(image)
+            } else {
+                let format = VideoFormat {
+                    depth: BitDepth::Eight,
+                    rate_hz: *rate_hz,
+                    codec: Codec::H264Lossless,
+                };
+                let path = self.path(&format!("cam{:02}.mp4", self.row(camera)));
+                VideoWriter::create(ffmpeg, &path, image, format).and_then(|mut video| {
+                    video.push(image)?;
+                    self.videos[camera] = Some(video);
+                    Ok(())
+                })
+            };
+            pushed.map_err(|e| self.of_target(e.to_string()))?;
+        } else {
+            let path = self.path("images").join(&name);
+            write_image(&path, image, None, depth).map_err(|e| self.of_target(e.to_string()))?;
+        }
+        self.images.push(DatasetImage { camera, time_ns, name });
+        Ok(())
+    }
+
+    /// A camera's row in `poses_bounds.npy`: as [`write_llff`] sorts them.
+    fn row(&self, camera: usize) -> usize {
+        let ids: Vec<String> = self.cameras.iter().map(|(id, _)| id.clone()).collect();
+        let order = numbered_order(&ids).unwrap_or_else(|| (0..ids.len()).collect());
+        order.iter().position(|&k| k == camera).unwrap_or(camera)
+    }
+
+    /// Writes the calibration, and moves the dataset to its path.
+    pub fn finish(mut self) -> Result<(), ExchangeError> {
+        for video in std::mem::take(&mut self.videos).into_iter().flatten() {
+            video.finish().map_err(|e| self.of_target(e.to_string()))?;
+        }
+        self.write_calibration(&self.path("."))?;
+        let failed = |source| ExchangeError::Write { path: self.target.clone(), source };
+        self.temporary.place(WHOLE, &self.target).map_err(failed)
+    }
+
+    fn write_calibration(&self, folder: &Path) -> Result<(), ExchangeError> {
+        match &self.format {
+            DatasetFormat::Colmap { is_synchronized } => {
+                self.write_colmap(&folder.join("sparse/0"), *is_synchronized)
+            }
+            DatasetFormat::Nerf => {
+                let named = |image: &DatasetImage| NamedCamera {
+                    name: format!("images/{}", image.name),
+                    time_ns: Some(image.time_ns),
+                    camera: self.cameras[image.camera].1.clone(),
+                };
+                let frames: Vec<NamedCamera> = if self.images.is_empty() {
+                    self.named()
+                } else {
+                    self.images.iter().map(named).collect()
+                };
+                write_nerf(&folder.join("transforms.json"), &frames)
+            }
+            DatasetFormat::Llff { bounds_m, .. } => {
+                write_llff(&folder.join("poses_bounds.npy"), &self.named(), *bounds_m)
+            }
+        }
+        .map_err(|error| match error {
+            ExchangeError::Content { reason, .. } => content(&self.target, reason),
+            error => error,
+        })
+    }
+
+    fn named(&self) -> Vec<NamedCamera> {
+        let named = |(id, camera): &(String, Camera)| NamedCamera {
+            name: id.clone(),
+            time_ns: None,
+            camera: camera.clone(),
+        };
+        self.cameras.iter().map(named).collect()
+    }
+
+    /// Writes COLMAP's binary model and colmap4d's files. Cameras are numbered from 1, images too.
+    fn write_colmap(&self, folder: &Path, is_synchronized: bool) -> Result<(), ExchangeError> {
+        let (mut lenses, mut images) = (counted(self.cameras.len()), counted(self.images.len()));
+        for (number, (_, camera)) in (1_u32..).zip(&self.cameras) {
+            lenses.extend(camera_bytes(number, camera));
+        }
+        let mut times = counted(self.images.len());
+        for (number, image) in (1_u32..).zip(&self.images) {
+            let camera = &self.cameras[image.camera].1;
+            images.extend(image_bytes(number, image.camera as u32 + 1, camera, &image.name));
+            times.extend(number.to_le_bytes());
+            times.extend(image.time_ns.to_le_bytes());
+        }
+        let points = counted(0);
+        let [times_file, meta_file] = TIME_FILES;
+        let meta = serde_json::to_vec_pretty(&self.time_meta()).map_err(|e| content(folder, e))?;
+        let mut files: Vec<(&str, Vec<u8>)> =
+            COLMAP_BINARY_FILES.into_iter().zip([lenses, images, points]).collect();
+        files.extend([(times_file, times), (meta_file, meta)]);
+        if is_synchronized {
+            files.extend([("rigs.bin", self.rigs()), ("frames.bin", self.frames())]);
+        }
+        files.iter().try_for_each(|(name, bytes)| write(&folder.join(name), bytes))
+    }
+
+    /// One rig of all cameras; the first is its reference.
+    fn rigs(&self) -> Vec<u8> {
+        let mut rigs = counted(1);
+        rigs.extend(RIG.to_le_bytes());
+        rigs.extend((self.cameras.len() as u32).to_le_bytes());
+        let reference = self
+            .cameras
+            .first()
+            .map_or_else(Isometry3::identity, |(_, camera)| camera.cam_from_world);
+        for (number, (_, camera)) in (1_u32..).zip(&self.cameras) {
+            rigs.extend(CAMERA_SENSOR.to_le_bytes());
+            rigs.extend(number.to_le_bytes());
+            if number > 1 {
+                rigs.push(1);
+                rigs.extend(pose_bytes(&(camera.cam_from_world * reference.inverse())));
+            }
+        }
+        rigs
+    }
+
+    /// A frame for every instant, with the images of that time.
+    fn frames(&self) -> Vec<u8> {
+        let mut instants: Vec<i64> = self.images.iter().map(|image| image.time_ns).collect();
+        instants.sort_unstable();
+        instants.dedup();
+        let mut frames = counted(instants.len());
+        for (frame, time_ns) in (1_u32..).zip(instants) {
+            let numbered = (1_u64..).zip(&self.images);
+            let members: Vec<_> = numbered.filter(|(_, image)| image.time_ns == time_ns).collect();
+            frames.extend(frame.to_le_bytes());
+            frames.extend(RIG.to_le_bytes());
+            frames.extend(pose_bytes(&self.cameras[0].1.cam_from_world));
+            frames.extend((members.len() as u32).to_le_bytes());
+            for (number, image) in members {
+                frames.extend(CAMERA_SENSOR.to_le_bytes());
+                frames.extend((image.camera as u32 + 1).to_le_bytes());
+                frames.extend(number.to_le_bytes());
+            }
+        }
+        frames
+    }
+
+    /// What the times mean.
+    fn time_meta(&self) -> serde_json::Value {
+        let device = |(number, (id, _)): (usize, &(String, Camera))| {
+            (id.clone(), serde_json::json!({ "camera_ids": [number + 1] }))
+        };
+        let devices: serde_json::Map<_, _> = self.cameras.iter().enumerate().map(device).collect();
+        serde_json::json!({
+            "colmap4d_spec": "1.0",
+            "time_convention": "mid_exposure",
+            "time_unit": "ns",
+            "clock_domain": "reference_camera",
+            "devices": devices,
+        })
+    }
+}
+
+/// The number of the only rig.
+const RIG: u32 = 1;
+/// COLMAP's number of the sensor type of a camera.
+const CAMERA_SENSOR: i32 = 0;

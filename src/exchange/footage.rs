@@ -1,0 +1,274 @@
+//! The frames of each camera: a folder of images, a video, or the images that a calibration lists with their times.
+
+use super::pairing::{
+    Pairs, entries, extension, id_of, is_image, is_same, numbers, one_each, pair, pair_by_table,
+};
+use super::request::ImportRequest;
+use super::times::{FrameTimes, TIMES_FILE, read_times, times_of};
+use super::{ExchangeError, NamedCamera, content};
+use crate::capture::{MAX_FRAMES, Opening};
+use crate::host::open_file;
+use crate::raster::read_header;
+use crate::video::{VideoError, VideoFacts, inspect};
+use std::path::{Path, PathBuf};
+
+/// A camera with its frames.
+pub(super) struct Footage {
+    pub id: String,
+    pub camera: NamedCamera,
+    pub frames: FootageFrames,
+    /// The frames' times, nanoseconds, if they are known.
+    pub times_ns: Option<Vec<i64>>,
+}
+
+/// Where frames are.
+pub(super) enum FootageFrames {
+    /// Image files in order.
+    Images(Vec<PathBuf>),
+    Video(PathBuf, VideoFacts),
+}
+
+impl FootageFrames {
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Images(files) => files.len(),
+            Self::Video(_, facts) => facts.times_s.len(),
+        }
+    }
+
+    /// The first file.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Images(files) => &files[0],
+            Self::Video(path, _) => path,
+        }
+    }
+}
+
+/// The frames of all cameras, what is said about them, and whether their times are of one clock.
+pub(super) struct FoundFootage {
+    pub footage: Vec<Footage>,
+    pub notes: Vec<String>,
+    pub has_one_clock: bool,
+}
+
+/// Finds the frames of all cameras. A calibration with a time for every image lists the frames; else they are found by
+/// [`pair`] or by the request's table. `scratch` is for temporary files.
+pub(super) fn find(
+    cameras: &[NamedCamera],
+    request: &ImportRequest,
+    opening: &Opening,
+    scratch: &Path,
+) -> Result<FoundFootage, ExchangeError> {
+    let has_times = !cameras.is_empty() && cameras.iter().all(|c| c.time_ns.is_some());
+    if has_times && request.table.is_none() && request.clock.rate_hz.is_none() {
+        return listed(cameras, request.images);
+    }
+    let Pairs { cameras, recordings, mut notes } = match request.table {
+        Some(table) => pair_by_table(cameras, request.images, table)?,
+        None => pair(cameras, request.images)?,
+    };
+    let times = frame_times(request, &mut notes)?;
+    let mut footage = Vec::new();
+    for (camera, path) in cameras.into_iter().zip(recordings) {
+        let frames = if path.is_dir() {
+            FootageFrames::Images(sequence(&path)?)
+        } else {
+            FootageFrames::Video(path.clone(), facts(&path, opening, scratch)?)
+        };
+        let times_ns = match &times {
+            Some((file, times)) => Some(checked_times(file, times, &camera.name, frames.len())?),
+            None => None,
+        };
+        footage.push(Footage { id: camera.name.clone(), camera, frames, times_ns });
+    }
+    Ok(FoundFootage { footage, notes, has_one_clock: false })
+}
+
+/// The times that are given, or that lie beside the images, and their file.
+fn frame_times(
+    request: &ImportRequest,
+    notes: &mut Vec<String>,
+) -> Result<Option<(PathBuf, FrameTimes)>, ExchangeError> {
+    let beside = request.images.join(TIMES_FILE);
+    let file = match request.times {
+        Some(file) => file.to_owned(),
+        None if beside.is_file() && request.clock.rate_hz.is_some() => {
+            notes.push(format!("{TIMES_FILE} is not used, for a rate is given."));
+            return Ok(None);
+        }
+        None if beside.is_file() => {
+            notes.push(format!("The frames' times are those of {TIMES_FILE}."));
+            beside
+        }
+        None => return Ok(None),
+    };
+    let times = read_times(&file)?;
+    Ok(Some((file, times)))
+}
+
+fn checked_times(
+    file: &Path,
+    times: &FrameTimes,
+    id: &str,
+    frames: usize,
+) -> Result<Vec<i64>, ExchangeError> {
+    let times = times_of(times, id).map_err(|reason| content(file, reason))?;
+    if times.len() == frames {
+        return Ok(times.to_vec());
+    }
+    Err(content(file, format!("has {} times of {id} for {frames} frames", times.len())))
+}
+
+/// Size and time stamps of a video.
+fn facts(path: &Path, opening: &Opening, scratch: &Path) -> Result<VideoFacts, ExchangeError> {
+    let unread = |source| ExchangeError::Read { path: path.to_owned(), source };
+    let Some(ffmpeg) = opening.ffmpeg else {
+        return Err(ExchangeError::NoFfmpeg { path: path.to_owned() });
+    };
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let _phase = opening.reporter.phase(&format!("reading {name}"));
+    let file = open_file(path).map_err(unread)?;
+    inspect(ffmpeg, &file, scratch, MAX_FRAMES).map_err(|error| match error {
+        VideoError::File { path, source } => ExchangeError::Write { path, source },
+        error => content(path, error),
+    })
+}
+
+/// Width and height of the images, pixels.
+pub(super) fn image_size(frames: &FootageFrames) -> Result<[usize; 2], ExchangeError> {
+    match frames {
+        FootageFrames::Video(_, facts) => Ok(facts.size),
+        FootageFrames::Images(files) => {
+            let header = read_header(&files[0]).map_err(|error| {
+                let message = error.to_string();
+                let path = format!("{}: ", files[0].display());
+                content(&files[0], message.strip_prefix(&path).unwrap_or(&message))
+            })?;
+            Ok([header.width as usize, header.height as usize])
+        }
+    }
+}
+
+/// Images of a folder, sorted by the numbers in their names, which must be consecutive.
+fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
+    let mut files = entries(folder)?;
+    files.retain(|path| is_image(path));
+    if let Some(other) = files.iter().find(|p| !p.is_file()) {
+        return Err(content(other, "has an image's name and is no regular file"));
+    }
+    let mut numbered = Vec::new();
+    for file in files {
+        numbered.push((number(&file).map_err(|reason| content(&file, reason))?, file));
+    }
+    numbered.sort();
+    let Some((_, first)) = numbered.first() else { return Err(content(folder, "holds no images")) };
+    if let Some((_, other)) = numbered.iter().find(|(_, p)| extension(p) != extension(first)) {
+        let reason = format!("holds images of two kinds, like {}", other.display());
+        return Err(content(folder, reason));
+    }
+    if let Some(k) = numbered.windows(2).position(|w| w[0].0 + 1 != w[1].0) {
+        let [a, b] = [k, k + 1].map(|k| numbered[k].1.file_name().unwrap_or_default().display());
+        let rule = "must follow each other, for every frame counts";
+        return Err(content(folder, format!("the numbers of {a} and {b} {rule}")));
+    }
+    Ok(numbered.into_iter().map(|(_, file)| file).collect())
+}
+
+/// The last number in a file's stem, 0 without one; the error is a reason.
+fn number(file: &Path) -> Result<u64, String> {
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let is_other = |c: char| !c.is_ascii_digit();
+    let digits = stem.trim_end_matches(is_other).rsplit(is_other).next().unwrap_or_default();
+    if digits.is_empty() {
+        return Ok(0);
+    }
+    let number = digits.parse().ok().filter(|n| *n < u64::MAX);
+    number.ok_or_else(|| format!("the number {digits} in its name is too large to count frames"))
+}
+
+/// The images that a calibration lists, each with its time, in the order of their times.
+fn listed(images: &[NamedCamera], folder: &Path) -> Result<FoundFootage, ExchangeError> {
+    let wrong = |reason: String| content(folder, reason);
+    let mut notes = vec!["The frames' times are those of the calibration, as of one clock.".into()];
+    let groups = grouped(images, &mut notes).map_err(wrong)?;
+    let mut footage = Vec::new();
+    for (id, mut members) in groups {
+        members.sort_by_key(|image| image.time_ns);
+        let files = members.iter().map(|image| listed_file(folder, &image.name));
+        let files = files.collect::<Result<Vec<_>, _>>().map_err(wrong)?;
+        if let Some(other) = files.iter().find(|file| extension(file) != extension(&files[0])) {
+            return Err(wrong(format!("holds images of two kinds, like {}", other.display())));
+        }
+        let times_ns = members.iter().filter_map(|image| image.time_ns).collect();
+        footage.push(Footage {
+            id,
+            camera: members[0].clone(),
+            frames: FootageFrames::Images(files),
+            times_ns: Some(times_ns),
+        });
+    }
+    Ok(FoundFootage { footage, notes, has_one_clock: true })
+}
+
+/// A file that a calibration lists; NeRF's leave its extension out.
+fn listed_file(folder: &Path, name: &str) -> Result<PathBuf, String> {
+    let path = folder.join(name);
+    let with_png = folder.join(format!("{name}.png"));
+    let found = [path, with_png].into_iter().find(|path| path.is_file() && is_image(path));
+    found.ok_or_else(|| format!("has no image '{}'", crate::text::short(name)))
+}
+
+/// Images by camera: by their folder, or if all lie in one, by their pose and lens. The error is a reason.
+fn grouped(
+    images: &[NamedCamera],
+    notes: &mut Vec<String>,
+) -> Result<Vec<(String, Vec<NamedCamera>)>, String> {
+    let cameras = one_each(images)?;
+    let mut groups: Vec<(String, Vec<NamedCamera>)> = Vec::new();
+    if cameras.len() < images.len() {
+        for camera in cameras {
+            let is_its = |image: &&NamedCamera| id_of(&image.name).as_ref() == Ok(&camera.name);
+            let members = images.iter().filter(is_its).cloned().collect();
+            groups.push((camera.name, members));
+        }
+        return Ok(groups);
+    }
+    for image in images {
+        match groups.iter_mut().find(|(_, group)| is_same(&group[0].camera, &image.camera)) {
+            Some((_, group)) => group.push(image.clone()),
+            None => groups.push((String::new(), vec![image.clone()])),
+        }
+    }
+    let is_at_one_time = images.iter().all(|image| image.time_ns == images[0].time_ns);
+    if groups.len() == images.len() && !is_at_one_time {
+        return Err("has no camera with two frames: cameras must not move".into());
+    }
+    let ids: Vec<String> = groups.iter().map(|(_, group)| common_name(group)).collect();
+    let are_ids = ids.iter().enumerate().all(|(k, id)| !id.is_empty() && !ids[..k].contains(id));
+    for (k, (id, _)) in groups.iter_mut().enumerate() {
+        *id = if are_ids { ids[k].clone() } else { format!("cam{k}") };
+    }
+    let (first, count) = (&groups[0].0, groups.len());
+    notes.push(format!(
+        "Images of one pose and lens are one camera: {count} cameras, from {first} on."
+    ));
+    Ok(groups)
+}
+
+/// What the names of a camera's images have in common, without the numbers of the frames.
+fn common_name(group: &[NamedCamera]) -> String {
+    let stem = |image: &NamedCamera| id_of(&image.name).unwrap_or_default();
+    let mut common = stem(&group[0]);
+    for image in group {
+        let stem = stem(image);
+        while !stem.starts_with(&common) {
+            common.pop();
+        }
+    }
+    // The frame's number is the last; what is left of it after the common part is no name.
+    if group.len() > 1 || numbers(&common).len() > 1 {
+        common.truncate(common.trim_end_matches(|c: char| c.is_ascii_digit()).len());
+    }
+    common.trim_end_matches(|c: char| !c.is_alphanumeric()).to_owned()
+}
