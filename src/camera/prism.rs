@@ -19,7 +19,7 @@ pub(super) struct PrismFisheye {
 
 impl PrismFisheye {
     pub fn distorted(&self, n: &Point2<f64>) -> Point2<f64> {
-        self.from_angles(&angles(n))
+        self.project_angles(&angles(n))
     }
 
     /// Whether the radial part still grows at a point, and the map keeps its orientation there.
@@ -30,7 +30,7 @@ impl PrismFisheye {
     pub fn undistorted(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
         let w = newton(
             d,
-            |w| self.from_angles(w),
+            |w| self.project_angles(w),
             |w| self.derivative(w),
             |w| w.coords.norm() < MAX_ANGLE && self.is_inside(w),
         )?;
@@ -52,7 +52,7 @@ impl PrismFisheye {
         (value, polynomial(&[k1, 2.0 * k2, 3.0 * k3, 4.0 * k4, 5.0 * k5, 6.0 * k6], s))
     }
 
-    fn from_angles(&self, w: &Point2<f64>) -> Point2<f64> {
+    fn project_angles(&self, w: &Point2<f64>) -> Point2<f64> {
         let q = w.coords * self.radial(w.coords.norm_squared()).0;
         let b = if self.is_nested { q } else { w.coords };
         let (p, [s1, s2, s3, s4], b2) = (Vector2::from(self.p), self.s, b.norm_squared());
@@ -60,7 +60,7 @@ impl PrismFisheye {
         Point2::from(q + b * (2.0 * p.dot(&b)) + p * b2 + prism)
     }
 
-    /// Jacobian of [`Self::from_angles`].
+    /// Jacobian of [`Self::project_angles`].
     fn derivative(&self, w: &Point2<f64>) -> Matrix2<f64> {
         let (value, slope) = self.radial(w.coords.norm_squared());
         let by_radius = w.coords * w.coords.transpose() * (2.0 * slope);
@@ -99,7 +99,7 @@ mod tests {
             let steps = [Vector2::new(1e-6, 0.0), Vector2::new(0.0, 1e-6)];
             for (column, d) in steps.iter().enumerate() {
                 let by_difference =
-                    (lens.from_angles(&(w + d)) - lens.from_angles(&(w - d))) / 2e-6;
+                    (lens.project_angles(&(w + d)) - lens.project_angles(&(w - d))) / 2e-6;
                 assert!((lens.derivative(&w).column(column) - by_difference).norm() < 1e-8);
             }
         }

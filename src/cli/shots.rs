@@ -49,7 +49,7 @@ pub struct Shots<'a> {
 
 enum ShotSource {
     /// One view, which may be given as a camera, at times of the reference's clock.
-    Still(Option<Camera>, Vec<f64>),
+    Still(Option<Box<Camera>>, Vec<f64>),
     Path(Vec<PathFrame>),
     ReadyMade {
         kind: ReadyMadePath,
@@ -99,7 +99,7 @@ impl<'a> ShotArgs<'a> {
             }
         };
         let (viewpoint, rate_hz, count) = (self.viewpoint, self.rate_hz, times_s.len());
-        let source = ShotSource::Still(given, times_s);
+        let source = ShotSource::Still(given.map(Box::new), times_s);
         let is_sequence = self.time_s.is_none();
         Ok(Shots { viewpoint, source, rate_hz, count, is_sequence, shots: Vec::new() })
     }
@@ -177,7 +177,7 @@ impl Shots<'_> {
         let origin_s = capture.time_origin_s;
         match &self.source {
             ShotSource::Still(given, times_s) => {
-                let view = self.viewpoint.view(given.clone(), capture)?;
+                let view = self.viewpoint.view(given.as_deref().cloned(), capture)?;
                 let shot = |time_s: &f64| Shot { view: view.clone(), time_s: time_s - origin_s };
                 self.shots = times_s.iter().map(shot).collect();
             }

@@ -288,7 +288,7 @@ mod tests {
 
     #[test]
     fn images_with_the_same_labels_are_a_row() {
-        let image = |view: &str, method, reason| ScoredImage {
+        let image = |view: &str, method, reason: Option<&'static str>| ScoredImage {
             labels: [view.to_owned(), "mesh".into()],
             method,
             scores: Some(RegionScores::default()).filter(|_| reason.is_none()),

@@ -9,17 +9,20 @@ const PARTS: usize = 32;
 /// Halvings of a part: to 1e-12 of it.
 const HALVINGS: usize = 40;
 
+/// A key's place and tangent.
+type PlaceAndTangent = (Vector3<f64>, Vector3<f64>);
+
 /// The length of a curve up to each of many parameters.
 #[derive(Clone, Debug)]
 pub(super) struct ArcLength {
-    keys: Vec<(f64, (Vector3<f64>, Vector3<f64>))>,
+    keys: Vec<(f64, PlaceAndTangent)>,
     /// Parameters with the lengths up to them, both ascending.
     lengths: Vec<(f64, f64)>,
 }
 
 impl ArcLength {
     /// The lengths of a curve with these tangents; `None` if it has no length.
-    pub fn new(at: &[f64], places: &[(Vector3<f64>, Vector3<f64>)]) -> Option<Self> {
+    pub fn new(at: &[f64], places: &[PlaceAndTangent]) -> Option<Self> {
         let keys: Vec<_> = at.iter().copied().zip(places.iter().copied()).collect();
         let mut curve = Self { keys, lengths: vec![(at[0], 0.0)] };
         for pair in at.windows(2) {

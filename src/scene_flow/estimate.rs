@@ -34,17 +34,7 @@ impl Estimation<'_> {
         let disparity_px = |f: &FlowFrame| (f.view.focal_px() * self.baseline_m) as f32;
         let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| f.frame).collect();
         let disparities_px: Vec<f32> = frames.iter().map(|f| disparity_px(f)).collect();
-        let observations: Vec<Vec<ObservingFrame>> = self
-            .frames
-            .iter()
-            .map(|(f, others)| {
-                others
-                    .iter()
-                    .filter_map(|o| ObservingFrame::new(*f, *o))
-                    .take(MAX_OBSERVATIONS)
-                    .collect()
-            })
-            .collect();
+        let observations: Vec<Vec<ObservingFrame>> = self.frames.iter().map(observations).collect();
         // Cameras of different sizes have their finest levels in common.
         let levels = self.frames.iter().flat_map(|(f, others)| others.iter().chain([f]));
         let levels = levels.map(|f| f.levels.len()).min().unwrap_or(0);
@@ -119,6 +109,13 @@ impl Estimation<'_> {
         let costs = (0..width * height).map(cost).collect();
         ElementMap { width, height, scale, elements, costs }
     }
+}
+
+/// The frames that a frame is matched with.
+fn observations<'a>(
+    (f, others): &(PyramidFrame<'a>, Vec<PyramidFrame<'a>>),
+) -> Vec<ObservingFrame<'a>> {
+    others.iter().filter_map(|o| ObservingFrame::new(*f, *o)).take(MAX_OBSERVATIONS).collect()
 }
 
 /// The pixel of a coarser map that holds a pixel of the next finer one.

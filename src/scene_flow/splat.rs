@@ -109,7 +109,7 @@ impl Row {
             (x[k], y[k], inverse_depth[k]) = (u, v, q_there);
             // Inverse depths that a rate has made negative are behind the camera.
             let nearing = q_there / q.max(f32::MIN_POSITIVE);
-            scale[k] = to.zoom * nearing.max(SCALES[0]).min(SCALES[1]);
+            scale[k] = to.zoom * nearing.clamp(SCALES[0], SCALES[1]);
             let place = to.place_error * q_there;
             let motion = to.dt.abs() * (ERROR_BY_TIME[0] + ERROR_BY_TIME[1] * speed[k])
                 + ERROR_BY_CURVATURE * to.dt * to.dt * self.acceleration[k];

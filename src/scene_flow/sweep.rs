@@ -163,6 +163,20 @@ impl Best<'_, '_> {
         }
     }
 
+    /// Considers a step in the last pass, where the pixel's element has changed, and where later passes skip the pixel.
+    fn step_if_due(&mut self, before: &Element, is_settled: bool, pass: &Pass) {
+        let has_changed = self.matcher.distance(before, &self.element) > 0.0;
+        if !(pass.is_last || has_changed || (is_settled && pass.turn == 0)) {
+            return;
+        }
+        if pass.turn > 0 && !has_changed {
+            // The pass before has left the observations' mean alone.
+            let element = self.element;
+            self.matcher.cost(&element, self.pixel, self.patch, f32::INFINITY, &mut self.costs);
+        }
+        self.consider_step();
+    }
+
     fn matched(&self) -> MatchedElement<'_> {
         let Self { element, pixel, patch, costs, match_cost, .. } = self;
         MatchedElement { element, pixel: *pixel, patch, costs, cost: *match_cost }
@@ -311,17 +325,7 @@ impl PatchMatcher<'_> {
                 best.consider(self.chance(&best.element, pass.limits, &mut random));
             }
             best.consider_fit(pass);
-            let has_changed = self.distance(&element, &best.element) > 0.0;
-            // Pixels at rest are skipped in later turns.
-            let is_stepped = pass.is_last || has_changed || (is_settled && pass.turn == 0);
-            if is_stepped {
-                if is_known && !has_changed {
-                    // The pass before has left their mean alone.
-                    let element = best.element;
-                    self.cost(&element, (x, y), &patch, f32::INFINITY, &mut best.costs);
-                }
-                best.consider_step();
-            }
+            best.step_if_due(&element, is_settled, pass);
             (map.elements[k], map.costs[k]) = (best.element, best.match_cost);
         }
     }

@@ -18,7 +18,7 @@ use stlfr::lumigraph::Rendered;
 use stlfr::offset::{CameraOffset, Offsets};
 use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::random::Random;
-use stlfr::raster::{BitDepth, Image, Samples, quantize};
+use stlfr::raster::{BitDepth, Image, Quantized, Samples};
 use stlfr::registration::{Frame, KltParameters, RegistrationOptions, Tracker};
 
 /// Values of any kind that an image may hold: noise, steps, next to nothing.
@@ -243,7 +243,7 @@ fn not_a_number_is_black_in_an_image_and_null_in_json() {
     let odd = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -0.1, 1.1, 0.5];
     let image = Image::from_data(6, 1, 1, odd.to_vec());
     for depth in [BitDepth::Eight, BitDepth::Sixteen] {
-        let values: Vec<f64> = match quantize(&image, None, depth).1 {
+        let values: Vec<f64> = match Quantized::new(&image, None, depth).samples {
             Samples::Eight(raw) => raw.into_iter().map(|v| f64::from(v) / 255.0).collect(),
             Samples::Sixteen(raw) => raw.into_iter().map(|v| f64::from(v) / 65535.0).collect(),
         };
