@@ -50,6 +50,22 @@ fn recordings_seconds_apart_are_aligned() {
     }
 }
 
+/// A camera whose frames are copies of one has no offset: the others see its image pass.
+#[test]
+fn a_frozen_camera_has_no_offset() {
+    let folder = tempfile::tempdir().unwrap();
+    small(scene::aperiodic_boards(1), &[0.3, 0.0, -0.2], 12).write(folder.path()).unwrap();
+    let camera = folder.path().join("cam2");
+    let image = std::fs::read(camera.join("0005.png")).unwrap();
+    for file in std::fs::read_dir(camera).unwrap() {
+        std::fs::write(file.unwrap().path(), &image).unwrap();
+    }
+    let output = run(&["-q", "offsets", folder.path().to_str().unwrap(), "--json"]);
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let offset = |c: usize| &found["cameras"][c]["offset_s"];
+    assert!(offset(0).is_number() && offset(2).is_null(), "{found:#}{}", stderr(&output));
+}
+
 #[test]
 fn drift_and_lost_frames_are_estimated() {
     let mut synthetic = small(scene::aperiodic_boards(2), &[0.3, 0.0, -0.2], 100);

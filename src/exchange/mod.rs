@@ -83,7 +83,7 @@ pub enum ExchangeError {
 /// formats but Qualisys', which has millimetres, are in units of `unit_m` metres.
 pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, ExchangeError> {
     let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
-    let mut cameras = match extension.as_deref().filter(|_| !path.is_dir()) {
+    let mut cameras = match extension.as_deref() {
         Some("npy") => read_llff(path)?,
         Some("json") if is_capture(path) => read_capture(path)?,
         Some("json") => read_nerf(path)?,

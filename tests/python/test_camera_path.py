@@ -52,7 +52,13 @@ def blend(tmp_path: Path) -> Path:
 
 
 def written(blend: Path, out: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-I", str(ROOT / "blender/path.py"), str(blend), str(out)]
+    command = [
+        sys.executable,
+        "-I",
+        str(ROOT / "blender/path.py"),
+        str(blend),
+        str(out),
+    ]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -66,10 +72,14 @@ def test_every_frame_is_a_key_of_the_camera_that_it_is_cut_to(
     keys = path["keys"]
     np.testing.assert_allclose([key["at_s"] for key in keys], [0, 0.1, 0.2, 0.3, 0.4])
     # The render tab's settings were never touched: frame 1 shows the capture's time 0.
-    np.testing.assert_allclose([key["time_s"] for key in keys], [0.1, 0.2, 0.3, 0.4, 0.5])
+    np.testing.assert_allclose(
+        [key["time_s"] for key in keys], [0.1, 0.2, 0.3, 0.4, 0.5]
+    )
     places = [key["camera"]["cam_from_world"]["translation"][0] for key in keys]
     np.testing.assert_allclose(places, [0, -0.1, -0.2, -3, -3], atol=1e-6)
-    assert {(key["camera"]["width"], key["camera"]["height"]) for key in keys} == {(64, 48)}
+    assert {(key["camera"]["width"], key["camera"]["height"]) for key in keys} == {
+        (64, 48)
+    }
 
 
 def test_what_gives_no_path_is_one_sentence(blend: Path, tmp_path: Path) -> None:
@@ -78,7 +88,10 @@ def test_what_gives_no_path_is_one_sentence(blend: Path, tmp_path: Path) -> None
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
     wrong = tmp_path / "wrong.blend"
     wrong.write_text("no blend")
-    for file, words in ((blend, "isn't a perspective camera"), (wrong, "can't open it")):
+    for file, words in (
+        (blend, "isn't a perspective camera"),
+        (wrong, "can't open it"),
+    ):
         done = written(file, tmp_path / "path.json")
         assert done.returncode == 2, done.stderr
         last = done.stderr.strip().splitlines()[-1]

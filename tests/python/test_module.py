@@ -403,7 +403,7 @@ def test_a_view_is_stopped_between_its_steps(own_capture: Path) -> None:
         return len(asked) < 3
 
     with pytest.raises(InterruptedError, match="rendering was stopped"):
-        capture.render(time_s, camera=camera, proceed=proceed)
+        capture.render(time_s, camera=camera, preset="balanced", proceed=proceed)
     assert asked == [(0, 1)] * 3
 
 

@@ -185,11 +185,13 @@ const PLACES: [&str; 2] =
 /// What a picture shows is what the library renders.
 #[test]
 fn what_is_saved_is_what_render_writes() {
-    let served = Served::start(capture());
+    let options = ["--preset", "balanced"];
+    let nearest = [&options[..], &["--sync", "nearest"]].concat();
+    let served = Served::start_with(capture(), &options);
     for query in PLACES {
-        assert!(is_saved_as_rendered(&served, query, &[]), "{query}");
+        assert!(is_saved_as_rendered(&served, query, &options), "{query}");
         let traditional = format!("{query}&method=lfr");
-        assert!(is_saved_as_rendered(&served, &traditional, &["--sync", "nearest"]), "{query}");
+        assert!(is_saved_as_rendered(&served, &traditional, &nearest), "{query}");
     }
 }
 
@@ -318,7 +320,7 @@ fn a_capture_deleted_under_it_is_said_and_the_server_goes_on() {
 #[test]
 fn frames_replaced_under_it_are_said_and_no_picture_mixes_two_recordings() {
     let copy = copy();
-    let served = Served::start(copy.path());
+    let served = Served::start_with(copy.path(), &["--preset", "balanced"]);
     assert_eq!(served.get("picture?w=160&h=120&t=0.02").status, 200);
     for entry in std::fs::read_dir(copy.path()).unwrap().flatten() {
         for frame in std::fs::read_dir(entry.path()).into_iter().flatten().flatten() {

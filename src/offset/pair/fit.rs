@@ -67,6 +67,23 @@ impl PairTriples {
     }
 }
 
+impl PairTriples {
+    /// Whether nothing that is tracked moves in one of the two cameras, where the other one sees motion: its frames are copies
+    /// of one image. Candidates of the other camera's frames would agree on the time of that image.
+    fn is_frozen(&self) -> bool {
+        let count = |camera: usize, count: fn(&FrameTriple) -> usize| -> usize {
+            let own = self.triples.iter().filter(|(([a, _], _), _)| *a == camera);
+            own.map(|(_, triple)| count(triple)).sum()
+        };
+        let [i, j] = self.cameras;
+        let is_still = |of: usize, other: usize| {
+            let is_tracked = count(of, |t| t.tracks) >= MIN_INLIERS;
+            is_tracked && count(of, |t| t.moving) == 0 && count(other, |t| t.moving) > 0
+        };
+        is_still(i, j) || is_still(j, i)
+    }
+}
+
 /// The candidates of a pair's triples as observations of a line: offset by time.
 struct PairObservations {
     samples: Vec<Sample>,
@@ -110,6 +127,9 @@ pub fn fit_pair(
     initial: &ClockModel,
     with_rate: bool,
 ) -> Result<PairEstimate, PairFailure> {
+    if pair.is_frozen() {
+        return Err(PairFailure::NoMotion);
+    }
     let data = PairObservations::new(recording, pair);
     let mixture = checked_mixture(pair, &data, initial, with_rate)?;
     let windows = independent_windows(pair, &mixture.weights);
