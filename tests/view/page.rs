@@ -196,7 +196,8 @@ fn a_link_that_is_followed_takes_back_turn_and_zoom() {
 
 #[test]
 fn what_is_saved_is_the_picture_and_its_camera() {
-    let served = Served::start(capture());
+    let balanced = ["--preset", "balanced"];
+    let served = Served::start_with(capture(), &balanced);
     let mut browser = Chromium::start();
     let mut tab = open(&mut browser, &served, DESK, "x=0.021&y=0.01&z=0.01&t=0.0712");
     tab.click("#save");
@@ -210,7 +211,8 @@ fn what_is_saved_is_the_picture_and_its_camera() {
     let (view, image) = (folder.path().join("view.json"), folder.path().join("view.png"));
     std::fs::write(&view, camera).unwrap();
     let capture = text(capture());
-    succeed(&["render", capture, "--camera", text(&view), "--time", "0.0712", "-o", text(&image)]);
+    let render = ["render", capture, "--camera", text(&view), "--time", "0.0712"];
+    succeed(&[&render[..], &balanced, &["-o", text(&image)]].concat());
     assert!(picture == std::fs::read(&image).unwrap());
     is_well(&mut tab);
 }
