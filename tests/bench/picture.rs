@@ -10,6 +10,8 @@
 //! at 6 cm, away from depth edges and within 4 px of them. Pictures of the first instant go to DIR. After several
 //! captures, their means. `--alone` leaves other programs out.
 //!
+//! `cargo bench --bench picture -- scene-flow CAPTURE… [--instants N] [--out DIR]` prints its views alone.
+//!
 //! `cargo bench --bench picture -- flicker CAPTURE… [--options JSON] [--out DIR]`: a pan along the rig and a scrub
 //! through time, beside the truth where it was filmed: the largest jumps, and how much still parts flicker. Videos
 //! and slices of them go to DIR.
@@ -35,7 +37,7 @@ mod truth;
 use flicker::Flicker;
 use peers::Python;
 use rig::Purpose;
-use scene::Scene;
+use scene::{Scene, print_scene_flow};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth, TruthView};
@@ -86,6 +88,8 @@ struct Run {
     instants: usize,
     out: Option<PathBuf>,
     python: Option<Python>,
+    /// Whether all but the views by scene flow is left out.
+    is_flow_alone: bool,
 }
 
 impl Run {
@@ -99,9 +103,18 @@ impl Run {
             println!("{folder} at {time:.4} s: PSNR of all that is seen, of its moving part");
             let cameras = cameras_at(capture, &truth, time)?;
             let at_s = time - capture.time_origin_s;
+            let views = truth.views.iter().filter(|v| v.time_s == time && v.like.is_none());
+            if self.is_flow_alone {
+                for view in views {
+                    println!("  view {}", view.id);
+                    let (out, t) = (out.as_deref().filter(|_| n == 0), True::read(&truth, view)?);
+                    print_scene_flow((&field, at_s), &cameras, &t, out, summary)?;
+                }
+                continue;
+            }
             let scene = Scene::new(&field, at_s, cameras, self.python.as_ref())?;
             scene.print_synchronized(summary);
-            for view in truth.views.iter().filter(|v| v.time_s == time && v.like.is_none()) {
+            for view in views {
                 let out = out.as_deref().filter(|_| n == 0);
                 scene.print_view(&True::read(&truth, view)?, out, summary)?;
             }
@@ -165,7 +178,9 @@ fn main() -> Result<(), Error> {
             return pairs::bench(&arguments.words[1..], with.as_ref(), &out);
         }
         ["flicker", ..] => {
-            let options = RenderOptions::parse(arguments.option("options").unwrap_or("{}"), None)?;
+            let given = arguments.option("options");
+            let options = given
+                .map_or(Ok(RenderOptions::default()), |text| RenderOptions::parse(text, None))?;
             let flicker = Flicker { options, out };
             return arguments.words[1..].iter().try_for_each(|folder| flicker.bench(folder));
         }
@@ -173,11 +188,14 @@ fn main() -> Result<(), Error> {
     }
     let instants = arguments.option("instants").map_or(Ok(usize::MAX), str::parse)?;
     let python = if arguments.option("alone").is_some() { None } else { Python::find() };
-    let run = Run { instants, out, python };
+    let is_flow_alone = arguments.words.first().is_some_and(|word| word == "scene-flow");
+    let run = Run { instants, out, python, is_flow_alone };
     let mut summary = Summary::default();
-    for folder in &arguments.words {
+    for folder in &arguments.words[usize::from(is_flow_alone)..] {
         run.bench(folder, &mut summary)?;
     }
-    summary.print();
+    if !is_flow_alone {
+        summary.print();
+    }
     Ok(())
 }

@@ -162,30 +162,8 @@ impl<'a> Scene<'a> {
             Row::new("true images, true depth", &self.filmed, &exact, Lumigraph),
         ]);
         self.print_rows(t, &rows, out, summary)?;
-        self.print_scene_flow(t, out, summary)
-    }
-
-    /// The view by depth and motion of the frames, which needs no synchronized images.
-    fn print_scene_flow(
-        &self,
-        t: &True,
-        out: Option<&Path>,
-        summary: &mut Summary,
-    ) -> Result<(), Error> {
-        const NAME: &str = "scene flow";
-        let mut options = self.options.clone();
-        options.proxy.method = ProxyMethod::SceneFlow;
-        let request = Request::new(Viewpoint::View(&t.camera), self.time_s, &options);
-        let depths = self.field.geometry(&t.camera, &request)?.view;
-        println!("    {NAME:34} {}", depth_errors(&depths, t));
-        let image = render(self.field, &request, &Context::unattended())?.image;
-        let scores = Judge::new(t, t.seen(&self.cameras)).scores(&image);
-        println!("    {NAME:34} {scores}");
-        summary.add_view(t.name(), NAME, scores);
-        match out {
-            Some(out) => write(&out.join(format!("{}-scene-flow.png", t.id)), &image),
-            None => Ok(()),
-        }
+        let Self { field, time_s, cameras, .. } = self;
+        print_scene_flow((field, *time_s), cameras, t, out, summary)
     }
 
     fn print_rows(
@@ -212,5 +190,29 @@ impl<'a> Scene<'a> {
             write(&out.join(format!("{}-truth.png", t.id)), &t.image)?;
         }
         Ok(())
+    }
+}
+
+/// Prints the view by depth and motion of the frames, which needs no synchronized images.
+pub fn print_scene_flow(
+    (field, time_s): (&LightField, f64),
+    cameras: &[True],
+    t: &True,
+    out: Option<&Path>,
+    summary: &mut Summary,
+) -> Result<(), Error> {
+    const NAME: &str = "scene flow";
+    let mut options = RenderOptions::default();
+    options.proxy.method = ProxyMethod::SceneFlow;
+    let request = Request::new(Viewpoint::View(&t.camera), time_s, &options);
+    let depths = field.geometry(&t.camera, &request)?.view;
+    println!("    {NAME:34} {}", depth_errors(&depths, t));
+    let image = render(field, &request, &Context::unattended())?.image;
+    let scores = Judge::new(t, t.seen(cameras)).scores(&image);
+    println!("    {NAME:34} {scores}");
+    summary.add_view(t.name(), NAME, scores);
+    match out {
+        Some(out) => write(&out.join(format!("{}-scene-flow.png", t.id)), &image),
+        None => Ok(()),
     }
 }
