@@ -219,7 +219,7 @@ mod tests {
         check(&folder.path().join("file")).unwrap();
         assert!(check(&folder.path().join("file/c.png")).is_err());
         assert!(CommandOutput::Folder(&folder.path().join("file"), &[]).check(None).is_err());
-        let many = ImageOutput::Sequence(folder.path().join("many/%d.png"), ImageFile::Exr);
+        let many = ImageOutput::Sequence(folder.path().join("many/%d.exr"), ImageFile::Exr);
         CommandOutput::Images(&many, 2).check(None).unwrap();
     }
 }

@@ -78,16 +78,8 @@ impl<'a> ShotArgs<'a> {
         if let Some(time_s) = self.time_s {
             frames.iter_mut().for_each(|frame| frame.time_s = time_s);
         }
-        let (count, is_sequence) = (frames.len(), true);
-        let (viewpoint, source) = (self.viewpoint, ShotSource::Path(frames));
-        Ok(Shots {
-            viewpoint,
-            source,
-            rate_hz: Some(rate_hz),
-            count,
-            is_sequence,
-            shots: Vec::new(),
-        })
+        let count = frames.len();
+        Ok(self.path_shots(ShotSource::Path(frames), rate_hz, count))
     }
 
     fn still(self, given: Option<Camera>) -> Result<Shots<'a>, CliError> {
@@ -109,15 +101,14 @@ impl<'a> ShotArgs<'a> {
         let duration_s = self.duration_s.unwrap_or(READY_MADE_S);
         let count = CameraPath::frame_count(duration_s, rate_hz).map_err(of_path)?;
         let source = ShotSource::ReadyMade { kind, duration_s, frozen_s: self.time_s };
-        let (viewpoint, is_sequence) = (self.viewpoint, true);
-        Ok(Shots {
-            viewpoint,
-            source,
-            rate_hz: Some(rate_hz),
-            count,
-            is_sequence,
-            shots: Vec::new(),
-        })
+        Ok(self.path_shots(source, rate_hz, count))
+    }
+
+    /// The frames of a path, which are not placed yet.
+    fn path_shots(self, source: ShotSource, rate_hz: f64, count: usize) -> Shots<'a> {
+        let viewpoint = self.viewpoint;
+        let rate_hz = Some(rate_hz);
+        Shots { viewpoint, source, rate_hz, count, is_sequence: true, shots: Vec::new() }
     }
 }
 

@@ -129,6 +129,7 @@ const float HIDING_PX = 0.5;
 const float ERROR_PX = 0.2;
 const float ERROR_BY_BASELINE = 0.005;
 const vec2 ERROR_BY_TIME = vec2(0.03, 0.009);
+const float ERROR_BY_CURVATURE = 0.1;
 const float EXACT_PX = 0.01;
 
 void main() {
@@ -160,7 +161,8 @@ void main() {
   place = vec4(to.xy + float(MARGIN), pixel);
   float speed = length(e.velocity);
   float error = ERROR_BY_BASELINE * baseline_px * to.z;
-  float motion = abs(dt) * (ERROR_BY_TIME.x + ERROR_BY_TIME.y * speed);
+  float motion = abs(dt) * (ERROR_BY_TIME.x + ERROR_BY_TIME.y * speed)
+    + ERROR_BY_CURVATURE * dt * dt * length(e.acceleration);
   float own = max(error * error + motion * motion, 1.1920929e-7);
   float exact = 1.0 + EXACT_PX * EXACT_PX / own;
   float weight = trust.x * trust.x * exact / (ERROR_PX * ERROR_PX + own);
