@@ -290,7 +290,11 @@ impl Tab<'_> {
         let start = Instant::now();
         loop {
             let mut files = std::fs::read_dir(&folder).into_iter().flatten().flatten();
-            if let Some(file) = files.find(|f| f.file_name().to_string_lossy().ends_with(ending)) {
+            // Chromium holds the name by an empty file until the whole one is renamed to it.
+            let is_whole = |f: &std::fs::DirEntry| f.metadata().is_ok_and(|m| m.len() > 0);
+            if let Some(file) =
+                files.find(|f| f.file_name().to_string_lossy().ends_with(ending) && is_whole(f))
+            {
                 let bytes = std::fs::read(file.path()).expect("a file");
                 std::fs::remove_file(file.path()).expect("a file");
                 return bytes;
