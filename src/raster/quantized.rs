@@ -30,6 +30,20 @@ fn sixteen(value: f32) -> u16 {
     (value * 65535.0 + 0.5) as u16
 }
 
+/// The samples of an image, with alpha if there is a coverage; 0 where it is false.
+fn rounded<T>(image: &Image, coverage: Option<&[bool]>, round: impl Fn(f32) -> T) -> Vec<T> {
+    let channels = image.channels() + usize::from(coverage.is_some());
+    let mut samples = Vec::with_capacity(image.width() * image.height() * channels);
+    for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
+        let is_covered = coverage.is_none_or(|c| c[k]);
+        samples.extend(pixel.iter().map(|&v| round(if is_covered { v } else { 0.0 })));
+        if coverage.is_some() {
+            samples.push(round(f32::from(u8::from(is_covered))));
+        }
+    }
+    samples
+}
+
 impl Quantized {
     /// Rounds an image to samples of this bit depth. Values beyond 0 to 1 are clamped, and NaN becomes 0.
     ///
@@ -37,17 +51,9 @@ impl Quantized {
     /// samples of the pixel are 0.
     pub fn new(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> Self {
         let channels = image.channels() + usize::from(coverage.is_some());
-        let mut values = Vec::with_capacity(image.width() * image.height() * channels);
-        for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
-            let covered = coverage.is_none_or(|c| c[k]);
-            values.extend(pixel.iter().map(|&v| if covered { v } else { 0.0 }));
-            if coverage.is_some() {
-                values.push(if covered { 1.0 } else { 0.0 });
-            }
-        }
         let samples = match depth {
-            BitDepth::Eight => Samples::Eight(values.into_iter().map(eight).collect()),
-            BitDepth::Sixteen => Samples::Sixteen(values.into_iter().map(sixteen).collect()),
+            BitDepth::Eight => Samples::Eight(rounded(image, coverage, eight)),
+            BitDepth::Sixteen => Samples::Sixteen(rounded(image, coverage, sixteen)),
         };
         Self { width: image.width(), height: image.height(), channels, samples }
     }

@@ -24,8 +24,8 @@ const MIN_SHARE: f32 = 0.02;
 /// Difference of a colour from the mean at which it counts a quarter.
 const COLOR: f32 = 0.06;
 
-/// Pixels of a view that are blended at once: about 200 MB for eight maps.
-const BAND_PIXELS: usize = 1 << 20;
+/// Pixels of a view that are blended at once: about 100 MB for eight maps.
+const BAND_PIXELS: usize = 1 << 19;
 
 /// The surface that a pixel of the view shows.
 #[derive(Clone, Copy)]
