@@ -143,7 +143,8 @@ impl Shots<'_> {
 
     /// The view of an index.
     ///
-    /// # Panics If the views aren't placed yet ([`Self::place`], [`Self::fit`]).
+    /// # Panics
+    /// If the views aren't placed yet ([`Self::place`], [`Self::fit`]).
     pub fn get(&self, index: usize) -> &Shot {
         &self.shots[index]
     }
