@@ -38,7 +38,7 @@ pub struct Camera {
 const MIN_DEPTH_FRACTION: f64 = 1e-6;
 
 impl Camera {
-    /// The camera with pixels of twice the size. An odd row or column is dropped. `None` if no pixel is left.
+    /// The camera at half the resolution. An odd row or column is dropped. `None` if no pixel is left.
     pub fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         let model = self.model.halved();

@@ -74,7 +74,7 @@ pub struct ClockFormat {
     /// Time of the first frame, seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_s: Option<f64>,
-    /// The middle of each frame's exposure: seconds, ascending, one a frame.
+    /// The middle of each frame's exposure, seconds: ascending, one time per frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times_s: Option<Vec<f64>>,
     /// Whether the camera has the common clock. All cameras with this flag share one clock.

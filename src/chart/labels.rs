@@ -17,8 +17,8 @@ fn overlap(a: &Box4, b: &Box4) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// The rectangle of a text of a width, pixels. It lies at a distance from `at`, in the direction `angle`, radians
-/// anticlockwise from the right.
+/// The rectangle of a text that is `width` pixels wide. It lies `distance` pixels from the point `at`, in the direction
+/// `angle`, radians anticlockwise from the right.
 fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     let (w, h) = (0.5 * width, 0.5 * TEXT_SIZE);
     let (dx, dy) = (angle.cos(), -angle.sin());

@@ -16,7 +16,7 @@ use serde::Deserialize;
 use std::path::Path;
 use toml::{Table, Value};
 
-/// Size limit of the file, bytes: two thousand cameras. Parsing takes up to a hundred times as much memory.
+/// Size limit of the file, bytes: enough for two thousand cameras. Parsing takes up to a hundred times as much memory.
 const MAX_BYTES: u64 = 2 << 20;
 
 /// The fields of a camera. Other fields are skipped.

@@ -14,7 +14,7 @@ pub(super) const TIME_FILES: [&str; 2] = ["times.bin", "time_meta.json"];
 /// Type and number of a sensor. Only sensors of the type [`CAMERA`] are used.
 type Sensor = (i32, u32);
 
-/// COLMAP's number of the sensor type of a camera.
+/// COLMAP's code for the sensor type *camera*.
 const CAMERA: i32 = 0;
 
 /// Poses of sensors from their rig, by rig and sensor; `None` if a pose is unknown. The reference sensor's pose is the

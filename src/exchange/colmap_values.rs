@@ -5,7 +5,7 @@ use crate::text::number;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use std::str::{FromStr, SplitWhitespace};
 
-/// Size limit of a model's file, bytes: thousands of images with their points.
+/// Size limit of a model's file, bytes: enough for thousands of images with their points.
 pub(super) const MAX_MODEL_BYTES: u64 = 768 << 20;
 
 /// A pose from a quaternion (w, x, y, z) and a translation. The error is a reason, without the file's name.

@@ -264,5 +264,5 @@ impl Dataset {
 
 /// The number of the model's only rig.
 const RIG: u32 = 1;
-/// COLMAP's number of the sensor type of a camera.
+/// COLMAP's code for the sensor type *camera*.
 const CAMERA_SENSOR: i32 = 0;

@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
 const COLUMNS: usize = 17;
-/// Size limit of the file, bytes: a hundred thousand cameras.
+/// Size limit of the file, bytes: enough for a hundred thousand cameras.
 const MAX_BYTES: u64 = 16 << 20;
 /// Largest deviation, pixels, from two assumptions of the format: a centred principal point, and equal focal lengths.
 const MAX_OFF_PX: f64 = 1e-6;

@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 use std::path::Path;
 
-/// Size limit of the file, bytes: two thousand cameras.
+/// Size limit of the file, bytes: enough for two thousand cameras.
 const MAX_BYTES: u64 = 4 << 20;
 /// The file's unit of image coordinates is 1/64 pixel.
 const PARTS: f64 = 64.0;

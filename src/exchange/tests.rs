@@ -333,7 +333,7 @@ fn names_that_lead_elsewhere_are_refused() {
     }
 }
 
-/// Ten styles of names for cameras and folders; each gives the name of an index.
+/// Ten styles of names for cameras and folders; each maps an index to a name.
 const STYLES: [fn(usize) -> String; 10] = [
     |k| format!("cam{k}"),
     |k| format!("cam{k:03}"),

@@ -38,7 +38,7 @@ impl Decision {
     }
 }
 
-/// Whether offsets are estimated. `clocks` has the clock of each camera by index; clock 0 is the reference's.
+/// Decides whether offsets are estimated. `clocks` has the clock of each camera by index; clock 0 is the reference's.
 pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     if is_static {
         let because = "Every camera took one frame, which is the same at any time.";
