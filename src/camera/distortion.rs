@@ -155,7 +155,7 @@ fn radial_quotient(k: &[f64; 6]) -> [[f64; 4]; 2] {
     [[1.0, k[0], k[1], k[2]], [1.0, k[3], k[4], k[5]]]
 }
 
-/// Numerator of the slope of the distorted radius r N/D, which is N D + 2 s (N′ D − N D′), in powers of s = r².
+/// Numerator of the slope of the distorted radius r N/D: N D + 2 s (N′ D − N D′), in powers of s = r².
 fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
     let [above, below] = radial_quotient(k);
     let mut slope = [0.0; 7];

@@ -29,7 +29,7 @@ pub struct ViewArgs {
     /// The port of the page's address [default: a free one].
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     port: u16,
-    /// Start at the place of a link from the page, also of an earlier run: the part of the link after its #.
+    /// Start at the place of a link that the page gave, also in an earlier run. Only the part after its # is needed.
     #[arg(long, value_name = "LINK", value_parser = place)]
     at: Option<String>,
     /// Only print the address.

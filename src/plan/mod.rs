@@ -110,7 +110,7 @@ pub fn plan(
     Ok(Plan { budget_px, decisions, options: decided })
 }
 
-/// Decisions that are made by rendered views.
+/// Decisions that compare rendered views.
 struct ByViews {
     sync: (SyncMethod, Decision),
     /// The blending method; `None` leaves the blend unchanged.
