@@ -1,4 +1,4 @@
-//! The moving part: pixels at which an unsynchronized camera differs from the truth.
+//! The moving part: the pixels whose surface moves, where unsynchronized cameras matter.
 
 use crate::raster::max_filter;
 
