@@ -22,8 +22,8 @@ pub struct Surface<'a> {
 const BAND_PIXELS: usize = 1 << 20;
 /// Radius of a splat, in pixels of the view or of the camera, whichever are larger in the view.
 const RADIUS_PX: f32 = 0.8;
-/// Maximum ratio of the most votes of any candidate to those of the accepted one, which is the nearest of
-/// these.
+/// The accepted candidate is the nearest of those that have at least the largest number of votes divided by
+/// this.
 const MAX_VOTE_RATIO: i32 = 2;
 /// Minimum number of votes of the best candidate. Mismatches beside outlines have fewer.
 const MIN_VOTES: i32 = 1;
