@@ -172,7 +172,7 @@ pub trait F32x8:
         Self::from_array(row[at..].first_chunk().expect("rows are padded to whole vectors"))
     }
 
-    /// As [`Self::load`], without a bounds check.
+    /// [`Self::load`] without a bounds check.
     ///
     /// # Safety
     /// `row` has at least eight values from index `at` on.

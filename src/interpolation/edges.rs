@@ -54,8 +54,8 @@ pub struct RealEdge {
 }
 
 /// The real edges among features (§5.1): segments of at most `max_length_px` whose fitness, eq. (6), exceeds
-/// [`MIN_FITNESS`] in both frames, and whose length hardly changes between them. Of near-parallel edges on
-/// one image edge only the longest is returned (§5.2).
+/// a threshold in both frames, and whose length hardly changes between them. Of near-parallel edges on one
+/// image edge only the longest is returned (§5.2).
 ///
 /// `source` and `other` are the full-sized pyramid levels of the two frames. The order does not depend on the
 /// number of threads. Features at the same position make no edge.

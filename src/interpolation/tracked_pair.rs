@@ -15,7 +15,7 @@ pub struct TrackedPair<'a> {
     pub index: usize,
 }
 
-/// The tracks that were found by the forward flow, else those of the backward flow.
+/// The tracks of the forward flow, or with `forward` false those of the backward flow.
 pub(super) fn flow_tracks(tracks: &[Track], forward: bool) -> impl Iterator<Item = &Track> {
     tracks.iter().filter(move |t| if forward { t.in_forward_set() } else { t.in_backward_set() })
 }

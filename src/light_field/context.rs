@@ -2,7 +2,7 @@
 
 use super::RenderError;
 
-/// The callback to which rendering reports its progress; it can stop rendering.
+/// The progress callback of rendering, which can also stop it.
 #[derive(Clone, Copy)]
 pub struct Context<'a> {
     proceed: &'a (dyn Fn(usize, usize) -> bool + Sync),

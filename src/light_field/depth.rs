@@ -18,7 +18,7 @@ use std::sync::Arc;
 const RANGE_MARGIN: f64 = 0.1;
 /// Step between the sampled pixels of the mesh's depth map, from which the range of depths is computed.
 const RANGE_STEP_PX: usize = 8;
-/// Smallest inverse depth, 1/m.
+/// Lower bound of the inverse depths that are searched, 1/m.
 const MIN_INVERSE_DEPTH: f64 = 1e-5;
 /// Memory of a matcher, bytes per pixel of its cameras' images.
 const MATCHER_BYTES: usize = 16;

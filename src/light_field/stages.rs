@@ -21,7 +21,7 @@ pub(super) struct PairTracks<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// The largest change of a block between the frames of a pair.
+/// The largest mean difference of any 8×8 block between the two frames of a pair, values 0..=1.
 #[derive(Serialize)]
 pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 

@@ -251,7 +251,7 @@ fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Ra
     Some((range(low.x, high.x, camera.width)?, range(low.y, high.y, camera.height)?))
 }
 
-/// Clips a segment to depths z of at least `near`. `None` if it is nearer.
+/// Clips a segment to depths z of at least `near`. `None` if the whole segment is nearer.
 fn clip(a: Vector3<f64>, b: Vector3<f64>, near: f64) -> Option<(Vector3<f64>, Vector3<f64>)> {
     match (a.z >= near, b.z >= near) {
         (true, true) => Some((a, b)),

@@ -238,7 +238,7 @@ mod tests {
         weights_of(&span)
     }
 
-    /// Reference implementation: the formula of the module head for one pixel, with a sort.
+    /// Reference implementation: the formula of the module's documentation for one pixel, with a sort.
     fn naive(penalties: &[f32], k: usize) -> Vec<f32> {
         let mut sorted = penalties.to_vec();
         sorted.sort_by(f32::total_cmp);

@@ -1,4 +1,4 @@
-//! The moving part: the pixels whose surface moves, where unsynchronized cameras matter.
+//! The moving part of an image: the pixels whose surface point moves.
 
 use crate::raster::max_filter;
 

@@ -69,7 +69,7 @@ pub struct Tracker {
     value: Vec<f32>,
     /// The template's derivatives by x, weighted by the fraction of each sample that is inside the image.
     dx: Vec<f32>,
-    /// The template's derivatives by y, weighted in the same way.
+    /// The template's derivatives by y, weighted as `dx`.
     dy: Vec<f32>,
     /// The template's structure tensor: xx, xy, yy.
     tensor: [f64; 3],

@@ -160,12 +160,12 @@ struct Stand {
     yaw_rad: f64,
 }
 
-/// Poses are rounded to multiples of 1 / this, so that files are equal on platforms with different sine
+/// Steps per unit to which poses are rounded, so that files are equal on platforms with different sine
 /// functions.
 const POSE_STEPS: f64 = 1e9;
-/// Delays are rounded to multiples of 1 / this, seconds.
+/// Steps per second to which delays are rounded.
 const TIME_STEPS: f64 = 1e6;
-/// Drifts are rounded to multiples of 1 / this, ppm.
+/// Steps per ppm to which drifts are rounded.
 const DRIFT_STEPS: f64 = 1e3;
 
 impl RigOptions {

@@ -21,8 +21,8 @@ const COARSEST_COMPARED: usize = 1;
 
 /// Frames whose maps are estimated together. The maps propose elements to each other.
 pub struct Estimation<'a> {
-    /// The frames whose maps are estimated, each with the frames that it is matched with; at most
-    /// [`MAX_OBSERVATIONS`] of these are used.
+    /// The frames whose maps are estimated, each with the frames that it is matched with; at most 16 of these
+    /// are used.
     pub frames: &'a [(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)],
     pub limits: Limits,
     /// Baseline to which all disparities refer, metres: twice the distance of neighbouring cameras.

@@ -11,7 +11,7 @@ pub const WEIGHTS: [f32; 4] = [1.0, 0.5, 1.5, 1.5];
 const LUMA: [f32; 3] = [0.3, 0.59, 0.11];
 
 /// The features of a pixel that matching compares: brightness, red minus blue, and the horizontal and
-/// vertical gradient of brightness, each multiplied by its entry of [`WEIGHTS`].
+/// vertical gradient of brightness, each multiplied by its channel's weight.
 pub type MatchingSample = [f32; 4];
 
 /// One level of the pyramid: a sample for each pixel, row by row.
@@ -59,7 +59,7 @@ impl MatchingImage {
         Self { width, height, samples }
     }
 
-    /// Its size in memory, bytes.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.samples.as_slice())
     }
@@ -150,7 +150,7 @@ impl FlowFrame {
         MatchingImage::pyramid(&self.image, levels(self.view.width, self.view.height))
     }
 
-    /// Its size in memory, bytes.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.image.data()) + self.is_filmed.as_ref().map_or(0, Vec::len)
     }

@@ -156,7 +156,7 @@ impl FlowMap {
         }
     }
 
-    /// Its size in memory, bytes.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.pixels.as_slice())
     }

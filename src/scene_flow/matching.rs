@@ -361,7 +361,7 @@ fn between_rows<V: F32x8>(image: &MatchingImage, [x, y]: [i32; 2], fraction: f32
     (upper + (lower - upper) * V::splat(fraction)).to_array()
 }
 
-/// The channels of the samples `first` and `first + 1`.
+/// Eight channels: four of the sample `first`, four of the next.
 #[inline(always)]
 fn eight(samples: &[MatchingSample], first: usize) -> [f32; LANES] {
     let [a, b] = [samples[first], samples[first + 1]];

@@ -24,7 +24,7 @@ const ERROR_BY_BASELINE: f32 = 0.005;
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
 /// Expected error as a fraction of acceleration times squared time, since paths are not parabolas.
 const ERROR_BY_CURVATURE: f32 = 0.1;
-/// Expected error, pixels, due to place and time below which the weight grows without bound. So a view from a
+/// Expected error due to place and time, pixels, below which a frame's weight rises steeply. So a view from a
 /// camera's own place at a frame's own time is that frame.
 const EXACT_PX: f32 = 0.01;
 

@@ -21,7 +21,7 @@ const COLOR: f32 = 0.08;
 const MIN_COLOR_WEIGHT: f32 = 0.1;
 /// Matching cost below which no random elements are tried.
 const MATCHED: f32 = 0.012;
-/// Distance below which two elements count as equal, pixels of the level.
+/// Distance ([`PatchMatcher::distance`]) below which two elements count as equal, pixels of the level.
 const SAME_PX: f32 = 0.08;
 /// Speed below which an element counts as static, pixels per frame.
 const STILL_PX: f32 = 0.3;

@@ -11,7 +11,7 @@ use crate::options::RenderOptions;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// One combination.
+/// A point of the trade-off: one measured combination.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Point {

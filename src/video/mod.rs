@@ -21,7 +21,7 @@ pub enum VideoError {
         "{ffmpeg}: has no encoder {encoder}, which .{suffix} needs; install an ffmpeg with it, or write .mkv"
     )]
     NoEncoder { ffmpeg: PathBuf, encoder: &'static str, suffix: &'static str },
-    /// A file can't be decoded; the reason is a sentence whose subject, the file, is left out.
+    /// A file can't be decoded. `reason` is a sentence without its subject, which the caller puts before it.
     #[error("{reason}")]
     Decode { reason: String },
     /// A file can't be read or written, or ffmpeg can't be started.

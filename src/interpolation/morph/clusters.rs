@@ -76,9 +76,9 @@ impl Tile {
 #[derive(Clone, Copy)]
 struct FarCluster {
     cluster: usize,
-    /// The cluster's term of P (module head).
+    /// The cluster's term of P, in the module's documentation.
     p: f64,
-    /// The cluster's term of Q.
+    /// The cluster's term of Q, in the module's documentation.
     q: f64,
     /// Lower bound of the cluster's weight at the tile's nodes.
     weight: f64,

@@ -115,7 +115,7 @@ struct Line {
     length: f32,
     /// Linear part of the displacement, a 2×2 matrix row by row.
     map: [f32; 4],
-    /// Displacement of `p`, pixels.
+    /// Displacement at `p`, pixels.
     shift: [f32; 2],
     /// The boost of eq. (8); 1 for a virtual edge.
     strength: f32,

@@ -121,9 +121,9 @@ pub fn fuse(
     fused
 }
 
-/// Whether nothing moves in a block. The outer frames' costs must exceed those of the middle frames by at
-/// most [`OUTER_SLACK`] at each pixel, and by at most [`STATIC_EXCESS_FRACTION`] of that in the mean.
-/// `outer_costs` and `costs` have one value for each pixel of the image.
+/// Whether nothing moves in a block: the outer frames' costs exceed those of the middle frames by at most
+/// [`OUTER_SLACK`] at each pixel, and on average by at most [`STATIC_EXCESS_FRACTION`] of that. `outer_costs`
+/// and `costs` have one value for each pixel of the image.
 pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: BlockArea) -> bool {
     outer_costs.iter().flatten().all(|outer| {
         let (mut sum, mut count) = (0.0, 0.0);

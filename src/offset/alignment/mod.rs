@@ -24,7 +24,8 @@ const MIN_OVERLAP_S: f64 = 2.0;
 const MAX_CANDIDATES: usize = 5;
 /// The number of frame triples that verify an offset.
 const TESTED_FRAMES: usize = 6;
-/// The agreement, relative to the best offset's, from which another offset is a rival.
+/// Fraction of the best offset's agreement at or above which another offset counts as equally plausible: a
+/// rival.
 const RIVAL_FRACTION: f64 = 0.8;
 
 /// The activity of each camera from all its frames; empty for a camera without pairs that need alignment.

@@ -62,7 +62,7 @@ const CELLS: [f64; 2] = [8.0, 6.0];
 /// The size of the fine grid's tiles, pixels: about two of the tracker's windows.
 const WINDOW_PX: f64 = 24.0;
 /// The maximum time by which camera b's frame may be outside camera a's interval, as a fraction of the
-/// interval. There the trajectory is extrapolated.
+/// interval. Outside the interval, trajectories are extrapolated.
 const MAX_OUTSIDE: f64 = 0.5;
 /// The maximum number of cached tracks: 256 MB, enough for 100 cameras with 600 features each.
 const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug)]
 pub struct Environment {
     pub project_root: PathBuf,
-    /// Its Python interpreter.
+    /// Path of its Python interpreter.
     pub python: PathBuf,
 }
 
