@@ -228,9 +228,9 @@ impl Reprojection {
     /// Lower bound of the penalties at the pixels of a cone, from the angle alone. NaN if the cone's axis is
     /// NaN.
     ///
-    /// With r the ray, ρ the inverse depth, d the shift and q = r + ρd, the penalty `2ρ|r × d| / (|r||q| +
-    /// r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, which increases with ρ. The angle between r and d
-    /// differs from that between the axis and d by at most the cone's angle.
+    /// With r the ray, ρ the inverse depth, d the view's centre minus the source's and q = r + ρd, the
+    /// penalty `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, which increases with
+    /// ρ. The angle between r and d differs from that between the axis and d by at most the cone's angle.
     pub fn min_angle(&self, cone: &RayCone) -> f32 {
         let (d, axis) = (self.shift_target, cone.axis);
         let length = d.norm();

@@ -128,8 +128,8 @@ impl<'a> JointSolution<'a> {
     ) -> Self {
         let results: Vec<PairResult> = results.collect();
         // Whether a pair may have locked onto the wrong period of a motion: less than MIN_AGREEMENT of its
-        // moving features agree with it, and another pair with one of its cameras has an offset beyond the
-        // nominal clocks' error.
+        // moving features agree with it, and another pair with one of its cameras has failed because its
+        // offset contradicts the nominal clocks.
         let is_contradicted = |pair: &PairEstimate| {
             let contradicts = |(other, result): &PairResult| {
                 other.iter().any(|c| pair.cameras.contains(c))

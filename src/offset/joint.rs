@@ -1,5 +1,5 @@
-//! The joint solution for all clocks: robust weighted least squares over all pairs, for the offset of every
-//! clock and the rate of every clock that drifts. There are more pairs than unknowns.
+//! The joint solution for all clocks: robust weighted least squares over all pairs, which are redundant, for
+//! the offset of every clock and the rate of every clock that drifts.
 //!
 //! Beyond the paper, which averages each camera's offset relative to the reference. The solution starts from
 //! least absolute deviations, by iteratively reweighted least squares (IRLS), and continues with weights that

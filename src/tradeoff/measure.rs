@@ -21,7 +21,7 @@ pub(super) struct Bench<'a> {
 }
 
 /// Time, seconds, that one thread takes per pixel of a view and camera: the mean over all methods on the
-/// scene `magazine`. It is used to predict progress.
+/// scene `magazine`. The expected duration of a measurement is computed from it.
 const SAMPLE_S: f64 = 4e-7;
 
 impl Bench<'_> {

@@ -99,13 +99,15 @@ impl LagObservation {
         self.lag_frames - line.x - line.y * self.elapsed_frames
     }
 
-    /// The residual, frames, if `lost` frames are missing up to the image, and up to the next one.
+    /// The residual, frames, for the loss counts `lost`: the numbers of frames missing up to the image, and
+    /// up to the next one.
     pub fn residual(&self, line: &Vector2<f64>, lost: [i32; 2]) -> f64 {
         let [before, after] = lost.map(f64::from);
         self.lag_beyond(line) - before - self.fraction * (after - before)
     }
 
-    /// The robust loss if `lost` frames are missing up to the image, and up to the next one.
+    /// The robust loss for the loss counts `lost`: the numbers of frames missing up to the image, and up to
+    /// the next one.
     pub fn cost(&self, line: &Vector2<f64>, lost: [i32; 2]) -> f64 {
         let interval_frames = self.interval_frames + f64::from(lost[1] - lost[0]);
         robust_loss(self.residual(line, lost), interval_frames)
