@@ -55,7 +55,7 @@ impl Element {
     /// Magnitude of the velocity, pixels per frame.
     #[inline(always)]
     pub fn speed(&self) -> f32 {
-        // `hypot` is slower, and its protection from overflow isn't needed.
+        // Squares of pixels don't overflow, so that `hypot` isn't needed.
         (self.velocity[0] * self.velocity[0] + self.velocity[1] * self.velocity[1]).sqrt()
     }
 
