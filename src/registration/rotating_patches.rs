@@ -30,7 +30,7 @@ const GUESSES: usize = 3;
 const ROUNDS: usize = 3;
 /// Maximum change of a window's area; the minimum is its inverse.
 const MAX_AREA_RATIO: f64 = 2.0;
-/// Maximum residual of a match relative to its contrast ([`Deformed::unexplained`]).
+/// Maximum residual of a match relative to its contrast, the field `unexplained` of the tracker's result.
 const MAX_UNEXPLAINED: f64 = 0.35;
 
 impl AffineStart {
