@@ -1,14 +1,16 @@
-//! Jump moves (Veksler 1999): some images of some cameras move by whole frames, and all others stay. A
-//! minimum cut finds a move of low cost among all sets of images, including sets from several cameras. It is
-//! the move of minimum cost if all terms are submodular.
+//! Jump moves (Veksler 1999). A jump move shifts the times of some images, of one camera or of several, by
+//! the same number of frames, and leaves all other image times unchanged. A minimum cut finds a move of low
+//! cost, the increase of the objective of [`super::descent`], among all sets of images. It is the move of
+//! minimum cost if all terms are submodular.
 //!
-//! Block-coordinate descent changes one camera at a time. If neighbours lose frames at about the same time, a
-//! better model differs in all of them at once. A move of negative cost is an improvement. The cost of a move
-//! that contains a given image is an upper bound of that image's min-marginal (Kohli and Torr, CVIU 112(1),
-//! 2008). If it is near 0, the image's time is undecided.
+//! Block-coordinate descent changes one camera's model at a time. If neighbouring cameras lose frames at
+//! about the same time, a better solution may require changes of several models at once, which only a jump
+//! move makes. A move of negative cost is an improvement. The lowest cost of all moves that shift a given
+//! image is its min-marginal (Kohli and Torr, CVIU 112(1), 2008). The move that the minimum cut finds gives
+//! an upper bound. If this bound is near 0, the image's time is undecided.
 //!
-//! Known limits: rates, and offsets within a frame, do not change. Observations that contradict each other
-//! give terms that are not submodular ([`super::min_cut`]), and a move through them may be missed.
+//! Known limits: moves change offsets only by whole frames, and no rates. Observations that contradict each
+//! other give terms that are not submodular ([`super::min_cut`]), so that a move of lower cost may be missed.
 
 use super::TimingObservation;
 use super::fit::{gap_penalty, robust_loss};
@@ -16,16 +18,17 @@ use super::min_cut::{Energy, FORBIDDEN, TripleCosts};
 use crate::offset::clock::{ClockModel, NominalClock};
 use std::ops::Range;
 
-/// The cameras of one connected component, and their clock models.
+/// The cameras of one connected component, and their clock models. Cameras are connected if they have common
+/// observations.
 pub struct Component<'a> {
     pub clocks: &'a [NominalClock<'a>],
-    /// By camera: the observations in which it takes part.
+    /// By camera: the observations of which it is one of the two cameras.
     pub observations: &'a [Vec<TimingObservation>],
     /// The camera whose first image keeps its time, which fixes the common clock.
     pub root: usize,
     /// By camera: its model. `None` for cameras of other components, and for those that are not fitted yet.
     pub models: Vec<Option<ClockModel>>,
-    /// The penalty of one lost frame, in outliers.
+    /// The penalty of one lost frame, as a multiple of an outlier's cost.
     pub loss_penalty: f64,
 }
 
@@ -35,39 +38,43 @@ impl Component<'_> {
         (0..self.clocks.len()).filter(|&c| self.models[c].is_some()).collect()
     }
 
-    /// The observations among fitted cameras. Each is stored with both cameras, and returned once.
+    /// The observations whose second camera has a model. `observations` lists each under both of its cameras;
+    /// here it occurs once.
     pub fn fitted_observations(&self) -> impl Iterator<Item = &TimingObservation> {
         let as_second = |c: usize| self.observations[c].iter().filter(move |o| o.cameras[1] == c);
         self.members().into_iter().flat_map(as_second)
     }
 }
 
-/// A run of a camera's images that move together: from `image` up to the image of the camera's next node.
+/// A node of the graph: successive images of a camera, from `image` to the one before the next node's, whose
+/// times are only shifted together.
 struct MoveNode {
     camera: usize,
     image: usize,
-    /// The frames missing between the camera's previous node and this one; 0 at the first.
+    /// The number of frames lost between the previous node's `image` and this one's; 0 for the camera's first
+    /// node.
     lost: u32,
 }
 
-/// A set of nodes that move.
+/// A jump move: the set of nodes whose image times are shifted by [`Jumps::frames`].
 pub struct Move {
-    /// By node: whether it moves.
+    /// By node, in the order of [`Jumps::nodes`]: whether its image times are shifted.
     moves: Vec<bool>,
-    /// The increase of the objective by the move, in outliers.
+    /// The increase of the objective by the move, as a multiple of an outlier's cost.
     pub cost: f64,
 }
 
-/// The possible moves of a component's images by a given number of frames.
+/// The graph of a component's jump moves by a given number of frames. Each node has a binary label: 1 if its
+/// image times are shifted.
 pub struct Jumps<'a> {
     component: &'a Component<'a>,
     nodes: Vec<MoveNode>,
-    /// By camera: its nodes, ascending by image.
+    /// By camera: the range of its nodes in `nodes`, ascending by image.
     of_camera: Vec<Range<usize>>,
     /// For each observation: the nodes of its three images, and its cost for each combination of their
-    /// labels.
+    /// labels, as a multiple of an outlier's cost.
     terms: Vec<([usize; 3], TripleCosts)>,
-    /// The number of frames by which nodes move.
+    /// The shift of image times by a move, in frame periods of each camera; positive is later.
     frames: i32,
 }
 
@@ -86,7 +93,8 @@ impl<'a> Jumps<'a> {
         (!range.is_empty()).then(|| range.start + within.saturating_sub(1))
     }
 
-    /// The nodes of an observation, and its costs by their labels.
+    /// The nodes of an observation's three images, and its cost for each combination of their labels. `None`
+    /// if one of its cameras has no model.
     fn term(&self, o: &TimingObservation) -> Option<([usize; 3], TripleCosts)> {
         let ([a, b], [k, m]) = (o.cameras, o.images);
         let [clock_a, clock_b] = o.cameras.map(|c| &self.component.clocks[c]);
@@ -108,8 +116,9 @@ impl<'a> Jumps<'a> {
         Some(([self.node(a, k)?, self.node(a, k + 1)?, self.node(b, m)?], costs))
     }
 
-    /// The nodes of which one could move if the camera is undecided: the first and the last, and those on
-    /// both sides of each of its lost frames.
+    /// The camera's nodes from which an alternative to its lost frames would start or end: its first and its
+    /// last node, and the nodes on both sides of each lost frame. If no move of one of them has a low cost,
+    /// the camera is decided.
     pub fn decisive_nodes(&self, camera: usize) -> Vec<usize> {
         let range = self.of_camera[camera].clone();
         let at_loss = range.clone().filter(|n| self.nodes[*n].lost > 0);
@@ -121,8 +130,9 @@ impl<'a> Jumps<'a> {
         decisive
     }
 
-    /// The move of lowest cost that the minimum cut finds; if `containing` is given, among the moves of that
-    /// node. `None` if nothing moves, or if all such moves are impossible.
+    /// The move of lowest cost that the minimum cut finds. If `containing` is given, the move must shift that
+    /// node. The first node of [`Component::root`] is never shifted. `None` if the minimum cut finds no move
+    /// that meets these conditions.
     pub fn cheapest(&self, containing: Option<usize>) -> Option<Move> {
         let mut energy = Energy::new(self.nodes.len());
         let origin = self.of_camera[self.component.root].start;
@@ -134,7 +144,8 @@ impl<'a> Jumps<'a> {
             energy.add_triple(*nodes, costs);
         }
         for (before, after) in self.neighbours() {
-            // The gap between the two nodes grows if only `up` moves, and shrinks if only `down` does.
+            // The number of frames lost between the two nodes increases if only `up` is shifted, and
+            // decreases if only `down` is.
             let (up, down) = if self.frames > 0 { (after, before) } else { (before, after) };
             let (lost, frames) = (self.nodes[after].lost, self.frames.unsigned_abs());
             if let Some(less) = lost.checked_sub(frames) {
@@ -153,13 +164,14 @@ impl<'a> Jumps<'a> {
         is_move.then_some(Move { moves, cost })
     }
 
-    /// The pairs of successive nodes of one camera.
+    /// All pairs of successive nodes of the same camera, as indices into `nodes`.
     fn neighbours(&self) -> impl Iterator<Item = (usize, usize)> {
         let same_camera = |n: &usize| self.nodes[*n].camera == self.nodes[n + 1].camera;
         (0..self.nodes.len().saturating_sub(1)).filter(same_camera).map(|n| (n, n + 1))
     }
 
-    /// The increase of the objective by a move; `None` if a loss count would descend.
+    /// The increase of the objective, as a multiple of an outlier's cost, if every node n with `moves[n]` is
+    /// shifted. `None` if the number of frames lost between two successive nodes would become negative.
     fn cost(&self, moves: &[bool]) -> Option<f64> {
         let mut cost = 0.0;
         for ([x, y, z], costs) in &self.terms {
@@ -178,19 +190,20 @@ impl<'a> Jumps<'a> {
         gap_penalty(lost, self.component.loss_penalty)
     }
 
-    /// The change, by a move, of the number of frames lost between two neighbouring nodes.
+    /// The change of the number of frames lost between two successive nodes, if every node n with `moves[n]`
+    /// is shifted.
     fn further_losses(&self, moves: &[bool], (before, after): (usize, usize)) -> i32 {
         self.frames * (i32::from(moves[after]) - i32::from(moves[before]))
     }
 
-    /// Sets `marked` for the cameras with images that move.
+    /// Sets `marked[c]` for every camera c of which the move shifts at least one node.
     pub fn mark_moved(&self, of: &Move, marked: &mut [bool]) {
         for (range, marked) in self.of_camera.iter().zip(marked) {
             *marked |= of.moves[range.clone()].contains(&true);
         }
     }
 
-    /// The models after a move.
+    /// The clock models, by camera, after a move.
     pub fn apply(&self, of: &Move) -> Vec<Option<ClockModel>> {
         let mut models = self.component.models.clone();
         for (c, range) in self.of_camera.iter().enumerate() {
@@ -221,8 +234,8 @@ impl<'a> Jumps<'a> {
 
 /// The nodes of all cameras, and each camera's range among them.
 ///
-/// A camera that loses no frames is one node. For another camera, a node starts at each image with an
-/// observation, and at the first and the last image that other cameras could observe.
+/// A camera that cannot lose frames has a single node. For any other camera, a node starts at each observed
+/// image, at the images on both sides of each lost frame, and at its two [`observable_ends`].
 fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     let mut images: Vec<Vec<usize>> = vec![Vec::new(); component.models.len()];
     for o in component.fitted_observations() {
@@ -231,7 +244,7 @@ fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
         images[b].push(m);
     }
     for (images, model) in images.iter_mut().zip(&component.models) {
-        // The two images around a loss start nodes, so that the loss is between neighbouring nodes.
+        // The two images around a lost frame start nodes, so that the loss is between successive nodes.
         let lost_before = model.iter().flat_map(|m| &m.lost_before);
         images.extend(lost_before.flat_map(|n| [n.saturating_sub(1), *n]));
     }
@@ -257,8 +270,9 @@ fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     (nodes, of_camera)
 }
 
-/// By camera: the first and the last of its images that are within a frame of an image of a camera with
-/// common observations; `None` if there are none.
+/// By camera: its first and its last image, by index, whose times are within the recordings of the cameras
+/// with which it has common observations, extended by one frame period on both sides. `None` if there is no
+/// such image.
 fn observable_ends(component: &Component) -> Vec<Option<[usize; 2]>> {
     let image_times_s = |(model, clock): (&Option<ClockModel>, &NominalClock)| {
         model.as_ref().map_or_else(Vec::new, |m| m.image_times_s(clock))

@@ -1,19 +1,19 @@
 //! Minimization of an energy of binary variables by a minimum cut (Kolmogorov and Zabih, PAMI 26(2),
 //! 2004), found by Dinic's algorithm.
 //!
-//! Known limit: terms that are not submodular are replaced by upper bounds. The labels then have a low
-//! energy, not always the minimum.
+//! Known limit: terms that are not submodular are replaced by upper bounds. The energy of the resulting
+//! labels is then low, but not always the minimum.
 
 use petgraph::Direction;
 use petgraph::algo::dinics;
 use petgraph::graph::{DiGraph, NodeIndex};
 use petgraph::visit::EdgeRef;
 
-/// An energy of binary variables: a sum of terms of one, two and three variables.
+/// An energy of binary variables (labels 0 and 1): a sum of terms of one, two and three variables.
 pub struct Energy {
-    /// By variable: the cost of the label 1.
+    /// By variable: the cost of the label 1; the label 0 costs 0.
     unary: Vec<f64>,
-    /// By edge: two variables, and the cost if the first has the label 1 and the second 0.
+    /// By edge: two variables, and the cost if the first has the label 1 and the second has the label 0.
     edges: Vec<(usize, usize, f64)>,
 }
 
@@ -31,12 +31,12 @@ impl Energy {
         Self { unary: vec![0.0; variables], edges: Vec::new() }
     }
 
-    /// Adds a cost of the label 1 for a variable.
+    /// Adds a cost for the label 1 of a variable. It may be negative.
     pub fn add_unary(&mut self, variable: usize, cost: f64) {
         self.unary[variable] += cost;
     }
 
-    /// Adds a cost of the label 1 for x and 0 for y; it must not be negative.
+    /// Adds a cost, not negative, that applies if variable x has the label 1 and variable y has the label 0.
     pub fn add_edge(&mut self, x: usize, y: usize, cost: f64) {
         self.edges.push((x, y, cost));
     }
@@ -49,7 +49,8 @@ impl Energy {
         }
     }
 
-    /// Adds a term of three variables; some of them may be the same.
+    /// Adds a term of three variables; `e` is its cost by their labels. Some of the variables may be the
+    /// same.
     pub fn add_triple(&mut self, [x, y, z]: [usize; 3], e: &TripleCosts) {
         let variables = [x, y, z];
         let single = [e[1][0][0], e[0][1][0], e[0][0][1]].map(|v| v - e[0][0][0]);
@@ -64,8 +65,8 @@ impl Energy {
         for (variable, cost) in variables.into_iter().zip(single) {
             self.unary[variable] += cost;
         }
-        // The cubic term is replaced by a minimum over an auxiliary variable w: of −2cw + cw (x + y + z) if c
-        // is negative, otherwise of cw − cw (x + y + z) + c (xy + xz + yz).
+        // The cubic term c·xyz is replaced by a minimum over an auxiliary binary variable w: of −2cw + cw (x
+        // + y + z) if c is negative, otherwise of cw − cw (x + y + z) + c (xy + xz + yz).
         if cubic.abs() > 1.0 / UNITS {
             let further = self.unary.len();
             self.unary.push(if cubic < 0.0 { -2.0 * cubic } else { cubic });
@@ -86,8 +87,8 @@ impl Energy {
         }
     }
 
-    /// Minimizes the energy, and returns the labels of the first `count` variables. Of several minima, it
-    /// returns the one with the fewest labels 1.
+    /// Minimizes the energy, and returns the labels of the first `count` variables; `true` is the label 1. Of
+    /// several minima, it returns the one with the fewest labels 1.
     pub fn minimize(&self, count: usize) -> Vec<bool> {
         let (source, sink) = (self.unary.len(), self.unary.len() + 1);
         let terminal = |(variable, &cost): (usize, &f64)| match cost > 0.0 {

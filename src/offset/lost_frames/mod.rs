@@ -1,14 +1,17 @@
-//! Detection of lost frames. A camera that drops a frame without a trace is one frame late from there on.
+//! Detection of lost frames. If a camera drops a frame and its time stamps have no gap, the nominal times of
+//! all later images are one frame period too early.
 //!
-//! One triple of frames gives a pair's offset at one instant, eq. (10). When it is tracked along the
-//! recording, a pair's offset jumps up by a frame where the camera of the single frame lost one, and down
-//! where the other camera did. Jumps are bracketed by bisection, so that images on both sides of each are
-//! observed. The clock models of all cameras are then fitted to the observations of all pairs ([`descent`]).
+//! A frame triple (two successive frames of camera a, one frame of camera b) gives the offset `offset_b −
+//! offset_a` at one instant, eq. (10). Along the recording, this offset increases by a frame period where
+//! camera b lost a frame, and decreases where camera a did. Each such jump is bracketed by bisection, so that
+//! the images on both sides of it are observed. The clock models of all cameras are then fitted to the
+//! observations of all pairs ([`descent`]).
 //!
 //! Known limits: a frame lost while nothing moves is attributed to the next image that shows motion. A frame
 //! lost after the first or before the last image of a recording may be missed; that image's time is then a
-//! frame off. The offset of a camera is unknown if too few of its observations agree, or if other losses fit
-//! nearly as well: cameras that lose frames within a frame or two of each other hide each other's losses.
+//! frame off. The offset of a camera is unknown if too few of its observations agree, or if other sets of
+//! lost frames fit nearly as well. The latter happens if several cameras lose frames within a frame or two of
+//! each other, since only relative times are observed.
 
 mod descent;
 mod fit;
@@ -29,25 +32,27 @@ use rayon::prelude::*;
 pub struct TimingObservation {
     pub cameras: [usize; 2],
     pub images: [usize; 2],
-    /// From 0 to 1; slightly outside if the trajectory was extrapolated.
+    /// Time of camera `cameras[1]`'s image within the interval, 0 to 1; slightly outside if the trajectory
+    /// was extrapolated.
     pub fraction: f64,
 }
 
-/// A camera's clock model relative to the common clock of its component, fitted to timing observations.
+/// A camera's clock model, fitted to timing observations. It is relative to the common clock of its
+/// [`Self::component`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FittedClock {
     pub clock: ClockModel,
-    /// Whether too many observations contradict the model.
+    /// Whether too large a fraction of the camera's observations are outliers of the model.
     pub ambiguous: bool,
-    /// Whether other losses, of this camera and of others, explain the observations nearly as well. Then the
-    /// times of some of its images may be a frame off.
+    /// Whether other sets of lost frames, of this camera or of several, explain the observations nearly as
+    /// well. The times of some of its images may then be wrong by whole frames.
     pub undecided: bool,
-    /// The connected component of the observation graph that the camera belongs to. Only models of
-    /// the same component share a common clock.
+    /// Index of the camera's connected component, in the graph whose nodes are cameras and whose edges are
+    /// observations. Only models of the same component share a common clock.
     pub component: usize,
 }
 
-/// A pair's offset observed at one triple of frames: two successive images of camera a, one of camera b.
+/// A pair's offset, observed at one frame triple: two successive images of camera a, one of camera b.
 #[derive(Clone, Copy, Debug)]
 struct TripleOffset {
     timing: TimingObservation,
@@ -59,35 +64,40 @@ struct TripleOffset {
     agreement: f64,
 }
 
-/// The offsets that are tried, in order of preference: differences from the offset observed last, in frames.
+/// The offset hypotheses that are tried at an image, in order of preference: differences from the offset at
+/// the image before, in frame periods of camera b.
 const STEPS: [f64; 6] = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0];
-/// The offsets that are tried at the start of a recording: differences from the initial offset, in frames.
-/// The initial offset is that of the recording's main part, which may be several losses later.
+/// The offset hypotheses that are tried until the first observation succeeds: differences from the initial
+/// offset, in frame periods of camera b. The initial offset holds for most of the recording. At its start,
+/// before several lost frames, the offset may be different.
 const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
-/// The minimum score of a triple, as a fraction of [`MIN_INLIERS`].
+/// The minimum score of a frame triple, as a fraction of [`MIN_INLIERS`].
 const MIN_SCORE_FRACTION: f64 = 0.5;
-/// The minimum score of a triple, as a fraction of its candidates.
+/// The minimum score of a frame triple, as a fraction of the number of its candidates.
 const MIN_INLIER_FRACTION: f64 = 0.3;
-/// The distance in time from a frame, as a fraction of the interval, within which a triple requires
-/// [`MIN_AGREEMENT`]. Occluded features and T-junctions agree on the time of one of the two frames.
+/// The distance in time of camera b's image from either of camera a's two images, as a fraction of their
+/// interval, within which an observation requires [`MIN_AGREEMENT`]. Occluded features and T-junctions
+/// falsely agree on the time of one of these images.
 const NEAR_FRAME: f64 = 0.2;
 /// The maximum time by which camera b's image may be outside camera a's interval, as a fraction of the
 /// interval.
 const MAX_OUTSIDE: f64 = 0.25;
 /// The minimum change of the offset, in frames, that counts as a jump by whole frames.
 const MIN_JUMP_FRAMES: f64 = 0.6;
-/// The maximum difference from the expected offset, frames, at which an offset of enough agreement ends the
-/// search.
+/// The maximum difference between an observed and the expected offset, frame periods of camera b, at which no
+/// further hypotheses are tried. The observation must also have [`MIN_AGREEMENT`].
 const EXPECTED_WITHIN_FRAMES: f64 = 0.4;
 /// The number of images on either side of a lost frame that are observed again.
 const IMAGES_AROUND_LOSS: usize = 2;
-/// The maximum number of rounds in which observations are repeated with the fitted clock models.
+/// The maximum number of rounds. In each, the frame triples that the fitted clock models predict are observed
+/// too, and the models are fitted again.
 const MAX_ROUNDS: usize = 3;
 
-/// Detects the lost frames of all cameras; the result is by camera.
+/// Detects the lost frames of all cameras. The result is by camera.
 ///
-/// `starts` holds each pair's initial offset. For pairs with fitted clock models, it is replaced by the
-/// models' offset. A camera that may lose frames but is in no observation is ambiguous.
+/// `starts` holds, for each of `pairs`, its initial offset or its failure. If both cameras have clock models
+/// of the same component, the initial offset is replaced by the models' offset. A camera that may lose frames
+/// but has no observation is marked as ambiguous.
 pub fn detect_lost_frames(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -112,7 +122,8 @@ pub fn detect_lost_frames(
     Ok(models.map(|(model, clock)| model.unwrap_or_else(|| unobserved(clock))).collect())
 }
 
-/// Fits the clock models of all cameras to the observations of every pair in both directions.
+/// Fits the clock models of all cameras to the observations of all pairs, in both directions (either camera
+/// may have the two images). The result is by camera; `None` for a camera without observations.
 fn joint_models(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -153,7 +164,7 @@ fn joint_models(
     Ok(models)
 }
 
-/// Observations of the offset of an ordered pair of cameras (a, b).
+/// The observations of the offset of an ordered pair of cameras (a, b), `offset_b − offset_a`.
 struct PairScan<'a, 'b> {
     recording: &'a Recording<'b>,
     cameras: [usize; 2],
@@ -168,8 +179,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Self { recording, cameras, frame_s, offsets: Vec::new() }
     }
 
-    /// Tracks the offset along the recording and brackets its jumps. `initial_offset_s` is the offset of the
-    /// recording's main part.
+    /// Observes the offset at evenly spread images in order of time, then brackets its jumps by bisection.
+    /// `initial_offset_s`, seconds, is `offset_b − offset_a` for most of the recording.
     fn track_offset(&mut self, initial_offset_s: f64) -> Result<(), CaptureError> {
         let mut expected_s = initial_offset_s;
         for k in self.sampled_images() {
@@ -180,7 +191,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
                     && (o.offset_s - expected_s).abs() < EXPECTED_WITHIN_FRAMES * self.frame_s
             };
             if let Some(observed) = self.best_observation(k, tried_s, is_expected)? {
-                // An offset of low agreement is stored as an observation, but the search does not follow it.
+                // An offset of low agreement is stored as an observation, but does not change the expected
+                // offset.
                 if self.offsets.is_empty() || observed.agreement >= MIN_AGREEMENT {
                     expected_s = observed.offset_s;
                 }
@@ -193,9 +205,9 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(())
     }
 
-    /// Adds observations of the triples that the fitted clock models predict, and returns whether any is new.
-    /// At the recordings' ends and on either side of lost frames, each image of camera a is observed with
-    /// every plausible image of camera b.
+    /// Observes the frame triples that the fitted clock models predict, and returns whether any observation
+    /// is new. `clocks` and `models` are by camera. Near the recordings' ends and near lost frames, every
+    /// image of camera a is observed with up to three successive images of camera b.
     fn observe_again(
         &mut self,
         clocks: &[NominalClock],
@@ -206,7 +218,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         };
         let times_a = model_a.clock.image_times_s(&clocks[self.cameras[0]]);
         let times_b = model_b.clock.image_times_s(&clocks[self.cameras[1]]);
-        // Only few images show a loss near a recording's end: all of them are observed.
+        // Near a recording's end, and near lost frames, few images give evidence of a loss. All of them are
+        // observed.
         let mut decisive_times = Vec::new();
         for (model, times) in [(model_a, &times_a), (model_b, &times_b)] {
             decisive_times.extend([times[0], times[times.len() - 1]]);
@@ -232,15 +245,16 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(self.offsets.len() > count_before)
     }
 
-    /// The evenly spread images of camera a that are observed first.
+    /// The indices of the evenly spread images of camera a at which the offset is observed first.
     fn sampled_images(&self) -> Vec<usize> {
         let count = self.recording.clocks[self.cameras[0]].times_s.len() - 1;
         spread(count, self.recording.options.max_frames)
     }
 
-    /// The observation of the highest score at image k of camera a. The tried images of camera b are those
-    /// that one of the offsets puts between images k and k + 1. The first observation for which `is_enough`
-    /// is true ends the search; of equal scores the first counts.
+    /// The observation of the highest score at images k and k + 1 of camera a; of equal scores, the first.
+    /// For each of `offsets_s`, hypotheses of `offset_b − offset_a` in seconds, the image of camera b nearest
+    /// to the middle of this interval is observed. No further hypotheses are tried once `is_enough` is true
+    /// for the best observation.
     fn best_observation(
         &self,
         k: usize,
@@ -284,8 +298,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(valid.then_some(TripleOffset { timing, offset_s, score, agreement }))
     }
 
-    /// Bisects the images between two observations that differ by a jump, until the observations on both
-    /// sides of the jump are neighbours.
+    /// If the offsets of two observations differ by a jump, observes images between them by bisection, until
+    /// the jump is between two successive observable images.
     fn bisect_jump(&mut self, from: TripleOffset, to: TripleOffset) -> Result<(), CaptureError> {
         let jump = (to.offset_s - from.offset_s) / self.frame_s;
         if jump.abs() < MIN_JUMP_FRAMES || to.timing.images[1] <= from.timing.images[1] {
@@ -297,8 +311,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         self.bisect_jump(between, to)
     }
 
-    /// An observation of an image between two observations, as near to the middle as possible. `None` if no
-    /// image between them can be observed.
+    /// An observation at an image between those of two given observations, as near to the middle as possible.
+    /// `None` if no image between them can be observed.
     fn observe_between(
         &self,
         from: TripleOffset,
