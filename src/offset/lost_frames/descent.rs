@@ -1,17 +1,18 @@
 //! Fits the clock models of all cameras to timing observations by block-coordinate descent.
 //!
 //! The models are fitted in turn, each with all others held fixed, until none changes. For a given offset and
-//! rate, the optimal set of lost frames is a shortest path through a trellis of images and loss counts, found
-//! by dynamic programming ([`super::fit`]).
+//! rate, the optimal set of lost frames is a shortest path through a trellis of images and loss counts
+//! (numbers of frames lost up to an image), found by dynamic programming ([`super::fit`]).
 //!
 //! The objective is a sum of truncated squared residuals plus a penalty per lost frame. An outlier costs 1
-//! under any model, so that penalties are stated in units of outliers. Residuals within an interval with lost
-//! frames are weighted by its length. Further frames lost in one place have a smaller penalty than the first.
+//! under any model; penalties are multiples of this cost. An observation in an interval with lost frames has
+//! a larger standard deviation than others ([`super::fit::robust_loss`]). Further frames lost at the same
+//! image have a smaller penalty than the first.
 //!
-//! Cameras that lose frames at about the same time hide each other's losses: their images can move by a frame
-//! together at little cost. [`super::jumps`] finds such moves, for any set of images. A move that lowers the
-//! objective is made. If a move raises it by less than an outlier costs, the cameras that it moves are
-//! undecided.
+//! If several cameras lose frames at about the same time, shifting their image times together by a frame
+//! hardly changes the objective. [`super::jumps`] finds such jump moves, for any set of images. A jump move
+//! that lowers the objective is applied. If a jump move raises the objective by less than an outlier costs,
+//! the cameras whose images it shifts are undecided.
 //!
 //! Known limits: frames that all cameras lose at the same time leave no trace. If observations contradict
 //! each other, a move of low cost may be missed. The camera that defines the common clock keeps its offset of
@@ -23,30 +24,32 @@ use super::{FittedClock, TimingObservation};
 use crate::offset::clock::{ClockModel, NominalClock};
 use nalgebra::Vector2;
 
-/// The penalty of one lost frame while cameras are added one after the other, in outliers. It is higher than
-/// the final one, since only few fitted cameras can contradict a false loss.
+/// The penalty of one lost frame while cameras are added one after the other, as a multiple of an outlier's
+/// cost. It is higher than [`LOSS_PENALTY`], since few cameras are fitted that could contradict a false loss.
 const START_LOSS_PENALTY: f64 = 1.8;
-/// The penalty of one lost frame in the final models, in outliers. It is the ratio of two log odds: against a
-/// loss at a given image, and against an outlier.
+/// The penalty of one lost frame in the final models, as a multiple of an outlier's cost. It is the log odds
+/// against a lost frame at a given image, divided by the log odds against an outlier.
 const LOSS_PENALTY: f64 = 0.75;
-/// The margin, in outliers, by which a model must be better than every model with some images a frame off. At
-/// 1, a single outlier does not decide.
+/// The minimum increase of the objective, as a multiple of an outlier's cost, by every jump move of a camera
+/// whose image times count as certain. At 1, the evidence of a single observation is not enough.
 const DECISIVE_OUTLIERS: f64 = 1.0;
-/// The numbers of frames by which jump moves shift images in time.
+/// The numbers of frames by which jump moves shift image times.
 const JUMPS: [i32; 4] = [1, -1, 2, -2];
-/// The minimum decrease of the objective by a move, in outliers.
+/// The minimum decrease of the objective by a jump move, as a multiple of an outlier's cost.
 const MIN_IMPROVEMENT: f64 = 1e-6;
-/// The maximum number of sweeps over all cameras, and of jump moves.
+/// The maximum number of sweeps over all cameras, and also the maximum number of jump moves.
 const MAX_SWEEPS: usize = 12;
 /// The change of an offset, in frames, below which a model has converged.
 const OFFSET_TOLERANCE_FRAMES: f64 = 1e-3;
 /// The fraction of outliers among a camera's observations above which its model is ambiguous.
 const MAX_OUTLIER_FRACTION: f64 = 0.4;
 
-/// Fits the clock model of every camera to all timing observations.
+/// Fits the clock model of every camera to all timing observations. `clocks` and the result are by camera;
+/// `reference` is the index of the reference camera.
 ///
-/// Cameras that observations connect form a component. Its common clock is that of the reference, if it is a
-/// member, else of its first camera. The result is `None` for a camera without observations.
+/// Cameras that observations connect form a component. The models of a component are relative to the clock of
+/// the reference camera, if that is a member, otherwise to the clock of the component's first camera. The
+/// result is `None` for a camera without observations.
 pub fn fit_clock_models(
     clocks: &[NominalClock],
     reference: usize,
@@ -110,10 +113,10 @@ impl<'a> Component<'a> {
             .map(|(_, c)| c)
     }
 
-    /// Fits a further camera to the models of its component.
+    /// Fits the clock model of a further camera, given the models fitted so far.
     ///
-    /// If a fit without constraints steps back by a frame, all cameras fitted so far may have lost a frame
-    /// there. This alternative is taken if its total cost is lower.
+    /// A fit without constraints may have a loss count that decreases at some image. Instead, all cameras
+    /// fitted so far may have lost a frame at that time. This alternative is used if its total cost is lower.
     fn add_camera(&mut self, camera: usize) {
         let unconstrained = self.fit(camera, true);
         let before = self.models.clone();
@@ -132,11 +135,12 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// Adds a lost frame to every fitted camera that may lose frames, at each of the times at which the
-    /// fit of `camera` steps back.
+    /// Adds a lost frame to every fitted camera that may lose frames, at each time at which the loss count of
+    /// `fit`, the fit of `camera`, decreases.
     fn attribute_steps_back(&mut self, camera: usize, fit: &ClockFit) {
         let clock = &self.clocks[camera];
-        // The other cameras are one frame late there, and one more after each further step.
+        // On the common clock, which does not include the new losses yet, this image is one frame earlier
+        // than in `fit`, and one more after each further decrease.
         let step_time_s = |(n, image): (usize, &usize)| {
             Some(fit.clock.image_time_s(clock, *image)? - (n + 1) as f64 * clock.frame_s)
         };
@@ -168,7 +172,8 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// Whether a camera's model explains too small a fraction of its observations.
+    /// Whether the cost of a camera's observations, as a multiple of an outlier's, exceeds the fraction
+    /// [`MAX_OUTLIER_FRACTION`] of their number.
     fn is_ambiguous(&self, camera: usize) -> bool {
         let lost = self.models[camera].as_ref().map_or(0, |model| model.lost_before.len());
         let losses = self.loss_penalty * lost as f64;
@@ -176,8 +181,7 @@ impl<'a> Component<'a> {
         self.fit(camera, false).cost - losses > MAX_OUTLIER_FRACTION * count
     }
 
-    /// Makes jump moves, in which images of several cameras move by whole frames at once, until none lowers
-    /// the objective.
+    /// Applies jump moves ([`Jumps`]), each followed by [`Self::converge`], until none lowers the objective.
     fn improve_by_jumps(&mut self) {
         self.loss_penalty = LOSS_PENALTY;
         self.converge();
@@ -198,8 +202,8 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// By camera: whether some of its images could move by whole frames, alone or together with images of
-    /// other cameras, at almost no increase of the objective.
+    /// By camera: whether a jump move that shifts some of its images increases the objective by less than
+    /// [`DECISIVE_OUTLIERS`].
     fn undecided(&self) -> Vec<bool> {
         let mut undecided = vec![false; self.clocks.len()];
         for frames in JUMPS {
@@ -224,8 +228,8 @@ impl<'a> Component<'a> {
         undecided
     }
 
-    /// The objective: the cost of all observations and of all lost frames. An observation between two cameras
-    /// is counted once.
+    /// The objective, as a multiple of an outlier's cost: the sum of the costs of all observations and of the
+    /// penalties of all lost frames.
     fn total_cost(&self) -> f64 {
         let camera_cost = |(c, model): (usize, &ClockModel)| {
             let line = Vector2::new(model.offset_s / self.clocks[c].frame_s, model.rate);
@@ -242,14 +246,15 @@ impl<'a> Component<'a> {
         models.filter_map(|(c, model)| Some((c, model.as_ref()?))).map(camera_cost).sum()
     }
 
-    /// A camera's model relative to the clock of the root.
+    /// A camera's model relative to the clock of [`Component::root`].
     fn rebased(&self, camera: usize) -> ClockModel {
         let [model, root] = [camera, self.root].map(|c| self.models[c].clone().unwrap_or_default());
         let (offset_s, rate) = (model.offset_s - root.offset_s, model.rate - root.rate);
         ClockModel { offset_s, rate, ..model }
     }
 
-    /// Fits a camera's clock model, given the models of all others.
+    /// Fits a camera's clock model, given the models of all others. With `allow_steps_back`, the loss count
+    /// may also decrease ([`LagProblem::allow_steps_back`]).
     fn fit(&self, camera: usize, allow_steps_back: bool) -> ClockFit {
         let lags: Vec<LagObservation> =
             self.observations[camera].iter().filter_map(|o| self.lag(camera, o)).collect();
@@ -257,8 +262,8 @@ impl<'a> Component<'a> {
         LagProblem { lags: &lags, clock, loss_penalty, allow_steps_back }.fit()
     }
 
-    /// Converts a timing observation to a lag of one of its cameras relative to the common clock, by the
-    /// other camera's model. `None` if the other camera has no model yet.
+    /// Converts a timing observation to a lag of `camera`, common time minus nominal time. The common time is
+    /// that of the other camera's model; `None` if that camera has no model yet.
     fn lag(&self, camera: usize, observation: &TimingObservation) -> Option<LagObservation> {
         let [a, b] = observation.cameras;
         let [k, m] = observation.images;

@@ -1,11 +1,11 @@
-//! The clock model of one camera, fitted to its lag observations. Two exact steps alternate: lost frames for
-//! a given line (a shortest path, by dynamic programming), and the line for given lost frames (least squares
-//! over the inliers).
+//! The clock model of one camera, fitted to observations of its lag (common time minus nominal time).
 //!
-//! A lag, in frames, is modelled as `offset + rate · elapsed + lost(image)`, where `lost` counts the frames
-//! missing up to an image: a step function that never descends.
+//! A lag, in frames, is modelled as `offset + rate · elapsed + lost(image)`: a line plus a step function. The
+//! loss count `lost` is the number of frames missing up to an image, and never decreases. Two steps
+//! alternate: the loss counts for a given line (a shortest path, by dynamic programming), and the line for
+//! given loss counts (least squares over the inliers).
 //!
-//! Costs and penalties are in units of outliers: an outlier costs 1.
+//! Costs and penalties are multiples of the cost of an outlier, which is 1.
 
 use crate::capture::MAX_DRIFT_PPM;
 use crate::offset::clock::{ClockModel, NominalClock};
@@ -16,33 +16,37 @@ use std::collections::BTreeMap;
 const SIGMA_FRAMES: f64 = 0.08;
 /// The residual beyond which an observation is an outlier, frames: three standard deviations.
 pub const INLIER_BOUND_FRAMES: f64 = 3.0 * SIGMA_FRAMES;
-/// The length of an interval, frames, above which the uncertainty of its observations no longer grows.
+/// The length of an interval, frames, above which [`robust_loss`] no longer increases the standard deviation
+/// of its observations.
 const MAX_LENGTH_FRAMES: f64 = 2.0;
-/// The maximum length of an interval, frames, whose observations are used to fit offset and rate. It allows
-/// for jitter of time stamps.
+/// The maximum length of an interval, frames, whose observations are used to fit offset and rate. Intervals
+/// without a lost frame are shorter, even with jitter of the time stamps.
 const MAX_INTERVAL_FRAMES: f64 = 1.5;
 /// The standard deviation of the prior on a drifting clock's rate, seconds per second.
 const RATE_SIGMA: f64 = 5e-4;
-/// The standard deviation that holds the rate of a clock without drift at 0.
+/// The standard deviation of the prior on the rate of a clock that does not drift, seconds per second. It is
+/// so small that the rate is 0.
 const NO_DRIFT_SIGMA: f64 = 1e-9;
 /// The largest rate from which a fit is started, seconds per second.
 const MAX_RATE: f64 = 1e-6 * MAX_DRIFT_PPM;
 /// The maximum number of starting rates on either side of 0.
 const MAX_RATE_STEPS: f64 = 1e3;
-/// The weight, in observations, of the prior that holds the offset if no observation is an inlier.
+/// The inverse variance of the prior on the offset, frames⁻². The prior's mean is the previous offset, which
+/// thus does not change if no observation is an inlier.
 const OFFSET_PRIOR_WEIGHT: f64 = 1e-3;
-/// The penalty of each further frame lost at the same image, in outliers.
+/// The penalty of each further frame lost at the same image, as a multiple of an outlier's cost.
 const FURTHER_LOSS_PENALTY: f64 = 0.3;
-/// The maximum loss count relative to the line. Computing time grows with its square.
+/// The maximum absolute value of a loss count relative to the line. Computing time grows with its square.
 const MAX_LOST: i32 = 40;
 /// The maximum number of observed lags that are tried as initial offsets.
 const MAX_STARTS: usize = 64;
-/// The maximum number of iterations of the two steps.
+/// The maximum number of alternations between loss counts and line.
 const MAX_ALTERNATIONS: usize = 12;
 /// The decrease of the cost below which the alternation has converged.
 const COST_TOLERANCE: f64 = 1e-9;
 
-/// The penalty of a gap in which this number of frames is lost, in outliers.
+/// The penalty of `frames` frames lost between two successive images, as a multiple of an outlier's cost.
+/// `loss_penalty` is the penalty of the first.
 pub fn gap_penalty(frames: u32, loss_penalty: f64) -> f64 {
     match frames {
         0 => 0.0,
@@ -54,32 +58,33 @@ pub fn gap_penalty(frames: u32, loss_penalty: f64) -> f64 {
 pub struct LagProblem<'a> {
     pub lags: &'a [LagObservation],
     pub clock: &'a NominalClock<'a>,
-    /// The penalty of one lost frame, in outliers.
+    /// The penalty of one lost frame, as a multiple of an outlier's cost.
     pub loss_penalty: f64,
-    /// Whether the loss count may also descend. It does where the other cameras lost a frame.
+    /// Whether the loss count may also decrease from one image to the next. It decreases where the other
+    /// cameras have lost frames that their models do not contain.
     pub allow_steps_back: bool,
 }
 
 /// A fitted clock model with its cost.
 pub struct ClockFit {
     pub clock: ClockModel,
-    /// The sum of truncated squared residuals and penalties, in outliers.
+    /// The sum of truncated squared residuals and penalties, as a multiple of an outlier's cost.
     pub cost: f64,
-    /// The images before which the loss count descends, one entry for each frame; empty unless
+    /// The images before which the loss count decreases, one entry for each frame; empty unless
     /// [`LagProblem::allow_steps_back`] is set.
     pub steps_back: Vec<usize>,
 }
 
 impl ClockFit {
-    /// The nominal clock: offset and cost are 0.
+    /// The nominal clock: its offset, rate and cost are 0, and no frames are lost.
     pub fn nominal(clock: &NominalClock) -> Self {
         let clock = ClockModel { reference_s: clock.times_s[0], ..ClockModel::default() };
         Self { clock, cost: 0.0, steps_back: Vec::new() }
     }
 }
 
-/// The lag of a camera at one point of its recording. The point is at `fraction` of the interval from `image`
-/// to the next image (0: at `image` itself).
+/// The lag of a camera, common time minus nominal time, at one point of its recording. The point is at
+/// `fraction` of the interval from `image` to the next image (0: at `image` itself).
 #[derive(Clone, Copy, Debug)]
 pub struct LagObservation {
     pub image: usize,
@@ -94,20 +99,21 @@ pub struct LagObservation {
 }
 
 impl LagObservation {
-    /// The lag minus the lag of the line, frames.
+    /// The lag minus the line's value, frames. `line` is the offset in frames and the rate in frames per
+    /// frame.
     fn lag_beyond(&self, line: &Vector2<f64>) -> f64 {
         self.lag_frames - line.x - line.y * self.elapsed_frames
     }
 
-    /// The residual, frames, for the loss counts `lost`: the numbers of frames missing up to the image, and
-    /// up to the next one.
+    /// The residual, frames, for a line ([`StepFit::line`]) and the loss counts `lost`: the numbers of frames
+    /// missing up to the image, and up to the next one.
     pub fn residual(&self, line: &Vector2<f64>, lost: [i32; 2]) -> f64 {
         let [before, after] = lost.map(f64::from);
         self.lag_beyond(line) - before - self.fraction * (after - before)
     }
 
-    /// The robust loss for the loss counts `lost`: the numbers of frames missing up to the image, and up to
-    /// the next one.
+    /// The robust loss for a line ([`StepFit::line`]) and the loss counts `lost`: the numbers of frames
+    /// missing up to the image, and up to the next one.
     pub fn cost(&self, line: &Vector2<f64>, lost: [i32; 2]) -> f64 {
         let interval_frames = self.interval_frames + f64::from(lost[1] - lost[0]);
         robust_loss(self.residual(line, lost), interval_frames)
@@ -115,7 +121,8 @@ impl LagObservation {
 }
 
 /// The robust loss of a residual, frames, whose time was interpolated in an interval of `interval_frames`. It
-/// is the negative log-likelihood of a Gaussian relative to that of an outlier, truncated at 1.
+/// is the negative log-likelihood of a Gaussian, truncated at 1, the cost of an outlier. It is scaled so that
+/// a residual of [`INLIER_BOUND_FRAMES`] in an interval of one frame costs 1.
 ///
 /// Trajectories are cubic curves, fitted as if no frame were missing. In a longer interval the standard
 /// deviation of times therefore grows with the third power of the interval's length.
@@ -137,8 +144,8 @@ struct StepFit {
 }
 
 impl LagProblem<'_> {
-    /// Fits the clock model of minimum cost over all starting rates; the nominal clock without
-    /// observations.
+    /// Fits the clock model from every initial rate, and returns the one of minimum cost. Without
+    /// observations, it is the nominal clock.
     pub fn fit(&self) -> ClockFit {
         let mut best: Option<StepFit> = None;
         for rate in self.rate_grid() {
@@ -151,8 +158,9 @@ impl LagProblem<'_> {
         best.map_or_else(|| ClockFit::nominal(self.clock), |fit| fit.into_clock_fit(self.clock))
     }
 
-    /// The starting rates. They are so close that one of them is within the inlier bound over the whole
-    /// recording; only 0 for a clock without drift.
+    /// The initial rates of the fit, in seconds per second, from −[`MAX_RATE`] to [`MAX_RATE`]; only 0 for a
+    /// clock that does not drift. Over the duration of the observations, two successive rates change the lag
+    /// by amounts that differ by about [`INLIER_BOUND_FRAMES`].
     fn rate_grid(&self) -> Vec<f64> {
         if !self.clock.drifts {
             return vec![0.0];
@@ -167,8 +175,9 @@ impl LagProblem<'_> {
         (-steps..=steps).map(|n| f64::from(n) * step).collect()
     }
 
-    /// The observed lag of minimum robust loss at a given rate, frames; `None` without observations. For a
-    /// camera that may lose frames, residuals are taken modulo whole frames.
+    /// The initial offset of the fit for a given rate, frames: among the observed lags, corrected for the
+    /// rate, the one with the minimum sum of robust losses over all observations. `None` without
+    /// observations. For a camera that may lose frames, residuals are taken modulo whole frames.
     fn initial_offset(&self, rate: f64) -> Option<f64> {
         let line = Vector2::new(0.0, rate);
         let mut values: Vec<f64> = self.lags.iter().map(|o| o.lag_beyond(&line)).collect();
@@ -206,8 +215,9 @@ impl LagProblem<'_> {
     }
 
     /// The loss counts of minimum cost for a given line. They are the shortest path through a trellis with
-    /// one column for each observed image and one node for each loss count. Observations at an image are
-    /// costs of nodes, those between two images are costs of edges.
+    /// one column for each observed image and, in each column, one node for each possible loss count.
+    /// Observations at an image are costs of nodes; observations between two images, and the penalties of
+    /// lost frames, are costs of edges.
     fn shortest_path(&self, line: Vector2<f64>) -> StepFit {
         let mut by_image: BTreeMap<usize, [Vec<LagObservation>; 2]> = BTreeMap::new();
         for o in self.lags {
@@ -234,7 +244,7 @@ impl LagProblem<'_> {
                 costs[from] + observed + gap_penalty(frames, self.loss_penalty)
             };
             let cheapest_edge = |to: usize| {
-                // Without steps back, the loss count never descends.
+                // Unless steps back are allowed, the loss count never decreases.
                 let end = if self.allow_steps_back { counts.len() } else { to + 1 };
                 let edges = (0..end).map(|from| (edge(from, to), from));
                 edges.min_by(|x, y| x.0.total_cmp(&y.0)).unwrap_or((0.0, to))
@@ -254,8 +264,8 @@ impl LagProblem<'_> {
         StepFit { line, images: by_image.into_keys().collect(), loss_counts, cost }
     }
 
-    /// All loss counts from the smallest to the largest observed, relative to the line, including 0; only 0
-    /// for a camera that loses no frames.
+    /// The possible loss counts relative to the line: all integers from the smallest to the largest observed
+    /// one (lag minus line, rounded), and 0; only 0 for a camera that loses no frames.
     fn candidate_loss_counts(&self, line: &Vector2<f64>) -> Vec<i32> {
         if !self.clock.may_lose_frames {
             return vec![0];
@@ -291,7 +301,7 @@ impl LagProblem<'_> {
 }
 
 impl StepFit {
-    /// The numbers of frames lost up to an observation's image, and up to the next one.
+    /// The loss counts at an observation's image and at the next image.
     fn lost_around(&self, o: &LagObservation) -> [i32; 2] {
         let n = self.images.partition_point(|n| *n < o.image);
         [n, n + usize::from(o.fraction != 0.0)].map(|n| self.loss_counts[n])

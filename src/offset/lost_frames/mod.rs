@@ -64,8 +64,8 @@ struct TripleOffset {
     agreement: f64,
 }
 
-/// The offset hypotheses that are tried at an image, in order of preference: differences from the offset at
-/// the image before, in frame periods of camera b.
+/// The offset hypotheses that are tried at an image, in order of preference: differences from the expected
+/// offset, in frame periods of camera b. The expected offset is the last observed one of enough agreement.
 const STEPS: [f64; 6] = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0];
 /// The offset hypotheses that are tried until the first observation succeeds: differences from the initial
 /// offset, in frame periods of camera b. The initial offset holds for most of the recording. At its start,
