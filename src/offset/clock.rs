@@ -70,8 +70,8 @@ impl ClockModel {
         time_s + (time_s - self.reference_s) * self.rate + self.offset_s
     }
 
-    /// This clock's model relative to another clock, given the models of both with the same target. It is a
-    /// function of the time on the other clock, to first order in the rates.
+    /// This clock's offset relative to another clock, as a function of the time on the other clock, to first
+    /// order in the rates. Both models must have the same target clock. The result has no lost frames.
     pub fn relative_to(&self, other: &Self) -> Self {
         Self {
             offset_s: self.offset_at(other.reference_s) - other.offset_s,

@@ -27,7 +27,8 @@ const AMBIGUOUS_REFERENCE: &str =
 #[derive(Clone, Debug)]
 pub struct Estimate {
     pub offsets: Offsets,
-    /// The pairs that the solution uses: those that are certain enough and not contradicted.
+    /// The pairs that the joint solution uses: those with a small enough standard error that other pairs do
+    /// not contradict.
     pub pairs: Vec<PairEstimate>,
 }
 
@@ -78,8 +79,8 @@ pub fn estimate(
     Ok(solution.into_estimate())
 }
 
-/// Every pair's offset to about a frame, or the failure of its alignment. A camera with a single frame shows
-/// no motion, so that its pairs fail.
+/// For each of `pairs`, its offset to about a frame, or the reason why its rough alignment failed. A camera
+/// with a single frame shows no motion, so that its pairs fail.
 fn initial_offsets(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -127,9 +128,9 @@ impl<'a> JointSolution<'a> {
         lost: Vec<FittedClock>,
     ) -> Self {
         let results: Vec<PairResult> = results.collect();
-        // Whether a pair may have locked onto the wrong period of a motion: less than MIN_AGREEMENT of its
-        // moving features agree with it, and another pair with one of its cameras has failed because its
-        // offset contradicts the nominal clocks.
+        // Whether a pair's offset may be wrong by a period of a periodic motion: its agreement is below
+        // MIN_AGREEMENT, and another pair with one of its cameras has failed because its offset contradicts
+        // the nominal clocks.
         let is_contradicted = |pair: &PairEstimate| {
             let contradicts = |(other, result): &PairResult| {
                 other.iter().any(|c| pair.cameras.contains(c))

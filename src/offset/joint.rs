@@ -1,9 +1,9 @@
-//! The joint solution for all clocks: robust weighted least squares over all pairs, which are redundant, for
-//! the offset of every clock and the rate of every clock that drifts.
+//! The joint solution for all clocks: the offset of every clock, and the rate of every clock that drifts, by
+//! robust weighted least squares over all pairs of cameras.
 //!
 //! Beyond the paper, which averages each camera's offset relative to the reference. The solution starts from
 //! least absolute deviations, by iteratively reweighted least squares (IRLS), and continues with weights that
-//! decrease with the square of a pair's deviation. The variance of each unknown is the larger one of the
+//! fall with the inverse square of a pair's deviation. The variance of each unknown is the larger one of the
 //! cluster-robust variance ([`Sandwich`]) and the one that the pairs' disagreement implies.
 //!
 //! Known limit: a clock's rate is constant over the whole recording.
@@ -34,7 +34,7 @@ pub struct ClockLayout {
 const L1_ITERATIONS: usize = 30;
 /// The number of IRLS iterations with redescending weights.
 const ROBUST_ITERATIONS: usize = 10;
-/// The lower bound of deviations in the weights of the L1 iterations, standard errors.
+/// The lower bound of a pair's deviation in its weight, 1 / deviation, in the L1 iterations, standard errors.
 const MIN_L1_DEVIATION: f64 = 0.01;
 /// The deviation up to which a pair has full weight, standard errors.
 const FULL_WEIGHT_DEVIATION: f64 = 2.0;
@@ -95,7 +95,8 @@ struct Unknowns<'a> {
     clocks: &'a ClockLayout,
     /// By clock: the column of its offset; `None` for the reference and unconnected clocks.
     offset: Vec<Option<usize>>,
-    /// By clock: the column of its rate; `None` for the reference, unconnected clocks and clocks that do not drift.
+    /// By clock: the column of its rate; `None` for the reference, unconnected clocks and clocks that do not
+    /// drift.
     rate: Vec<Option<usize>>,
     count: usize,
 }
@@ -122,8 +123,8 @@ impl<'a> Unknowns<'a> {
         Self { clocks, offset, rate, count }
     }
 
-    /// The row for an observation of `offset_b − offset_a`; the times are on the two cameras' own clocks,
-    /// seconds.
+    /// The row for the observation equation of `offset_b − offset_a`. The times, at which the two offsets are
+    /// taken, are on the cameras' own clocks, seconds.
     fn row(&self, [a, b]: [usize; 2], time_a_s: f64, time_b_s: f64) -> EquationRow {
         let mut row = Vec::with_capacity(4);
         for (camera, sign, time_s) in [(b, 1.0, time_b_s), (a, -1.0, time_a_s)] {
@@ -136,15 +137,17 @@ impl<'a> Unknowns<'a> {
     }
 }
 
-/// One pair's contribution to the normal equations.
+/// One pair's contribution to the normal equations, summed over its observation equations: one for each
+/// candidate, or a single one for its estimated offset.
 struct PairSystem {
     /// The entries of the pair's normal matrix by (row, column). It is sparse, since dense matrices for all
     /// pairs of a large array would take gigabytes.
     normal: BTreeMap<(usize, usize), f64>,
     right: DVector<f64>,
-    /// The weighted mean of the pair's equations: its row, and its right-hand side.
+    /// The weighted mean of the pair's observation equations: the coefficients of the unknowns, and the
+    /// observed mean offset, `offset_j − offset_i`, seconds.
     mean: (DVector<f64>, f64),
-    /// The standard error of this mean equation, seconds.
+    /// The standard error of the observed mean offset, seconds.
     sigma_s: f64,
     /// The factor that scales the candidates' total information to `1 / sigma_s²`.
     factor: f64,
@@ -224,7 +227,7 @@ impl PairSystem {
             mean_value += weight * sign * value;
             total += weight;
         };
-        // Without rates, a pair has a single equation: its estimate.
+        // Without rates, a pair has a single observation equation, for its estimated offset.
         let is_one_equation = pair.samples.is_empty() || unknowns.rate.iter().all(Option::is_none);
         if is_one_equation {
             let (time_i_s, offset_s) = (pair.clock.reference_s, pair.clock.offset_s);
@@ -249,7 +252,8 @@ impl PairSystem {
         }
     }
 
-    /// The absolute residual of the pair's mean equation, in units of its standard error.
+    /// The absolute difference between the pair's observed mean offset and the one that the unknowns `x`
+    /// imply, in units of its standard error.
     fn deviation(&self, x: &DVector<f64>) -> f64 {
         (self.mean.1 - self.mean.0.dot(x)).abs() / self.sigma_s
     }

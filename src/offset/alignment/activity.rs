@@ -3,9 +3,10 @@
 //!
 //! Two successive frames are downsampled to about 80 pixels across. For each cell of a coarse grid, two sums
 //! are computed over its pixels: the energy of the temporal derivative, `Σ I_t²`, and its correlation with
-//! the gradient, `−Σ I_t ∇I`, which points in the direction of motion. Cells between corresponding epipolar
-//! lines of two nearby cameras see the same energy, and the same motion across the lines. Energy alone does
-//! not distinguish a motion from its reverse.
+//! the gradient, `−Σ I_t ∇I`, which points in the direction of motion. The cells are grouped into epipolar
+//! bands, each between two epipolar lines. Corresponding bands of two nearby cameras show the same energy,
+//! and the same motion perpendicular to the epipolar lines. Energy alone does not distinguish a motion from
+//! its reverse.
 //!
 //! Known limit: motion along the epipolar lines contributes only energy.
 
@@ -20,7 +21,7 @@ const COLUMNS: usize = 16;
 const ROWS: usize = 12;
 /// The width of the downsampled frames, pixels.
 const WIDTH: usize = 80;
-/// The number of epipolar bands that a pair compares.
+/// The number of epipolar bands in which the images of a pair are compared.
 pub const BANDS: usize = 6;
 
 /// One camera's activity, summed over the epipolar bands of its pairs.
@@ -30,8 +31,9 @@ pub struct Activity {
     pub times_s: Vec<f64>,
     /// The total energy of each interval.
     pub energies: Vec<f64>,
-    /// By the index of a pair: for each interval, the square root of each band's energy, followed by the
-    /// signed square root of each band's motion across the epipolar lines.
+    /// By the index of a pair: for each frame interval, the square root of each band's energy, followed by
+    /// the signed square root of each band's motion component (the correlation with the gradient)
+    /// perpendicular to the epipolar lines.
     pub signals: BTreeMap<usize, Vec<[f32; 2 * BANDS]>>,
 }
 
@@ -112,8 +114,9 @@ fn cells(before: &Downsampled, current: &Downsampled, interval: f32) -> Cells {
     cells
 }
 
-/// The epipolar band of each cell of a camera's grid, and the direction across the band. This direction has
-/// the same sense in both cameras of a pair.
+/// For each cell of a camera's grid, the index of its epipolar band, and the unit vector perpendicular to the
+/// epipolar line; `None` for a cell outside all bands. Corresponding vectors in both cameras of a pair point
+/// to the same side of the line.
 #[derive(Clone, Debug)]
 pub struct Bands {
     of_cell: Vec<Option<(usize, Vector2<f64>)>>,
@@ -137,8 +140,8 @@ impl Bands {
         Some([Self::new(a, of_a, max_distance), Self::new(b, of_b, max_distance)])
     }
 
-    /// The signal of an interval: the square root of each band's energy, then the signed square root of its
-    /// motion.
+    /// The signal of a frame interval: the square root of each band's energy, then the signed square root of
+    /// each band's motion component perpendicular to the epipolar lines.
     fn signal(&self, cells: &Cells) -> [f32; 2 * BANDS] {
         let mut sums = [0.0; 2 * BANDS];
         for (cell, of_cell) in cells.iter().zip(&self.of_cell) {

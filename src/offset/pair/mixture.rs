@@ -18,15 +18,15 @@ use nalgebra::{Matrix2, Vector2};
 pub struct Observation {
     /// The observed value, seconds.
     pub value_s: f64,
-    /// The position on the line, seconds; the rate is multiplied by it.
+    /// The time of the observation, which is the line's abscissa, seconds.
     pub at_s: f64,
-    /// The feature's signed speed across the epipolar line, pixels per second. It converts a residual in
-    /// seconds to pixels.
+    /// The feature's signed speed perpendicular to the epipolar line, pixels per second. It converts a
+    /// residual in seconds to pixels.
     pub across_px_s: f64,
 }
 
 impl From<&Sample> for Observation {
-    /// The observation `offset_b − offset_a` of a sample, at position 0.
+    /// The observation `offset_b − offset_a` of a sample, at time 0.
     fn from(sample: &Sample) -> Self {
         Self { value_s: sample.offset_s(), at_s: 0.0, across_px_s: sample.across_px_s }
     }
@@ -35,7 +35,7 @@ impl From<&Sample> for Observation {
 /// The fitted mixture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mixture {
-    /// The line's value at position 0, seconds.
+    /// The line's value at time 0, seconds.
     pub value_s: f64,
     /// The line's slope, seconds per second; 0 if it is not fitted.
     pub rate: f64,
@@ -107,7 +107,7 @@ impl Mixture {
     /// frames are `frame_s` seconds apart.
     ///
     /// `None` if the observations do not determine the line: there are none, all have a speed of 0, or all
-    /// have the same position although a slope is fitted.
+    /// have the same time although a slope is fitted.
     pub fn fit(
         observations: &[Observation],
         frame_s: f64,
@@ -309,7 +309,7 @@ mod tests {
         let one = Observation { value_s: 0.4, at_s: 1.0, across_px_s: 5.0 };
         let mixture = Mixture::fit(&[one; 3], 1.0, 0.4, false).unwrap();
         assert!((mixture.value_s - 0.4).abs() < 1e-12 && mixture.sigma_px == MIN_PX);
-        // All observations are at one position, so that the slope is undetermined.
+        // All observations have the same time, so that the slope is undetermined.
         assert_eq!(Mixture::fit(&[one; 3], 1.0, 0.4, true), None);
         let still = Observation { across_px_s: 0.0, ..one };
         assert_eq!(Mixture::fit(&[still; 3], 1.0, 0.4, false), None);

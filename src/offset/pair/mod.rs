@@ -87,7 +87,7 @@ pub enum PairFailure {
     PeriodicMotion,
 }
 
-/// The maximum error of nominal clocks that are considered right, frames.
+/// The maximum absolute offset that is consistent with the nominal clocks, frames.
 pub const NOMINAL_CLOCK_FRAMES: f64 = 1.5;
 /// The minimum agreement ([`PairEstimate::agreement`]) of an offset beyond [`NOMINAL_CLOCK_FRAMES`]. Swinging
 /// parts have inliers a period away from the true offset.
@@ -102,7 +102,8 @@ const MAX_ALIGNMENT: f64 = 0.9;
 /// and one of its diagonal.
 const OTHER_DIRECTIONS: usize = 2;
 
-/// The pairs of cameras to estimate, as ascending pairs of indices in ascending order.
+/// The pairs of cameras to estimate, as ascending pairs of indices in ascending order. `clock` holds, by
+/// camera, the index of its clock.
 ///
 /// Every camera is paired with its `neighbors` nearest cameras, including all at equal distances, and with
 /// the nearest ones in other directions. On a grid, motion along the epipolar lines of the rows is across
@@ -139,7 +140,8 @@ pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec
     pairs
 }
 
-/// Chooses the frame triples of a pair, in both directions, at most `max_frames` in each.
+/// Chooses the frame triples of a pair by its approximate offset `initial`, in both directions (two frames of
+/// i and one of j, and the reverse), at most `max_frames` in each.
 pub fn choose_triples(
     recording: &Recording,
     [i, j]: [usize; 2],

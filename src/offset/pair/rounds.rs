@@ -130,14 +130,16 @@ impl PairRounds {
     }
 }
 
-/// Whether an estimate is certain, and differs from the start by at most the frame that the start may be off.
+/// Whether an estimate has a small standard error, and differs from the start by at most one frame period,
+/// which is the possible error of the start.
 fn is_near(recording: &Recording, start: &ClockModel, pair: &PairEstimate) -> bool {
     let [i, j] = pair.cameras.map(|c| recording.clocks[c].frame_s());
     pair.std_err_s <= MAX_STD_ERR_FRAMES * i.min(j)
         && (pair.clock.offset_s - start.offset_at(pair.clock.reference_s)).abs() <= i.max(j)
 }
 
-/// The triples in the middle of each direction. `None` if some direction has at most 2·FIRST_TRIPLES triples.
+/// The [`FIRST_TRIPLES`] triples in the middle of each direction. `i` is the camera with two frames in the
+/// first direction. `None` if a direction has at most twice that number of triples.
 fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     let (forward, backward) = frames.split_at(frames.partition_point(|([a, _], _)| *a == i));
     let mut chosen = Vec::new();

@@ -16,18 +16,18 @@ use nalgebra::Point2;
 pub struct Candidate {
     /// `t̃`, seconds: the time of camera j's frame, relative to camera i's earlier frame.
     pub time_s: f64,
-    /// The feature's signed speed across the epipolar line at the crossing, pixels per second; negative if it
-    /// moves towards the line's negative side. An error of one pixel across the line is an error of `1 /
-    /// across_px_s` seconds in time.
+    /// The feature's signed speed perpendicular to the epipolar line, where its trajectory crosses the line,
+    /// pixels per second; negative if it moves towards the line's negative side. A perpendicular error of one
+    /// pixel is an error of `1 / across_px_s` seconds in `time_s`.
     pub across_px_s: f64,
-    /// The expected error of the trajectory across the line because motion is not polynomial, pixels; 0 for
-    /// straight trajectories.
+    /// The expected deviation of the true motion from the fitted curve, perpendicular to the epipolar line,
+    /// pixels. For straight trajectories it is not estimated, and is 0.
     pub trajectory_error_px: f64,
 }
 
 impl Candidate {
-    /// The speed across the line, pixels per second, reduced where the trajectory is uncertain. Its square is
-    /// proportional to the candidate's information.
+    /// The signed speed perpendicular to the epipolar line, pixels per second, reduced where the trajectory
+    /// is uncertain. Its square is proportional to the candidate's information.
     pub fn effective_speed_px_s(&self) -> f64 {
         self.across_px_s / 1.0_f64.hypot(self.trajectory_error_px / TRAJECTORY_SIGMA_PX)
     }
@@ -50,9 +50,11 @@ const MAX_PREDICTION_ERROR_FRACTION: f64 = 0.3;
 const MAX_NEWTON_STEPS: usize = 4;
 /// The step, as a fraction of the interval, at which Newton's method has converged.
 const NEWTON_TOLERANCE: f64 = 1e-9;
-/// The minimum speed across the line at a crossing, as a fraction of `min_across_px` per interval.
+/// The minimum speed perpendicular to the epipolar line where the trajectory crosses it, as a fraction of
+/// [`ThreeFrames::min_across_px`] per frame interval.
 const MIN_SLOPE_FRACTION: f64 = 0.5;
-/// The relative rounding error of a motion's length.
+/// The relative rounding error that is tolerated when a motion's length is compared with
+/// [`ThreeFrames::min_across_px`].
 const ROUNDING: f64 = 1e-9;
 
 /// Two successive frames of camera i and one frame of camera j.
@@ -67,7 +69,8 @@ pub struct ThreeFrames<'a> {
     pub index_i: usize,
     /// Whether trajectories are curves, which also pass through the frames before and after the two, if these exist.
     pub curved: bool,
-    /// The minimum motion across the epipolar line between the two frames, pixels.
+    /// The minimum motion of a feature between the two frames, perpendicular to its epipolar line, pixels.
+    /// Features that move less have no candidate.
     pub min_across_px: f64,
 }
 
@@ -82,7 +85,8 @@ impl ThreeFrames<'_> {
         self.crossings(tracks, in_j).into_iter().filter_map(|(_, c)| c).collect()
     }
 
-    /// The features that move enough across their epipolar lines, as indices, each with its candidate.
+    /// The features that move by at least `min_across_px` perpendicular to their epipolar lines, as indices
+    /// into `tracks`, each with its candidate.
     ///
     /// The candidate is `None` if the trajectory does not cross the line near the two frames, or if the
     /// feature has no correspondence in camera j. In the latter case the line is that of the feature itself.
@@ -110,12 +114,12 @@ impl ThreeFrames<'_> {
         tracks.iter().zip(in_j).enumerate().filter_map(crossing).collect()
     }
 
-    /// Whether a feature can have a candidate: its trajectory is smooth, and its motion is large enough
-    /// across an epipolar line of some direction.
+    /// Whether a feature can have a candidate with any camera j: its trajectory is smooth, and its motion is
+    /// at least `min_across_px` long, so that it suffices for epipolar lines of some direction.
     pub fn can_cross(&self, track: &Track) -> bool {
         let ideal = |p| self.camera_i.model.ideal_from_pixel(p);
         let motion = ideal(&track.earlier).zip(ideal(&track.later)).map(|(from, to)| to - from);
-        // Distortion makes the two motions different; either may count.
+        // The motion differs between distorted and undistorted pixels. The longer one is compared.
         let min_px = (1.0 - ROUNDING) * self.min_across_px;
         motion.is_some_and(|motion| motion.norm().max(track.motion().norm()) >= min_px)
             && self.samples(track).is_some()
@@ -142,7 +146,7 @@ impl ThreeFrames<'_> {
         }
         for _ in 0..MAX_NEWTON_STEPS {
             let slope = line.normal.dot(&trajectory.velocity(start + time_s));
-            // The trajectory turns around near the line, where Newton's method would diverge.
+            // The trajectory reverses its direction near the line, where Newton's method would diverge.
             if slope.abs() * interval < MIN_SLOPE_FRACTION * self.min_across_px {
                 return Some(None);
             }

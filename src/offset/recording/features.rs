@@ -38,8 +38,9 @@ pub fn changing(
     selected
 }
 
-/// The length of a small motion along the gradients in the window around p, pixels; 0 without a gradient. It
-/// is the square root of a ratio: summed squared temporal change over summed squared gradient.
+/// The estimated length of the motion of the window around p between two frames, pixels; 0 without a
+/// gradient. It is the square root of the summed squared temporal change divided by the summed squared
+/// gradient.
 fn motion_px([current, next]: [&PyramidLevel; 2], p: &Point2<f64>) -> f32 {
     // The corner is inside the image; the window is clipped so that its gradients are too.
     let range = |at: f64, size: usize| {

@@ -21,8 +21,8 @@ pub struct Sample {
     pub cameras: [usize; 2],
     pub time_a_s: f64,
     pub time_b_s: f64,
-    /// The feature's signed speed across the epipolar line, pixels per second, reduced where its trajectory
-    /// is uncertain. Its square divided by the residual variance is the candidate's information.
+    /// The feature's signed speed perpendicular to the epipolar line, pixels per second, reduced where its
+    /// trajectory is uncertain. Its square divided by the residual variance is the candidate's information.
     pub across_px_s: f64,
     /// The cell of a coarse grid over camera a's image. Errors of features in one cell are correlated.
     pub cell: usize,
@@ -55,7 +55,8 @@ pub struct FrameTriple {
 /// frame m of camera b.
 pub type TripleFrames = ([usize; 2], [usize; 2]);
 
-/// The minimum motion across the epipolar line between two frames for a candidate, pixels.
+/// The minimum motion of a feature between two frames, perpendicular to its epipolar line, to have a
+/// candidate, pixels.
 const MIN_ACROSS_PX: f64 = 1.0;
 /// The coarse grid's cells across and down.
 const CELLS: [f64; 2] = [8.0, 6.0];
@@ -164,7 +165,7 @@ impl<'a> Recording<'a> {
             curved: self.options.method == OffsetMethod::JointCurved,
             min_across_px: MIN_ACROSS_PX,
         };
-        // The other tracks have no candidate, and do not count as moving, whatever camera b shows.
+        // Only these tracks can have a candidate or count as moving.
         let tracks: Vec<&Track> =
             all_tracks.iter().filter(|track| three_frames.can_cross(track)).collect();
         // The middle of the motion is a good start for the search in any frame of b inside the interval.
