@@ -32,7 +32,7 @@ const DEFORMATION: f64 = 0.1;
 const MAX_SHIFT_PX: f64 = 5.0;
 /// Number of parameters: the shift (2), the matrix's entries row by row (4), gain and bias.
 const N: usize = 8;
-/// Standard deviation of the image noise, values in 0..=1. It determines the weight of the prior.
+/// Standard deviation of the noise of grey values, which are in 0..=1. It determines the weight of the prior.
 const NOISE: f64 = 0.012;
 /// The prior's contribution to the diagonal of the normal matrix, for the parameters [`DEFORMED`].
 const PRIOR: f64 = (NOISE / DEFORMATION) * (NOISE / DEFORMATION);
@@ -80,10 +80,11 @@ pub struct Deformed {
     pub position: Point2<f64>,
     /// The matrix from the window's coordinates in the source to those in the target.
     pub deformation: Matrix2<f64>,
-    /// Weighted mean absolute difference of the two windows' values, 0..=1, after correction of gain and bias.
+    /// Weighted mean absolute difference of the two windows' grey values (0 to 1), after correction for gain
+    /// and bias.
     pub residual: f64,
-    /// The residual divided by the contrast of the source's window: 0 for equal windows, near 1 for unrelated
-    /// ones.
+    /// The residual divided by the contrast of the source's window, its mean absolute deviation from its
+    /// mean: 0 for equal windows, near 1 for unrelated ones.
     pub unexplained: f64,
 }
 
@@ -193,8 +194,9 @@ impl AffineTracker {
         track(self, &source.levels[0], &target.levels[0], start)
     }
 
-    /// The weighted mean absolute difference of the warped target and the template, values 0..=1, and its ratio
-    /// to the template's contrast. `None` if the warped window leaves the padded image.
+    /// The weighted mean absolute difference of the grey values (0 to 1) of the warped target and the
+    /// template, and its ratio to the template's contrast (its mean absolute deviation from its mean). `None`
+    /// if the warped window leaves the padded image.
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &PyramidLevel, warp: &AffineWarp) -> Option<[f64; 2]> {
         let sampler = Sampler::new(target, warp)?;
@@ -310,7 +312,9 @@ fn accumulate<V: F32x8, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
     }
 }
 
-/// Sums of weighted products of two derivatives, and of their moments, over a row or a window.
+/// Sums over a row or a window that make up the normal matrix: weighted products of two derivatives, times
+/// powers of the sample's coordinates. In the fields, dx, dy and v are the template's derivatives by x and y
+/// and its value, which is the derivative by gain.
 struct Moments<V, const T: usize, const S: usize> {
     /// dx·dx, dx·dy, dy·dy, each times 1, x, x² over a row, and times 1, x, y, x², xy, y² over a window.
     tensor: [[V; T]; 3],

@@ -23,8 +23,8 @@ pub(crate) struct Moved {
 }
 
 impl Moved {
-    /// The deviation of two motions from a common affine motion, pixels: the smaller one of those by the
-    /// deformation of either.
+    /// The deviation of two motions from a common affine motion, pixels. Each point's deformation predicts
+    /// the difference of the two motions; the smaller of the two prediction errors is returned.
     pub fn distance(&self, other: &Self) -> f64 {
         let (apart, change) = (other.at - self.at, other.motion - self.motion);
         let by = |deformation: &Matrix2<f64>| (change - (deformation * apart - apart)).norm();
@@ -32,8 +32,9 @@ impl Moved {
     }
 }
 
-/// The displacements of matches from their initial guesses; `None` without a match. Their deformation is the
-/// identity, because the guesses already account for deformation.
+/// For each start, the displacement of its match from the initial guess, as the motion of the source point;
+/// `None` without a match. Their deformation is the identity, because the guesses already account for
+/// deformation.
 pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Option<Moved>> {
     let of = |(start, m): (&Start, &Option<Match>)| {
         let deformation = Matrix2::identity();
@@ -53,7 +54,8 @@ pub(super) enum Support {
     Differs,
 }
 
-/// For each point the comparison with its neighbours; `None` for a point without a motion.
+/// For each point, the result of comparing its motion with its neighbours'; `None` for a point without a
+/// motion.
 pub(super) fn consensus(
     motions: &[Option<Moved>],
     options: &RegistrationOptions,

@@ -13,8 +13,8 @@ pub(super) const MIN_DISTANCE_PX: f64 = 4.0;
 const MIN_QUALITY: f32 = 1e-3;
 /// Half-width of the box filter that is applied to the structure tensor twice, pixels.
 const RADIUS_PX: usize = 1;
-/// Minimum eigenvalue of a corner in any image, per pixel, values 0..=1. It corresponds to a gradient of 0.05
-/// of an 8-bit step per pixel, above the rounding noise of constant images.
+/// Minimum eigenvalue of a corner in any image: a squared gradient of grey values (0 to 1) per pixel. It
+/// corresponds to a gradient of 0.05 8-bit steps per pixel, above the rounding noise of constant images.
 const MIN_EIGENVALUE: f32 = 4e-8;
 
 /// The corners of a pyramid level (§4.1), strongest first, at most `max_corners`. Sub-pixel positions in
@@ -46,8 +46,9 @@ pub fn corners(level: &PyramidLevel, max_corners: usize) -> Vec<Point2<f64>> {
     selected
 }
 
-/// The local maxima above a fraction of the largest strength, as (strength, index). Of equal neighbours, the
-/// first in reading order counts.
+/// The local maxima of `strength` (the smaller eigenvalue at each pixel, row by row), as (strength, pixel
+/// index). Maxima below the fraction `min_quality` of the largest, or below [`MIN_EIGENVALUE`], are left out.
+/// Of equal neighbours, the first in reading order counts.
 fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
     let largest = strength.iter().copied().fold(0.0, f32::max);
     let floor = (largest * min_quality).max(MIN_EIGENVALUE);
@@ -95,7 +96,8 @@ multiversion! {
 }
 
 /// The smaller eigenvalue, at each pixel, of the structure tensor averaged over a triangular window (a box
-/// filter applied twice). Its response has a peak where a box filter's has a plateau. The border is repeated.
+/// filter applied twice). At a corner it has a single maximum, where a box filter would give a plateau.
+/// Outside the image, the nearest border pixel is used.
 #[inline(always)]
 fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32> {
     let (w, h) = (level.width, level.height);

@@ -106,9 +106,11 @@ pub fn epipolar_check(
     Ok(verdicts)
 }
 
-/// Motion, pixels, above which a feature is testable only if it moves across its epipolar line.
+/// Motion between the two frames, pixels, above which a feature is testable only if part of the motion is
+/// perpendicular to its epipolar line ([`MIN_ACROSS_FRACTION`]).
 const MIN_TEST_MOTION_PX: f64 = 1.0;
-/// Minimum part of a testable feature's motion that is across its epipolar line, as a fraction of the motion.
+/// Minimum component of a testable feature's motion that is perpendicular to its epipolar line, as a fraction
+/// of the motion.
 const MIN_ACROSS_FRACTION: f64 = 0.1;
 /// Number of pyramid levels in the second attempt to track a feature into the reference camera. It starts
 /// from the displacement that the motion prior predicts.
@@ -118,7 +120,7 @@ const RETRY_LEVELS: usize = 1;
 struct Pair<'a> {
     camera_i: &'a Camera,
     camera_j: &'a Camera,
-    /// Time of the test: t' of eq. (2), seconds on the common clock.
+    /// Instant at which the epipolar constraint is tested: t' of eq. (2), seconds on the common clock.
     time_s: f64,
     options: &'a RegistrationOptions,
 }
@@ -153,7 +155,8 @@ impl Pair<'_> {
     }
 
     /// Tracks matched features from a frame of the reference camera to its next frame, and replaces their
-    /// positions in `matched` by those at the time of the test, linearly interpolated; `None` if lost.
+    /// positions in `matched` by those at `self.time_s`, linearly interpolated; `None` if lost. The two
+    /// frames are at `first_s` and `next_s`, seconds on the common clock.
     fn interpolate(
         &self,
         [frame, next]: [&Frame; 2],
@@ -176,9 +179,10 @@ impl Pair<'_> {
         }
     }
 
-    /// A second attempt for features that have no match, or one off their epipolar line. It is made from two
-    /// initial guesses: the predicted position plus the neighbours' disparity, and the start plus the
-    /// neighbours' displacement. The match of the smaller residual is taken.
+    /// Tracks features again that have no match, or whose match is off their epipolar line. There are two
+    /// initial guesses: the position predicted by the trajectory plus the neighbours' disparity, and the
+    /// position in the source frame plus the neighbours' displacement. The match with the smallest residual
+    /// is used.
     fn retry(&self, frames: [&Frame; 2], starts: &[Start], matches: &mut [Option<Match>]) {
         let Some(geometry) = EpipolarGeometry::new(self.camera_i, self.camera_j) else { return };
         let is_on_line = |p_i: &Point2<f64>, p_j: &Point2<f64>| {
@@ -216,7 +220,7 @@ impl Pair<'_> {
             return Some(Verdict::Rejected);
         }
         // An error along the epipolar line can't be detected. A motion can be tested only if it moves the
-        // line enough.
+        // feature's epipolar line enough.
         let motion = feature.track.motion();
         let start = geometry.line_in_j(&ideal_i(&feature.track.earlier)?)?;
         let end = geometry.line_in_j(&ideal_i(&feature.track.later)?)?;

@@ -22,7 +22,7 @@ pub struct Match {
     pub target: Point2<f64>,
     /// The linear part of the motion around the point; the identity where its window is only translated.
     pub deformation: Matrix2<f64>,
-    /// Mean absolute difference of the two windows' values (0..=1).
+    /// Mean absolute difference of the two windows' grey values, which are in 0..=1.
     pub residual: f64,
     /// Forward–backward error: the distance in pixels from `source` to the point that `target` is
     /// tracked back to.
@@ -46,7 +46,7 @@ pub fn flow(
     flow_over([source, target], starts, [options.levels, BACKWARD_LEVELS], options)
 }
 
-/// [`flow`] with given numbers of finest pyramid levels, forward and backward.
+/// [`flow`] with given numbers of pyramid levels, the finest ones, for tracking forward and backward.
 pub(super) fn flow_over(
     frames: [&Frame; 2],
     starts: &[Start],

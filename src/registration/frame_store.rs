@@ -22,8 +22,8 @@ pub struct FrameStore {
 /// Minimum size of the default memo, bytes. Between this and [`MAX_BYTES`], the size is proportional to that
 /// of the cameras' images.
 const MIN_BYTES: usize = 208 << 20;
-/// Maximum size of the default memo, bytes: enough for the frames and maps of two slots of scene flow of
-/// eight cameras of 1920×1080.
+/// Maximum size of the default memo, bytes. It is enough for eight cameras of 1920×1080: their frames, and
+/// their depth and motion maps, in two of the time intervals in which scene flow is estimated.
 const MAX_BYTES: usize = 1 << 30;
 
 /// Size of the default memo, in frames of each camera. It is enough for all data from which views at one
@@ -107,8 +107,8 @@ impl FrameStore {
         bytes.saturating_mul(frames_each) <= self.memo.max_bytes()
     }
 
-    /// The size that a camera's frame counts in the memo, bytes. It is at least the camera's equal share of
-    /// the memo divided by [`MAX_FRAMES`].
+    /// The size, bytes, that the memo assumes for one frame of a camera. It is at least so large that
+    /// [`MAX_FRAMES`] frames of every camera fill the memo.
     fn bytes_of(&self, camera: usize) -> usize {
         let max_frames = MAX_FRAMES * self.capture.cameras.len();
         let min_bytes = self.memo.max_bytes().div_ceil(max_frames);

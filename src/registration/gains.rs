@@ -104,7 +104,8 @@ impl Gains {
         let images: Vec<Option<Image>> = (0..count).into_par_iter().map(small_image).collect();
         let level = |image: &Image| {
             let levels = image.to_gray().data().iter().map(|v| f64::from(*v)).collect();
-            // The bound is arbitrary: a black image has no features to compare.
+            // The lower bound avoids a division by 0. Its value is arbitrary, since a black image has no
+            // features to compare.
             linear_from_encoded(median(levels)).max(1e-4)
         };
         let reference = images[capture.reference].as_ref().map_or(1.0, level);
@@ -121,8 +122,8 @@ impl Gains {
         };
         let ratios: Vec<Ratio> = neighbors(capture).into_iter().filter_map(ratio).collect();
         let mut gains = solve_gains(count, capture.reference, &ratios);
-        // Next to colour cameras, the solution of a grey camera differs by channel. It gets the same gain for
-        // all.
+        // If a grey camera is compared with colour cameras, its solution differs by channel. It gets the
+        // luminance of the three gains for all channels.
         for (factors, image) in gains.factors.iter_mut().zip(&images) {
             let is_gray = image.as_ref().is_some_and(|i| i.channels() == 1);
             if is_gray && *factors != [1.0; 3] {
@@ -215,7 +216,8 @@ struct Ratio {
 }
 
 impl Ratio {
-    /// The median ratio over matched features, pixels of the images; `None` for fewer than [`MIN_FEATURES`].
+    /// The median ratio over matched features, whose positions are pixels of `images`; `None` for fewer than
+    /// [`MIN_FEATURES`].
     fn between(
         cameras: [usize; 2],
         images: [&Image; 2],

@@ -7,7 +7,8 @@ use super::rotating_patches::affine_matches;
 use super::{AffineStart, Frame, Match, Neighbors, RegistrationOptions};
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Numbers of finest pyramid levels, forward and backward, when the motion prior gives the initial guess.
+/// Numbers of pyramid levels, the finest ones, for tracking forward and backward, when the motion prior gives
+/// the initial guess.
 const PRIOR_LEVELS: [usize; 2] = [2, 2];
 /// Number of attempts with the motion prior. The matches of each attempt improve the prior for the next.
 const PRIOR_ROUNDS: usize = 2;
@@ -17,12 +18,12 @@ const MEDIAN_OF: usize = 5;
 const PRIOR_RADIUS_PX: f64 = 40.0;
 /// Distance of two initial guesses below which they are expected to lead to the same result, pixels.
 const SAME_GUESS_PX: f64 = 1.0;
-/// Numbers of finest pyramid levels, forward and backward, when a track is extended. Its last motion gives a
-/// close initial guess, so that coarse levels aren't needed.
+/// Numbers of pyramid levels, the finest ones, for tracking forward and backward, when a track is extended to
+/// a further frame. The track's last motion gives a close initial guess, so that coarse levels aren't needed.
 const EXTENSION_LEVELS: [usize; 2] = [2, 1];
 /// Constant part of the maximum change of a track's motion from one frame to the next, pixels.
-/// [`MAX_MOTION_CHANGE_FRACTION`] of the motion is added. The change is not bounded where the neighbours'
-/// motion changes alike.
+/// [`MAX_MOTION_CHANGE_FRACTION`] of the motion is added. If the neighbours' motion changes in the same way,
+/// there is no maximum.
 const MAX_MOTION_CHANGE_PX: f64 = 2.0;
 /// Part of the maximum change of a track's motion that is proportional to the motion, as a fraction.
 const MAX_MOTION_CHANGE_FRACTION: f64 = 0.5;
@@ -60,7 +61,7 @@ pub(super) struct Retries<'a> {
     pub frames: [&'a Frame; 2],
     /// The points with their original initial guesses.
     pub starts: &'a [Start],
-    /// Numbers of finest pyramid levels, forward and backward.
+    /// Numbers of pyramid levels, the finest ones, for tracking forward and backward.
     pub levels: [usize; 2],
     pub options: &'a RegistrationOptions,
     /// The last guess tried for each point.

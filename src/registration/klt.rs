@@ -14,7 +14,8 @@ use super::window::{Window, fraction_inside};
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Point2, Vector2};
 
-/// Minimum eigenvalue of a window's structure tensor, per pixel, values 0..=1.
+/// Minimum of the smaller eigenvalue of a window's structure tensor, divided by the window's number of
+/// pixels: a squared gradient of grey values (0 to 1) per pixel.
 const MIN_EIGENVALUE: f64 = 2e-6;
 /// Length of a step below which coarser levels have converged, pixels of the level. The accuracy depends only
 /// on the finest level.
@@ -51,7 +52,7 @@ impl From<&RegistrationOptions> for KltParameters {
 pub struct Tracked {
     /// The window's centre in the target, pixels; inside the image.
     pub position: Point2<f64>,
-    /// Mean absolute difference of the two windows' values (0..=1).
+    /// Mean absolute difference of the two windows' grey values, which are in 0..=1.
     pub residual: f64,
 }
 

@@ -23,12 +23,13 @@ impl Neighbors {
         Self { tree }
     }
 
-    /// Calls `act` with the index of each point within `radius` of `p`, bound included, in no particular order.
+    /// Calls `act` with the index of each point at a distance of at most `radius` from `p`, in no particular
+    /// order.
     pub fn each_within(&self, p: &Point2<f64>, radius: f64, mut act: impl FnMut(usize)) {
         self.with_distances(p, radius).into_iter().for_each(|(_, k)| act(k));
     }
 
-    /// Whether any point is within `radius` of `p`, bound included.
+    /// Whether any point is at a distance of at most `radius` from `p`.
     pub fn any_within(&self, p: &Point2<f64>, radius: f64) -> bool {
         self.at_least_within(p, radius, 1, |_| true)
     }

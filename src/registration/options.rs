@@ -46,17 +46,17 @@ options! {
 /// Thresholds of the consistency checks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencyThresholds {
-    /// Maximum mean absolute difference of the two windows, values 0..=1.
+    /// Maximum mean absolute difference of the two windows' grey values, which are in 0..=1.
     pub residual: f64,
     /// Maximum forward–backward error, pixels.
     pub forward_backward_error_px: f64,
-    /// Minimum number of neighbours that must move like a point. A point with fewer neighbours is not checked. 0: no
-    /// check.
+    /// Minimum number of neighbours that must move like a point. A point with fewer neighbours is not
+    /// checked. 0: no check.
     pub support: usize,
 }
 
 impl RegistrationOptions {
-    /// The border that the pyramids need for the tracker's windows, pixels.
+    /// Width of the padding around each pyramid level that the tracker's windows need, pixels.
     pub fn pad_px(&self) -> usize {
         self.window_radius_px + LANES + 3
     }

@@ -9,8 +9,8 @@ pub struct Reference {
     pub camera: usize,
     /// Index of the camera's frame: that of eq. (5); if `between` is set, the last frame before the interval.
     pub frame: usize,
-    /// Time at which tracks are tested, seconds on the common clock: that of the frame; if `between` is set,
-    /// [`ReferenceQuery::time_s`].
+    /// Instant at which the epipolar constraint is tested, seconds on the common clock: the time of the frame
+    /// or, if `between` is set, [`ReferenceQuery::time_s`].
     pub time_s: f64,
     /// Set for a camera of a lower frame rate without a frame in the interval: the times, seconds, of the
     /// last frame before the interval (`frame`) and of the first after it. Features are tracked between these
@@ -39,7 +39,7 @@ pub struct ReferenceQuery {
     pub time_s: f64,
 }
 
-/// σ of eq. (4): the weight of a time difference of one frame interval, relative to that of the nearest
+/// σ of eq. (4): the weight of a time difference of one frame interval, relative to the weight of the nearest
 /// camera's distance.
 const TIME_WEIGHT: f64 = 1.0;
 /// Maximum number of first references: on a grid, one along the row and one along the column.

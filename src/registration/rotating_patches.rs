@@ -14,7 +14,8 @@ use rayon::prelude::*;
 
 /// Maximum motion between two frames, as a fraction of the image's longer side.
 const MAX_MOTION: f64 = 0.1;
-/// Maximum ratio of the squared distances to the best and to the second best descriptor.
+/// Maximum ratio of the squared distance to the nearest descriptor to the squared distance to the second
+/// nearest (Lowe's ratio test).
 const MAX_RATIO: f32 = 0.7;
 /// Radius around a match within which others must agree with it, pixels.
 const SUPPORT_RADIUS_PX: f64 = 40.0;
@@ -30,7 +31,7 @@ const GUESSES: usize = 3;
 const ROUNDS: usize = 3;
 /// Maximum change of a window's area; the minimum is its inverse.
 const MAX_AREA_RATIO: f64 = 2.0;
-/// Maximum residual of a match relative to its contrast, the field `unexplained` of the tracker's result.
+/// Maximum residual of a match relative to its window's contrast ([`super::Deformed::unexplained`]).
 const MAX_UNEXPLAINED: f64 = 0.35;
 
 impl AffineStart {
@@ -80,8 +81,8 @@ fn motion_of(m: &Match) -> AffineStart {
     AffineStart { from: m.source, guess: m.target, deformation: m.deformation }
 }
 
-/// Starts from the descriptors: mutual best matches between the lost corners and the target's corners without
-/// a match.
+/// Starts for the affine tracker: mutual nearest neighbours, by descriptor, among the lost corners and the
+/// target's corners without a match.
 fn seeds(
     [source, target]: [&Frame; 2],
     lost: &[Point2<f64>],
@@ -118,7 +119,8 @@ fn seeds(
         (best.1 < MAX_RATIO * second.1).then_some(best)
     };
     let best: Vec<Option<(usize, f32)>> = lost.par_iter().zip(&from).map(best_of).collect();
-    // For each free corner, the best of the lost corners.
+    // For each free corner, the squared distance to the lost corner with the nearest descriptor, and this
+    // corner's index.
     let mut best_of_free = vec![(f32::INFINITY, 0); free.len()];
     for (k, best) in best.iter().enumerate() {
         if let Some((n, distance)) = *best
@@ -137,7 +139,7 @@ fn seeds(
     (0..lost.len()).filter_map(mutual).collect()
 }
 
-/// Those of the motions with which at least [`MIN_SUPPORT`] others agree.
+/// The motions with which at least [`MIN_SUPPORT`] others agree.
 fn agreeing(motions: &[AffineStart]) -> Vec<AffineStart> {
     let near = Neighbors::new(motions.iter().map(|m| m.from));
     let supported = |k: &usize| {

@@ -70,8 +70,8 @@ impl<'a> Disc<'a> {
         first.max(self.columns.start)..(end as usize).min(self.columns.end)
     }
 
-    /// Gaussian weights along x and along y. A sample's weight is the product of its column's and its row's
-    /// weight.
+    /// Gaussian weights of the window's columns and of its rows. A sample's weight is the product of its
+    /// column's weight and its row's weight.
     #[inline(always)]
     fn fades(&self, sigma_px: f32) -> [[f32; SPAN]; 2] {
         let mut fades = [[0.0; SPAN]; 2];
@@ -209,7 +209,7 @@ fn descriptor_by<V: F32x8>(gradients: &PolarGradients, at: &Point2<f64>) -> Opti
 }
 
 multiversion! {
-    /// The squared distance of two descriptors, 0 to 2.
+    /// The squared Euclidean distance of two descriptors, 0 to 2.
     pub(super) fn squared_distance(a: &SiftDescriptor, b: &SiftDescriptor) -> f32 = squared_distance_by::<V>
 }
 

@@ -41,7 +41,7 @@ pub struct Track {
     /// The linear part of the motion around the feature, from frame k to frame k + 1; the identity where the
     /// window is only translated.
     pub deformation: Matrix2<f64>,
-    /// Mean absolute difference of the windows in frames k and k + 1, values 0..=1.
+    /// Mean absolute difference of the grey values (0 to 1) of the windows in frames k and k + 1.
     pub residual: f64,
     /// Forward–backward error between frames k and k + 1, pixels.
     pub forward_backward_error_px: f64,
@@ -115,8 +115,8 @@ impl Track {
     }
 }
 
-/// Constant part of the maximum change of a smooth motion's acceleration from one frame to the next, pixels.
-/// [`JERK_FRACTION`] of the smaller acceleration is added.
+/// Constant part of the maximum change of a smooth motion's acceleration from one frame to the next, pixels
+/// per squared frame interval. [`JERK_FRACTION`] of the smaller acceleration is added.
 const MAX_JERK_PX: f64 = 12.0;
 const JERK_FRACTION: f64 = 0.5;
 /// Maximum distance, at both ends, between a forward and a backward correspondence that are merged, pixels.
@@ -190,7 +190,7 @@ pub fn temporal_flow_of(
     Ok(tracks)
 }
 
-/// One direction of the bidirectional flow.
+/// One direction of the bidirectional flow: tracks `corners`, pixels of `source`, to `target`.
 fn directed_flow(
     source: &Frame,
     target: &Frame,

@@ -7,11 +7,11 @@ use crate::raster::Image;
 
 /// Half-width of the census window, pixels.
 const RADIUS: isize = 2;
-/// Minimum difference of grey values, 0..=1, that sets a census bit: half a step of 8 bits.
+/// Minimum difference of two grey values (each 0 to 1) that sets a census bit: half an 8-bit step.
 const MIN_DIFFERENCE: f32 = 0.5 / 255.0;
-/// Maximum cost of a difference of grey values, in 8-bit steps.
+/// Maximum matching cost due to the difference of grey values, in 8-bit steps.
 const MAX_GRAY_COST: i32 = 24;
-/// Cost of one differing census bit, in 8-bit steps of grey values.
+/// Matching cost of one differing census bit, in 8-bit steps of grey values.
 const BIT_COST: u32 = 2;
 
 /// A pixel's descriptor.
@@ -19,8 +19,8 @@ const BIT_COST: u32 = 2;
 pub(super) struct Descriptor {
     /// Census code, 24 bits.
     code: u32,
-    /// Four bytes: the pixel's grey value, the minimum and maximum within half a pixel around it, and 0 (255 outside
-    /// the image).
+    /// Four bytes: the pixel's grey value, the minimum and maximum within half a pixel around it, and 0 (255
+    /// outside the image).
     grays: u32,
 }
 
@@ -79,7 +79,7 @@ pub(super) fn census_pyramid(view: &StereoImage, halvings: usize) -> Vec<CensusI
     std::iter::successors(Some(full), CensusImage::halved).take(halvings + 1).collect()
 }
 
-/// Descriptors of all pixels, row by row; the border is repeated outwards.
+/// Descriptors of all pixels, row by row. Outside the image, the nearest border pixel is used.
 fn descriptors(gray: &Image) -> Vec<Descriptor> {
     let (w, h) = (gray.width() as isize, gray.height() as isize);
     let bytes: Vec<u8> =

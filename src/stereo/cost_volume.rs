@@ -8,9 +8,9 @@ use crate::lumigraph::RayRow;
 use crate::simd::multiversion;
 use rayon::prelude::*;
 
-/// Maximum number of levels.
+/// Maximum number of depth levels.
 const MAX_LEVELS: usize = 1024;
-/// Cost where no partner sees the point, equal to that of a poor match.
+/// Matching cost of a point that no partner sees, equal to that of a poor match.
 const UNSEEN_COST: u8 = 40;
 
 /// Depth hypotheses: evenly spaced inverse depths, 1/m. They correspond to even steps of disparity.
@@ -60,7 +60,7 @@ impl<'a> StereoSet<'a> {
     }
 }
 
-/// Costs of all levels at every pixel of the reference, pixel by pixel.
+/// Matching costs of all depth levels at every pixel of the reference, pixel by pixel.
 ///
 /// A cost is the mean over the half of the partners with the smaller costs, since the point may be occluded
 /// in the others.
@@ -184,7 +184,8 @@ impl<'a> MatchScratch<'a> {
         }
     }
 
-    /// Computes the costs of partner `k`, whose image is `partner`, at the positions `x`, `y`.
+    /// Computes the matching costs of a pixel with descriptor `own` at the positions `self.x`, `self.y` of
+    /// partner `k`, whose image is `partner`.
     #[inline(always)]
     fn compare(&mut self, own: &Descriptor, partner: &CensusImage, k: usize) {
         let (w, h) = (partner.gray.width(), partner.gray.height());
@@ -208,8 +209,8 @@ impl<'a> MatchScratch<'a> {
         }
     }
 
-    /// Writes, for each level, the mean over the half with the smaller costs among the partners that see the
-    /// point.
+    /// Writes the cost of each depth level to `out`: among the partners that see the point, the mean cost of
+    /// the half with the smaller costs.
     #[inline(always)]
     fn better_half(&mut self, out: &mut [u8]) {
         let n = out.len();

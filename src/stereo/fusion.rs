@@ -1,6 +1,6 @@
-//! Depths of any view, from those of all cameras (Merrell et al., ICCV 2007). The cameras' depths are
-//! splatted into the view, and of the candidates at a pixel, the nearest that enough cameras confirm is
-//! taken.
+//! Depths of any view, from the depths of all cameras (Merrell et al., ICCV 2007). The cameras' depths are
+//! splatted into the view. At each pixel of the view, each camera thus gives one candidate. The nearest
+//! candidate that enough cameras confirm is taken.
 
 use super::InverseDepths;
 use super::relative_pose::RelativePose;
@@ -22,10 +22,11 @@ pub struct Surface<'a> {
 const BAND_PIXELS: usize = 1 << 20;
 /// Radius of a splat, in pixels of the view or of the camera, whichever are larger in the view.
 const RADIUS_PX: f32 = 0.8;
-/// The accepted candidate is the nearest of those that have at least the largest number of votes divided by
-/// this.
+/// Maximum ratio of the largest number of votes at a pixel to the votes of the accepted candidate. The
+/// nearest candidate within this ratio is accepted.
 const MAX_VOTE_RATIO: i32 = 2;
-/// Minimum number of votes of the best candidate. Mismatches beside outlines have fewer.
+/// Minimum of the largest number of votes at a pixel; with fewer, no candidate is accepted. Mismatches beside
+/// outlines have fewer votes.
 const MIN_VOTES: i32 = 1;
 
 /// Computes the depths of a view, metres, from those of several cameras. Pixels that no camera sees get the
@@ -104,8 +105,8 @@ fn votes_of(
     surfaces.iter().zip(poses).map(vote).sum()
 }
 
-/// Whether the candidates need no vote: more than half of the cameras have one, and all agree within the
-/// tolerance.
+/// Whether the candidates, inverse depths in 1/m, need no vote: more than half of the cameras have one, and
+/// all agree within the tolerance, 1/m.
 fn are_one_surface(candidates: &[f32], cameras: usize, tolerance: f32) -> bool {
     let (low, high) =
         candidates.iter().fold((f32::INFINITY, 0.0_f32), |(l, h), v| (l.min(*v), h.max(*v)));
@@ -122,7 +123,7 @@ fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     }
 }
 
-/// The mean of the candidates within the tolerance of the candidate `first`.
+/// The mean of the candidates that differ from the candidate `first` by at most the tolerance; all in 1/m.
 fn mean_of(candidates: &[f32], first: f32, tolerance: f32) -> f32 {
     let (mut sum, mut count) = (0.0, 0.0);
     for c in candidates.iter().filter(|c| (*c - first).abs() <= tolerance) {
@@ -131,8 +132,8 @@ fn mean_of(candidates: &[f32], first: f32, tolerance: f32) -> f32 {
     first + sum / count
 }
 
-/// Replaces each NaN by the smallest inverse depth among the next known values to the left, to the right,
-/// above and below. A part of the scene that the cameras don't see is assumed to be background.
+/// Hole filling: replaces each NaN by the smallest inverse depth among the nearest known values to the left,
+/// to the right, above and below. Surfaces that no camera sees are assumed to be background.
 fn filled_from_background(values: &[f32], width: usize) -> Vec<f32> {
     let mut filled = values.to_vec();
     let mut fill_along = |line: &mut dyn Iterator<Item = usize>| {
@@ -202,8 +203,8 @@ fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32)
     sums.iter().map(|[sum, weight]| if *weight > 0.0 { sum / weight } else { 0.0 }).collect()
 }
 
-/// Calls `visit` for the pixels of the rows `rows` of the view within the radius of each splat, with a weight
-/// that falls bilinearly with distance.
+/// For each splat, calls `visit` for the pixels within its radius in the rows `rows` of the view. Arguments
+/// are the pixel's index in these rows, a weight that falls bilinearly with distance, and the splat.
 fn for_each_pixel(
     splats: &[Splat],
     w: usize,

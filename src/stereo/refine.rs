@@ -1,28 +1,30 @@
-//! Refines inverse depths between levels: Gauss–Newton steps (Lucas and Kanade 1981) that match the partners'
-//! grey values to the reference's.
+//! Refines inverse depths to fractions of a depth level, by Gauss–Newton steps (Lucas and Kanade 1981) that
+//! match the partners' grey values to the reference's.
 
 use super::cost_volume::{Partner, StereoSet};
 use crate::lumigraph::RayRow;
 use crate::raster::{Image, Sampling, box_filter, sample};
 use rayon::prelude::*;
 
-/// Half-width of the window over which a step's equations are summed, pixels.
+/// Half-width of the window over which the normal equations are summed, pixels.
 const RADIUS: usize = 2;
 /// Number of pixels of the window.
 const WINDOW: f32 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f32;
 /// Number of Gauss–Newton steps.
 const STEPS: usize = 2;
-/// Maximum step, levels.
+/// Maximum length of a step, depth levels.
 const MAX_STEP: f32 = 0.75;
-/// Maximum difference of grey values, 0..=1, of a pixel that is used. With a larger one, the point is taken
-/// as occluded.
+/// Maximum difference of the grey values (0 to 1) of a pixel and its partner's. With a larger difference, the
+/// point counts as occluded in the partner.
 const MAX_DIFFERENCE: f32 = 0.06;
-/// Standard error of a grey value, 0..=1, due to noise, resampling and synchronization.
+/// Standard error of a grey value (0 to 1), due to noise, resampling and synchronization.
 const GRAY_STD_ERR: f32 = 0.01;
-/// Information of the smoothness prior at every pixel: an inverse variance in levels⁻².
+/// Inverse variance of the Gaussian prior on a step, whose mean is 0. Steps are measured in depth levels. The
+/// prior shortens the steps where there is little texture.
 const PRIOR: f32 = 4.0;
 
-/// Refines inverse depths, 1/m, in place. `level` is the difference between two levels, 1/m.
+/// Refines a camera's inverse depths, 1/m, row by row, in place. `level` is the difference between two
+/// successive depth levels, 1/m.
 pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) {
     let (w, h) = (set.image.camera.width, set.image.camera.height);
     let prior = PRIOR / (level * level);
@@ -40,8 +42,9 @@ pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) {
     }
 }
 
-/// At every pixel, the sums over the partners of g·r/σ² and g²/σ², where r is the difference of the grey
-/// values, g is the derivative of the partner's grey value by inverse depth, and σ is [`GRAY_STD_ERR`].
+/// At every pixel, the sums over the partners of g·r/σ² and g²/σ², where r is the reference's grey value
+/// minus the partner's, g is the derivative of the partner's grey value by inverse depth, and σ is
+/// [`GRAY_STD_ERR`]. They are the normal equation of the pixel's inverse depth.
 fn normal_equations(values: &[f32], set: &StereoSet, level: f32) -> Vec<[f32; 2]> {
     let camera = &set.image.camera;
     let w = camera.width;

@@ -6,14 +6,15 @@ use crate::simd::multiversion;
 
 /// Penalty of a change by one level between neighbouring pixels (Hirschmüller's P1), in units of the costs.
 const STEP_PENALTY: i16 = 6;
-/// Penalty of a change by more than one level (P2) where the image is flat.
+/// Penalty of a change by more than one level between neighbouring pixels (Hirschmüller's P2) with equal grey
+/// values, in units of the costs.
 const JUMP_PENALTY: i16 = 70;
-/// Minimum of the penalty P2, at strong image edges.
+/// Minimum of the penalty P2, which applies at strong image edges, in units of the costs.
 const MIN_JUMP_PENALTY: i16 = 14;
-/// Difference of neighbouring grey values, 0..=1, at which the penalty P2 is halved.
+/// Difference of neighbouring pixels' grey values (0 to 1) at which the penalty P2 is halved.
 const EDGE_DIFFERENCE: f32 = 0.03;
 
-/// A cost larger than that of any path.
+/// A cost larger than that of any path, for levels outside the range.
 const UNREACHABLE: i16 = i16::MAX / 4;
 
 /// The costs aggregated along eight directions and summed over them, pixel by pixel and level by level.
@@ -78,7 +79,9 @@ fn jump_penalty(gray: &Image, [x, y]: [usize; 2], from: [usize; 2]) -> i16 {
     ((f32::from(JUMP_PENALTY) / (1.0 + difference / EDGE_DIFFERENCE)) as i16).max(MIN_JUMP_PENALTY)
 }
 
-/// Extends a path by one pixel: writes the new costs and their minimum to `out`, and adds the costs to `sum`.
+/// Extends a path by one pixel, whose matching costs by level are `cost`: writes the path's new costs and
+/// their minimum to `out`, and adds these costs to `sum`. `before` are the path's costs at the previous
+/// pixel; `jump` is the penalty P2.
 #[inline(always)]
 fn extend(before: &[i16], jump: i16, cost: &[u8], out: &mut [i16], sum: &mut [i16]) {
     let n = cost.len();
