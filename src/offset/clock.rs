@@ -2,7 +2,8 @@
 
 use crate::capture::{Capture, Clock};
 
-/// The offset of a clock relative to another one, as a linear function of time, and its lost frames.
+/// The offset of a clock (own) relative to another one (target), as a linear function of time, and the lost
+/// frames of its camera.
 ///
 /// `target time = own time + offset_s + rate · (own time − reference_s)`. The own time of an image is
 /// its nominal time plus one frame period for each frame that is missing up to it.
@@ -60,12 +61,12 @@ impl ClockModel {
         Self { offset_s, ..Self::default() }
     }
 
-    /// Target time minus own time at a time on the own clock, seconds.
+    /// The offset, target time minus own time, at a time on the own clock; both in seconds.
     pub fn offset_at(&self, time_s: f64) -> f64 {
         self.offset_s + self.rate * (time_s - self.reference_s)
     }
 
-    /// The target time at a time on the own clock, seconds.
+    /// Converts a time on the own clock to the target clock; both in seconds.
     pub fn apply(&self, time_s: f64) -> f64 {
         time_s + (time_s - self.reference_s) * self.rate + self.offset_s
     }
@@ -81,25 +82,26 @@ impl ClockModel {
         }
     }
 
-    /// The own time of an image, lost frames accounted for, seconds; `None` beyond the last image.
+    /// The time of an image on the own clock, lost frames accounted for, seconds; `None` beyond the last
+    /// image.
     pub fn own_time_s(&self, nominal: &NominalClock, image: usize) -> Option<f64> {
         let missing = self.lost_before.partition_point(|&n| n <= image) as f64;
         Some(nominal.times_s.get(image)? + nominal.frame_s * missing)
     }
 
-    /// The own times of all images, lost frames accounted for, seconds.
+    /// The times of all images on the own clock, lost frames accounted for, seconds.
     pub fn own_times_s(&self, nominal: &NominalClock) -> Vec<f64> {
         (0..nominal.times_s.len()).map_while(|image| self.own_time_s(nominal, image)).collect()
     }
 
-    /// The target time of an image, seconds; `None` beyond the last image.
+    /// The time of an image on the target clock, seconds; `None` beyond the last image.
     pub fn image_time_s(&self, nominal: &NominalClock, image: usize) -> Option<f64> {
         let own_s = self.own_time_s(nominal, image)?;
         // The order of the sum differs from that of `apply`; the last bit of fits depends on it.
         Some(own_s + self.offset_s + self.rate * (own_s - self.reference_s))
     }
 
-    /// The target times of all images, seconds.
+    /// The times of all images on the target clock, seconds.
     pub fn image_times_s(&self, nominal: &NominalClock) -> Vec<f64> {
         (0..nominal.times_s.len()).map_while(|image| self.image_time_s(nominal, image)).collect()
     }

@@ -2,9 +2,10 @@
 //! robust weighted least squares over all pairs of cameras.
 //!
 //! Beyond the paper, which averages each camera's offset relative to the reference. The solution starts from
-//! least absolute deviations, by iteratively reweighted least squares (IRLS), and continues with weights that
-//! fall with the inverse square of a pair's deviation. The variance of each unknown is the larger one of the
-//! cluster-robust variance ([`Sandwich`]) and the one that the pairs' disagreement implies.
+//! least absolute deviations, by iteratively reweighted least squares (IRLS), and continues with weights
+//! that, for large deviations of a pair, are proportional to the deviation's inverse square. The variance of
+//! each unknown is the larger one of the cluster-robust variance ([`Sandwich`]) and the one that the pairs'
+//! disagreement implies.
 //!
 //! Known limit: a clock's rate is constant over the whole recording.
 

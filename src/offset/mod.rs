@@ -75,8 +75,8 @@ use crate::registration::FrameStore;
 /// The reason of an unknown offset of a camera with a single frame.
 const ONE_FRAME: &str = "it has one frame, which shows no motion";
 
-/// The offsets of a capture. They are known, edited by hand, stored or estimated; the first of these that
-/// applies is used. A note on the reporter says which.
+/// The offsets of a capture: known, edited by hand, stored by an earlier command, or estimated from the
+/// images. The first of these sources that applies is used. A note on the reporter says which one.
 ///
 /// They are known, all 0, if all cameras share one clock. In a static capture, with one frame per camera, all
 /// but the reference's are unknown. [`mod@file`] says when the offsets in `offsets.json` are used. New

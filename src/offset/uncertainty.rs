@@ -99,8 +99,8 @@ impl Sandwich {
     }
 }
 
-/// The effective number of independent clusters (Kish 1965): the squared sum of the clusters'
-/// information over the sum of its squares; 0 without information. Items are (cluster, information).
+/// The effective number of independent clusters (Kish 1965): (Σ I)² / Σ I², where I is the information of a
+/// cluster; 0 without information. Items are (cluster, information), and are summed by cluster.
 pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
     let mut by_key: BTreeMap<usize, f64> = BTreeMap::new();
     for (key, information) in informed {

@@ -33,8 +33,8 @@ impl Moved {
 }
 
 /// For each start, the displacement of its match from the initial guess, as the motion of the source point;
-/// `None` without a match. Their deformation is the identity, because the guesses already account for
-/// deformation.
+/// `None` without a match. The results have the identity as deformation, because the guesses already account
+/// for deformation.
 pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Option<Moved>> {
     let of = |(start, m): (&Start, &Option<Match>)| {
         let deformation = Matrix2::identity();

@@ -1,8 +1,8 @@
 //! §4.2: the epipolar test, which finds wrong temporal tracks by eqs. (1) to (3).
 //!
-//! A track of camera i is interpolated at the time of a frame of another camera j, the reference. Its feature is
-//! matched in that frame. If the match is off the epipolar line of the interpolated position, the track or the match is
-//! wrong.
+//! A track of camera i is interpolated at the time of a frame of another camera j, the reference. Its feature
+//! is matched in that frame. If the match is off the epipolar line of the interpolated position, the track or
+//! the match is wrong.
 
 use super::guided_flow::{MotionPrior, Retries};
 use super::{
@@ -21,8 +21,8 @@ pub enum Verdict {
     Untestable,
     /// The feature's match in the reference (spatial correspondence) is on the epipolar line, eq. (3).
     Passed,
-    /// The feature's match in the reference is off the epipolar line: the track or the match is wrong, and neither is
-    /// used.
+    /// The feature's match in the reference is off the epipolar line: the track or the match is wrong, and
+    /// neither is used.
     Rejected,
 }
 

@@ -44,7 +44,7 @@ const MIN_FEATURES: usize = 12;
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Half-width of the windows whose mean linear light is compared, pixels.
 const RADIUS_PX: isize = 2;
-/// Range of encoded values (0..=1) that are used: neither clipped nor dominated by noise.
+/// Range of gamma-encoded pixel values (0 to 1) that are used: neither clipped nor dominated by noise.
 const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
 
 impl Gains {

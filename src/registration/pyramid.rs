@@ -14,7 +14,7 @@ pub struct Pyramid {
     pub levels: Vec<PyramidLevel>,
 }
 
-/// One level of a [`Pyramid`]: luma in 0..=1, padded by repeating its border.
+/// One level of a [`Pyramid`]: luma in 0..=1, padded on every side by copies of the nearest border pixel.
 #[derive(Clone, Debug)]
 pub struct PyramidLevel {
     /// Width without the padding, pixels.
@@ -63,8 +63,8 @@ impl Pyramid {
 }
 
 impl PyramidLevel {
-    /// A level with these values, row by row, padded by repeating its border. The padding is at least
-    /// [`LANES`] wide, since gradients at the border are read in vectors.
+    /// A level with these values, row by row. `pad` is the width of the padding, pixels. It is raised to
+    /// [`LANES`], since gradients at the border are read in vectors.
     fn new([width, height]: [usize; 2], values: &[f32], pad: usize) -> Self {
         let mut value = Vec::with_capacity(Self::samples([width, height], pad));
         let pad = pad.max(LANES);
@@ -121,8 +121,8 @@ impl PyramidLevel {
         &self.value[self.index(0, y as isize)..][..self.width]
     }
 
-    /// The gradient `(∂/∂x, ∂/∂y)` at a pixel of the image, in values (0..=1) per pixel of this
-    /// level, by Scharr's 3×3 derivatives; the border is repeated outwards.
+    /// The gradient `(∂/∂x, ∂/∂y)` at a pixel of the image, in grey values (0 to 1) per pixel of this level,
+    /// by Scharr's 3×3 derivatives. Outside the image, the nearest border pixel is used.
     pub fn gradient(&self, x: usize, y: usize) -> (f32, f32) {
         let [dx, dy] =
             scharr::<Scalar>(&self.value, self.index(x as isize, y as isize), self.stride);

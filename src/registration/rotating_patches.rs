@@ -29,7 +29,7 @@ const MIN_SUPPORT: usize = 3;
 const GUESSES: usize = 3;
 /// Number of propagation rounds: new matches give initial guesses for the next round.
 const ROUNDS: usize = 3;
-/// Maximum change of a window's area; the minimum is its inverse.
+/// Maximum ratio of a window's area in the target to its area in the source; the minimum is the inverse.
 const MAX_AREA_RATIO: f64 = 2.0;
 /// Maximum residual of a match relative to its window's contrast ([`super::Deformed::unexplained`]).
 const MAX_UNEXPLAINED: f64 = 0.35;

@@ -1,5 +1,5 @@
-//! §4.1: the bidirectional temporal flow of a camera. Each correspondence is labelled by its direction: forward,
-//! backward or both.
+//! §4.1: the bidirectional temporal flow of a camera. Each correspondence is labelled by its direction:
+//! forward, backward or both.
 
 use super::consensus::{Moved, Support, consensus};
 use super::guided_flow::{extensions, guided_flow};
@@ -11,8 +11,8 @@ use crate::capture::CaptureError;
 use nalgebra::{Matrix2, Point2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// The direction of the bidirectional flow (§4.1) in which a correspondence was found. Eq. (9) warps the earlier frame
-/// with the forward flow, and the later frame with the backward flow.
+/// The direction of the bidirectional flow (§4.1) in which a correspondence was found. Eq. (9) warps the
+/// earlier frame with the forward flow, and the later frame with the backward flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FlowDirection {
     /// A corner of the earlier frame, tracked to the later one.

@@ -20,7 +20,8 @@ pub struct Surface<'a> {
 
 /// Number of pixels of the view that are fused at once. This takes about 60 MB for eight cameras.
 const BAND_PIXELS: usize = 1 << 20;
-/// Radius of a splat, in pixels of the view or of the camera, whichever are larger in the view.
+/// Radius of a splat, in pixels of the view or in pixels of the camera projected into the view, whichever
+/// pixels are larger.
 const RADIUS_PX: f32 = 0.8;
 /// Maximum ratio of the largest number of votes at a pixel to the votes of the accepted candidate. The
 /// nearest candidate within this ratio is accepted.

@@ -37,8 +37,9 @@ multiversion! {
 fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) {
     let (w, h) = (gray.width(), gray.height());
     let back = if backward { 1 } else { -1 };
-    // A path has its costs by level, with one element of padding before and after them, and then their
-    // minimum. A row of paths has a zero path at both ends, from which paths start.
+    // A path consists of its costs by level, with one element of padding before and after them, followed by
+    // their minimum. In a row of paths, the first and the last path have costs of 0; paths start from these
+    // at the image's border.
     let len = n + 3;
     let mut zero = vec![0; len];
     (zero[0], zero[n + 1]) = (UNREACHABLE, UNREACHABLE);

@@ -37,7 +37,8 @@ pub struct Activity {
     pub signals: BTreeMap<usize, Vec<[f32; 2 * BANDS]>>,
 }
 
-/// By cell, row by row: the energy, and the correlation with the gradient in x and in y, per second.
+/// By cell, row by row: the energy `Σ I_t²`, per s², and the x and y components of the correlation `−Σ I_t
+/// ∇I`, per second.
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {

@@ -24,8 +24,8 @@ const MIN_OVERLAP_S: f64 = 2.0;
 const MAX_CANDIDATES: usize = 5;
 /// The number of frame triples that verify an offset.
 const TESTED_FRAMES: usize = 6;
-/// Fraction of the best offset's agreement at or above which another offset counts as equally plausible: a
-/// rival.
+/// The fraction of the largest agreement at or above which another offset counts as equally plausible. Such
+/// an offset is called a rival.
 const RIVAL_FRACTION: f64 = 0.8;
 
 /// The activity of each camera from all its frames; empty for a camera without pairs that need alignment.
@@ -92,8 +92,8 @@ pub fn rough_offset(
     Ok(choose(&agreements, frame_s))
 }
 
-/// Chooses the offset of largest agreement among (offset, agreement) pairs. If there are several rivals, and
-/// the nominal clocks' offset is one of them, it is chosen.
+/// Chooses the offset of largest agreement among (offset in seconds, agreement) pairs. If the nominal clocks'
+/// offset of 0 is among the rivals ([`RIVAL_FRACTION`]), it is chosen instead.
 fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFailure> {
     let max = agreements.iter().map(|a| a.1).fold(0.0, f64::max);
     let rivals: Vec<f64> = agreements
@@ -148,7 +148,8 @@ fn agreement(
     Ok(if enough { score / across.max(1) as f64 } else { 0.0 })
 }
 
-/// An activity signal: one value per interval and channel.
+/// An activity signal ([`Activity::signals`]): for each frame interval, its middle in seconds on the camera's
+/// clock, and 2·[`BANDS`] values (channels).
 struct Signal<'a> {
     times_s: &'a [f64],
     values: &'a [[f32; 2 * BANDS]],

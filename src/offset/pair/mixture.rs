@@ -77,7 +77,7 @@ const LINE_TOLERANCE: f64 = 1e-9;
 const SIGMA_TOLERANCE: f64 = 1e-4;
 /// The maximum number of observed values that are tried as starts.
 const MAX_STARTS: usize = 400;
-/// The bound of MSAC's truncated squares, pixels.
+/// The absolute residual at which MSAC truncates squared residuals, pixels.
 const MSAC_BOUND_PX: f64 = 3.0 * START_PX;
 
 /// The MSAC score of a constant line: the sum over observations of a value that falls from 1, at a residual

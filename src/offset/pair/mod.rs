@@ -36,8 +36,8 @@ pub struct PairEstimate {
     pub sigma_px: f64,
     /// One estimate for each frame triple: two successive frames of camera i and a frame of camera j.
     pub frames: Vec<FrameEstimate>,
-    /// The factor, at least 1, on standard errors of candidates that come from few independent windows. Its
-    /// square is a variance inflation factor.
+    /// The factor, at least 1, by which standard errors are multiplied because the candidates come from few
+    /// independent tracker windows. Its square is a variance inflation factor.
     pub(super) std_err_inflation: f64,
     /// All candidates, each with its weight in the mixture, 1 / px².
     pub(super) samples: Arc<[(Sample, f64)]>,

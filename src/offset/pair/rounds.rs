@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The maximum number of rounds with all triples that start from one initial offset.
+/// The maximum number of rounds that use all triples of a pair, counted from one initial offset.
 const MAX_ROUNDS: usize = 5;
 /// The number of triples in each direction in the first round.
 const FIRST_TRIPLES: usize = 4;
@@ -35,7 +35,7 @@ pub struct PairRounds {
     initial: ClockModel,
     with_rate: bool,
     stage: RoundStage,
-    /// The number of remaining rounds with all triples.
+    /// The number of remaining rounds that use all triples of the pair.
     rounds: usize,
     /// The triples of the last round.
     frames: Vec<TripleFrames>,
@@ -122,7 +122,8 @@ impl PairRounds {
         Ok(())
     }
 
-    /// The number of triples of a round with all triples.
+    /// The expected number of frame triples in a round that uses all triples of the pair; 0 for a pair
+    /// without a start.
     fn expected_triples(&self, recording: &Recording) -> usize {
         let max_frames = recording.options.max_frames;
         let count = |c: usize| (recording.clocks[c].times_s.len() - 1).min(max_frames);

@@ -58,7 +58,8 @@ fn instants(
     let timed = |triple: TripleFrames| {
         let ([a, _], [k, _]) = triple;
         let time_s = clocks[a].times_s[k] + clocks_s[a];
-        // Shifted away from multiples of half a frame, where rounding would split an instant.
+        // Times are often near multiples of half a frame period. A quarter is added, so that rounding errors
+        // do not put simultaneous triples into different instants.
         let instant = (time_s / period_s + 0.25).floor() as i64;
         (instant, time_s, triple)
     };

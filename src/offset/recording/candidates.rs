@@ -67,7 +67,8 @@ pub struct ThreeFrames<'a> {
     pub times_i: &'a [f64],
     /// The index of the earlier one of camera i's two frames; it must not be the last frame.
     pub index_i: usize,
-    /// Whether trajectories are curves, which also pass through the frames before and after the two, if these exist.
+    /// Whether trajectories are curves, which also pass through the feature's positions in the frames before
+    /// and after the two, if these exist.
     pub curved: bool,
     /// The minimum motion of a feature between the two frames, perpendicular to its epipolar line, pixels.
     /// Features that move less have no candidate.
