@@ -104,7 +104,7 @@ fn initial_offsets(
         .collect()
 }
 
-/// A pair of cameras, and its estimate.
+/// The indices of a pair's cameras, and its estimate or its failure.
 type PairResult = ([usize; 2], Result<PairEstimate, PairFailure>);
 
 /// All clocks solved together from the usable pairs.
@@ -162,7 +162,8 @@ impl<'a> JointSolution<'a> {
     fn camera_offset(&self, c: usize) -> CameraOffset {
         let camera = &self.capture.cameras[c];
         let is_reference = c == self.capture.reference;
-        // Ambiguous losses of one camera do not affect the offsets of the others.
+        // A camera whose lost frames are undecided has no offset, which does not affect other cameras. The
+        // reference always has one.
         let decided = !self.lost[c].undecided || is_reference;
         let solved = self.solved[self.clock[c]].as_ref().filter(|_| decided);
         let drifting = solved.filter(|_| camera.clock.drift && !is_reference);

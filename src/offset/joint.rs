@@ -35,9 +35,10 @@ pub struct ClockLayout {
 const L1_ITERATIONS: usize = 30;
 /// The number of IRLS iterations with redescending weights.
 const ROBUST_ITERATIONS: usize = 10;
-/// The lower bound of a pair's deviation in its weight, 1 / deviation, in the L1 iterations, standard errors.
+/// The lower bound of a pair's deviation, in units of its standard error. In the L1 iterations, the pair's
+/// weight is the inverse of its deviation.
 const MIN_L1_DEVIATION: f64 = 0.01;
-/// The deviation up to which a pair has full weight, standard errors.
+/// The deviation of a pair up to which its weight is 1, in units of its standard error.
 const FULL_WEIGHT_DEVIATION: f64 = 2.0;
 /// The lower bound of a pair's standard error, as a fraction of the pairs' median. Errors that are common to
 /// all pairs limit the precision of each.
@@ -197,7 +198,8 @@ fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustS
         let x = cholesky.solve(&right);
         let mut z: Vec<f64> = systems.iter().map(|p| p.deviation(&x)).collect();
         z.sort_by(f64::total_cmp);
-        // With redundancy, deviations larger than the standard errors scale up all standard errors.
+        // If there are more equations than unknowns, and deviations exceed the standard errors, all standard
+        // errors are scaled up.
         let equations_per_pair = if unknowns.rate.iter().any(Option::is_some) { 2 } else { 1 };
         let degrees_of_freedom = (equations_per_pair * systems.len()).saturating_sub(n);
         let scale = if degrees_of_freedom > 0 && iteration + 1 >= L1_ITERATIONS {

@@ -116,7 +116,7 @@ const MIN_ACROSS_FRACTION: f64 = 0.1;
 /// from the displacement that the motion prior predicts.
 const RETRY_LEVELS: usize = 1;
 
-/// The tested camera i and the camera j of a reference.
+/// The camera i whose tracks are tested, and the camera j of a reference.
 struct Pair<'a> {
     camera_i: &'a Camera,
     camera_j: &'a Camera,

@@ -75,7 +75,7 @@ impl Reference {
 /// (4). D is the distance of the cameras' centres, divided by that of the nearest camera; times are in frame
 /// intervals.
 ///
-/// In a grid of cameras there are two first references, with baselines across each other; in a line of
+/// In a grid of cameras there are two first references, with baselines at least 45° apart; in a line of
 /// cameras there is one. The further reference is the remaining camera of the smallest weight. With a camera
 /// that has no frame in the interval, tracks are tested between the frames before and after it, and the
 /// nearer one determines the weight.

@@ -92,8 +92,9 @@ pub fn rough_offset(
     Ok(choose(&agreements, frame_s))
 }
 
-/// Chooses the offset of largest agreement among (offset in seconds, agreement) pairs. If the nominal clocks'
-/// offset of 0 is among the rivals ([`RIVAL_FRACTION`]), it is chosen instead.
+/// Chooses the offset of largest agreement among (offset in seconds, agreement) pairs. If one of the rivals
+/// ([`RIVAL_FRACTION`]) is within [`NOMINAL_CLOCK_FRAMES`] of 0, the nominal clocks' offset, it is chosen
+/// instead.
 fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFailure> {
     let max = agreements.iter().map(|a| a.1).fold(0.0, f64::max);
     let rivals: Vec<f64> = agreements

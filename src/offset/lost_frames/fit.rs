@@ -105,8 +105,9 @@ impl LagObservation {
         self.lag_frames - line.x - line.y * self.elapsed_frames
     }
 
-    /// The residual, frames, for a line ([`StepFit::line`]) and the loss counts `lost`: the numbers of frames
-    /// missing up to the image, and up to the next one.
+    /// The residual, frames: the lag minus the line ([`StepFit::line`]) and minus the loss count,
+    /// interpolated between the two of `lost`. These are the numbers of frames missing up to the image, and
+    /// up to the next one.
     pub fn residual(&self, line: &Vector2<f64>, lost: [i32; 2]) -> f64 {
         let [before, after] = lost.map(f64::from);
         self.lag_beyond(line) - before - self.fraction * (after - before)

@@ -48,7 +48,7 @@ impl PairTriples {
         Ok(Self { cameras, triples: frames.iter().map(triple).collect::<Result<_, _>>()? })
     }
 
-    /// The sum of a count over all triples.
+    /// The sum over all triples of one of a triple's numbers of features, which `count` selects.
     fn total(&self, count: fn(&FrameTriple) -> usize) -> usize {
         self.triples.iter().map(|(_, triple)| count(triple)).sum()
     }

@@ -112,7 +112,7 @@ impl PairRounds {
         self.estimate = fit_pair(recording, &triples, &self.initial, self.with_rate);
         match &self.estimate {
             Ok(pair) => self.initial = pair.clock.clone(),
-            // The estimate from the middle may have been wrong.
+            // The initial offset, estimated from the recording's middle, may have been wrong.
             Err(_) if self.stage == RoundStage::FromMiddle => {
                 (self.stage, self.initial) = (RoundStage::FromStart, start);
                 (self.rounds, self.frames) = (MAX_ROUNDS, Vec::new());
