@@ -162,7 +162,7 @@ impl FilmedCameraFormat {
 }
 
 impl ClockFormat {
-    /// The clock of a camera with this many frames. The error is a reason.
+    /// The clock of a camera with this many frames. The error is the reason, without the file's name.
     fn open(&self, frames: usize, video: Option<&VideoFile>) -> Result<Clock, String> {
         let offer = || video.map_or(String::new(), |v| format!("; {}", v.offer()));
         let times_s = match (self.rate_hz, self.first_s, &self.times_s) {

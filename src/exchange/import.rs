@@ -112,7 +112,7 @@ fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, Exchan
     Err(content(footage.frames.path(), format!("has images of {sizes}{advice}")))
 }
 
-/// Largest rounding errors of time stamps in whole milliseconds, and in finer units, seconds.
+/// Largest rounding errors of time stamps, seconds: in whole milliseconds, and in finer units.
 const MILLISECONDS_S: f64 = 0.51e-3;
 const MICROSECONDS_S: f64 = 1.1e-6;
 

@@ -32,12 +32,14 @@ struct NamedRecording {
     path: PathBuf,
 }
 
-/// Pairs the cameras of a calibration with the recordings in `images`: its sub-folders and videos. If the calibration
-/// has only row numbers, the recordings' names become the ids.
+/// Pairs the cameras of a calibration with the recordings in `images`: its sub-folders and videos. If no camera has a
+/// recording of its name, they are paired by the numbers in the names. If the calibration has only row numbers, the
+/// recordings' names become the ids.
 ///
+/// # Errors
 /// A camera that moves; a name that can't be an id; a camera with two recordings; some cameras with a recording of
-/// their name, and some without. If none has one, numbers in names that leave the pairing ambiguous.
-/// camera has two. Without any, if the numbers in the names leave the order open.
+/// their name, and some without. In a pairing by number: different numbers of cameras and recordings; names that
+/// differ in more than numbers.
 pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, ExchangeError> {
     let is_nameless = is_nameless(cameras);
     let cameras = one_each(cameras).map_err(|reason| content(images, reason))?;
@@ -196,7 +198,7 @@ fn pair_by_number(
 }
 
 /// Merges all images of a camera into one entry, named by the camera's id. Cameras are in the order of their first
-/// images. The error is a reason.
+/// images. The error is the reason, without the file's name.
 pub(super) fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     let mut distinct: Vec<NamedCamera> = Vec::new();
     for NamedCamera { name, camera, .. } in cameras {

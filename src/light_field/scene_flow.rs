@@ -109,7 +109,7 @@ impl StoredStage for FrameFlow<'_> {
 }
 
 impl Stage for FlowConfidences<'_> {
-    /// For each frame, one value for each of its pixels.
+    /// For each frame the confidences of its pixels, 1 to 255, row by row.
     type Output = Vec<Vec<u8>>;
     const NAME: &'static str = "confidences";
 

@@ -40,7 +40,7 @@ pub enum PictureMethod {
 /// The quality of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Level {
-    /// Fast, for a moving viewpoint: the options of `draft` unless the chosen ones take no estimation.
+    /// Fast, for a moving viewpoint: the options of `draft`, or the chosen ones if their results are cached.
     Quick,
     /// By the chosen options.
     Full,

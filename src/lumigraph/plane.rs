@@ -175,7 +175,7 @@ fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) ->
     Vector3::new(tilt.x, tilt.y, middle - tilt.dot(&ray.xy()))
 }
 
-/// The lower median of `value`. `None` without points.
+/// The lower median of `value` over the points. `None` without points.
 fn median(points: &[ProjectedPoint], value: impl Fn(&ProjectedPoint) -> f64) -> Option<f64> {
     let mut values: Vec<f64> = points.iter().map(value).collect();
     values.sort_by(f64::total_cmp);

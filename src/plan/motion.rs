@@ -19,8 +19,8 @@ const WITNESSES: usize = 5;
 /// Features that move by less than this between two frames count as static, pixels.
 const STILL_PX: f64 = 0.5;
 
-/// Largest change by noise in a still pair, in 0..=1. A larger change means that the light changes or the whole image
-/// moves.
+/// Largest change of a block by noise in a still pair, for pixel values of 0 to 1. A larger change means that the
+/// light changes or the whole image moves.
 pub(super) const MAX_NOISE: f32 = 4.0 / 255.0;
 
 /// Radius of the neighbourhood whose tracks predict a track's motion, pixels. Larger: any motion that varies in space
@@ -44,7 +44,7 @@ pub struct Motion {
     pub changed_fraction: f64,
     /// Number of still pairs: frame pairs in which no block changes by more than noise, and no feature moves.
     pub still_pairs: usize,
-    /// Largest change of a block in the still pairs, as mean absolute difference, 0..=1.
+    /// Largest change of a block in the still pairs: mean absolute difference, for pixel values of 0 to 1.
     pub still_change: f32,
     /// Largest motion of features in the still pairs, pixels.
     pub still_px: f64,

@@ -11,7 +11,8 @@ const MAX_DISPARITY_ERROR_PX: f32 = 1.5;
 /// Constant part of the maximum difference in velocity between an element and one that confirms it, pixels
 /// per frame.
 const MAX_MOTION_ERROR_PX: f32 = 2.0;
-/// Part of this maximum that is proportional to the speed, as a fraction of the speed.
+/// Part of the maximum difference in velocity that is proportional to the element's speed, as a fraction of
+/// the speed.
 const MAX_MOTION_ERROR: f32 = 0.15;
 /// Weight of a map in which the element is occluded, relative to a map that shows another surface there.
 const HIDDEN: f32 = 0.3;

@@ -11,7 +11,8 @@ use std::ops::Range;
 const HALF_WIDTH: f32 = 0.55;
 /// Half-width of a splat towards a neighbour on another surface, pixels of the frame.
 const HALF_WIDTH_AT_EDGE: f32 = 0.5;
-/// Minimum and maximum size of a splat, relative to its size in the frame.
+/// Minimum and maximum magnification of a splat by the change of depth from the frame to the view. The ratio
+/// of the focal lengths is a further factor.
 const SCALES: [f32; 2] = [0.8, 8.0];
 /// Difference in disparity from which a nearer element occludes another, pixels.
 const HIDING_PX: f32 = 0.5;

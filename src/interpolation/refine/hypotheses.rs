@@ -11,7 +11,7 @@ use crate::raster::{Image, max_filter};
 use nalgebra::{Point2, Vector2};
 use std::borrow::Cow;
 
-/// Increase of a hypothesis's cost, values 0..=1, by which its weight falls to 1/e.
+/// Increase of a hypothesis's cost, for pixel values of 0 to 1, by which its weight falls to 1/e.
 const SOFTNESS: f32 = 0.02;
 /// Minimum weight of a hypothesis, so that the sum of weights is positive.
 const MIN_WEIGHT: f32 = 1e-30;
@@ -241,8 +241,8 @@ impl<'a> BlockHypotheses<'a> {
         let motion_px = steps[1].norm() as f32;
         let change_px = change_px(0, 0).max(change_px(3, 1));
         let of_pixel = |(&cost, &of_warps): (&f32, &f32)| {
-            // For a static surface, frames may agree although another body passes between them: the warped
-            // frames' cost is a lower bound.
+            // The frames may show the same static surface although a body occludes it at the instant. The
+            // cost is therefore at least that of the warped frames.
             let cost = if motion_px < AT_REST_PX { cost.max(of_warps) } else { cost };
             [motion_px, change_px, cost]
         };
