@@ -89,7 +89,7 @@ pub struct ClockFormat {
 
 impl CaptureFormat {
     /// Checks everything that needs no frames; returns the index of the reference camera. The error is a reason,
-    /// without file.
+    /// without the file's name.
     pub(super) fn check(&self) -> Result<usize, String> {
         if self.format != "stlfr-capture" {
             return Err(format!("format: is '{}', must be 'stlfr-capture'", short(&self.format)));

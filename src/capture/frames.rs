@@ -56,7 +56,7 @@ impl<'a> Pattern<'a> {
 }
 
 /// Finds the files of a pattern, numbered from 0 without gaps. `root` is the capture's canonical folder. The error is
-/// a reason, without file.
+/// a reason, without the file's name.
 pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     let parsed = Pattern::parse(pattern)?;
     must_be_relative(pattern)?;

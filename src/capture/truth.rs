@@ -163,7 +163,7 @@ impl Truth {
     }
 
     /// An error for another format, for ids and names that `capture.json` couldn't have, and for wrong cameras. The
-    /// error is a reason, without file.
+    /// error is a reason, without the file's name.
     fn check(&self) -> Result<(), String> {
         if self.format != "stlfr-truth" || self.version != 1 {
             return Err("format and version must be 'stlfr-truth' and 1".into());

@@ -43,7 +43,7 @@ pub struct Shots<'a> {
     /// The number of views.
     count: usize,
     is_sequence: bool,
-    /// The views. They are empty before [`Shots::place`]; a ready-made path's, before [`Shots::fit`].
+    /// The views; empty before [`Shots::place`], and for a ready-made path before [`Shots::fit`].
     shots: Vec<Shot>,
 }
 

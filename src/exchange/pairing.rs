@@ -264,8 +264,8 @@ pub(super) fn numbered_order(names: &[String]) -> Option<Vec<usize>> {
     (!is_open).then_some(order)
 }
 
-/// The numbers in a name, for comparison: of each, the count of its digits and the digits, without leading zeros. They
-/// may have any length.
+/// The numbers in a name, in a form that is ordered by value: for each, the count of its digits and the digits,
+/// without leading zeros. Numbers of any length can thus be compared.
 pub(super) fn numbers(name: &str) -> Vec<(usize, &str)> {
     let digits = name.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty());
     digits.map(|digits| digits.trim_start_matches('0')).map(|d| (d.len(), d)).collect()

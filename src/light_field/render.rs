@@ -14,9 +14,9 @@ use crate::options::RenderOptions;
 /// Renders a view, or a filming camera's image. If the options ask for a motion trail, the views at its
 /// instants are overlaid.
 ///
-/// Instants of a trail are skipped before the recording starts, where no camera sees anything, and where the
-/// proxy can't be triangulated. The request's own instant is never skipped: its error is returned. A pixel
-/// integrates over the instants that cover it, and is covered if any does.
+/// An instant of a trail is skipped if it is before the recording's start, if no camera sees anything then,
+/// or if the proxy can't be triangulated. The request's own instant is never skipped: its error is returned.
+/// A pixel integrates over the instants that cover it, and is covered if any of them does.
 ///
 /// # Errors
 /// [`RenderError::Time`], [`RenderError::CameraTime`] or [`RenderError::NoClock`] if there is no image at

@@ -249,8 +249,8 @@ pub(super) struct CameraDepth<'a> {
     pub camera: usize,
 }
 
-/// Depth maps of all cameras of a stereo, for occlusion. The depths of the cameras `estimated` come from
-/// matching, and those of the others are fused from these.
+/// Depth maps of all cameras of a stereo, for occlusion. The depths of the cameras `estimated` come from matching;
+/// those of the other cameras are fused from the estimated depths.
 #[derive(Serialize)]
 pub(super) struct OcclusionDepths<'a> {
     pub stereo: Stereo<'a>,

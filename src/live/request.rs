@@ -79,7 +79,7 @@ pub struct PictureRequest {
     pub time_s: f64,
     pub place: Place,
     pub view: ViewDirection,
-    /// A method other than that of the chosen options.
+    /// Sync method in place of that of the chosen options; `None` leaves theirs.
     pub sync: Option<SyncMethod>,
     pub proxy: Option<ProxyMethod>,
     /// Names the viewer and the part of the page. A request replaces the earlier one with the same name,

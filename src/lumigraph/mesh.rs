@@ -19,7 +19,7 @@ use spade::{DelaunayTriangulation, HasPosition, Triangulation};
 /// A triangle mesh in the world, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
-    /// Positions of the vertices.
+    /// Positions of the vertices, metres.
     pub vertices: Vec<Point3<f64>>,
     /// Indices of three vertices each, in either orientation.
     pub triangles: Vec<[u32; 3]>,

@@ -228,8 +228,8 @@ impl<'a> Behind<'a> {
     }
 
     /// Colours a hole at `[x, y]`, a position in the undistorted view, by its depth. The colour is that of
-    /// the nearest frame in which nothing occludes this depth; motion is neglected. If it is occluded in all
-    /// frames, the pixel stays as given. `None` if it is outside all images.
+    /// the nearest frame in which nothing occludes the point at this depth; motion is neglected. If the
+    /// point is occluded in all frames, the pixel stays as given. `None` if the point is outside all images.
     fn fill(&self, mut pixel: Pixel, [x, y]: [f32; 2]) -> Option<Pixel> {
         let mut is_filmed = false;
         for (MappedFrame { frame, map }, projection) in &self.frames {

@@ -45,7 +45,7 @@ impl Snapshot {
     }
 }
 
-/// Another frame's map, with its time and projection relative to the own frame.
+/// Another frame's map, with its time and projection relative to the frame that is estimated.
 struct OtherMap<'a> {
     dt: f32,
     projection: Projection,
@@ -75,8 +75,8 @@ impl<'a> OtherMaps<'a> {
     }
 
     /// The mean difference, pixels, of an element at pixel `[x, y]` of the frame from the other maps, where
-    /// it projects into them. A difference is that of the disparities plus that of half a frame's motion. 0
-    /// if the element projects into no other image.
+    /// it projects into them. Each difference is the sum of the differences in disparity and in half a
+    /// frame's motion. 0 if the element projects into no other image.
     pub fn difference(&self, e: &Element, [x, y]: [f32; 2]) -> f32 {
         let (mut sum, mut count) = (0.0, 0.0);
         let speed = e.speed();

@@ -9,8 +9,8 @@ use nalgebra::{Matrix6, Vector6};
 const PRIOR: f64 = 1e-6;
 /// Factor by which the step of the inverse depth's rate is damped more than that of the inverse depth.
 const RATE_STIFFNESS: f64 = 16.0;
-/// Weight with which the rate of the inverse depth is shrunk to 0, as a multiple of its damping. The
-/// acceleration's is 1.
+/// Weight with which the rate of the inverse depth is shrunk to 0, as a multiple of its damping. For the
+/// acceleration, this multiple is 1.
 const RATE_PULL: f64 = 10.0;
 /// Maximum step, pixels of the pyramid level.
 const MAX_STEP_PX: f32 = 3.0;

@@ -72,8 +72,8 @@ pub struct MiddleFrames<'a> {
 }
 
 /// Averages the outer frames into the composite of the middle frames, with a weight of at most `outer_weight`
-/// each. At each pixel, an outer frame is compensated by that of the motions for which it differs least from
-/// the composite.
+/// each. At each pixel, an outer frame is compensated by the one of the motions for which it differs least
+/// from the composite.
 pub fn fuse(
     MiddleFrames { at_pixels: middle, at_points, costs }: MiddleFrames,
     compensated: &[CompensatedFrames],

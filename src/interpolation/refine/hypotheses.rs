@@ -1,5 +1,5 @@
-//! Hypotheses about a block's pixels: each is a motion with a visibility. Their costs, their weights, and the
-//! weighted mean.
+//! Hypotheses about a block's pixels: each is a motion with a visibility. A hypothesis has a cost and a
+//! weight at every pixel, and the block's colours are the weighted mean of the hypotheses.
 
 use super::blocks::BlockArea;
 use super::costs::PointGrid;
