@@ -73,7 +73,7 @@ impl Plane {
     }
 }
 
-/// A point as a view sees it.
+/// A point, projected into a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ProjectedPoint {
     /// Position on the plane z = 1.

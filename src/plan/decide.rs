@@ -27,7 +27,7 @@ pub struct Decision {
 }
 
 impl Decision {
-    /// A decision that `capture.json` makes, without a measured number.
+    /// A decision without a measured number, which [`Self::by`] can add.
     fn new(stage: &'static str, method: &'static str, because: impl Into<String>) -> Self {
         Self { stage, method, measured: None, limit: None, because: because.into() }
     }

@@ -34,11 +34,13 @@ const PREDICTING: usize = 6;
 pub struct Motion {
     /// Largest motion of features from frame to frame, pixels.
     pub largest_px: f64,
-    /// Curvature of trajectories, pixels: a trajectory passes through a feature in four frames, and its distance from
-    /// the chord between the middle two is measured halfway. The 95th percentile of moving features.
+    /// Curvature of trajectories, pixels: the distance of a feature's trajectory, fitted through four frames, from the
+    /// straight line between its positions in the middle two, measured halfway between them. It is the 95th percentile
+    /// of the moving features in a frame pair, and the maximum over the pairs.
     pub curvature_px: f64,
     /// Motion residual, pixels: the distance of a feature halfway between two frames from the position that the motion
-    /// of its neighbours predicts. The 99th percentile. It is large at the outlines of objects with different motion.
+    /// of its neighbours predicts. It is the 99th percentile of the features in a frame pair, and the maximum over the
+    /// pairs. It is large at the outlines of objects with different motion.
     pub residual_px: f64,
     /// Fraction of image blocks that change by more than noise, 0..=1.
     pub changed_fraction: f64,

@@ -99,7 +99,8 @@ struct Best<'a, 'b> {
 }
 
 impl Best<'_, '_> {
-    /// Replaces the element by a proposal of lower total cost: match, smoothness and consistency.
+    /// Replaces the element by the proposal if the total cost of match, smoothness and consistency is then
+    /// lower.
     #[inline(always)]
     fn consider(&mut self, proposal: Element) {
         if !self.limits.contain(&proposal) {

@@ -350,7 +350,7 @@ mod tests {
                     }
                 }
                 assert!(!is_exact, "clusters count: {size} {spacing} {boost}");
-                // In addition to the tolerance, the rounding of the sums.
+                // The sums are rounded, which adds 1e-3 px to the tolerance.
                 assert!(worst <= clusters::TOLERANCE_PX + 1e-3, "{size} {boost}: {worst}");
             }
         }

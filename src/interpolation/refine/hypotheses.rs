@@ -26,7 +26,7 @@ const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 /// Motion below which a surface counts as static, pixels per frame.
 const AT_REST_PX: f32 = 1.0;
 
-/// Which of the two middle frames see the surface, by a hypothesis.
+/// Which of the two middle frames see the surface, according to a hypothesis.
 enum Visibility {
     /// No surface: the cross-fade of the two warped frames.
     CrossFade,
