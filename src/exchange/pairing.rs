@@ -38,7 +38,7 @@ struct NamedRecording {
 ///
 /// # Errors
 /// A camera that moves; a name that can't be an id; a camera with two recordings; some cameras with a recording of
-/// their name, and some without. In a pairing by number: different numbers of cameras and recordings; names that
+/// their name, and some without. If they are paired by number: unequal counts of cameras and recordings, or names that
 /// differ in more than numbers.
 pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, ExchangeError> {
     let is_nameless = is_nameless(cameras);

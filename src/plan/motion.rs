@@ -34,9 +34,9 @@ const PREDICTING: usize = 6;
 pub struct Motion {
     /// Largest motion of features from frame to frame, pixels.
     pub largest_px: f64,
-    /// Curvature of trajectories, pixels: the distance of a feature's trajectory, fitted through four frames, from the
-    /// straight line between its positions in the middle two, measured halfway between them. It is the 95th percentile
-    /// of the moving features in a frame pair, and the maximum over the pairs.
+    /// Curvature of trajectories, pixels: the distance, halfway between two frames, of a feature's trajectory through
+    /// four frames from the straight line between its positions in the middle two. It is the 95th percentile of the
+    /// moving features in a frame pair, and the maximum over the pairs.
     pub curvature_px: f64,
     /// Motion residual, pixels: the distance of a feature halfway between two frames from the position that the motion
     /// of its neighbours predicts. It is the 99th percentile of the features in a frame pair, and the maximum over the
