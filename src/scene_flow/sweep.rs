@@ -169,8 +169,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers a Gauss–Newton step in the last pass, and for a pixel whose element has changed or that
-    /// later passes will skip as settled.
+    /// Considers a Gauss–Newton step if one is due: in the last pass, if this pass has changed the element
+    /// (before it: `before`), and in the first pass for a settled pixel, which later passes skip.
     fn step_if_due(&mut self, before: &Element, is_settled: bool, pass: &Pass) {
         let has_changed = self.matcher.distance(before, &self.element) > 0.0;
         if !(pass.is_last || has_changed || (is_settled && pass.turn == 0)) {
