@@ -1,7 +1,7 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::display::{DisplayArgs, Layout, camera};
+use super::display::{DisplayArgs, Layout};
 use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::frames::Frames;
 use super::shots::{ShotArgs, Shots, viewpoint};
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use stlfr::capture::NamedView;
 use stlfr::host::Claim;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{Context, LightField, Request, render};
+use stlfr::light_field::{Context, LightField, Request, render, render_with_depths};
 use stlfr::lumigraph::BlendMethod;
 use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
 use stlfr::pipeline;
@@ -205,9 +205,13 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
             true
         };
         let request = Request::new(viewpoint(&view), shots.get(frame).time_s, &options);
-        let rendered = render(&field, &request, &Context::new(&proceed))?;
-        let depths = || field.geometry(camera(&field, &view), &request).map(|g| g.view);
-        let depths = has_depths.then(depths).transpose()?;
+        let context = &Context::new(&proceed);
+        let (rendered, depths) = if has_depths {
+            let (rendered, depths) = render_with_depths(&field, &request, context)?;
+            (rendered, Some(depths))
+        } else {
+            (render(&field, &request, context)?, None)
+        };
         Ok(View { frame, part, rendered, depths, claim })
     }))?;
     shared.map_or(Ok(()), |folder| folder.end())

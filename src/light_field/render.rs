@@ -4,11 +4,11 @@ use super::graph::LightField;
 use super::scene_flow::flow_image;
 use super::stages::{CameraImage, ImageMethod};
 use super::trail::Overlay;
-use super::view::view;
+use super::view::{view, view_with_depths};
 use super::{Context, Geometry, RenderError, Request, Viewpoint};
 use crate::camera::Camera;
 use crate::host::on_workers;
-use crate::lumigraph::Rendered;
+use crate::lumigraph::{DepthMap, Rendered};
 use crate::options::RenderOptions;
 
 /// Renders a view, or a filming camera's image. If the options ask for a motion trail, the views at its
@@ -46,6 +46,25 @@ pub fn render(
             .add(&rendered);
     }
     overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
+}
+
+/// Renders a view, and its depth map, that of its camera at the request's time.
+///
+/// # Errors
+/// Those of [`render`].
+pub fn render_with_depths(
+    field: &LightField,
+    request: &Request,
+    context: &Context,
+) -> Result<(Rendered, DepthMap), RenderError> {
+    let target = match request.from {
+        Viewpoint::View(target) if request.options.trail.count() == 1 => {
+            return on_workers(|| view_with_depths(field, target, request, context));
+        }
+        Viewpoint::View(target) => target,
+        Viewpoint::Like(camera) => &field.capture().cameras[camera].camera,
+    };
+    Ok((render(field, request, context)?, field.geometry(target, request)?.view))
 }
 
 fn instant(
