@@ -1,7 +1,7 @@
 """Find or refine a calibration from what stands still in a recording.
 
-Run as `python -I blender/calibrate.py new CAPTURE [--lens MODEL] [--focal PX] [--distance CAMERA CAMERA METRES]`, or as
-`python -I blender/calibrate.py refine CAPTURE [--focal] [--principal-point]`. CAPTURE isn't changed. Stdout carries
+Run as `python -I blender/calibrate.py new CAPTURE [--lens MODEL] [--focal PX] [--between CAMERA --and CAMERA --metres M]`,
+or as `python -I blender/calibrate.py refine CAPTURE [--focal] [--principal-point]`. CAPTURE isn't changed. Stdout carries
 progress, then one line of JSON: every camera's lens, pose and their standard errors. Exit code 0 if it is found, 1 if the
 images don't tell, 2 for bad input. The same capture gives the same numbers each time.
 """
@@ -31,7 +31,9 @@ def parser() -> argparse.ArgumentParser:
     new = ways.add_parser("new", help="without a calibration")
     new.add_argument("--lens", default="SIMPLE_RADIAL", help="COLMAP's lens model")
     new.add_argument("--focal", type=float, help="focal length of all cameras, pixels")
-    new.add_argument("--distance", nargs=3, metavar=("CAMERA", "CAMERA", "METRES"))
+    new.add_argument("--between", metavar="CAMERA", help="of two cameras, one")
+    new.add_argument("--and", metavar="CAMERA", dest="other", help="and the other")
+    new.add_argument("--metres", type=float, help="how far they stand apart")
     refine = ways.add_parser("refine", help="a given calibration")
     refine.add_argument("--focal", action="store_true", help="focal lengths too")
     refine.add_argument("--principal-point", action="store_true", help="and these")
@@ -50,19 +52,13 @@ def request(options: argparse.Namespace, ids: list[str]) -> Any:
     if options.focal is not None and not 0.0 < options.focal < 1e6:
         raise check.CheckError("--focal: must be positive", 2)
     distance = None
-    if options.distance:
-        first, second, metres = options.distance
-        for camera_id in (first, second):
+    if options.metres is not None:
+        distance = options.between, options.other, options.metres
+        for camera_id in distance[:2]:
             if camera_id not in ids:
-                raise check.CheckError(
-                    f"--distance: no camera has the id '{camera_id}'", 2
-                )
-        try:
-            distance = first, second, float(metres)
-        except ValueError:
-            raise check.CheckError(f"--distance: '{metres}' is no length", 2) from None
-        if first == second or not 0.0 < distance[2] < 1e6:
-            raise check.CheckError("--distance: needs two cameras, metres apart", 2)
+                raise check.CheckError(f"there is no camera '{camera_id}'", 2)
+        if options.between == options.other or not 0.0 < options.metres < 1e6:
+            raise check.CheckError("--metres: needs two cameras, apart", 2)
     return estimation.Request(options.lens, options.focal, distance)
 
 

@@ -97,9 +97,7 @@ class Adjustment:
             if gain_px2 < DONE_PX * noise_px:
                 break
         # What the robust noise leaves out of errors with long tails still counts.
-        weights = self.weights(linear, noise_px)
-        squares_px2 = float(weights @ np.sum(linear.errors_px**2, axis=1))
-        spread_px = np.sqrt(squares_px2 / linear.redundancy)
+        spread_px = np.sqrt(np.sum(linear.errors_px**2) / linear.redundancy)
         information, _ = self.normal(linear, max(noise_px, float(spread_px)))
         return errors_of(linear, inverse(linear, information))
 

@@ -3,13 +3,15 @@
 //!
 //! Known limits: Linux and macOS only. Children of a killed parent are ended on Linux only.
 
+mod calibration;
 mod programs;
 mod script;
 mod setup;
 
-pub use programs::{
-    Check, CheckVerdict, FilmOptions, FilmedScene, blend_path, build_extension, check, film, review,
+pub use calibration::{
+    Calibration, CalibrationRequest, CameraEstimate, Check, CheckVerdict, calibrate, check,
 };
+pub use programs::{FilmOptions, FilmedScene, blend_path, build_extension, film, review};
 pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};
 
 /// Why a script or the set-up failed: one sentence, with the command that helps if there is one.
