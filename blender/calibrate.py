@@ -24,7 +24,7 @@ sys.path.pop(0)
 
 def parser() -> argparse.ArgumentParser:
     """The arguments."""
-    found = check.Parser(
+    found: argparse.ArgumentParser = check.Parser(
         prog="calibrate.py", description="Find or refine a calibration."
     )
     ways = found.add_subparsers(dest="way", required=True)
@@ -39,7 +39,7 @@ def parser() -> argparse.ArgumentParser:
     refine.add_argument("--principal-point", action="store_true", help="and these")
     for way in (new, refine):
         way.add_argument("capture", type=Path, metavar="CAPTURE", help="capture folder")
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def progress(done: int, total: int, what: str) -> None:

@@ -36,7 +36,9 @@ def background(capture: Any, camera_id: str) -> Picture:
     frames = np.array([eight_bit(capture.frame(camera_id, int(k))) for k in indices])
     if len(frames) < 3:
         return Picture(frames[0])
-    median = np.median(frames, axis=0)
+    ordered = np.sort(frames, axis=0)  # numpy's median takes eight bytes a value
+    low, high = (len(frames) - 1) // 2, len(frames) // 2
+    median = 0.5 * (ordered[low].astype(np.float64) + ordered[high])
     moving = np.zeros(median.shape[:2])
     for frame in frames:
         difference = np.abs(frame - median).mean(axis=2)

@@ -121,19 +121,23 @@ def linearized(model: Any, refined: tuple[str, ...]) -> Linearization:
     images = [image for image in model.images.values() if image.has_pose]
     point_ids = sorted(model.points3D)
     numbers = {point_id: k for k, point_id in enumerate(point_ids)}
-    parts = [_looked(model, image, refined) for image in images]
+    parts = [_sights(model, image, refined) for image in images]
     point = [numbers[i] for ids, *_ in parts for i in ids]
-    columns = [np.concatenate([part[k] for part in parts]) for k in (1, 2, 3)]
+    by_camera, by_point, errors_px = (
+        np.concatenate([part[k] for part in parts]) for k in (1, 2, 3)
+    )
     camera = np.repeat(np.arange(len(images)), [len(part[0]) for part in parts])
     xyz = np.array([model.points3D[i].xyz for i in point_ids]).reshape(-1, 3)
     centres = np.array([image.projection_center() for image in images])
     away = np.linalg.norm(xyz - centres.mean(axis=0), axis=1)
     span = float(np.median(away)) if len(away) else 1.0
     rows = np.array(point, dtype=np.int64)
-    return Linearization(images, point_ids, camera, rows, *columns, span)
+    return Linearization(
+        images, point_ids, camera, rows, by_camera, by_point, errors_px, span
+    )
 
 
-def _looked(
+def _sights(
     model: Any, image: Any, refined: tuple[str, ...]
 ) -> tuple[list[int], Array, Array, Array]:
     """An image's sights: their points, by_camera, by_point, and errors (N, 2), pixels."""

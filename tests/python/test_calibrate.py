@@ -123,7 +123,7 @@ def test_outliers_are_dropped_and_nothing_else() -> None:
     sights = sum(image.num_points3D for image in model.images.values())
     image = model.images[1]
     index = next(k for k, p in enumerate(image.points2D) if p.has_point3D())
-    image.points2D[index].xy = image.points2D[index].xy + [5.0, 0.0]
+    image.points2D[index].xy = image.points2D[index].xy + np.array([5.0, 0.0])
     adjustment.drop_outliers(model, 1.0)
     assert not model.images[1].points2D[index].has_point3D()
     assert sum(i.num_points3D for i in model.images.values()) == sights - 1
