@@ -35,6 +35,11 @@ TOLD_FOCAL = 0.02
 """A focal length is told by the images if its standard error is a smaller fraction. Larger, and guesses pass for
 measurements; smaller, and measurements for guesses."""
 
+FOCAL_NOTE = (
+    "Focal lengths are taken as exact. If they may be off by 0.1 % or more, give --focal:"
+    " otherwise poses are bent to make up for them."
+)
+
 MIN_POINTS = 30
 """Points that a camera must see. Larger, and poor images are refused; smaller, and cameras stand anywhere."""
 
@@ -123,7 +128,8 @@ def refine(
         before, after = given[camera["id"]], pose_of(camera, pycolmap)
         camera["turned_deg"] = angle_deg(before.rotation.T @ after.rotation)
         camera["moved_m"] = float(np.linalg.norm(before.centre_m - after.centre_m))
-    return {"cameras": found, "points": len(model.points3D), "notes": []}
+    notes = [] if "focal" in groups else [FOCAL_NOTE]
+    return {"cameras": found, "points": len(model.points3D), "notes": notes}
 
 
 class Steps:

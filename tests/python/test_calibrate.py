@@ -318,6 +318,10 @@ def test_refining_mends_a_calibration_that_is_off(
     text = json.dumps(described)
     (wrong / "capture.json").write_text(text)
     output = tmp_path / "refined"
+    poses = run(program, "refine", wrong, "-o", tmp_path / "poses")
+    assert poses.returncode == 0 and "give --focal" in poses.stderr
+    exact = [camera["params"] for camera in cameras_of(tmp_path / "poses")]
+    assert exact == [camera["params"] for camera in described["cameras"]]
     ended = run(program, "refine", wrong, "--focal", "-o", output)
     assert ended.returncode == 0, ended.stderr
     assert "turned by" in ended.stdout
@@ -327,6 +331,7 @@ def test_refining_mends_a_calibration_that_is_off(
     assert before > 0.2 and after < 0.1, (before, after)
     focal = [camera["params"][0] for camera in cameras_of(output)]
     assert np.ptp(focal) < 0.003 * FOCAL_PX
+    assert "Focal lengths are taken as exact" not in ended.stderr
     # The array's place, direction and size are the given ones, as far as a few cameras tell.
     places = [
         [files.pose_of(c, pycolmap).centre_m for c in cameras_of(folder)]
