@@ -12,27 +12,28 @@ use std::path::Path;
 /// The result of a calibration check.
 #[derive(Clone, Debug)]
 pub struct Check {
-    /// Measured values: the JSON object that `blender/check.py` prints.
+    /// The measured values: the JSON object that `blender/check.py` prints.
     pub values: Value,
     pub verdict: CheckVerdict,
-    /// A table of the values, line by line. The last line is the verdict in a sentence.
+    /// The lines of a table of the values. The last line is a sentence with the verdict.
     pub table: Vec<String>,
 }
 
-/// What a calibration check found.
+/// The result of a calibration check in one word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CheckVerdict {
     Right,
     Off,
-    /// The images can't tell.
+    /// The images do not suffice to tell.
     Unknown,
-    /// The program's own projections differ from pycolmap's or Blender's, so that nothing can be told.
+    /// The program's own projections differ from pycolmap's or Blender's, so that no verdict is possible.
     Inconsistent,
 }
 
 impl CheckVerdict {
-    /// Whether the calibration is off, or the program itself. Images that can't tell refute nothing.
+    /// Whether the check failed: the calibration is wrong, or the program itself is. Images that do not
+    /// suffice are no failure.
     pub fn is_failure(self) -> bool {
         matches!(self, Self::Off | Self::Inconsistent)
     }
