@@ -33,6 +33,8 @@ class Linearization:
     """All sights of a model: a point seen in an image is a row."""
 
     images: list[Any]
+    refined: tuple[str, ...]
+    """Groups of lens parameters among a camera's numbers, in their order: `focal`, `centre`, `distortion`."""
     point_ids: list[int]
     camera: Indices
     """By row: the number of its image."""
@@ -133,7 +135,7 @@ def linearized(model: Any, refined: tuple[str, ...]) -> Linearization:
     span = float(np.median(away)) if len(away) else 1.0
     rows = np.array(point, dtype=np.int64)
     return Linearization(
-        images, point_ids, camera, rows, by_camera, by_point, errors_px, span
+        images, refined, point_ids, camera, rows, by_camera, by_point, errors_px, span
     )
 
 

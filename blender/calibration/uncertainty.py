@@ -54,7 +54,7 @@ def errors_of(linear: Linearization, covariance: Array) -> dict[str, StandardErr
     for number, image in enumerate(linear.images):
         turn, move = (slice(6 * number + k, 6 * number + k + 3) for k in (0, 3))
         focal = size * number + 6
-        focal_variance = covariance[focal, focal] if size > 6 else 0.0
+        focal_variance = covariance[focal, focal] if "focal" in linear.refined else 0.0
         errors = linear.errors_px[linear.camera == number]
         found[image.name] = StandardErrors(
             float(np.degrees(worst(pose_covariance[turn, turn]))),

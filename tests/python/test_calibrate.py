@@ -85,14 +85,19 @@ def test_adjustment_finds_focal_lengths_within_their_standard_errors() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.7
 
 
-def test_lenses_that_are_given_stay() -> None:
+@pytest.mark.parametrize("distortion", [None, 0.1])
+def test_focal_lengths_that_are_given_stay(distortion: float | None) -> None:
+    """Whatever else of the lens is estimated."""
     model = synthetic(1)
     given = lens_params(model)
-    errors = adjustment.Adjustment(model, given, adjustment.Priors()).run(pycolmap)
+    priors = adjustment.Priors(distortion=distortion)
+    errors = adjustment.Adjustment(model, given, priors).run(pycolmap)
     assert len(errors) == 6
     assert all(e.focal_fraction == 0.0 for e in errors.values())
     for lens_id, params in lens_params(model).items():
-        np.testing.assert_array_equal(params, given[lens_id])
+        np.testing.assert_array_equal(params[:3], given[lens_id][:3])
+        stays = params[3] == given[lens_id][3]
+        assert stays == (distortion is None)
 
 
 def test_a_strong_prior_holds_a_lens() -> None:
