@@ -18,7 +18,7 @@ use stlfr::toolchain::{
 /// Cameras must not move. Their places and lenses are found from what stands still: the median of each camera's frames,
 /// which needs no synchronization. Something textured must stand still, and neighbouring cameras must see the same of it.
 /// The images tell no scale: give --distance for true metres. Cameras that all look one way don't tell their focal
-/// length: give --focal, or depth is stretched by the guess; views between the cameras hardly change by that.
+/// length: give --focal, or depth is stretched by the guess.
 ///
 /// A capture's own calibration is not read. Its truth, offsets and COLMAP model are not taken along.
 #[derive(Debug, clap::Args)]
