@@ -97,7 +97,7 @@
 //! | [`live`] | interactive views in a browser: the server and its page |
 //! | [`publish`] | a light field as a site, for any static web server |
 //! | [`farm`] | jobs for render farms: Open Job Description, Slurm, Flamenco |
-//! | [`toolchain`] | the Python environment: set-up, filming, the calibration check |
+//! | [`toolchain`] | the Python environment: set-up, filming, checking, finding and refining calibrations |
 //!
 //! # Adding to it
 //!
@@ -226,6 +226,8 @@
 //!   losses: their offsets are unknown where several places fit.
 //! - COLMAP confirms a calibration only as finely as the images show it. With small, noisy or distant
 //!   images, larger errors pass the check. It says how large. With few features it can't tell, and says so.
+//! - `stlfr calibrate` takes cameras that don't move, and something textured that stands still. Cameras that look one
+//!   way don't tell their focal length: it is near a guess, and the command says so.
 //! - Cameras' gains and white balances are corrected by one factor a channel for the whole recording.
 //!   Automatic exposure is not followed.
 //! - Bodies that move by more than 60 pixels a frame lose their tracks. They are blurred, and their depth is

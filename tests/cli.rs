@@ -13,8 +13,21 @@ use stlfr::capture::{Capture, Truth};
 fn every_command_has_help_with_an_example() {
     let help = String::from_utf8(run(&["--help"]).stdout).unwrap();
     for command in [
-        "demo", "setup", "rig", "capture", "info", "check", "offsets", "render", "compare",
-        "tradeoff", "options", "farm", "publish",
+        "demo",
+        "setup",
+        "rig",
+        "capture",
+        "info",
+        "check",
+        "offsets",
+        "render",
+        "compare",
+        "tradeoff",
+        "options",
+        "farm",
+        "publish",
+        "calibrate",
+        "refine",
     ] {
         assert!(help.contains(&format!("\n  {command} ")), "{help}");
         let output = run(&[command, "--help"]);

@@ -2,9 +2,10 @@
 //! numbers in the names.
 
 use super::csv::read_columns;
-use super::{ExchangeError, NamedCamera, content};
-use crate::camera::Camera;
+use super::{ExchangeError, NamedCamera, checked, content};
+use crate::camera::{Camera, CameraModel};
 use crate::text::{check_id, short};
+use nalgebra::Isometry3;
 use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
@@ -71,6 +72,36 @@ pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, Exch
         vec![format!("The calibration has no camera for {}; not imported.", left.join(", "))]
     };
     Ok(Pairs { cameras, recordings: paths, notes })
+}
+
+/// A camera for each recording of a folder, named by it, with placeholders for lens and pose. They are in the order of the
+/// numbers in their names, or of the names.
+///
+/// # Errors
+/// Less than two recordings, a name that can't be an id, two recordings of one name.
+pub(super) fn uncalibrated(images: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
+    let recordings = recordings(images)?.into_iter().filter(|r| is_footage(&r.path));
+    let mut names: Vec<String> = recordings.map(|r| r.name).collect();
+    if names.len() < 2 {
+        let found = names.len();
+        let reason =
+            format!("holds {found} videos and folders of images; a camera array has two or more");
+        return Err(content(images, reason));
+    }
+    if let Some(order) = numbered_order(&names) {
+        names = order.into_iter().map(|k| names[k].clone()).collect();
+    }
+    let named = |(k, name): (usize, &String)| {
+        check_id(name).map_err(|reason| content(images, format!("a recording's name {reason}")))?;
+        if names[..k].contains(name) {
+            return Err(content(images, format!("has two recordings of one camera, {name}")));
+        }
+        let model = CameraModel::Pinhole { fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+        let camera = checked((1, 1), &model, &Isometry3::identity());
+        let camera = camera.map_err(|reason| content(images, reason))?;
+        Ok(NamedCamera { name: name.clone(), time_ns: None, camera })
+    };
+    names.iter().enumerate().map(named).collect()
 }
 
 /// Pairs cameras with recordings by a CSV table with the columns `camera` and `frames`. A camera is given by its name.
