@@ -184,7 +184,8 @@
 //!
 //! `stlfr farm CAPTURE -o JOB` describes the whole work, from the set-up to the comparison, for engines that share it
 //! among machines: an Open Job Description (AWS Deadline Cloud; `openjd run` on one machine), scripts for Slurm, a job
-//! type for Flamenco. Filming and rendering are in chunks: `--part 3-6/100` of `capture` and `render`. Every task may be
+//! type for Flamenco. Filming and rendering, of `--times` or along `--path`, are in chunks: `--part 3-6/100` of `capture` and
+//! `render`. Every task may be
 //! run again: it continues, or gives the same files. After a failed task, submit the job again. The machines must see program,
 //! captures and job at the same paths. `tests/farm/slurm.py` runs the scripts, by hand, on a cluster that loses a node.
 //!
