@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     stlfr::host::reuse_freed_memory();
-    // Without it, what an interrupted run leaves is removed by the next one.
+    // If this fails, the next run removes the files that an interrupted run leaves.
     let _ = stlfr::host::remove_unfinished_on_signals();
     match cli::Cli::try_parse() {
         Ok(cli) => cli::exit(cli.run()),

@@ -18,7 +18,7 @@ use stlfr::toolchain::ToolchainError;
 use stlfr::tradeoff::TradeoffError;
 use stlfr::video::VideoError;
 
-/// Why a command failed. It is no [`Error`] itself, so that all errors of the library convert to it.
+/// Why a command failed. It doesn't implement [`Error`], so that every error of the library converts to it by `From`.
 #[derive(Debug)]
 pub enum CliError {
     /// An input is wrong: exit code 2.
@@ -35,7 +35,7 @@ impl Display for CliError {
 }
 
 impl CliError {
-    /// The error of a flag's value.
+    /// Puts the name of a flag before the message, for a wrong value of this flag.
     pub fn of_flag(self, flag: &str) -> Self {
         match self {
             Self::BadInput(sentence) => Self::BadInput(format!("{flag}: {sentence}")),
@@ -51,8 +51,8 @@ impl<E: Error + 'static> From<E> for CliError {
     }
 }
 
-/// Whether the work failed, though its inputs are right. A view that can't be rendered is bad input: a time outside the
-/// recording, a view of nothing. So is a file that is missing or must not be read.
+/// Whether an error is failed work (exit code 1) and not bad input. Bad input includes a view that can't be rendered
+/// (a time outside of the recording, nothing in view), and a file that is missing or must not be read.
 fn is_failure(error: &(dyn Error + 'static)) -> bool {
     match error.downcast_ref() {
         Some(TradeoffError::Capture(error)) => return is_failure(error),
@@ -92,7 +92,7 @@ fn is_failure(error: &(dyn Error + 'static)) -> bool {
     io.is_some_and(|io| !is_bad_input(io))
 }
 
-/// Whether a read or write failed by a missing file, a permission or a wrong kind of file.
+/// Whether reading or writing failed because of a missing file, a permission or a wrong kind of file.
 fn is_bad_input(error: &std::io::Error) -> bool {
     matches!(
         error.kind(),
@@ -107,8 +107,8 @@ fn is_bad_input(error: &std::io::Error) -> bool {
     )
 }
 
-/// Converts the result of writing or deleting a file or folder. `failed` is the predicate of the error's sentence, such
-/// as `can't be written`.
+/// Adds the path to the error of a file operation. `failed` is the predicate of the message, such as `can't be
+/// written`.
 pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result<T, CliError> {
     result.map_err(|error| {
         let sentence = format!("{}: {failed} ({error})", path.display());
@@ -120,15 +120,15 @@ pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result
     })
 }
 
-/// Converts the result of writing a file; the error names the path.
+/// Adds the path to the error of writing a file.
 pub fn written<T>(path: &Path, result: std::io::Result<T>) -> Result<T, CliError> {
     of_io(path, "can't be written", result)
 }
 
-/// Prints the error, if any, and returns the exit code.
+/// Prints the error, if there is one, and returns the exit code.
 pub fn exit(result: Result<(), CliError>) -> ExitCode {
     let Err(error) = result else { return ExitCode::SUCCESS };
-    // Without stderr, the exit code alone reports the error.
+    // If stderr can't be written, the exit code alone reports the error.
     let _ = writeln!(std::io::stderr(), "{}", printable(error.to_string().trim_end()));
     ExitCode::from(match error {
         CliError::BadInput(_) => 2,
@@ -159,7 +159,7 @@ fn sentence(message: &str) -> String {
     format!("{joined} (--help says more)")
 }
 
-/// Arguments of which one is required, `<--a <A>|--b <B>>`, as `--a <A> or --b <B>`; any other line itself.
+/// Rewrites a choice of required arguments, `<--a <A>|--b <B>>`, as `--a <A> or --b <B>`. Other lines are unchanged.
 fn alternatives(line: &str) -> String {
     let inner = line.strip_prefix('<').and_then(|line| line.strip_suffix('>'));
     match inner.filter(|inner| inner.starts_with("--")) {

@@ -1,4 +1,4 @@
-//! The command line: the commands, each with its arguments and its call of the library.
+//! The command line. Each command has its arguments and calls the library.
 
 mod capture;
 mod compare;
@@ -74,7 +74,7 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command, and prints its output even if it fails.
+    /// Runs the command. Its output is printed even if the command fails.
     pub fn run(&self) -> Result<(), CliError> {
         let mut page = Page::default();
         let result = self.run_on(&mut page);

@@ -5,12 +5,12 @@ use std::fmt::Display;
 use std::io::{ErrorKind, Result, Write};
 use stlfr::text::printable;
 
-/// The output of a command, printed at its end.
+/// The output of a command, collected and printed at the command's end.
 #[derive(Debug, Default)]
 pub struct Page(String);
 
 impl Page {
-    /// Adds lines, with control characters escaped.
+    /// Adds lines. Control characters are escaped.
     pub fn line(&mut self, line: impl Display) {
         let line = line.to_string();
         let lines: Vec<String> = line.split('\n').map(printable).collect();
@@ -35,13 +35,13 @@ impl Page {
     }
 }
 
-/// Decimals that show two digits of a standard error, at most 4.
+/// Number of decimals that shows two digits of a standard error, at most 4.
 pub fn decimals(std_err: Option<f64>) -> usize {
     let digits = |error: f64| (1.0 - error.log10().floor()).clamp(0.0, 4.0) as usize;
     std_err.filter(|error| *error > 0.0).map_or(4, digits)
 }
 
-/// The result of printing; a closed pipe is not an error.
+/// The result of printing. A closed pipe counts as success.
 pub fn heard(printed: Result<()>) -> std::result::Result<(), CliError> {
     match printed {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {

@@ -48,7 +48,7 @@ pub struct RenderArgs {
     instants: InstantArgs,
     #[command(flatten)]
     display: DisplayArgs,
-    /// Only parts K to L of N, such as 3-6/100: other commands, on any machine, render the others.
+    /// Render only parts K to L of N, such as 3-6/100. Other commands, on any machine, render the other parts.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
     /// An image (.png, .jpg, .exr with depth); for --times and --path a pattern such as out/%04d.png, or a video (.mp4
@@ -64,10 +64,10 @@ pub struct RenderArgs {
     /// How cameras are weighted where they see the same point.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<BlendMethod>())]
     blend: Option<String>,
-    /// Overlay what moved in this many seconds before the instant: temporal integration.
+    /// Overlay what moved in this many seconds before the instant (temporal integration).
     #[arg(long, value_name = "SECONDS")]
     trail: Option<f64>,
-    /// Instants that a trail overlays [default: 16].
+    /// Number of instants that a trail overlays [default: 16].
     #[arg(long, value_name = "N")]
     trail_instants: Option<usize>,
     /// How a trail overlays its instants [default: mean].
@@ -95,7 +95,7 @@ impl RenderArgs {
         trail.duration_s = self.trail.unwrap_or(trail.duration_s);
         trail.instants = self.trail_instants.unwrap_or(trail.instants);
         trail.mode = self.trail_mode.unwrap_or(trail.mode);
-        // The file's options were checked when they were read; those of the command line are not yet.
+        // The file's options were checked when they were read, the command line's were not.
         options.check()?;
         Ok(options)
     }
@@ -119,8 +119,8 @@ impl RenderArgs {
         }
     }
 
-    /// The images that this process renders. Those of a whole sequence are shared with the processes of the same
-    /// command, which `key` tells.
+    /// The images that this process renders. A whole sequence is shared with other processes that run the same
+    /// command; `key` identifies the command.
     fn frames<'a>(
         &self,
         wanted: Range<usize>,
@@ -136,7 +136,7 @@ impl RenderArgs {
         }
     }
 
-    /// Indices of the images that are rendered now, of this many.
+    /// Indices of the images to render among `count` images, after `--part`.
     fn wanted(&self, count: usize) -> Result<Range<usize>, CliError> {
         match &self.part {
             None => Ok(0..count),
@@ -189,7 +189,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     shared.map_or(Ok(()), |folder| folder.end())
 }
 
-/// A view of a picture that is to be rendered.
+/// One view of a picture, to be rendered.
 struct ViewOfFrame {
     frame: usize,
     part: usize,
@@ -197,7 +197,7 @@ struct ViewOfFrame {
     claim: Option<Claim>,
 }
 
-/// The views of a picture, in order.
+/// The views of a picture, in the order of its parts.
 fn views_of(
     frame: Result<(usize, Option<Claim>), CliError>,
     layout: &Layout,

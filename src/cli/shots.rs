@@ -1,4 +1,4 @@
-//! The views and instants that `stlfr render` renders: one, many instants of one view, or a camera path.
+//! The views that `stlfr render` renders: one view, one view at many instants, or a camera path.
 
 use super::CliError;
 use super::files::{read_blend_path, read_path};
@@ -11,16 +11,16 @@ use stlfr::options::RenderOptions;
 use stlfr::path::{CameraPath, PathFrame, PathScene, ReadyMadePath};
 use stlfr::progress::Reporter;
 
-/// Frames a second along a path that has no rate of its own.
+/// Frame rate along a path without a rate of its own, hertz.
 const PATH_RATE_HZ: f64 = 30.0;
 
-/// Seconds that a ready-made path takes.
+/// Default duration of a ready-made path, seconds.
 const READY_MADE_S: f64 = 4.0;
 
-/// When the views are rendered.
+/// Arguments of the instants.
 #[derive(Debug, clap::Args)]
 pub struct InstantArgs {
-    /// The instant, seconds on the reference camera's clock; along a path, the one at which time stops.
+    /// The instant, seconds on the reference camera's clock. With --path, time stops at this instant.
     #[arg(
         long,
         value_name = "SECONDS",
@@ -38,10 +38,11 @@ pub struct InstantArgs {
         conflicts_with = "path"
     )]
     pub times: Option<Times>,
-    /// Seconds of the video along a path [default: the path's own, 4 for those by name].
+    /// Duration of the video along a path, seconds [default: the path's own; 4 for sweep, orbit, bullet-time and
+    /// dolly].
     #[arg(long, value_name = "SECONDS", requires = "path", value_parser = positive)]
     duration: Option<f64>,
-    /// Frames a second of a video, and along a path [default: the path's or 30; for --times the capture's].
+    /// Frame rate of a video or a path, hertz [default: the path's or 30; for --times the capture's].
     #[arg(long, value_name = "HZ", value_parser = rate_hz)]
     fps: Option<f64>,
 }
@@ -60,35 +61,35 @@ impl InstantArgs {
     }
 }
 
-/// What the command line says about views and instants.
+/// The arguments that choose views and instants.
 pub struct ShotArgs<'a> {
     pub viewpoint: &'a ViewpointArgs,
     pub instants: &'a InstantArgs,
 }
 
-/// A view at an instant.
+/// A view at an instant: one image to render.
 #[derive(Debug)]
 pub struct Shot {
     pub view: NamedView,
-    /// Seconds from the capture's start.
+    /// The instant, seconds from the capture's start.
     pub time_s: f64,
 }
 
-/// All views, in order.
+/// All views to render, in order.
 pub struct Shots<'a> {
     viewpoint: &'a ViewpointArgs,
     source: ShotSource,
-    /// Frames a second, if they are known without the capture.
+    /// Frame rate, hertz; `None` if it depends on the capture.
     rate_hz: Option<f64>,
     /// The number of views.
     count: usize,
     is_sequence: bool,
-    /// The views, once they are known.
+    /// The views. They are empty before [`Shots::place`]; a ready-made path's, before [`Shots::fit`].
     shots: Vec<Shot>,
 }
 
 enum ShotSource {
-    /// One view, which may be given as a camera, at times of the reference's clock.
+    /// One view at several instants. A view of `--camera` is given here. Times are seconds on the reference's clock.
     Still(Option<Box<Camera>>, Vec<f64>),
     Path(Vec<PathFrame>),
     ReadyMade {
@@ -99,7 +100,7 @@ enum ShotSource {
 }
 
 impl<'a> ShotArgs<'a> {
-    /// Reads and checks what needs no capture.
+    /// Reads and checks the arguments, as far as this needs no capture.
     pub fn shots(self, reporter: &Reporter) -> Result<Shots<'a>, CliError> {
         if self.instants.time.is_some_and(|time_s| !time_s.is_finite()) {
             return Err(CliError::BadInput("--time: must be finite".into()));
@@ -144,7 +145,7 @@ impl<'a> ShotArgs<'a> {
         Ok(self.path_shots(source, rate_hz, count))
     }
 
-    /// The frames of a path, which are not placed yet.
+    /// The views of a camera path. They are placed in the capture later.
     fn path_shots(self, source: ShotSource, rate_hz: f64, count: usize) -> Shots<'a> {
         let viewpoint = self.viewpoint;
         let rate_hz = Some(rate_hz);
@@ -166,12 +167,12 @@ impl Shots<'_> {
         self.count
     }
 
-    /// Whether the views are a sequence, if only of one.
+    /// Whether the output is a sequence, which may have only one view.
     pub fn is_sequence(&self) -> bool {
         self.is_sequence
     }
 
-    /// The instants as given, seconds on the reference's clock; none for a ready-made path.
+    /// The given instants, seconds on the reference's clock; empty for a ready-made path.
     #[cfg(test)]
     pub fn times_in_file_s(&self) -> Vec<f64> {
         match &self.source {
@@ -181,12 +182,16 @@ impl Shots<'_> {
         }
     }
 
-    /// A view. Panics before [`Self::fit`].
+    /// The view of an index.
+    ///
+    /// # Panics
+    /// If the views aren't placed yet ([`Self::place`], [`Self::fit`]).
     pub fn get(&self, index: usize) -> &Shot {
         &self.shots[index]
     }
 
-    /// What tells these views, rendered with these options, from others: 16 letters. `more` tells what is made of them.
+    /// A hash of these views, the offsets, the options and `more` (other options of the output), 16 hexadecimal
+    /// digits.
     pub fn key(&self, field: &LightField, options: &RenderOptions, more: &str) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format!("{:?} {options:?} {more}", field.offsets()).as_bytes());
@@ -196,14 +201,14 @@ impl Shots<'_> {
         hasher.finalize().to_hex()[..16].to_owned()
     }
 
-    /// Frames a second.
+    /// Frame rate, hertz.
     pub fn rate_hz(&self, capture: &Capture) -> f64 {
         let frame_s = capture.frame_s();
         let own_hz = if frame_s > 0.0 { 1.0 / frame_s } else { PATH_RATE_HZ };
         self.rate_hz.unwrap_or(own_hz)
     }
 
-    /// Places the views in a capture, and checks what can be checked before its offsets are known.
+    /// Places the views in a capture, and checks them as far as this needs no offsets.
     pub fn place(&mut self, capture: &Capture, reporter: &Reporter) -> Result<(), CliError> {
         let origin_s = capture.time_origin_s;
         match &self.source {
@@ -241,7 +246,7 @@ impl Shots<'_> {
         self.shots.iter().map(|shot| shot.time_s).collect()
     }
 
-    /// Checks that the light field has all instants.
+    /// An error if an instant lies outside of the light field's time range.
     pub fn check(&self, field: &LightField) -> Result<(), CliError> {
         let Some(first) = self.shots.first() else { return Ok(()) };
         Ok(field.check_times(viewpoint(&first.view), &self.times_s())?)
@@ -270,7 +275,7 @@ impl Shots<'_> {
     }
 }
 
-/// The viewpoint of a request for a view.
+/// The viewpoint that renders a named view.
 pub fn viewpoint(view: &NamedView) -> Viewpoint<'_> {
     match view {
         NamedView::Filming(index) => Viewpoint::Like(*index),
