@@ -4,13 +4,12 @@ mod common;
 
 use common::synthetic::{HEIGHT, WIDTH, view};
 use common::{assert_refused, edit, run, stderr, succeed, synthetic, text};
-use nalgebra::{Point2, Point3, Vector2};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use stlfr::camera::{Camera, CameraFormat};
 use stlfr::display::{QuiltLayout, covered_cone_deg};
-use stlfr::raster::{BitDepth, Image, linear_from_encoded, read_image, write_image};
+use stlfr::raster::{Image, linear_from_encoded, read_image};
 use tempfile::TempDir;
 
 /// Five cameras 6 cm apart with one clock, before a plane 2 m away.
@@ -222,85 +221,6 @@ fn a_plane_at_the_convergence_has_no_parallax_and_one_behind_it_has() {
         // The images of other cameras, resampled: they differ, but not by a shift.
         assert!(still < 1.0, "{k}: {still}");
         assert!(k < 3 || shifted > 3.0 * still, "{k}: {shifted} {still}");
-    }
-}
-
-/// A bright disc in the plane 2 m away, from a camera at `x_m`, as 4×4 samples a pixel show it.
-fn disc(x_m: f64) -> Image {
-    let samples = |pixel: usize| (0..4).map(move |k| pixel as f64 + (k as f64 + 0.5) / 4.0);
-    let camera = camera(x_m);
-    let is_inside = |x: f64, y: f64| {
-        let ray = camera.ray_world(&Point2::new(x, y)).unwrap();
-        let point = camera.center() + ray * (2.0 / ray.z);
-        (point - Point3::new(0.03, -0.02, 2.0)).norm() < 0.15
-    };
-    let value = |k: usize| {
-        let (column, row) = (k / 3 % WIDTH, k / 3 / WIDTH);
-        let inside = samples(row).flat_map(|y| samples(column).map(move |x| (x, y)));
-        0.1 + 0.8 * inside.filter(|(x, y)| is_inside(*x, *y)).count() as f32 / 16.0
-    };
-    Image::from_data(WIDTH, HEIGHT, 3, (0..3 * WIDTH * HEIGHT).map(value).collect())
-}
-
-/// The centre of what is bright in a tile.
-fn centroid(quilt: &Image, [left, top]: [usize; 2]) -> Point2<f64> {
-    let (mut sum, mut total) = (Vector2::zeros(), 0.0);
-    for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x, y))) {
-        let weight = f64::from(quilt.row(top + y)[3 * (left + x)] - 0.1).max(0.0);
-        sum += weight * Vector2::new(x as f64 + 0.5, y as f64 + 0.5);
-        total += weight;
-    }
-    Point2::from(sum / total)
-}
-
-#[test]
-fn a_disc_at_the_convergence_stands_still_in_all_views() {
-    let capture = capture();
-    let root = capture.path();
-    for c in 0..5 {
-        let image = disc(synthetic::place_m(c, 5));
-        for frame in 0..4 {
-            let file = root.join(format!("cam{c}/{frame:04}.png"));
-            write_image(&file, &image, None, BitDepth::Sixteen).unwrap();
-        }
-    }
-    let size = format!("6x2:{}x{}", 6 * WIDTH, 2 * HEIGHT);
-    let layout: QuiltLayout = size.parse().unwrap();
-    let still = ["--like", "cam2", "--time", "0.05", "--quilt", &size, "--cone", "6"];
-    for (convergence_m, is_still) in [("2", true), ("1.5", false)] {
-        let arguments = [still.as_slice(), &["--convergence", convergence_m]].concat();
-        let name = format!("{convergence_m}{}.png", layout.name());
-        let quilt = pixels(&render(root, &arguments, &root.join(name)));
-        let views = layout.cameras(&camera(0.0), 6.0, convergence_m.parse().unwrap());
-        let found: Vec<_> = (0..12).map(|k| centroid(&quilt, layout.tile_origin(k))).collect();
-        let farthest = found.iter().map(|p| (p - found[0]).norm()).fold(0.0, f64::max);
-        assert_eq!(farthest < 0.05, is_still, "{convergence_m} m: {farthest} px");
-        for (found, view) in found.iter().zip(&views) {
-            let expected = view.project(&Point3::new(0.03, -0.02, 2.0)).unwrap();
-            assert!((found - expected).norm() < 0.05, "{found} {expected}");
-        }
-    }
-}
-
-#[test]
-fn a_quilt_of_many_instants_is_a_video() {
-    let capture = capture();
-    let root = capture.path();
-    let size = ["--quilt", "4x3:400x300", "--convergence", "2", "--cone", "6"];
-    for (name, frames) in [
-        ("times", ["--like", "cam2", "--times", "0.02:0.08:3"].as_slice()),
-        ("path", &["--path", "sweep", "--duration", "1", "--fps", "2"]),
-    ] {
-        let arguments = [frames, &size].concat();
-        render(root, &arguments, &root.join(format!("{name}-%d.png")));
-        render(root, &arguments, &root.join(format!("{name}.mkv")));
-        let end = "_qs4x3a1";
-        let video = decoded(&root.join(format!("{name}{end}.mkv")), (400, 300));
-        assert_eq!(video.len(), 3, "{name}");
-        for (k, frame) in video.iter().enumerate() {
-            let image = pixels(&root.join(format!("{name}-{k}{end}.png")));
-            assert!(worst_step(frame, &image) <= 1.0, "{name} {k}");
-        }
     }
 }
 
