@@ -269,11 +269,11 @@ class Filming:
 
     def run(self) -> None:
         """Film the missing images, and those of a capture that is whole then."""
-        hidden = self.target / plans.HIDDEN_FOLDER
-        if hidden.is_symlink():  # half-written images would be deleted elsewhere
-            raise errors.BadInputError(
-                f"{hidden} is a link, and must lie in the capture"
-            )
+        for path in sorted(self.folders()):
+            if path.is_symlink():  # images would be written or deleted elsewhere
+                raise errors.BadInputError(
+                    f"{path} is a link, and must lie in the capture"
+                )
         sharing.claim_folder(self.plan, self.target)
         chosen = self.chosen_jobs()
         jobs = [job for job in chosen if not self.is_filmed(job)]
@@ -295,6 +295,13 @@ class Filming:
             except (errors.FailureError, OSError):
                 if not member.is_over:  # what it fails for lack of isn't needed
                     raise
+
+    def folders(self) -> set[Path]:
+        """The folders in the capture that the film is written into."""
+        files = [Path(file) for job in self.plan.jobs for file in job.files]
+        inside = {parent for file in files for parent in file.parents if parent.name}
+        names = [plans.HIDDEN_FOLDER, "colmap", "truth"]
+        return {self.target / path for path in (*inside, *map(Path, names))}
 
     @property
     def is_whole(self) -> bool:

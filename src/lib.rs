@@ -97,7 +97,7 @@
 //! | [`live`] | interactive views in a browser: the server and its page |
 //! | [`publish`] | a light field as a site, for any static web server |
 //! | [`farm`] | jobs for render farms: Open Job Description, Slurm, Flamenco |
-//! | [`toolchain`] | the Python environment: set-up, filming, the calibration check |
+//! | [`toolchain`] | the Python environment: set-up, filming, checking, finding and refining calibrations |
 //!
 //! # Adding to it
 //!
@@ -137,7 +137,8 @@
 //!
 //! `--quilt` renders for Looking Glass displays, `--stereo` for two eyes: views in one direction, sheared about the plane
 //! of `--convergence`, which has no parallax ([`display`]). A quilt's cone is never wider than the cameras cover: eight
-//! cameras 6 cm apart cover 12 degrees at 2 m.
+//! cameras 6 cm apart cover 12 degrees at 2 m. Apple's spatial photos are not written: `libheif` can't write the group of
+//! a stereo pair.
 //!
 //! Processes that run the same command for a sequence of images share it, each taking images that no other has, on
 //! machines that see one folder with locks. Stopped, it continues. A folder `.stlfr-render-…` beside the images says
@@ -186,8 +187,8 @@
 //!
 //! `stlfr farm CAPTURE -o JOB` describes the whole work, from the set-up to the comparison, for engines that share it
 //! among machines: an Open Job Description (AWS Deadline Cloud; `openjd run` on one machine), scripts for Slurm, a job
-//! type for Flamenco. Filming and rendering are in chunks: `--part 3-6/100` of `capture` and `render`. Every task may be
-//! run again: it continues, or gives the same files. After a failed task, submit the job again. The machines must see program,
+//! type for Flamenco. Filming and rendering, of `--times` or along `--path`, are in chunks: `--part 3-6/100` of `capture`
+//! and `render`. Every task may be run again: it continues, or gives the same files. After a failed task, submit the job again. The machines must see program,
 //! captures and job at the same paths. `tests/farm/slurm.py` runs the scripts, by hand, on a cluster that loses a node.
 //!
 //! # From Python
@@ -226,6 +227,8 @@
 //!   losses: their offsets are unknown where several places fit.
 //! - COLMAP confirms a calibration only as finely as the images show it. With small, noisy or distant
 //!   images, larger errors pass the check. It says how large. With few features it can't tell, and says so.
+//! - `stlfr calibrate` takes cameras that don't move, and something textured that stands still. Cameras that look one
+//!   way don't tell their focal length: it is near a guess, and the command says so.
 //! - Cameras' gains and white balances are corrected by one factor a channel for the whole recording.
 //!   Automatic exposure is not followed.
 //! - Bodies that move by more than 60 pixels a frame lose their tracks. They are blurred, and their depth is

@@ -2,7 +2,9 @@
 
 mod common;
 
-use common::{assert_refused, read_json, run, stderr, stlfr, text};
+use common::wall::Scene;
+use common::{assert_refused, describe, read_json, run, stderr, stlfr, text};
+use serde_json::json;
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant, SystemTime};
@@ -13,8 +15,21 @@ use stlfr::capture::{Capture, Truth};
 fn every_command_has_help_with_an_example() {
     let help = String::from_utf8(run(&["--help"]).stdout).unwrap();
     for command in [
-        "demo", "setup", "rig", "capture", "info", "check", "offsets", "render", "compare",
-        "tradeoff", "options", "farm", "publish",
+        "demo",
+        "setup",
+        "rig",
+        "capture",
+        "info",
+        "check",
+        "offsets",
+        "render",
+        "compare",
+        "tradeoff",
+        "options",
+        "farm",
+        "publish",
+        "calibrate",
+        "refine",
     ] {
         assert!(help.contains(&format!("\n  {command} ")), "{help}");
         let output = run(&[command, "--help"]);
@@ -223,4 +238,29 @@ fn a_killed_demo_goes_on_where_it_was() {
 
     goes_on(&mut command);
     assert_eq!(frames(&capture), after, "a second run filmed again");
+}
+
+#[test]
+fn a_list_is_no_object() {
+    let folder = Scene { shared: [true; 3], frames: 3, ..Scene::default() }.film();
+    let root = folder.path();
+    let list = root.join("list.json");
+    for (content, words) in [
+        (r#"[]"#, "list.json: must be an object"),
+        (r#"{"registration": []}"#, "registration: invalid type: sequence, expected an object"),
+        (r#"{"preset": "draft", "blend": [1]}"#, "blend: invalid type: sequence"),
+    ] {
+        std::fs::write(&list, content).unwrap();
+        let output = run(&["plan", text(root), "--options", text(&list)]);
+        assert_refused(&output, 2, words);
+    }
+    let view = ["-q", "render", text(root), "--camera", text(&list), "--time", "0", "-o", "o.png"];
+    std::fs::write(&list, r#"[96, 72, "PINHOLE", [9, 9, 9, 9], [[1, 0, 0, 0], [0, 0, 0]]]"#)
+        .unwrap();
+    assert_refused(&run(&view), 2, "list.json: invalid type: sequence, expected an object");
+    let capture = read_json(&root.join("capture.json"));
+    let fields = ["format", "version", "name", "reference", "cameras"].map(|f| capture[f].clone());
+    describe(root, &json!(fields));
+    let output = run(&["offsets", text(root)]);
+    assert_refused(&output, 2, "capture.json: invalid type: sequence, expected an object");
 }

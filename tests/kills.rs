@@ -1,6 +1,8 @@
 //! Commands that are killed at random moments: run again they give the same bytes, and nothing that
 //! they had begun is left. By hand, `STLFR_KILLS=200 cargo test --release --test kills -- --nocapture`
 //! kills so many and prints a table.
+//!
+//! Of four processes that share a sequence three are killed, and one has a wrong clock; `STLFR_KILLS=30` is ten rounds.
 
 mod common;
 
@@ -8,8 +10,8 @@ use common::random::below;
 use common::wall::{FRAME_S, H, Scene, W};
 use common::{stderr, stlfr};
 use serde_json::json;
-use std::collections::BTreeMap;
-use std::os::unix::fs::symlink;
+use std::collections::{BTreeMap, BTreeSet};
+use std::os::unix::fs::{MetadataExt, symlink};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -21,6 +23,9 @@ use stlfr::video::{Codec, VideoFormat, VideoWriter};
 const KILLS: usize = 13;
 
 const FRAMES: usize = 6;
+
+/// Kills by default of processes that share a sequence: three a round.
+const SHARED_KILLS: usize = 6;
 
 /// The instant of the truth, between frames.
 const TRUTH_S: f64 = 0.1;
@@ -130,6 +135,11 @@ fn copy(from: &Path, to: &Path) {
             std::fs::copy(entry.path(), target).unwrap();
         }
     }
+}
+
+/// How many processes to kill.
+fn kills(default: usize) -> usize {
+    std::env::var("STLFR_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(default)
 }
 
 fn writers() -> Vec<Writer> {
@@ -265,7 +275,7 @@ fn undisturbed(writer: &Writer, sources: &Sources) -> Whole {
 
 #[test]
 fn what_is_killed_is_done_again_as_if_nothing_had_been() {
-    let kills = std::env::var("STLFR_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(KILLS);
+    let kills = kills(KILLS);
     let mut random = Random::new(11);
     let sources = Sources::film();
     let mut wrong = Vec::new();
@@ -290,4 +300,131 @@ fn what_is_killed_is_done_again_as_if_nothing_had_been() {
         wrong.extend(found.into_iter().map(|sentence| format!("{}: {sentence}", writer.name)));
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// A library that sets a program's clock an hour ahead.
+const WRONG_CLOCK: &str = r"
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+int clock_gettime(clockid_t clock, struct timespec *now) {
+    int failed = syscall(SYS_clock_gettime, clock, now);
+    if (!failed && clock == CLOCK_REALTIME) now->tv_sec += 3600;
+    return failed;
+}";
+
+/// Compiles [`WRONG_CLOCK`], with the linker that Rust uses.
+fn wrong_clock(folder: &Path) -> PathBuf {
+    let [source, library] = ["clock.c", "clock.so"].map(|name| folder.join(name));
+    std::fs::write(&source, WRONG_CLOCK).unwrap();
+    let mut compiler = Command::new("cc");
+    compiler.args(["-shared", "-fPIC", "-o"]).arg(&library).arg(&source);
+    assert!(compiler.status().unwrap().success());
+    let seconds = |preload: &Path| -> i64 {
+        let said = Command::new("date").arg("+%s").env("LD_PRELOAD", preload).output().unwrap();
+        String::from_utf8(said.stdout).unwrap().trim().parse().unwrap()
+    };
+    assert!((3590..3700).contains(&(seconds(&library) - seconds(Path::new("")))));
+    library
+}
+
+/// Notes every version of every image of a folder while processes write into it.
+struct Watched {
+    folder: PathBuf,
+    /// Names with inodes.
+    versions: BTreeSet<(String, u64)>,
+}
+
+impl Watched {
+    fn look(&mut self) {
+        for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            if name.ends_with(".png")
+                && let Ok(data) = entry.metadata()
+            {
+                self.versions.insert((name, data.ino()));
+            }
+        }
+    }
+
+    fn look_until(&mut self, mut is_over: impl FnMut(&Self) -> bool) {
+        while !is_over(self) {
+            std::thread::sleep(Duration::from_millis(3));
+            self.look();
+        }
+    }
+
+    /// Images written more than once.
+    fn repeated(&self) -> usize {
+        let names: BTreeSet<&String> = self.versions.iter().map(|(name, _)| name).collect();
+        self.versions.len() - names.len()
+    }
+}
+
+/// One round: three of four are killed. Gives the number of images that were written twice.
+fn kill_three_of_four(
+    sources: &Sources,
+    arguments: &[String],
+    clock: &Path,
+    random: &mut Random,
+) -> (BTreeMap<PathBuf, Vec<u8>>, usize) {
+    let folder = sources.copied();
+    let wrong = below(random, 4);
+    let worker = |k: usize| {
+        let mut command = sources.command_in(folder.path(), arguments);
+        if k == wrong {
+            command.env("LD_PRELOAD", clock);
+        }
+        command.spawn().unwrap()
+    };
+    let mut workers: Vec<_> = (0..4).map(worker).collect();
+    let mut watched = Watched { folder: folder.path().join("out"), versions: BTreeSet::new() };
+    for victim in &mut workers[..3] {
+        let goal = watched.versions.len() + below(random, 5);
+        watched.look_until(|watched| {
+            watched.versions.len() >= goal || victim.try_wait().unwrap().is_some()
+        });
+        std::thread::sleep(Duration::from_millis(below(random, 150) as u64));
+        victim.kill().unwrap();
+        victim.wait().unwrap();
+    }
+    let written = watched.versions.len();
+    watched.look_until(|_| workers[3].try_wait().unwrap().is_some());
+    assert!(workers[3].wait().unwrap().success());
+    let found = files(&folder.path().join("out"), &[]);
+    println!("killed after {written} of {} images; clock {wrong} is wrong", found.len());
+    assert_eq!(left(folder.path()), Vec::<PathBuf>::new());
+    (found, watched.repeated())
+}
+
+/// An image is written twice only if the first one to write it was killed before it could say so.
+#[test]
+fn of_four_that_share_a_sequence_three_are_killed() {
+    let mut random = Random::new(39);
+    let sources = Sources::film();
+    let clock = wrong_clock(sources.tools.path());
+    let estimated = sources.command_in(sources.folder.path(), &["offsets", "capture"]).output();
+    assert!(estimated.unwrap().status.success());
+    let commands = [
+        "render capture --path bullet-time --duration 1 --fps 19 --stereo 0.02 --convergence 2 -o out/%d.png",
+        "render capture --like cam1 --times 0.05:0.15:20 --trail 0.02 --trail-instants 4 -o out/%d.png",
+    ];
+    let commands = commands.map(|line| line.split(' ').map(str::to_owned).collect::<Vec<_>>());
+    let wholes = commands.each_ref().map(|arguments| {
+        let folder = sources.copied();
+        let output = sources.command_in(folder.path(), arguments).output().unwrap();
+        assert!(output.status.success(), "{}", stderr(&output));
+        files(&folder.path().join("out"), &[])
+    });
+    let rounds = kills(SHARED_KILLS).div_ceil(3);
+    let mut repeated = 0;
+    for round in 0..rounds {
+        let (arguments, whole) = (&commands[round % 2], &wholes[round % 2]);
+        assert_eq!(whole.len(), 20);
+        let (found, again) = kill_three_of_four(&sources, arguments, &clock, &mut random);
+        assert!(&found == whole, "{:?}", found.keys());
+        repeated += again;
+        assert!(again <= 3, "{again} images were written twice");
+    }
+    println!("{rounds} rounds: same bytes; {repeated} images were written twice");
 }

@@ -484,28 +484,3 @@ fn a_full_disk_is_no_broken_video() {
     assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
     assert!(!stderr(&output).contains("0x"), "{}", stderr(&output));
 }
-
-#[test]
-fn a_list_is_no_object() {
-    let folder = capture();
-    let root = folder.path();
-    let list = root.join("list.json");
-    for (content, words) in [
-        (r#"[]"#, "list.json: must be an object"),
-        (r#"{"registration": []}"#, "registration: invalid type: sequence, expected an object"),
-        (r#"{"preset": "draft", "blend": [1]}"#, "blend: invalid type: sequence"),
-    ] {
-        std::fs::write(&list, content).unwrap();
-        let output = run(&["plan", text(root), "--options", text(&list)]);
-        assert_refused(&output, 2, words);
-    }
-    let view = ["-q", "render", text(root), "--camera", text(&list), "--time", "0", "-o", "o.png"];
-    std::fs::write(&list, r#"[96, 72, "PINHOLE", [9, 9, 9, 9], [[1, 0, 0, 0], [0, 0, 0]]]"#)
-        .unwrap();
-    assert_refused(&run(&view), 2, "list.json: invalid type: sequence, expected an object");
-    let capture = common::read_json(&root.join("capture.json"));
-    let fields = ["format", "version", "name", "reference", "cameras"].map(|f| capture[f].clone());
-    describe(root, &json!(fields));
-    let output = run(&["offsets", text(root)]);
-    assert_refused(&output, 2, "capture.json: invalid type: sequence, expected an object");
-}

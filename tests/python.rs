@@ -65,6 +65,7 @@ fn types() {
             .args(["--config-file", "blender/pyproject.toml", "--cache-dir"])
             .arg(common::root().join("target/mypy"))
             .args([
+                "blender/calibrate.py",
                 "blender/capture.py",
                 "blender/check.py",
                 "blender/package.py",

@@ -18,6 +18,9 @@ from .uncertainty import standard_errors
 
 SEED = 1
 
+DATABASE = "database.db"
+"""COLMAP's database in a scratch folder."""
+
 MAX_ERROR_PX = 1.0
 """Matches further off are dropped (COLMAP's own limit is 4). Larger, and slightly wrong matches pull
 cameras by up to a millimetre at 320x240; smaller, and right matches go too where images are noisy."""
@@ -29,49 +32,10 @@ def poses_from_pixels(
     """Structure from motion with the intrinsics given; world and scale are its own. Cameras it can't place are missing, all of them where there is too little to tell how well."""
     with tempfile.TemporaryDirectory(prefix="stlfr-check-") as scratch_name:
         scratch = Path(scratch_name)
-        (scratch / "images").mkdir()
-        (scratch / "masks").mkdir()
-        database = scratch / "database.db"
-        extraction = pycolmap.FeatureExtractionOptions()
-        extraction.use_gpu = False
-        names = {f"{k:04d}.png": camera["id"] for k, camera in enumerate(cameras)}
-        for name, camera in zip(names, cameras, strict=True):
-            picture = pictures[camera["id"]]
-            pycolmap.Bitmap.from_array(picture.pixels).write(scratch / "images" / name)
-            reader = pycolmap.ImageReaderOptions()
-            if picture.still is not None:
-                mask = np.where(picture.still, 255, 0).astype(np.uint8)
-                path = scratch / "masks" / f"{name}.png"  # COLMAP's naming
-                pycolmap.Bitmap.from_array(mask).write(path)
-                reader.mask_path = scratch / "masks"
-            reader.camera_model = camera["model"]
-            reader.camera_params = ",".join(repr(float(p)) for p in camera["params"])
-            pycolmap.extract_features(
-                database,
-                scratch / "images",
-                image_names=[name],
-                camera_mode=pycolmap.CameraMode.PER_IMAGE,
-                reader_options=reader,
-                extraction_options=extraction,
-                device=pycolmap.Device.cpu,
-            )
-        matching = pycolmap.FeatureMatchingOptions()
-        matching.use_gpu, matching.num_threads = False, 1
-        verification = pycolmap.TwoViewGeometryOptions()
-        verification.ransac.random_seed = SEED
-        verification.ransac.max_error = MAX_ERROR_PX
-        pycolmap.match_exhaustive(
-            database,
-            matching_options=matching,
-            verification_options=verification,
-            device=pycolmap.Device.cpu,
-        )
-        models = pycolmap.incremental_mapping(
-            database, scratch / "images", scratch, mapping_options(pycolmap)
-        )
-    if not models:
+        names = match(pictures, cameras, scratch, pycolmap)
+        model = map_cameras(scratch, mapping_options(pycolmap), pycolmap)
+    if model is None:
         return {}
-    model = max(models.values(), key=lambda m: m.num_reg_images())
     matrices = {
         image.name: image.cam_from_world().matrix()
         for image in model.images.values()
@@ -79,9 +43,70 @@ def poses_from_pixels(
     }
     errors = standard_errors(model)
     return {
-        names[name]: EstimatedPose(matrices[name][:, :3], matrices[name][:, 3], *found)
+        names[name]: EstimatedPose(
+            matrices[name][:, :3],
+            matrices[name][:, 3],
+            found.rotation_deg,
+            found.centre,
+            found.points,
+        )
         for name, found in errors.items()
     }
+
+
+def match(
+    pictures: dict[str, Picture], cameras: list[Camera], scratch: Path, pycolmap: Any
+) -> dict[str, str]:
+    """Features of all pictures and their matches, in `scratch`/database.db; gives the camera's id by image name.
+
+    A camera without `params` has unknown intrinsics.
+    """
+    (scratch / "images").mkdir()
+    (scratch / "masks").mkdir()
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.use_gpu = False
+    names = {f"{k:04d}.png": camera["id"] for k, camera in enumerate(cameras)}
+    for name, camera in zip(names, cameras, strict=True):
+        picture = pictures[camera["id"]]
+        pycolmap.Bitmap.from_array(picture.pixels).write(scratch / "images" / name)
+        reader = pycolmap.ImageReaderOptions()
+        if picture.still is not None:
+            mask = np.where(picture.still, 255, 0).astype(np.uint8)
+            path = scratch / "masks" / f"{name}.png"  # COLMAP's naming
+            pycolmap.Bitmap.from_array(mask).write(path)
+            reader.mask_path = scratch / "masks"
+        reader.camera_model = camera["model"]
+        if "params" in camera:
+            reader.camera_params = ",".join(repr(float(p)) for p in camera["params"])
+        pycolmap.extract_features(
+            scratch / DATABASE,
+            scratch / "images",
+            image_names=[name],
+            camera_mode=pycolmap.CameraMode.PER_IMAGE,
+            reader_options=reader,
+            extraction_options=extraction,
+            device=pycolmap.Device.cpu,
+        )
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu, matching.num_threads = False, 1
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = SEED
+    verification.ransac.max_error = MAX_ERROR_PX
+    pycolmap.match_exhaustive(
+        scratch / DATABASE,
+        matching_options=matching,
+        verification_options=verification,
+        device=pycolmap.Device.cpu,
+    )
+    return names
+
+
+def map_cameras(scratch: Path, options: Any, pycolmap: Any) -> Any:
+    """The reconstruction with the most cameras, of what `match` left in `scratch`; None without any."""
+    models = pycolmap.incremental_mapping(
+        scratch / DATABASE, scratch / "images", scratch, options
+    )
+    return max(models.values(), key=lambda m: m.num_reg_images(), default=None)
 
 
 def mapping_options(pycolmap: Any) -> Any:

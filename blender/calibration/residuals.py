@@ -58,10 +58,23 @@ class Residual:
         )
 
 
-def residuals(
-    exported: dict[str, Pose], estimated: dict[str, EstimatedPose]
-) -> list[Residual]:
-    """Each camera's residual after the similarity that brings the estimate onto the exported poses.
+@dataclass(frozen=True)
+class Similarity:
+    """Brings a reconstruction's world onto the capture's."""
+
+    rotation: Array
+    scale: float
+    shift_m: Array
+
+    def pose(self, pose: Pose) -> Pose:
+        """A reconstructed pose in the capture's world."""
+        rotation = pose.rotation @ self.rotation.T
+        centre_m = self.scale * self.rotation @ pose.centre_m + self.shift_m
+        return Pose(rotation, -rotation @ centre_m)
+
+
+def alignment(exported: dict[str, Pose], estimated: dict[str, Pose]) -> Similarity:
+    """The similarity that brings the estimate onto the exported poses.
 
     Positions alone don't fix a similarity for a rig in a line (it may turn about the line), so the
     rotation comes from the cameras' rotations, scale and translation from their positions. The fit
@@ -73,6 +86,7 @@ def residuals(
     turned = np.array([rotation @ estimated[i].centre_m for i in ids])
     centres = np.array([exported[i].centre_m for i in ids])
     weights = np.ones(len(ids))
+    scale, shift_m = 1.0, np.zeros(3)
     for _ in range(100):
         weights /= weights.sum()
         mean_turned, mean_centre = weights @ turned, weights @ centres
@@ -80,22 +94,34 @@ def residuals(
         agreement = weights @ np.sum(
             (turned - mean_turned) * (centres - mean_centre), axis=1
         )
-        scale = agreement / spread if spread > 0 else 1.0
-        distances_m = np.linalg.norm(
-            scale * (turned - mean_turned) + mean_centre - centres, axis=1
-        )
+        scale = float(agreement / spread) if spread > 0 else 1.0
+        shift_m = mean_centre - scale * mean_turned
+        distances_m = np.linalg.norm(scale * turned + shift_m - centres, axis=1)
         weights = 1.0 / np.maximum(distances_m, 1e-5)
-    return [
-        Residual(
-            camera_id,
-            angle_deg(rotation.T @ relative[k]),
-            1000.0 * float(distances_m[k]),
-            estimated[camera_id].rotation_std_err_deg,
-            1000.0 * float(scale) * estimated[camera_id].centre_std_err,
-            estimated[camera_id].points,
+    return Similarity(rotation, scale, shift_m)
+
+
+def residuals(
+    exported: dict[str, Pose], estimated: dict[str, EstimatedPose]
+) -> list[Residual]:
+    """Each camera's residual after the similarity that brings the estimate onto the exported poses."""
+    similarity = alignment(exported, dict(estimated))
+    found = []
+    for camera_id, pose in estimated.items():
+        if camera_id not in exported:
+            continue
+        aligned, right = similarity.pose(pose), exported[camera_id]
+        found.append(
+            Residual(
+                camera_id,
+                angle_deg(right.rotation.T @ aligned.rotation),
+                1000.0 * float(np.linalg.norm(aligned.centre_m - right.centre_m)),
+                pose.rotation_std_err_deg,
+                1000.0 * similarity.scale * pose.centre_std_err,
+                pose.points,
+            )
         )
-        for k, camera_id in enumerate(ids)
-    ]
+    return sorted(found, key=lambda r: list(exported).index(r.id))
 
 
 def robust_mean_rotation(rotations: list[Array]) -> Array:

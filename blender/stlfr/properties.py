@@ -219,7 +219,7 @@ class StlfrScene(bpy.types.PropertyGroup):
         name="Preset",
         description="All methods by one name: speed for accuracy",
         update=_redraw,
-        **{**_methods("preset", NO_PRESET), "default": NO_PRESET[0]},
+        **_methods("preset", NO_PRESET),
     )
     sync: EnumProperty(
         name="Motion",

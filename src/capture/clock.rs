@@ -26,7 +26,7 @@ pub struct Clock {
 
 impl Clock {
     /// An error unless the times are strictly ascending and at least [`MIN_FRAME_S`] apart. The error is a reason,
-    /// without file.
+    /// without the file's name.
     pub(super) fn ascends(&self) -> Result<(), String> {
         match self.times_s.windows(2).position(|w| !(w[1] - w[0] >= MIN_FRAME_S)) {
             None => Ok(()),

@@ -89,7 +89,7 @@ pub struct ClockFormat {
 
 impl CaptureFormat {
     /// Checks everything that needs no frames; returns the index of the reference camera. The error is a reason,
-    /// without file.
+    /// without the file's name.
     pub(super) fn check(&self) -> Result<usize, String> {
         if self.format != "stlfr-capture" {
             return Err(format!("format: is '{}', must be 'stlfr-capture'", short(&self.format)));
@@ -162,7 +162,7 @@ impl FilmedCameraFormat {
 }
 
 impl ClockFormat {
-    /// The clock of a camera with this many frames. The error is a reason.
+    /// The clock of a camera with this many frames. The error is the reason, without the file's name.
     fn open(&self, frames: usize, video: Option<&VideoFile>) -> Result<Clock, String> {
         let offer = || video.map_or(String::new(), |v| format!("; {}", v.offer()));
         let times_s = match (self.rate_hz, self.first_s, &self.times_s) {

@@ -56,7 +56,7 @@ impl<'a> Pattern<'a> {
 }
 
 /// Finds the files of a pattern, numbered from 0 without gaps. `root` is the capture's canonical folder. The error is
-/// a reason, without file.
+/// a reason, without the file's name.
 pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     let parsed = Pattern::parse(pattern)?;
     must_be_relative(pattern)?;
@@ -77,7 +77,8 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     Ok(files)
 }
 
-/// Finds the video that a camera's `frames` names; `None` if it names a sequence. The error is a reason.
+/// Finds the video that a camera's `frames` names; `None` if it names a sequence. The error is the reason, without the
+/// name of `capture.json`.
 pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
     if name.contains('%') {
         return Ok(None);

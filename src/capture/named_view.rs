@@ -28,6 +28,7 @@ impl Capture {
     /// Finds a camera by its id, or else a view of the ground truth by its id (`t0-between`) or by the part of its id
     /// after the instant (`between`).
     ///
+    /// # Errors
     /// If nothing has the name; the message lists the names. If the truth can't be read.
     pub fn named_view(&self, name: &str) -> Result<NamedView, CaptureError> {
         if let Some(index) = self.camera_index(name) {

@@ -3,9 +3,8 @@
 //!
 //! # A benchmark of sub-frame synchronization
 //!
-//! A capture with its truth is a test case for any method that synchronizes cameras.
-//! `stlfr capture RIG --scene NAME --tracks 1000 -o CAPTURE` films one. The rig's file delays each shutter by a fraction
-//! of a frame, and adds jitter.
+//! A capture with its truth is a test case for any method that synchronizes cameras. `stlfr capture RIG --scene NAME
+//! --tracks 1000 -o CAPTURE` films one. The rig's file delays each shutter by a fraction of a frame, and adds jitter.
 //!
 //! | where | what |
 //! |---|---|
@@ -164,7 +163,7 @@ impl Truth {
     }
 
     /// An error for another format, for ids and names that `capture.json` couldn't have, and for wrong cameras. The
-    /// error is a reason, without file.
+    /// error is a reason, without the file's name.
     fn check(&self) -> Result<(), String> {
         if self.format != "stlfr-truth" || self.version != 1 {
             return Err("format and version must be 'stlfr-truth' and 1".into());
@@ -257,7 +256,9 @@ const MAX_ARRAY_BYTES: u64 = (256 << 20) + 10 + 0xffff;
 
 /// Reads a depth or motion image, an H×W array in numpy's format, version 1: width, height, and values row by row.
 ///
-/// If the array isn't float32 in C order with two axes, or the file's size contradicts its header.
+/// # Errors
+/// If the file can't be read, if the array isn't float32 in C order with two axes, or if the file's size contradicts
+/// its header.
 pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), CaptureError> {
     let bytes = read_bytes(path, MAX_ARRAY_BYTES)
         .map_err(|source| CaptureError::Read { path: path.to_owned(), source })?;

@@ -48,7 +48,7 @@ pub struct VideoFile {
 /// The cache entry of a decoded video.
 #[derive(Serialize, Deserialize)]
 struct DecodedVideo {
-    /// The video's own time stamps.
+    /// The video's own time stamps, seconds.
     times_s: Vec<f64>,
     /// The hash of every frame's file, in hexadecimal digits.
     frames: Vec<String>,

@@ -16,9 +16,9 @@ const MIN_CONE_DEG: f64 = 1.0;
 /// Options of pictures that contain several views.
 #[derive(Debug, clap::Args)]
 pub struct DisplayArgs {
-    /// A quilt for a Looking Glass display: go, portrait, 16-landscape, 16-portrait, 27-landscape, 27-portrait,
-    /// 32-landscape, 32-portrait, 65, or a layout such as 8x6:3360x3360. The layout is appended to the file's name,
-    /// such as _qs8x6a0.75.
+    /// A quilt for a Looking Glass display: go, portrait, 16-landscape, 16-landscape-7x7, 16-portrait, 27-landscape,
+    /// 27-portrait, 32-landscape, 32-portrait, 65, or a layout such as 8x6:3360x3360. The layout is appended to the
+    /// file's name, such as _qs8x6a0.75.
     #[arg(long, value_name = "DISPLAY")]
     quilt: Option<QuiltLayout>,
     /// Angle between a quilt's first and last view [default: the display's, or as much as the cameras cover].

@@ -3,9 +3,11 @@
 use super::CliError;
 use super::capture::SceneArgs;
 use super::error::written;
-use super::files::{CommandOutput, OptionsArgs, open_capture, read_view};
+use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
-use super::values::{ImageOutput, Times};
+use super::shots::{InstantArgs, ShotArgs};
+use super::values::{ImageOutput, job_word};
+use super::viewpoint::ViewpointArgs;
 use std::path::{Path, PathBuf, absolute};
 use stlfr::capture::Truth;
 use stlfr::farm::{FarmChunks, FarmJob, FarmNeeds, FarmStep};
@@ -15,9 +17,9 @@ use stlfr::rig::Rig;
 /// Write a job for a render farm, which divides the work on captures among machines: Open Job Description, Slurm,
 /// Flamenco.
 ///
-/// The steps of the job: set-up; with --rig, filming in chunks; the calibration check; offsets; prepare; with --times,
-/// rendering in chunks, into JOB/frames; compare, where there is truth. Every task may be run again. All machines must
-/// see the program, the captures and JOB at the same paths. JOB holds
+/// The steps of the job: set-up; with --rig, filming in chunks; the calibration check; offsets; prepare; with --times
+/// or --path, rendering in chunks, into JOB/frames; compare, where there is truth. Every task may be run again. All
+/// machines must see the program, the captures and JOB at the same paths. JOB holds
 ///
 /// openjd.json, for AWS Deadline Cloud and other engines of Open Job Description;
 /// submit.sh, which submits the other scripts to Slurm;
@@ -25,6 +27,7 @@ use stlfr::rig::Rig;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr farm .captures/mine -o job --like cam3 --times 0.05:0.2:600\n  \
+    stlfr farm .captures/mine -o job --path bullet-time --duration 10\n  \
     stlfr farm .captures/mine -o job --rig rigs/linear8.json --blend my.blend --size 1280x960\n  \
     sh job/submit.sh --partition=main")]
 pub struct FarmArgs {
@@ -39,15 +42,10 @@ pub struct FarmArgs {
     rig: Option<PathBuf>,
     #[command(flatten)]
     scene: SceneArgs,
-    /// Render these instants: N evenly from START to END.
-    #[arg(long, value_name = "START:END:N", allow_hyphen_values = true, requires = "view")]
-    times: Option<Times>,
-    /// The camera whose view is rendered.
-    #[arg(long, value_name = "CAMERA", group = "view")]
-    like: Option<String>,
-    /// A JSON file of the view that is rendered.
-    #[arg(long, value_name = "VIEW.json", group = "view")]
-    camera: Option<PathBuf>,
+    #[command(flatten)]
+    viewpoint: ViewpointArgs,
+    #[command(flatten)]
+    instants: InstantArgs,
     /// Number of parts into which filming is divided.
     #[arg(long, value_name = "N", default_value = "100", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     film_parts: u32,
@@ -87,6 +85,18 @@ pub fn run(args: &FarmArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
 }
 
 impl FarmArgs {
+    /// The number of images to render; `None` without a view.
+    fn rendered(&self, reporter: &Reporter) -> Result<Option<u32>, CliError> {
+        let (viewpoint, instants) = (&self.viewpoint, &self.instants);
+        if viewpoint.name().is_none() && viewpoint.camera.is_none() && viewpoint.path.is_none() {
+            return Ok(None);
+        }
+        if viewpoint.path.is_none() && instants.times.is_none() {
+            return Err(CliError::BadInput("--times or --path must be given".into()));
+        }
+        Ok(Some(ShotArgs { viewpoint, instants }.shots(reporter)?.len() as u32))
+    }
+
     fn job(&self, folder: &Path, reporter: &Reporter) -> Result<FarmJob, CliError> {
         let mut steps = Steps { args: self, reporter, suffix: String::new(), steps: Vec::new() };
         steps.add("setup", vec!["setup".into()], &[], None);
@@ -100,7 +110,7 @@ impl FarmArgs {
         let name = self.captures.iter().filter_map(|c| c.file_name()?.to_str()).take(3);
         Ok(FarmJob {
             name: name.collect::<Vec<_>>().join(", "),
-            program: word(&program)?,
+            program: job_word(&program)?,
             steps: steps.steps,
         })
     }
@@ -153,7 +163,8 @@ impl Steps<'_> {
                 (ids, Truth::open(capture)?.is_some())
             }
         };
-        if let Some(id) = self.args.like.as_ref().filter(|id| !ids.contains(id)) {
+        let like = self.args.viewpoint.name();
+        if let Some(id) = like.filter(|like| ids.iter().all(|id| id != like)) {
             let sentence = format!("--like: no camera of {} has the id '{id}'", capture.display());
             return Err(CliError::BadInput(sentence));
         }
@@ -163,7 +174,7 @@ impl Steps<'_> {
             if name == "offsets" && ids.len() == 1 {
                 continue;
             }
-            let mut arguments = vec![name.to_owned(), word(capture)?];
+            let mut arguments = vec![name.to_owned(), job_word(capture)?];
             if name != "check" {
                 arguments.extend_from_slice(&options);
             }
@@ -172,7 +183,7 @@ impl Steps<'_> {
         }
         self.add_rendering(capture, job, &options)?;
         if has_truth {
-            let arguments = ["compare".into(), word(capture)?].into_iter().chain(options);
+            let arguments = ["compare".into(), job_word(capture)?].into_iter().chain(options);
             self.add("compare", arguments.collect(), &[before], None);
         }
         Ok(())
@@ -182,7 +193,7 @@ impl Steps<'_> {
     fn add_filming(&mut self, rig: &Path, capture: &Path) -> Result<(), CliError> {
         let mut film = self.args.scene.options(rig, capture)?;
         film.make_absolute().map_err(|error| CliError::BadInput(error.to_string()))?;
-        let words = film.arguments().into_iter().map(|argument| word(Path::new(&argument)));
+        let words = film.arguments().into_iter().map(|argument| job_word(Path::new(&argument)));
         let mut arguments = words.collect::<Result<Vec<_>, _>>()?;
         arguments.insert(0, "capture".into());
         let (count, size) = (self.args.film_parts, self.args.film_chunk);
@@ -192,45 +203,25 @@ impl Steps<'_> {
         Ok(())
     }
 
-    /// Adds the step that renders the images of `--times`.
+    /// Adds the step that renders the images of `--times` or `--path`.
     fn add_rendering(
         &mut self,
         capture: &Path,
         job: &Path,
         options: &[String],
     ) -> Result<(), CliError> {
-        let Some(times) = &self.args.times else { return Ok(()) };
-        let output = word(&job.join(format!("frames{}", self.suffix)).join("%06d.png"))?;
+        let Some(count) = self.args.rendered(self.reporter)? else { return Ok(()) };
+        let output = job_word(&job.join(format!("frames{}", self.suffix)).join("%06d.png"))?;
         output.parse::<ImageOutput>().map_err(|reason| {
             CliError::BadInput(format!("{}: {reason}", self.args.output.display()))
         })?;
-        let Times(times_s) = times;
-        let (first, last) = (times_s[0], times_s[times_s.len() - 1]);
-        let mut arguments = vec!["render".into(), word(capture)?];
-        arguments.push(format!("--times={first}:{last}:{}", times_s.len()));
+        let mut arguments = vec!["render".into(), job_word(capture)?];
+        arguments.extend(self.args.viewpoint.absolute_words()?);
+        arguments.extend(self.args.instants.words());
         arguments.extend(["-o".into(), output]);
-        arguments.extend(self.args.like.iter().map(|id| format!("--like={id}")));
-        if let Some(view) = &self.args.camera {
-            read_view(view)?;
-            arguments.push(format!("--camera={}", word(&written(view, absolute(view))?)?));
-        }
         arguments.extend_from_slice(options);
-        let (count, size) = (times_s.len() as u32, self.args.render_chunk);
-        let chunks = FarmChunks { kind: "render", count, size };
+        let chunks = FarmChunks { kind: "render", count, size: self.args.render_chunk };
         self.add("render", arguments, &["prepare"], Some(chunks));
         Ok(())
     }
-}
-
-/// A path as a word that the shells and templates of all engines leave unchanged. An error for `{{` and control
-/// characters.
-fn word(path: &Path) -> Result<String, CliError> {
-    let text =
-        path.to_str().filter(|text| !text.contains("{{") && !text.contains(char::is_control));
-    text.map(str::to_owned).ok_or_else(|| {
-        let shown = path.display();
-        CliError::BadInput(format!(
-            "{shown}: can't be named in a job: it must be UTF-8, without {{{{ and line breaks"
-        ))
-    })
 }

@@ -29,18 +29,8 @@ pub struct ImportArgs {
     /// A CSV table of cameras and their recordings.
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
-    /// Frame rate, hertz [default: the times of the videos, of timestamps.csv or of the calibration].
-    #[arg(long, value_name = "HZ", conflicts_with = "times")]
-    rate: Option<f64>,
-    /// The first frame's time on each camera's own clock, seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
-    first: f64,
-    /// A CSV table with the time of every frame.
-    #[arg(long, value_name = "FILE")]
-    times: Option<PathBuf>,
-    /// All cameras share one clock, and offsets are not estimated.
-    #[arg(long)]
-    shared: bool,
+    #[command(flatten)]
+    clocks: ClockArgs,
     /// Images smaller than the calibration's are cropped from its top left corner.
     #[arg(long)]
     crop: bool,
@@ -52,6 +42,39 @@ pub struct ImportArgs {
     output: PathBuf,
 }
 
+/// The clocks of imported cameras.
+#[derive(Debug, clap::Args)]
+pub struct ClockArgs {
+    /// Frame rate, hertz [default: the times of the videos, of timestamps.csv or of the calibration].
+    #[arg(long, value_name = "HZ", conflicts_with = "times")]
+    pub rate: Option<f64>,
+    /// The first frame's time on each camera's own clock, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub first: f64,
+    /// A CSV table with the time of every frame.
+    #[arg(long, value_name = "FILE")]
+    pub times: Option<PathBuf>,
+    /// All cameras share one clock, and offsets are not estimated.
+    #[arg(long)]
+    pub shared: bool,
+}
+
+impl ClockArgs {
+    /// Whether any is given.
+    pub fn are_given(&self) -> bool {
+        self.rate.is_some() || self.times.is_some() || self.shared || self.first != 0.0
+    }
+
+    /// The clock of every camera, checked.
+    pub fn clock(&self) -> Result<ImportClock, CliError> {
+        let is_rate = |rate: f64| rate.is_finite() && rate > 0.0;
+        if !(self.rate.is_none_or(is_rate) && self.first.is_finite()) {
+            return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
+        }
+        Ok(ImportClock { rate_hz: self.rate, first_s: self.first, shared: self.shared })
+    }
+}
+
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum Unit {
     M,
@@ -60,10 +83,7 @@ enum Unit {
 }
 
 pub fn run(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError> {
-    let is_rate = |rate: f64| rate.is_finite() && rate > 0.0;
-    if !(args.rate.is_none_or(is_rate) && args.first.is_finite()) {
-        return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
-    }
+    let clock = args.clocks.clock()?;
     CommandOutput::Capture(&args.output).check(None)?;
     let unit_m = match args.unit {
         Unit::M => 1.0,
@@ -76,9 +96,15 @@ pub fn run(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError> {
     let images = args.images.as_deref().or(own).ok_or_else(|| {
         CliError::BadInput("--images must name the folder of the cameras' recordings".into())
     })?;
-    let clock = ImportClock { rate_hz: args.rate, first_s: args.first, shared: args.shared };
-    let (table, times) = (args.table.as_deref(), args.times.as_deref());
-    let request = ImportRequest { images, table, times, clock, is_cropped: args.crop };
+    let (table, times) = (args.table.as_deref(), args.clocks.times.as_deref());
+    let request = ImportRequest {
+        images,
+        table,
+        times,
+        clock,
+        is_cropped: args.crop,
+        is_uncalibrated: false,
+    };
     let ffmpeg = find_ffmpeg();
     let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter };
     for note in exchange::import(&cameras, &request, &args.output, &opening)? {

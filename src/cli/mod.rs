@@ -1,5 +1,6 @@
 //! The command line. Each command has its arguments and calls the library.
 
+mod calibrate;
 mod capture;
 mod compare;
 mod display;
@@ -58,6 +59,8 @@ enum Command {
     Rig(Box<rig::RigArgs>),
     Capture(Box<capture::CaptureArgs>),
     Info(info::InfoArgs),
+    Calibrate(Box<calibrate::CalibrateArgs>),
+    Refine(calibrate::RefineArgs),
     Check(toolchain::CheckArgs),
     Plan(plan::PlanArgs),
     Offsets(offsets::OffsetsArgs),
@@ -89,6 +92,8 @@ impl Cli {
             Command::Rig(args) => rig::run(args, page),
             Command::Capture(args) => capture::run(args, page, &reporter),
             Command::Info(args) => info::run(args, page, &reporter),
+            Command::Calibrate(args) => calibrate::run(args, page, &reporter),
+            Command::Refine(args) => calibrate::run_refine(args, page, &reporter),
             Command::Check(args) => toolchain::run_check(args, page, &reporter),
             Command::Plan(args) => plan::run(args, page, &reporter),
             Command::Offsets(args) => offsets::run(args, page, &reporter),

@@ -1,13 +1,11 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::display::{DisplayArgs, Layout, camera};
+use super::display::{DisplayArgs, Layout};
 use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::frames::Frames;
-use super::shots::{ShotArgs, Shots, viewpoint};
-use super::values::{
-    AUTO, ImageFile, ImageOutput, Parts, Times, method, method_or_auto, positive, rate_hz,
-};
+use super::shots::{InstantArgs, ShotArgs, Shots, viewpoint};
+use super::values::{AUTO, ImageFile, ImageOutput, Parts, method, method_or_auto};
 use super::view_writer::{View, ViewWriter};
 use super::viewpoint::ViewpointArgs;
 use std::ops::Range;
@@ -15,7 +13,7 @@ use std::path::PathBuf;
 use stlfr::capture::NamedView;
 use stlfr::host::Claim;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{Context, LightField, Request, render};
+use stlfr::light_field::{Context, LightField, Request, render, render_with_depths};
 use stlfr::lumigraph::BlendMethod;
 use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
 use stlfr::pipeline;
@@ -23,6 +21,7 @@ use stlfr::progress::Reporter;
 
 /// Render the view of any camera at any instant, over a span of time, or along a path.
 #[derive(Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("view").required(true))]
 #[command(after_help = "Examples:\n  \
     stlfr render .captures/demo --like between --time 0.1 -o between.png\n  \
     stlfr render .captures/demo --like cam3 --shift 0.03,0,0 --time 0.1 -o right.png\n  \
@@ -45,25 +44,8 @@ pub struct RenderArgs {
     capture: PathBuf,
     #[command(flatten)]
     viewpoint: ViewpointArgs,
-    /// The instant, seconds on the reference camera's clock. With --path, time stops at this instant.
-    #[arg(
-        long,
-        value_name = "SECONDS",
-        allow_negative_numbers = true,
-        required_unless_present_any = ["times", "path"],
-        conflicts_with = "times"
-    )]
-    time: Option<f64>,
-    /// N instants evenly from START to END, both included: slow motion in one run.
-    #[arg(long, value_name = "START:END:N", allow_hyphen_values = true, conflicts_with = "path")]
-    times: Option<Times>,
-    /// Duration of the video along a path, seconds [default: the path's own; 4 for sweep, orbit, bullet-time and
-    /// dolly].
-    #[arg(long, value_name = "SECONDS", requires = "path", value_parser = positive)]
-    duration: Option<f64>,
-    /// Frame rate of a video or a path, hertz [default: the path's or 30; for --times the capture's].
-    #[arg(long, value_name = "HZ", value_parser = rate_hz)]
-    fps: Option<f64>,
+    #[command(flatten)]
+    instants: InstantArgs,
     #[command(flatten)]
     display: DisplayArgs,
     /// Render only parts K to L of N, such as 3-6/100. Other commands, on any machine, render the other parts.
@@ -119,13 +101,7 @@ impl RenderArgs {
     }
 
     fn shots(&self, reporter: &Reporter) -> Result<Shots<'_>, CliError> {
-        let args = ShotArgs {
-            viewpoint: &self.viewpoint,
-            time_s: self.time,
-            times: self.times.as_ref(),
-            duration_s: self.duration,
-            rate_hz: self.fps,
-        };
+        let args = ShotArgs { viewpoint: &self.viewpoint, instants: &self.instants };
         let shots = args.shots(reporter)?;
         if self.display.is_of_several() && self.output.image_file() == Some(ImageFile::Exr) {
             return Err(CliError::BadInput(
@@ -205,9 +181,13 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
             true
         };
         let request = Request::new(viewpoint(&view), shots.get(frame).time_s, &options);
-        let rendered = render(&field, &request, &Context::new(&proceed))?;
-        let depths = || field.geometry(camera(&field, &view), &request).map(|g| g.view);
-        let depths = has_depths.then(depths).transpose()?;
+        let context = &Context::new(&proceed);
+        let (rendered, depths) = if has_depths {
+            let (rendered, depths) = render_with_depths(&field, &request, context)?;
+            (rendered, Some(depths))
+        } else {
+            (render(&field, &request, context)?, None)
+        };
         Ok(View { frame, part, rendered, depths, claim })
     }))?;
     shared.map_or(Ok(()), |folder| folder.end())

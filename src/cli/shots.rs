@@ -2,7 +2,7 @@
 
 use super::CliError;
 use super::files::{read_blend_path, read_path};
-use super::values::{PathSource, Times};
+use super::values::{PathSource, Times, positive, rate_hz};
 use super::viewpoint::{ViewpointArgs, far_outside};
 use stlfr::camera::Camera;
 use stlfr::capture::{Capture, NamedView};
@@ -17,13 +17,54 @@ const PATH_RATE_HZ: f64 = 30.0;
 /// Default duration of a ready-made path, seconds.
 const READY_MADE_S: f64 = 4.0;
 
+/// Arguments of the instants.
+#[derive(Debug, clap::Args)]
+pub struct InstantArgs {
+    /// The instant, seconds on the reference camera's clock. With --path, time stops at this instant.
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        allow_negative_numbers = true,
+        requires = "view",
+        conflicts_with = "times"
+    )]
+    time: Option<f64>,
+    /// N instants evenly from START to END, both included: slow motion in one run.
+    #[arg(
+        long,
+        value_name = "START:END:N",
+        allow_hyphen_values = true,
+        requires = "view",
+        conflicts_with = "path"
+    )]
+    pub times: Option<Times>,
+    /// Duration of the video along a path, seconds [default: the path's own; 4 for sweep, orbit, bullet-time and
+    /// dolly].
+    #[arg(long, value_name = "SECONDS", requires = "path", value_parser = positive)]
+    duration: Option<f64>,
+    /// Frame rate of a video or a path, hertz [default: the path's or 30; for --times the capture's].
+    #[arg(long, value_name = "HZ", value_parser = rate_hz)]
+    fps: Option<f64>,
+}
+
+impl InstantArgs {
+    /// The words that give the same instants to another command.
+    pub fn words(&self) -> Vec<String> {
+        let number = |flag: &str, value: Option<f64>| value.map(|v| format!("--{flag}={v}"));
+        let span = |Times(times_s): &Times| {
+            let (first, last) = (times_s[0], times_s[times_s.len() - 1]);
+            format!("--times={first}:{last}:{}", times_s.len())
+        };
+        let words = [number("time", self.time), self.times.as_ref().map(span)];
+        let more = [number("duration", self.duration), number("fps", self.fps)];
+        words.into_iter().chain(more).flatten().collect()
+    }
+}
+
 /// The arguments that choose views and instants.
 pub struct ShotArgs<'a> {
     pub viewpoint: &'a ViewpointArgs,
-    pub time_s: Option<f64>,
-    pub times: Option<&'a Times>,
-    pub duration_s: Option<f64>,
-    pub rate_hz: Option<f64>,
+    pub instants: &'a InstantArgs,
 }
 
 /// A view at an instant: one image to render.
@@ -43,7 +84,7 @@ pub struct Shots<'a> {
     /// The number of views.
     count: usize,
     is_sequence: bool,
-    /// The views. They are empty before [`Shots::place`]; a ready-made path's, before [`Shots::fit`].
+    /// The views; empty before [`Shots::place`], and for a ready-made path before [`Shots::fit`].
     shots: Vec<Shot>,
 }
 
@@ -61,7 +102,7 @@ enum ShotSource {
 impl<'a> ShotArgs<'a> {
     /// Reads and checks the arguments, as far as this needs no capture.
     pub fn shots(self, reporter: &Reporter) -> Result<Shots<'a>, CliError> {
-        if self.time_s.is_some_and(|time_s| !time_s.is_finite()) {
+        if self.instants.time.is_some_and(|time_s| !time_s.is_finite()) {
             return Err(CliError::BadInput("--time: must be finite".into()));
         }
         let path = self.viewpoint.path.as_ref();
@@ -72,10 +113,10 @@ impl<'a> ShotArgs<'a> {
             Some(PathSource::Json(file)) => read_path(file)?,
             Some(PathSource::Blend(file)) => read_blend_path(file, reporter)?,
         };
-        let path = self.duration_s.map_or_else(|| path.clone(), |s| path.lasting(s));
-        let rate_hz = self.rate_hz.or(path.rate_hz).unwrap_or(PATH_RATE_HZ);
+        let path = self.instants.duration.map_or_else(|| path.clone(), |s| path.lasting(s));
+        let rate_hz = self.instants.fps.or(path.rate_hz).unwrap_or(PATH_RATE_HZ);
         let mut frames = frames(&path, rate_hz)?;
-        if let Some(time_s) = self.time_s {
+        if let Some(time_s) = self.instants.time {
             frames.iter_mut().for_each(|frame| frame.time_s = time_s);
         }
         let count = frames.len();
@@ -83,24 +124,24 @@ impl<'a> ShotArgs<'a> {
     }
 
     fn still(self, given: Option<Camera>) -> Result<Shots<'a>, CliError> {
-        let times_s = match (self.time_s, self.times) {
+        let times_s = match (self.instants.time, &self.instants.times) {
             (Some(time_s), _) => vec![time_s],
             (None, Some(Times(times_s))) => times_s.clone(),
             (None, None) => {
                 return Err(CliError::BadInput("--time or --times must be given".into()));
             }
         };
-        let (viewpoint, rate_hz, count) = (self.viewpoint, self.rate_hz, times_s.len());
+        let (viewpoint, rate_hz, count) = (self.viewpoint, self.instants.fps, times_s.len());
         let source = ShotSource::Still(given.map(Box::new), times_s);
-        let is_sequence = self.time_s.is_none();
+        let is_sequence = self.instants.time.is_none();
         Ok(Shots { viewpoint, source, rate_hz, count, is_sequence, shots: Vec::new() })
     }
 
     fn ready_made(self, kind: ReadyMadePath) -> Result<Shots<'a>, CliError> {
-        let rate_hz = self.rate_hz.unwrap_or(PATH_RATE_HZ);
-        let duration_s = self.duration_s.unwrap_or(READY_MADE_S);
+        let rate_hz = self.instants.fps.unwrap_or(PATH_RATE_HZ);
+        let duration_s = self.instants.duration.unwrap_or(READY_MADE_S);
         let count = CameraPath::frame_count(duration_s, rate_hz).map_err(of_path)?;
-        let source = ShotSource::ReadyMade { kind, duration_s, frozen_s: self.time_s };
+        let source = ShotSource::ReadyMade { kind, duration_s, frozen_s: self.instants.time };
         Ok(self.path_shots(source, rate_hz, count))
     }
 

@@ -1,9 +1,10 @@
 //! Types of values on the command line, and their parsers: methods, sizes, instants and image files.
 
+use super::CliError;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use std::fmt::{self, Display, Formatter};
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use stlfr::method::Method;
 use stlfr::path::{MAX_RATE_HZ, MIN_RATE_HZ, ReadyMadePath, is_rate_hz};
@@ -269,6 +270,19 @@ impl ImageOutput {
         }
         output
     }
+}
+
+/// A path as a word that the shells and templates of all engines leave unchanged. An error for `{{` and control
+/// characters.
+pub fn job_word(path: &Path) -> Result<String, CliError> {
+    let text =
+        path.to_str().filter(|text| !text.contains("{{") && !text.contains(char::is_control));
+    text.map(str::to_owned).ok_or_else(|| {
+        let shown = path.display();
+        CliError::BadInput(format!(
+            "{shown}: can't be named in a job: it must be UTF-8, without {{{{ and line breaks"
+        ))
+    })
 }
 
 #[cfg(test)]

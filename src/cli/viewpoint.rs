@@ -1,20 +1,21 @@
 //! The viewpoint of `stlfr render`, and the example command of `stlfr info`.
 
 use super::CliError;
+use super::error::written;
 use super::files::read_view;
-use super::values::{PathSource, Shift};
+use super::values::{PathSource, Shift, job_word};
 use nalgebra::{Point3, distance};
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, absolute};
 use stlfr::camera::Camera;
 use stlfr::capture::{Capture, NamedView};
+use stlfr::method::Method;
 
-/// Arguments of the viewpoint.
+/// Arguments of the viewpoint. A command may require their group `view`.
 #[derive(Debug, clap::Args)]
-#[command(group = clap::ArgGroup::new("view").required(true))]
 pub struct ViewpointArgs {
     /// A JSON file of the view: a camera in the form of capture.json.
     #[arg(long, value_name = "VIEW.json", group = "view")]
-    camera: Option<PathBuf>,
+    pub camera: Option<PathBuf>,
     /// Name of the view: a camera of the capture, or a view of the truth, such as between.
     #[arg(long, value_name = "NAME", group = "view")]
     like: Option<String>,
@@ -23,7 +24,13 @@ pub struct ViewpointArgs {
     #[arg(long, value_name = "PATH", group = "view")]
     pub path: Option<PathSource>,
     /// Move the view right, down and ahead, in metres along its own axes, such as 0.03,0,0.
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, conflicts_with = "path")]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        allow_hyphen_values = true,
+        requires = "view",
+        conflicts_with = "path"
+    )]
     shift: Option<Shift>,
 }
 
@@ -31,6 +38,29 @@ impl ViewpointArgs {
     /// The camera of the `--camera` file; `None` without `--camera`.
     pub fn camera(&self) -> Result<Option<Camera>, CliError> {
         self.camera.as_deref().map(read_view).transpose()
+    }
+
+    /// The name of the view, if one is given.
+    pub fn name(&self) -> Option<&str> {
+        self.like.as_deref()
+    }
+
+    /// The words that give the same view to a command in another folder.
+    pub fn absolute_words(&self) -> Result<Vec<String>, CliError> {
+        let file = |flag: &str, path: &Path| -> Result<String, CliError> {
+            Ok(format!("--{flag}={}", job_word(&written(path, absolute(path))?)?))
+        };
+        let mut words: Vec<String> = self.like.iter().map(|id| format!("--like={id}")).collect();
+        words.extend(self.camera.as_deref().map(|path| file("camera", path)).transpose()?);
+        match &self.path {
+            Some(PathSource::Json(path) | PathSource::Blend(path)) => {
+                words.push(file("path", path)?)
+            }
+            Some(PathSource::ReadyMade(kind)) => words.push(format!("--path={}", kind.name())),
+            None => {}
+        }
+        words.extend(self.shift.iter().map(|Shift([x, y, z])| format!("--shift={x},{y},{z}")));
+        Ok(words)
     }
 
     /// The view that the arguments choose; `given` is the result of [`Self::camera`].

@@ -18,6 +18,7 @@ use std::time::Instant;
 /// compared with three blended views: from each camera's nearest frame (traditional LFR), from the synchronized images
 /// (ST-LFR), and from the true images of all cameras (perfect sync).
 ///
+/// # Errors
 /// [`CompareError::NoTruth`] without truth. The truth and the options are checked before anything is rendered. A file
 /// that can't be written is an error. If the video fails, all other files are written before its error is returned.
 pub fn compare(

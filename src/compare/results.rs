@@ -111,7 +111,7 @@ pub struct OffsetResult {
     pub truth_s: Option<f64>,
     pub error_frames: Option<f64>,
     pub std_err_frames: Option<f64>,
-    /// The error over its standard error.
+    /// The error divided by its standard error.
     pub z: Option<f64>,
     /// Sentence that says why the offset is unknown.
     pub reason: Option<String>,

@@ -7,13 +7,13 @@ use crate::metrics::{RegionScores, Scores};
 use crate::raster::Image;
 use std::borrow::Cow;
 
-/// Grey value of the background.
+/// Grey value of the background, 0 to 1.
 const BACKGROUND: f32 = 0.09;
 const TITLE: TextStyle = TextStyle { bold: true, color: [0.93; 3] };
 const CAPTION: TextStyle = TextStyle { bold: false, color: [0.65; 3] };
-/// Tint of the moving part.
+/// Tint of the moving part, RGB of 0 to 1.
 const MOVING_TINT: [f32; 3] = [1.0, 0.62, 0.18];
-/// Tint of all other pixels.
+/// Tint of all other pixels, RGB of 0 to 1.
 const STILL_TINT: [f32; 3] = [0.45; 3];
 /// Margin between panels and around them, pixels.
 const MARGIN_PX: usize = 12;

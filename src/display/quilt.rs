@@ -2,7 +2,9 @@
 //! rightmost at the top right. The file's name ends in `_qsCxRaA`: columns, rows, and the aspect ratio of the views.
 //!
 //! Sizes are those of <https://docs.lookingglassfactory.com/keyconcepts/quilts>. View cones are those of the vendor's
-//! LKG-Toolkit, or else the documentation's standard of 35°.
+//! LKG-Toolkit, or else the documentation's standard of 35°. Editions of that page differ for the landscape
+//! display of 16 inches: 8×6 views in 7680×4320 in the one with the displays of 27 inches, and before 7×7 in 5999×5999,
+//! which is `16-landscape-7x7`. A file's name says which layout it has, so that the vendor's programs show both.
 
 use super::sheared;
 use crate::camera::{Camera, CameraModel};
@@ -55,10 +57,11 @@ const LANDSCAPE: f64 = 16.0 / 9.0;
 const PORTRAIT: f64 = 9.0 / 16.0;
 
 /// The layouts of displays, by the display's name.
-const DEVICES: [(&str, QuiltLayout); 9] = [
+const DEVICES: [(&str, QuiltLayout); 10] = [
     ("go", device(11, 6, [4092, 4092], PORTRAIT, 54.0)),
     ("portrait", device(8, 6, [3360, 3360], 0.75, 40.0)),
     ("16-landscape", device(8, 6, [7680, 4320], LANDSCAPE, 50.0)),
+    ("16-landscape-7x7", device(7, 7, [5999, 5999], LANDSCAPE, 50.0)),
     ("16-portrait", device(11, 6, [5995, 6000], PORTRAIT, 50.0)),
     ("27-landscape", device(8, 6, [7680, 4320], LANDSCAPE, STANDARD_CONE_DEG)),
     ("27-portrait", device(12, 4, [7680, 4320], PORTRAIT, STANDARD_CONE_DEG)),

@@ -70,7 +70,8 @@ fn fields(line: &str) -> Vec<String> {
 }
 
 /// Parses a decimal number with a unit, and converts it to nanoseconds, rounded to the nearest. `unit_digits` is 9 for
-/// seconds and 0 for nanoseconds. Digits are exact: they are not rounded to a double first. The error is a reason.
+/// seconds and 0 for nanoseconds. Digits are exact: they are not rounded to a double first. The error is the reason,
+/// without the file's name.
 pub(super) fn nanoseconds(text: &str, unit_digits: usize) -> Result<i64, String> {
     let wrong = || format!("'{}' is no time", short(text));
     let (sign, digits) = match text.strip_prefix('-') {

@@ -176,7 +176,7 @@ fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     Ok(numbered.into_iter().map(|(_, file)| file).collect())
 }
 
-/// The last number in a file's stem; 0 if there is none. The error is a reason.
+/// The last number in a file's stem; 0 if there is none. The error is the reason, without the file's name.
 fn number(file: &Path) -> Result<u64, String> {
     let stem = file.file_stem().unwrap_or_default().to_string_lossy();
     let is_other = |c: char| !c.is_ascii_digit();
@@ -220,7 +220,8 @@ fn listed_file(folder: &Path, name: &str) -> Result<PathBuf, String> {
     found.ok_or_else(|| format!("has no image '{}'", crate::text::short(name)))
 }
 
-/// Groups images by camera: by their folders, or by pose and lens if all are in one folder. The error is a reason.
+/// Groups images by camera: by their folders, or by pose and lens if all are in one folder. The error is the reason,
+/// without the file's name.
 fn grouped(
     images: &[NamedCamera],
     notes: &mut Vec<String>,

@@ -4,7 +4,7 @@ use super::footage::{Footage, FootageFrames, FoundFootage, find, image_size};
 use super::pairing::{all_entries, extension};
 use super::request::{ImportClock, ImportRequest};
 use super::{ExchangeError, NamedCamera, content};
-use crate::camera::CameraFormat;
+use crate::camera::{CameraFormat, CameraModel};
 use crate::capture::{
     CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color, FilmedCameraFormat, Opening,
 };
@@ -43,18 +43,16 @@ pub fn import(
     opening: &Opening,
 ) -> Result<Vec<String>, ExchangeError> {
     let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
-    if target.symlink_metadata().is_ok() && !all_entries(target)?.is_empty() {
-        return Err(content(target, "holds files already, which are not written over"));
-    }
-    let absolute = std::path::absolute(target).map_err(failed)?;
-    let beside = absolute.parent().ok_or_else(|| content(target, "names no folder"))?;
-    let temporary = Temporary::inside(beside).map_err(failed)?;
-    let [whole, scratch] = [WHOLE, SCRATCH].map(|name| temporary.path().join(name));
-    [&whole, &scratch].into_iter().try_for_each(std::fs::create_dir).map_err(failed)?;
+    let NewCapture { temporary, whole } = NewCapture::begin(target)?;
+    let scratch = temporary.path().join(SCRATCH);
+    std::fs::create_dir(&scratch).map_err(failed)?;
 
     let FoundFootage { mut footage, mut notes, has_one_clock } =
         find(cameras, request, opening, &scratch)?;
     for one in &mut footage {
+        if request.is_uncalibrated {
+            guess_lens(one)?;
+        }
         notes.extend(fit(one, request.is_cropped)?);
     }
     let clocks = clocks(&footage, request, has_one_clock, &mut notes)?;
@@ -67,19 +65,80 @@ pub fn import(
     let format = CaptureFormat {
         format: "stlfr-capture".into(),
         version: 1,
-        name: absolute.file_name().map_or("imported".into(), |n| n.to_string_lossy().into_owned()),
+        name: name_of(target)?,
         reference: None,
         cameras: filmed,
     };
-    write_json(&whole.join(CAPTURE_FILE), &format).map_err(failed)?;
-    // Opened here, so that the import fails if the capture is invalid, and not a later command.
-    Capture::open_with(&whole, opening).map_err(|error| {
-        let message = error.to_string();
-        let path = format!("{}/", whole.display());
-        content(target, message.strip_prefix(&path).unwrap_or(&message))
-    })?;
-    temporary.place(WHOLE, target).map_err(failed)?;
+    NewCapture { temporary, whole }.finish(&format, target, opening)?;
     Ok(notes)
+}
+
+/// The name of a capture: that of its folder.
+pub(super) fn name_of(target: &Path) -> Result<String, ExchangeError> {
+    let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
+    let absolute = std::path::absolute(target).map_err(failed)?;
+    Ok(absolute.file_name().map_or("imported".into(), |n| n.to_string_lossy().into_owned()))
+}
+
+/// Refuses a folder for a new capture that holds files.
+pub fn require_new(target: &Path) -> Result<(), ExchangeError> {
+    if target.symlink_metadata().is_ok() && !all_entries(target)?.is_empty() {
+        return Err(content(target, "holds files already, which are not written over"));
+    }
+    Ok(())
+}
+
+/// A capture that is being made in a temporary folder beside its place.
+pub(super) struct NewCapture {
+    pub temporary: Temporary,
+    /// The capture's folder inside the temporary one.
+    pub whole: PathBuf,
+}
+
+impl NewCapture {
+    /// Begins the capture `target`, a new folder.
+    pub fn begin(target: &Path) -> Result<Self, ExchangeError> {
+        let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
+        require_new(target)?;
+        let absolute = std::path::absolute(target).map_err(failed)?;
+        let beside = absolute.parent().ok_or_else(|| content(target, "names no folder"))?;
+        let temporary = Temporary::inside(beside).map_err(failed)?;
+        let whole = temporary.path().join(WHOLE);
+        std::fs::create_dir(&whole).map_err(failed)?;
+        Ok(Self { temporary, whole })
+    }
+
+    /// Describes the capture, opens it and moves it to its place.
+    pub fn finish(
+        self,
+        format: &CaptureFormat,
+        target: &Path,
+        opening: &Opening,
+    ) -> Result<(), ExchangeError> {
+        let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
+        write_json(&self.whole.join(CAPTURE_FILE), format).map_err(failed)?;
+        // Opened here, so that an invalid capture fails this command and not a later one.
+        Capture::open_with(&self.whole, opening).map_err(|error| {
+            let message = error.to_string();
+            let path = format!("{}/", self.whole.display());
+            content(target, message.strip_prefix(&path).unwrap_or(&message))
+        })?;
+        self.temporary.place(WHOLE, target).map_err(failed)
+    }
+}
+
+/// The focal length of an unknown lens, in the image's larger sides.
+const GUESSED_FOCAL: f64 = 1.2;
+
+/// Gives an unknown camera a pinhole of its images' size.
+fn guess_lens(footage: &mut Footage) -> Result<(), ExchangeError> {
+    let [width, height] = image_size(&footage.frames)?;
+    let f = GUESSED_FOCAL * width.max(height) as f64;
+    let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
+    let camera = &mut footage.camera.camera;
+    camera.model = CameraModel::Pinhole { fx: f, fy: f, cx, cy };
+    (camera.width, camera.height) = (width, height);
+    Ok(())
 }
 
 /// Adapts a camera's calibration to the size of its images. For the same aspect ratio, the lens is scaled. If
@@ -112,7 +171,7 @@ fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, Exchan
     Err(content(footage.frames.path(), format!("has images of {sizes}{advice}")))
 }
 
-/// Largest rounding errors of time stamps in whole milliseconds, and in finer units, seconds.
+/// Largest rounding errors of time stamps, seconds: in whole milliseconds, and in finer units.
 const MILLISECONDS_S: f64 = 0.51e-3;
 const MICROSECONDS_S: f64 = 1.1e-6;
 
@@ -223,15 +282,18 @@ fn place(footage: &Footage, whole: &Path, target: &Path) -> Result<String, Excha
         }
         FootageFrames::Video(path, _) => {
             let name = format!("{id}.{}", extension(path).unwrap_or_default());
-            let linked = path.canonicalize().and_then(|path| {
-                let to = whole.join(&name);
-                std::fs::hard_link(&path, &to).or_else(|_| copy_file(&path, &to))
-            });
+            let linked = link(path, &whole.join(&name));
             let (path, to) = (path.clone(), target.to_owned());
             linked.map_err(|source| ExchangeError::Copy { path, to, source })?;
             Ok(name)
         }
     }
+}
+
+/// Links a file, or copies it where the file system can't link it.
+pub(super) fn link(from: &Path, to: &Path) -> std::io::Result<()> {
+    let from = from.canonicalize()?;
+    std::fs::hard_link(&from, to).or_else(|_| copy_file(&from, to))
 }
 
 fn copy_file(from: &Path, to: &Path) -> std::io::Result<()> {

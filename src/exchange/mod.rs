@@ -25,6 +25,7 @@ mod llff;
 mod nerf;
 mod pairing;
 mod qualisys;
+mod recalibrate;
 mod request;
 mod times;
 mod undistort;
@@ -33,10 +34,11 @@ pub use anipose::read_anipose;
 pub use colmap::{COLMAP_BINARY_FILES, COLMAP_TEXT_FILES, colmap_text, read_colmap};
 pub use colmap::{write_colmap_binary, write_colmap_text};
 pub use dataset::{Dataset, DatasetFormat};
-pub use import::import;
+pub use import::{import, require_new};
 pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};
 pub use qualisys::read_qualisys;
+pub use recalibrate::{Draft, recalibrate};
 pub use request::{ImportClock, ImportRequest};
 pub use times::{FrameTimes, read_times};
 pub use undistort::Undistortion;
@@ -132,7 +134,7 @@ fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>, ExchangeError> {
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })
 }
 
-/// An error for more than [`MAX_ENTRIES`] entries. The error is a reason.
+/// An error for more than [`MAX_ENTRIES`] entries. The error is the reason, without the file's name.
 fn check_count(entries: usize, what: &str) -> Result<(), String> {
     if entries <= MAX_ENTRIES {
         return Ok(());
@@ -145,7 +147,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {
         .map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
 }
 
-/// An image size from a file that holds it as two floats. The error is a reason.
+/// An image size from a file that holds it as two floats. The error is the reason, without the file's name.
 fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
     for side in [width, height] {
         if !(side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0) {
@@ -159,7 +161,7 @@ fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
 /// Largest time, seconds: 127 years. Its nanoseconds fit into an `i64`.
 const MAX_TIME_S: f64 = 4e9;
 
-/// Converts seconds to nanoseconds. The error is a reason.
+/// Converts seconds to nanoseconds. The error is the reason, without the file's name.
 fn seconds_in_ns(time_s: f64) -> Result<i64, String> {
     if !(time_s.abs() <= MAX_TIME_S) {
         return Err(format!("time {} must be within {MAX_TIME_S:e} s of 0", number(time_s)));
@@ -179,7 +181,8 @@ fn opencv_model([fx, fy, cx, cy]: [f64; 4], k: [f64; 6], p: [f64; 2]) -> CameraM
     }
 }
 
-/// A camera from the numbers of a file. It is checked like the cameras of a capture. The error is a reason.
+/// A camera from the numbers of a file. It is checked like the cameras of a capture. The error is the reason, without
+/// the file's name.
 fn checked(
     (width, height): (u64, u64),
     model: &CameraModel,
@@ -201,7 +204,7 @@ fn checked(
 }
 
 /// `cam_from_world` of a camera at `center`. The columns of `axes` are the camera's right, down and forward axes in
-/// the world. The error is a reason.
+/// the world. The error is the reason, without the file's name.
 fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3<f64>, String> {
     if !axes.iter().chain(center.iter()).all(|v| v.is_finite()) {
         return Err("a pose must be finite".into());

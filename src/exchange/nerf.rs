@@ -86,7 +86,7 @@ fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>
 }
 
 /// Image size (width, height, pixels) and lens of a frame. Fields that the frame lacks are taken from the top level
-/// (`all`). The error is a reason.
+/// (`all`). The error is the reason, without the file's name.
 fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel), String> {
     let either = |field: fn(&FrameEntry) -> Option<f64>| field(frame).or(field(all));
     let (Some(w), Some(h)) = (either(|f| f.w), either(|f| f.h)) else {

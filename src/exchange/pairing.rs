@@ -2,9 +2,10 @@
 //! numbers in the names.
 
 use super::csv::read_columns;
-use super::{ExchangeError, NamedCamera, content};
-use crate::camera::Camera;
+use super::{ExchangeError, NamedCamera, checked, content};
+use crate::camera::{Camera, CameraModel};
 use crate::text::{check_id, short};
+use nalgebra::Isometry3;
 use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
@@ -32,12 +33,14 @@ struct NamedRecording {
     path: PathBuf,
 }
 
-/// Pairs the cameras of a calibration with the recordings in `images`: its sub-folders and videos. If the calibration
-/// has only row numbers, the recordings' names become the ids.
+/// Pairs the cameras of a calibration with the recordings in `images`: its sub-folders and videos. If no camera has a
+/// recording of its name, they are paired by the numbers in the names. If the calibration has only row numbers, the
+/// recordings' names become the ids.
 ///
+/// # Errors
 /// A camera that moves; a name that can't be an id; a camera with two recordings; some cameras with a recording of
-/// their name, and some without. If none has one, numbers in names that leave the pairing ambiguous.
-/// camera has two. Without any, if the numbers in the names leave the order open.
+/// their name, and some without. If they are paired by number: unequal counts of cameras and recordings, or names that
+/// differ in more than numbers.
 pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, ExchangeError> {
     let is_nameless = is_nameless(cameras);
     let cameras = one_each(cameras).map_err(|reason| content(images, reason))?;
@@ -69,6 +72,36 @@ pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, Exch
         vec![format!("The calibration has no camera for {}; not imported.", left.join(", "))]
     };
     Ok(Pairs { cameras, recordings: paths, notes })
+}
+
+/// A camera for each recording of a folder, named by it, with placeholders for lens and pose. They are in the order of the
+/// numbers in their names, or of the names.
+///
+/// # Errors
+/// Less than two recordings, a name that can't be an id, two recordings of one name.
+pub(super) fn uncalibrated(images: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
+    let recordings = recordings(images)?.into_iter().filter(|r| is_footage(&r.path));
+    let mut names: Vec<String> = recordings.map(|r| r.name).collect();
+    if names.len() < 2 {
+        let found = names.len();
+        let reason =
+            format!("holds {found} videos and folders of images; a camera array has two or more");
+        return Err(content(images, reason));
+    }
+    if let Some(order) = numbered_order(&names) {
+        names = order.into_iter().map(|k| names[k].clone()).collect();
+    }
+    let named = |(k, name): (usize, &String)| {
+        check_id(name).map_err(|reason| content(images, format!("a recording's name {reason}")))?;
+        if names[..k].contains(name) {
+            return Err(content(images, format!("has two recordings of one camera, {name}")));
+        }
+        let model = CameraModel::Pinhole { fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+        let camera = checked((1, 1), &model, &Isometry3::identity());
+        let camera = camera.map_err(|reason| content(images, reason))?;
+        Ok(NamedCamera { name: name.clone(), time_ns: None, camera })
+    };
+    names.iter().enumerate().map(named).collect()
 }
 
 /// Pairs cameras with recordings by a CSV table with the columns `camera` and `frames`. A camera is given by its name.
@@ -196,7 +229,7 @@ fn pair_by_number(
 }
 
 /// Merges all images of a camera into one entry, named by the camera's id. Cameras are in the order of their first
-/// images. The error is a reason.
+/// images. The error is the reason, without the file's name.
 pub(super) fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     let mut distinct: Vec<NamedCamera> = Vec::new();
     for NamedCamera { name, camera, .. } in cameras {
@@ -262,8 +295,8 @@ pub(super) fn numbered_order(names: &[String]) -> Option<Vec<usize>> {
     (!is_open).then_some(order)
 }
 
-/// The numbers in a name, for comparison: of each, the count of its digits and the digits, without leading zeros. They
-/// may have any length.
+/// The numbers in a name, in a form that is ordered by value: for each, the count of its digits and the digits,
+/// without leading zeros. Numbers of any length can thus be compared.
 pub(super) fn numbers(name: &str) -> Vec<(usize, &str)> {
     let digits = name.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty());
     digits.map(|digits| digits.trim_start_matches('0')).map(|d| (d.len(), d)).collect()

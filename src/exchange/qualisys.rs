@@ -86,7 +86,7 @@ fn camera(node: Node) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, time_ns: None, camera: checked(size, &model, &pose)? })
 }
 
-/// The value of a numeric attribute. The error is a reason.
+/// The value of a numeric attribute. The error is the reason, without the file's name.
 fn number(node: Node, name: &str) -> Result<f64, String> {
     let text = node.attribute(name).ok_or_else(|| format!("{name} is missing"))?;
     let wrong = || format!("{name} can't be '{}'", crate::text::short(text));

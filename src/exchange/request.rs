@@ -26,4 +26,7 @@ pub struct ImportRequest<'a> {
     /// Whether images smaller than the calibration's are cropped from its top left corner. Otherwise images of another
     /// aspect ratio are an error; those of the same aspect ratio are the whole image at another resolution.
     pub is_cropped: bool,
+    /// Whether the cameras' lenses and poses are placeholders, as of a [`Draft`](super::Draft): the lens becomes a
+    /// guess at the images' size.
+    pub is_uncalibrated: bool,
 }

@@ -262,7 +262,14 @@ fn import_by(
     clock: ImportClock,
     target: &Path,
 ) -> Result<Vec<String>, ExchangeError> {
-    let request = ImportRequest { images, table: None, times: None, clock, is_cropped: false };
+    let request = ImportRequest {
+        images,
+        table: None,
+        times: None,
+        clock,
+        is_cropped: false,
+        is_uncalibrated: false,
+    };
     let reporter = &crate::progress::Reporter::silent();
     import(cameras, &request, target, &crate::capture::Opening { ffmpeg: None, reporter })
 }

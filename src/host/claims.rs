@@ -7,7 +7,7 @@
 //! Known limit: on file systems whose locks don't hold between machines, several machines do the same items.
 
 use super::files::{ignore_absent, read_text};
-use super::temporary::is_temporary;
+use super::temporary::{is_temporary, remove_abandoned};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Result, Write};
 use std::path::{Path, PathBuf};
@@ -64,13 +64,17 @@ impl Claims {
         Ok(if is_done { Taken::Done } else { Taken::Mine(Claim { file }) })
     }
 
-    /// Removes the folder. To be called after all items are done.
+    /// Removes the folder, and what killed processes left beside it. To be called after all items are done.
     pub fn end(&self) -> Result<()> {
         let gone = self.folder.with_extension(format!("{}.tmp", std::process::id()));
         debug_assert!(gone.file_name().is_some_and(is_temporary));
         // Renamed first: another process then sees either all items done, or no folder.
         ignore_absent(std::fs::rename(&self.folder, &gone))?;
-        ignore_absent(std::fs::remove_dir_all(&gone))
+        ignore_absent(std::fs::remove_dir_all(&gone))?;
+        // A process that was killed meanwhile may have left unfinished files beside it.
+        let beside = self.folder.parent().filter(|parent| !parent.as_os_str().is_empty());
+        remove_abandoned(beside.unwrap_or(Path::new(".")));
+        Ok(())
     }
 }
 

@@ -52,7 +52,7 @@ impl HeldFile {
         Ok(state.and_then(is_same).map(|read| Self { file, read }))
     }
 
-    /// Whether the file's bytes are unchanged since it was opened, also in between.
+    /// Whether the file has not changed at any time since it was opened.
     pub fn is_unchanged(&self) -> Result<bool> {
         let (hash, state) = hash_open(&self.file)?;
         Ok(hash == self.read.hash && state == Some(self.read.state))

@@ -10,11 +10,11 @@ const BLOCK: usize = 8;
 /// differences. (Noise varies by 2 to 4 times between light and dark, flat and textured parts.)
 const MIN_NOISE_RATIO: f32 = 6.0;
 
-/// Minimum mean difference of a changed block, values 0..=1: 1.5 steps of 8 bits.
+/// Minimum mean absolute difference of a changed block, for pixel values of 0 to 1: 1.5 steps of 8 bits.
 const MIN_CHANGE: f32 = 1.5 / 255.0;
 
-/// The largest mean absolute difference of a block of 8×8 pixels between two images, values 0..=1. Blocks
-/// at the right and the bottom border may be narrower.
+/// The largest mean absolute difference of a block of 8×8 pixels between two images, for pixel values of 0 to 1.
+/// Blocks at the right and the bottom border may be narrower.
 ///
 /// # Panics
 /// If the images differ in size or in channels.

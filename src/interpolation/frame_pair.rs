@@ -14,10 +14,9 @@ use crate::registration::Frame;
 /// Half-width of the neighbourhood of an outline, pixels: outlines may be wrong by this much, so that a pixel
 /// may show any surface within it.
 const OUTLINE_PX: usize = 4;
-/// Interpolation error that is added per unit of the warped frames' difference above [`MIN_DISAGREEMENT`],
-/// pixels.
+/// Interpolation error, pixels, that is added per unit of the warped frames' difference above [`MIN_DISAGREEMENT`].
 const DISAGREEMENT_PX: f32 = 200.0;
-/// Mean absolute difference of the warped frames, 0..=1, up to which they agree.
+/// Mean absolute difference of the warped frames up to which they agree, for pixel values of 0 to 1.
 const MIN_DISAGREEMENT: f32 = 0.03;
 /// Half-width of the window over which the warped frames' difference is averaged, pixels. The refined method
 /// uses [`InterpolationOptions::window_radius_px`] instead.

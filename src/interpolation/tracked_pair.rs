@@ -51,8 +51,9 @@ impl TrackedPair<'_> {
         flow_tracks(self.tracks, forward).map(feature).collect()
     }
 
-    /// The displacements of all tracks to the frames before, earlier, later and after, each from the track's
-    /// position at some instant. `at` returns that position.
+    /// The displacements of all tracks to four frames: the one before the pair, the pair's earlier and later
+    /// frame, and the one after the pair. `at` gives the position from which a track's displacements are
+    /// measured.
     pub(super) fn motions(
         &self,
         curved: bool,
@@ -80,14 +81,14 @@ impl TrackedPair<'_> {
     }
 }
 
-/// A track's position at an instant, and its displacements from there to the four frames around the instant.
-/// Pixels.
+/// A track's position at an instant, pixels, and its displacements from there to the two frames before and
+/// the two frames after the instant, pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TrackMotion {
     /// Position at the instant.
     pub at: Point2<f64>,
-    /// Displacements to the positions in the frames before, earlier, later and after; 0 to a frame that does
-    /// not exist.
+    /// Displacements to the frame before the pair, the pair's earlier and later frame, and the frame after
+    /// the pair; 0 to a frame that does not exist.
     pub to: [Vector2<f64>; 4],
     /// Linear part of the motion from the earlier to the later frame: the identity for a translation.
     pub deformation: Matrix2<f64>,

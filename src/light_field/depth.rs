@@ -94,7 +94,7 @@ impl Stereo<'_> {
     }
 }
 
-/// A camera's index, and its estimated depths.
+/// A camera's index, and its estimated depths; `None` if they can't be estimated.
 pub(super) type EstimatedDepth = (usize, Arc<Option<InverseDepths>>);
 
 impl Stage for CameraDepth<'_> {

@@ -22,8 +22,8 @@ pub struct Geometry {
     pub sources: Vec<Option<Arc<DepthMap>>>,
 }
 
-/// The cameras nearest to a view, ordered by distance, whose images its depths or its space-time weights
-/// depend on. Empty if the proxy is built from features and time has no weight.
+/// The cameras nearest to a view, ordered by distance, whose images determine the view's depths or its
+/// space-time weights. Empty if the proxy is built from features, and the weights don't depend on time.
 pub(super) fn nearest_cameras(
     field: &LightField,
     target: &Camera,

@@ -105,7 +105,7 @@ impl LightField {
         self.memo.get_or(S::NAME, stage, S::bytes, stored).ok()
     }
 
-    /// Caches a result in memory that was computed together with those of other inputs.
+    /// Caches a result in memory. It is for results that are computed several at a time.
     pub(super) fn insert<S: Stage>(&self, stage: &S, value: Arc<S::Output>) {
         let bytes = S::bytes(&value);
         self.memo.insert(S::NAME, stage, value, bytes);

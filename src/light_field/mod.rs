@@ -55,7 +55,7 @@ pub use error::RenderError;
 pub use geometry::Geometry;
 pub use graph::LightField;
 pub use prepare::{PREPARED, Preparation};
-pub use render::render;
+pub use render::{render, render_with_depths};
 pub use request::{Request, Viewpoint};
 pub use scene_flow::LoadedFrame;
 pub use stages::{GivenImages, Images};

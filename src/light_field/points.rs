@@ -95,7 +95,8 @@ impl LightField {
                 Mesh::build(points, target, options.proxy.depth_edges).map(Proxy::Mesh)
             }
         };
-        // If the view shows no features, as of a textureless spot, its depth is that of the points around it.
+        // If the view shows no features, such as a view of a textureless wall, its proxy is a plane at the
+        // median depth of the points around it.
         let around = || Plane::amid(points, target).map(Proxy::Plane);
         let is_seen = |p| target.project(p).is_some_and(|pixel| target.contains(&pixel));
         proxy.or_else(around).ok_or_else(|| {

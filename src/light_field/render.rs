@@ -4,19 +4,19 @@ use super::graph::LightField;
 use super::scene_flow::flow_image;
 use super::stages::{CameraImage, ImageMethod};
 use super::trail::Overlay;
-use super::view::view;
+use super::view::{view, view_with_depths};
 use super::{Context, Geometry, RenderError, Request, Viewpoint};
 use crate::camera::Camera;
 use crate::host::on_workers;
-use crate::lumigraph::Rendered;
+use crate::lumigraph::{DepthMap, Rendered};
 use crate::options::RenderOptions;
 
 /// Renders a view, or a filming camera's image. If the options ask for a motion trail, the views at its
 /// instants are overlaid.
 ///
-/// Instants of a trail are skipped before the recording starts, where no camera sees anything, and where the
-/// proxy can't be triangulated. The request's own instant is never skipped: its error is returned. A pixel
-/// integrates over the instants that cover it, and is covered if any does.
+/// An instant of a trail is skipped if it is before the recording's start, if no camera sees anything then,
+/// or if the proxy can't be triangulated. The request's own instant is never skipped: its error is returned.
+/// A pixel integrates over the instants that cover it, and is covered if any of them does.
 ///
 /// # Errors
 /// [`RenderError::Time`], [`RenderError::CameraTime`] or [`RenderError::NoClock`] if there is no image at
@@ -46,6 +46,25 @@ pub fn render(
             .add(&rendered);
     }
     overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
+}
+
+/// Renders a view, and its depth map, that of its camera at the request's time.
+///
+/// # Errors
+/// Those of [`render`].
+pub fn render_with_depths(
+    field: &LightField,
+    request: &Request,
+    context: &Context,
+) -> Result<(Rendered, DepthMap), RenderError> {
+    let target = match request.from {
+        Viewpoint::View(target) if request.options.trail.count() == 1 => {
+            return on_workers(|| view_with_depths(field, target, request, context));
+        }
+        Viewpoint::View(target) => target,
+        Viewpoint::Like(camera) => &field.capture().cameras[camera].camera,
+    };
+    Ok((render(field, request, context)?, field.geometry(target, request)?.view))
 }
 
 fn instant(

@@ -109,7 +109,7 @@ impl StoredStage for FrameFlow<'_> {
 }
 
 impl Stage for FlowConfidences<'_> {
-    /// For each frame, one value for each of its pixels.
+    /// For each frame the confidences of its pixels, 1 to 255, row by row.
     type Output = Vec<Vec<u8>>;
     const NAME: &'static str = "confidences";
 
@@ -217,8 +217,8 @@ fn limits(
         max_speed,
     }))
 }
-/// The frames that a frame is matched with: the previous and the next one of its camera, and of each of the
-/// nearest other cameras the frame nearest in time.
+/// The frames with which a frame is matched: the previous and the next frame of its own camera, and one frame
+/// of each of the nearest other cameras, the nearest in time.
 fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     let count = field.times_s(camera).len();
     let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];

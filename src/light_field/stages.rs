@@ -21,7 +21,8 @@ pub(super) struct PairTracks<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// The largest mean difference of any 8×8 block between the two frames of a pair, values 0..=1.
+/// The largest mean absolute difference of any 8×8 block between the two frames of a pair, for pixel values of 0 to
+/// 1.
 #[derive(Serialize)]
 pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 
@@ -90,8 +91,8 @@ impl ImageMethod {
     pub fn new(sync: SyncMethod, options: &RenderOptions) -> Self {
         let RenderOptions { registration, interpolation, proxy, blend, .. } = options.clone();
         let follows_motion = sync.needs_tracks();
-        // Refinement computes the error in any case. With this flag always set, views with and without
-        // weights of time share images.
+        // Refinement computes the interpolation error in any case. With this flag always set, images are shared by
+        // views whose weights depend on the error and views whose weights don't.
         let with_error =
             sync == SyncMethod::Refined || follows_motion && blend.method == BlendMethod::SpaceTime;
         let all_cameras =
@@ -211,7 +212,8 @@ pub(super) struct FramesAround {
     pub camera: usize,
     /// The frame nearer to the instant.
     pub near: usize,
-    /// The frame on the other side of the instant; equal to `near` if nothing moves between the two.
+    /// The frame at the other end of the interval between frames that contains the instant; equal to `near` if
+    /// nothing moves between the two.
     pub far: usize,
 }
 
@@ -247,8 +249,8 @@ pub(super) struct CameraDepth<'a> {
     pub camera: usize,
 }
 
-/// Depth maps of all cameras of a stereo, for occlusion. The depths of the cameras `estimated` come from
-/// matching, and those of the others are fused from these.
+/// Depth maps of all cameras of a stereo, for occlusion. The depths of the cameras `estimated` come from matching;
+/// those of the other cameras are fused from the estimated depths.
 #[derive(Serialize)]
 pub(super) struct OcclusionDepths<'a> {
     pub stereo: Stereo<'a>,

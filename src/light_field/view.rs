@@ -9,7 +9,9 @@ use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::{Color, FilmedCamera};
 use crate::interpolation::Synchronized;
-use crate::lumigraph::{BlendMethod, BlendOptions, Rendered, Source, blend, contributing};
+use crate::lumigraph::{
+    BlendMethod, BlendOptions, DepthMap, Rendered, Source, blend, contributing,
+};
 use crate::raster::{Image, Tiles};
 use crate::scene_flow::FlowView;
 use rayon::prelude::*;
@@ -22,16 +24,26 @@ pub(super) fn view(
     request: &Request,
     context: &Context,
 ) -> Result<Rendered, RenderError> {
+    view_with_depths(field, target, request, context).map(|(rendered, _)| rendered)
+}
+
+/// A [`view()`] and its depth map.
+pub(super) fn view_with_depths(
+    field: &LightField,
+    target: &Camera,
+    request: &Request,
+    context: &Context,
+) -> Result<(Rendered, DepthMap), RenderError> {
     let &Request { time_s, options, .. } = request;
     if field.usable(time_s).is_empty() {
         return Err(field.no_camera_at(time_s));
     }
     context.check()?;
     if request.uses_scene_flow()
-        && let Some(FlowView { rendered, .. }) = flow_view(field, target, request, context)?
+        && let Some(FlowView { rendered, depths }) = flow_view(field, target, request, context)?
     {
         let is_seen = rendered.coverage.contains(&true);
-        return if is_seen { Ok(rendered) } else { Err(RenderError::NothingSeen) };
+        return if is_seen { Ok((rendered, depths)) } else { Err(RenderError::NothingSeen) };
     }
     let geometry = geometry(field, target, request, context)?;
     context.check()?;
@@ -39,7 +51,7 @@ pub(super) fn view(
     context.check()?;
     let rendered = field.blend(&images, &geometry, target, &options.blend);
     let is_seen = rendered.coverage.contains(&true);
-    if is_seen { Ok(rendered) } else { Err(RenderError::NothingSeen) }
+    if is_seen { Ok((rendered, geometry.view)) } else { Err(RenderError::NothingSeen) }
 }
 
 /// The images from which a view is blended, gain-corrected to the reference camera's exposure.

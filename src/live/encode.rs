@@ -36,9 +36,9 @@ pub(super) struct Colors(Vec<[f32; 3]>);
 /// Difference in hue between successive cameras, as a fraction of the colour circle. It is the golden
 /// section, so that no two cameras have the same hue.
 const HUE_STEP: f64 = 0.381_966;
-/// The hue of the first camera.
+/// Hue of the first camera's colour, as a fraction of the colour circle.
 const FIRST_HUE: f64 = 0.58;
-/// Lightness of successive cameras, repeated in turn.
+/// Lightness of the cameras' colours, 0 to 1. The entries are used cyclically.
 const LIGHTNESS: [f64; 3] = [0.5, 0.66, 0.38];
 
 impl Colors {

@@ -40,7 +40,7 @@ pub enum PictureMethod {
 /// The quality of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Level {
-    /// Fast, for a moving viewpoint: the options of `draft` unless the chosen ones take no estimation.
+    /// Fast, for a moving viewpoint: the options of `draft`, or the chosen ones if their results are cached.
     Quick,
     /// By the chosen options.
     Full,
@@ -79,7 +79,7 @@ pub struct PictureRequest {
     pub time_s: f64,
     pub place: Place,
     pub view: ViewDirection,
-    /// A method other than that of the chosen options.
+    /// Sync method in place of that of the chosen options; `None` leaves theirs.
     pub sync: Option<SyncMethod>,
     pub proxy: Option<ProxyMethod>,
     /// Names the viewer and the part of the page. A request replaces the earlier one with the same name,

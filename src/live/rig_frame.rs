@@ -9,9 +9,10 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 /// Distance by which viewpoints may be beyond the outermost cameras, as a fraction of the rig's extent.
 const MARGIN_SHARE: f64 = 0.5;
-/// Minimum of this distance, as a multiple of the spacing of neighbouring cameras.
+/// Minimum distance by which viewpoints may be beyond the outermost cameras, as a multiple of the spacing of
+/// neighbouring cameras.
 const MARGIN_SPACINGS: f64 = 2.0;
-/// This distance for a single camera, metres.
+/// Distance by which viewpoints may be away from a single camera, metres.
 const LONE_MARGIN_M: f64 = 0.1;
 /// Distance from a camera at which its viewing direction has half its weight, as a multiple of the spacing of
 /// neighbouring cameras.

@@ -202,8 +202,7 @@ impl<'a> Studio<'a> {
         options: &RenderOptions,
         context: &Context,
     ) -> Result<(GivenImages, SyncMethod), RenderError> {
-        // Weights hardly depend on the images, so that for a quick picture the nearest frames suffice below
-        // the colours.
+        // Weights hardly depend on the images, so that the nearest frames suffice for a quick picture.
         let sync = if request.is_quick() { TRADITIONAL } else { options.sync };
         let options = RenderOptions { sync, ..options.clone() };
         Ok((self.field.corrected_all(self.time_s(request), &options, context)?, sync))

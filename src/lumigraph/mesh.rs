@@ -19,7 +19,7 @@ use spade::{DelaunayTriangulation, HasPosition, Triangulation};
 /// A triangle mesh in the world, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
-    /// Positions of the vertices.
+    /// Positions of the vertices, metres.
     pub vertices: Vec<Point3<f64>>,
     /// Indices of three vertices each, in either orientation.
     pub triangles: Vec<[u32; 3]>,
@@ -33,7 +33,8 @@ pub enum DepthEdges {
     Stretch,
     /// The triangle lies on the surface behind.
     Back,
-    /// The triangle lies on the surface in front, whose features stop short of its outline.
+    /// The triangle lies on the surface in front. Its features lie inside its outline, so that the triangles
+    /// across the outline extend it.
     #[default]
     Front,
     /// The triangle is cut in the middle between the two surfaces.
@@ -58,7 +59,7 @@ const SUPPORT_FRACTION: f64 = 0.05;
 /// Minimum number of vertices that must support a point. They are at most two edges of the triangulation
 /// away.
 const MIN_SUPPORT: usize = 2;
-/// Distance of the mesh's corners outside the image, as a fraction of its size.
+/// Distance of the mesh's corners from the image, outwards, as a fraction of the image's size.
 const MARGIN: f64 = 0.05;
 /// Side of the square cells in which only the nearest point becomes a vertex, pixels.
 const CELL_PX: f64 = 0.5;

@@ -79,7 +79,8 @@ impl RayCone {
 }
 
 multiversion! {
-    /// Computes positions, penalties and confidences. `pixel` projects a point of the plane z = 1.
+    /// Computes the positions, penalties and confidences of a row's points in a source. `pixel` projects a
+    /// point of the plane z = 1.
     fn measure_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
         row: &TargetRow,

@@ -15,7 +15,8 @@ const MARGIN: f64 = 0.5;
 const TILT_PRIOR: f64 = 1e-6;
 /// Maximum number of reweighting iterations; about ten are needed.
 const ROUNDS: usize = 20;
-/// Minimum inverse depth of the plane anywhere in the view, as a fraction of that at the points' mean.
+/// Minimum inverse depth of the plane anywhere in the view, as a fraction of its inverse depth at the points' mean
+/// position.
 const MIN_FRACTION: f64 = 0.1;
 
 /// The plane `normal · x = d` in the world.
@@ -72,7 +73,7 @@ impl Plane {
     }
 }
 
-/// A point as a view sees it.
+/// A point, projected into a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ProjectedPoint {
     /// Position on the plane z = 1.
@@ -102,7 +103,8 @@ pub(super) enum PlaneLoss {
     /// The Cauchy loss at the scale of the median residual: the plane passes through the middle of the
     /// points.
     Robust,
-    /// An asymmetric squared loss: points in front of the plane have this weight, those behind it 1.
+    /// An asymmetric squared loss: points in front of the plane have this weight, and points behind it the weight
+    /// 1.
     Behind(f64),
 }
 
@@ -175,7 +177,7 @@ fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) ->
     Vector3::new(tilt.x, tilt.y, middle - tilt.dot(&ray.xy()))
 }
 
-/// The lower median of `value`. `None` without points.
+/// The lower median of `value` over the points. `None` without points.
 fn median(points: &[ProjectedPoint], value: impl Fn(&ProjectedPoint) -> f64) -> Option<f64> {
     let mut values: Vec<f64> = points.iter().map(value).collect();
     values.sort_by(f64::total_cmp);

@@ -108,8 +108,8 @@ impl WeighedSpan {
         }
     }
 
-    /// The largest threshold of any pixel of the span, if these k+1 sources were all. It is an upper bound
-    /// for all sources.
+    /// The largest threshold over the span's pixels, computed from these k+1 sources alone. Further sources
+    /// can only lower it.
     pub fn max_threshold(&self, sources: &[usize]) -> f32 {
         let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
         for &i in sources {

@@ -167,7 +167,7 @@ fn transformed(matrix: &[[f64; 3]; 3], v: [f32; 3]) -> [f32; 3] {
     matrix.map(|row| row[0] as f32 * v[0] + row[1] as f32 * v[1] + row[2] as f32 * v[2])
 }
 
-/// XYZ relative to the white point.
+/// Linear RGB to XYZ relative to the white point.
 fn relative_xyz(rgb: [f32; 3]) -> [f32; 3] {
     let xyz = transformed(&XYZ_FROM_RGB, rgb);
     [xyz[0] / WHITE[0], xyz[1] / WHITE[1], xyz[2] / WHITE[2]]

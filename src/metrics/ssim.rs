@@ -12,7 +12,7 @@ const WINDOW_SIGMA_PX: f64 = 1.5;
 /// Radius of the window, 11×11 as in the paper. Pixels closer to the border have no full window, and no
 /// value.
 pub const WINDOW_RADIUS_PX: usize = 5;
-/// (K₁L)² with K₁ = 0.01 and L = 1, the range of our samples.
+/// (K₁L)² with K₁ = 0.01 and L = 1, the range of the samples.
 const C1: f64 = 0.01 * 0.01;
 /// (K₂L)² with K₂ = 0.03 and L = 1.
 const C2: f64 = 0.03 * 0.03;

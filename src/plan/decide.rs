@@ -27,7 +27,7 @@ pub struct Decision {
 }
 
 impl Decision {
-    /// A decision that `capture.json` makes, without a measured number.
+    /// A decision without a measured number, which [`Self::by`] can add.
     fn new(stage: &'static str, method: &'static str, because: impl Into<String>) -> Self {
         Self { stage, method, measured: None, limit: None, because: because.into() }
     }
@@ -38,7 +38,8 @@ impl Decision {
     }
 }
 
-/// Decides whether offsets are estimated. `clocks` has the clock of each camera by index; clock 0 is the reference's.
+/// Decides whether offsets are estimated. `clocks` has for each camera the index of its clock; clock 0 is the
+/// reference's.
 pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     if is_static {
         let because = "Every camera took one frame, which is the same at any time.";
@@ -99,7 +100,8 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
 /// Factor by which the noise of other still pairs may exceed the noise of the examined ones.
 const NOISE_MARGIN: f32 = 1.25;
 
-/// Largest change of a block, in 0..=1, up to which a frame pair counts as still and is not registered.
+/// Largest change of a block, for pixel values of 0 to 1, up to which a frame pair counts as still and is not
+/// registered.
 pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     let Motion { still_pairs, still_change, still_px, pairs, .. } = *motion;
     if pairs == 0 {
@@ -128,7 +130,8 @@ pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     (limit, Decision::new("still pairs", "cross-faded", because).by(still_px, limit_px))
 }
 
-/// Chooses between refinement and triangulation by the possible gain of refinement, decibels.
+/// Chooses between refinement and triangulation by the possible gain of refinement, decibels. `frames` names the
+/// held-out frames in the reason.
 pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let refines = gain_db > budget_db;
     let method = if refines { SyncMethod::Refined } else { SyncMethod::Triangulation };
@@ -140,7 +143,7 @@ pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, De
 }
 
 /// Chooses between refined images and images from all cameras, which take twice as long. `gain_db` is the PSNR gain of
-/// images from all cameras on held-out frames.
+/// images from all cameras on the held-out frames, which `frames` names in the reason.
 pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let pays = gain_db > budget_db;
     let method = if pays { SyncMethod::AllCameras } else { SyncMethod::Refined };
@@ -152,8 +155,8 @@ pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, D
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Chooses between depth per pixel and scene flow as proxy. `gain_db` is the PSNR gain of scene flow on held-out
-/// frames.
+/// Chooses between depth per pixel and scene flow as proxy. `gain_db` is the PSNR gain of scene flow on the held-out
+/// frames, which `frames` names in the reason.
 pub fn scene_flow(gain_db: f64, frames: &str, budget_db: f64) -> (ProxyMethod, Decision) {
     let method = if gain_db > budget_db { ProxyMethod::SceneFlow } else { ProxyMethod::Depth };
     let because = format!(
@@ -169,8 +172,9 @@ fn better_or_worse(gain_db: f64) -> String {
     format!("{:.2} dB {word}", gain_db.abs())
 }
 
-/// Chooses between blending weights in space, and in space and time. `gain_db` is the PSNR gain of the latter on
-/// held-out frames. Any gain suffices, because both take about the same time. Without a gain, no method is chosen.
+/// Chooses between blending weights in space, and in space and time. `gain_db` is the PSNR gain of the latter on the
+/// held-out frames, which `frames` names in the reason. Any gain suffices, because both take about the same time.
+/// Without a gain, no method is chosen.
 pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decision) {
     let Some(gain_db) = gain_db else {
         let because = "No held-out frames were compared: that needs refined motion, depth per pixel and a frame \

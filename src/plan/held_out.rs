@@ -29,14 +29,14 @@ const NEIGHBORS: usize = 4;
 /// Candidate instants of views, as fractions of the frame interval, the preferred one first.
 const FRACTIONS: [f64; 3] = [0.5, 0.25, 0.75];
 
-/// Dilation of the changing part, pixels. It covers the part's parallax in a neighbouring view.
+/// Radius of the dilation of a frame's changing part, pixels. It covers the part's parallax in a neighbouring view.
 const PARALLAX_PX: usize = 16;
 
 /// Smallest time between a view and a frame, as a fraction of the frame interval. At a smaller one, synchronization
 /// has hardly any error.
 const MIN_FRACTION: f64 = 0.1;
 
-/// Smallest number of pixels of a changing part that is measured.
+/// Minimum number of pixels in the changing part of a held-out frame.
 const MIN_PIXELS: usize = 64;
 
 /// The held-out frames, with the light fields of neighbouring cameras from which they are rendered.
@@ -48,7 +48,7 @@ struct HeldOutFrame {
     /// The light field of the neighbouring cameras, without the held-out camera.
     neighbors: LightField,
     camera: Camera,
-    /// Text such as `cam1's 3`: the camera's id and the frame's index.
+    /// Text such as `frame 3 of cam1`: the frame's index and the camera's id.
     name: String,
     time_s: f64,
     /// The view in which sync methods are compared: halfway between the camera and its nearest neighbour.
@@ -103,7 +103,7 @@ impl Probe {
         Ok((!frames.is_empty()).then_some(Self { frames }))
     }
 
-    /// The held-out frames as text, such as `cam1's 3, cam2's 8` (camera and frame index).
+    /// The held-out frames as text, such as `frame 3 of cam1, frame 8 of cam2`.
     pub fn names(&self) -> String {
         let names: Vec<&str> = self.frames.iter().map(|f| f.name.as_str()).collect();
         names.join(", ")

@@ -182,7 +182,8 @@ fn by_scene_flow(options: &RenderOptions) -> RenderOptions {
     options
 }
 
-/// The PSNR gain of the second squared error over the first, decibels; `None` if an error is 0.
+/// The PSNR gain, decibels, that lowers the squared error from the first value to the second; `None` if one of them is
+/// 0.
 fn gain_db([error, other]: [f64; 2]) -> Option<f64> {
     (error > 0.0 && other > 0.0).then(|| 10.0 * (error / other).log10())
 }

@@ -19,8 +19,8 @@ const WITNESSES: usize = 5;
 /// Features that move by less than this between two frames count as static, pixels.
 const STILL_PX: f64 = 0.5;
 
-/// Largest change by noise in a still pair, in 0..=1. A larger change means that the light changes or the whole image
-/// moves.
+/// Largest change of a block by noise in a still pair, for pixel values of 0 to 1. A larger change means that the
+/// light changes or the whole image moves.
 pub(super) const MAX_NOISE: f32 = 4.0 / 255.0;
 
 /// Radius of the neighbourhood whose tracks predict a track's motion, pixels. Larger: any motion that varies in space
@@ -34,17 +34,19 @@ const PREDICTING: usize = 6;
 pub struct Motion {
     /// Largest motion of features from frame to frame, pixels.
     pub largest_px: f64,
-    /// Curvature of trajectories, pixels: a trajectory passes through a feature in four frames, and its distance from
-    /// the chord between the middle two is measured halfway. The 95th percentile of moving features.
+    /// Curvature of trajectories, pixels: the distance, halfway between two frames, of a feature's trajectory through
+    /// four frames from the straight line between its positions in the middle two. It is the 95th percentile of the
+    /// moving features in a frame pair, and the maximum over the pairs.
     pub curvature_px: f64,
     /// Motion residual, pixels: the distance of a feature halfway between two frames from the position that the motion
-    /// of its neighbours predicts. The 99th percentile. It is large at the outlines of objects with different motion.
+    /// of its neighbours predicts. It is the 99th percentile of the features in a frame pair, and the maximum over the
+    /// pairs. It is large at the outlines of objects with different motion.
     pub residual_px: f64,
     /// Fraction of image blocks that change by more than noise, 0..=1.
     pub changed_fraction: f64,
     /// Number of still pairs: frame pairs in which no block changes by more than noise, and no feature moves.
     pub still_pairs: usize,
-    /// Largest change of a block in the still pairs, as mean absolute difference, 0..=1.
+    /// Largest change of a block in the still pairs: mean absolute difference, for pixel values of 0 to 1.
     pub still_change: f32,
     /// Largest motion of features in the still pairs, pixels.
     pub still_px: f64,

@@ -8,6 +8,7 @@ use super::file::ImageFileError;
 use super::{Image, linear_from_encoded};
 use crate::host::write_atomically;
 use flate2::{Compression, write::ZlibEncoder};
+use rayon::prelude::*;
 use std::io::Write;
 use std::path::Path;
 
@@ -24,11 +25,13 @@ const ZIP: u8 = 3;
 const HALF: u32 = 1;
 const FLOAT: u32 = 2;
 
-/// A channel's samples, row by row.
-enum Channel {
-    Half(Vec<u16>),
-    Float(Vec<f32>),
+/// A channel's values by the index of the pixel, row by row.
+enum Channel<'a> {
+    Half(Value<'a>),
+    Float(Value<'a>),
 }
+
+type Value<'a> = Box<dyn Fn(usize) -> f32 + Sync + 'a>;
 
 /// Writes an image of 1 or 3 channels as OpenEXR. A missing folder is created.
 ///
@@ -54,26 +57,28 @@ pub fn write_exr(
 }
 
 /// The channels, sorted by name as the format requires.
-fn channels(image: &Image, coverage: &[bool], depths_m: &[f32]) -> [(&'static str, Channel); 5] {
+fn channels<'a>(
+    image: &'a Image,
+    coverage: &'a [bool],
+    depths_m: &'a [f32],
+) -> [(&'static str, Channel<'a>); 5] {
     let pixels = image.width() * image.height();
     assert_eq!((coverage.len(), depths_m.len()), (pixels, pixels), "one a pixel");
     let count = image.channels();
     let color = |channel: usize| {
-        let pixels = image.data().chunks_exact(count).zip(coverage);
-        let samples = pixels.map(|(pixel, is_covered)| {
-            let value = f64::from(pixel[channel.min(count - 1)]);
-            half(if *is_covered { linear_from_encoded(value) as f32 } else { 0.0 })
-        });
-        Channel::Half(samples.collect())
+        Channel::Half(Box::new(move |k| {
+            let value = f64::from(image.data()[k * count + channel.min(count - 1)]);
+            if coverage[k] { linear_from_encoded(value) as f32 } else { 0.0 }
+        }))
     };
-    let alpha = coverage.iter().map(|c| half(if *c { 1.0 } else { 0.0 })).collect();
-    let depths = depths_m.iter().map(|z| if z.is_finite() { *z } else { NO_DEPTH_M }).collect();
+    let alpha = |k: usize| f32::from(u8::from(coverage[k]));
+    let depth = |k: usize| if depths_m[k].is_finite() { depths_m[k] } else { NO_DEPTH_M };
     [
-        ("A", Channel::Half(alpha)),
+        ("A", Channel::Half(Box::new(alpha))),
         ("B", color(2)),
         ("G", color(1)),
         ("R", color(0)),
-        ("Z", Channel::Float(depths)),
+        ("Z", Channel::Float(Box::new(depth))),
     ]
 }
 
@@ -96,27 +101,29 @@ fn half(value: f32) -> u16 {
 }
 
 fn encode(width: usize, height: usize, channels: &[(&str, Channel)]) -> std::io::Result<Vec<u8>> {
+    let block = |index: usize| -> std::io::Result<Vec<u8>> {
+        let rows = index * BLOCK_ROWS..((index + 1) * BLOCK_ROWS).min(height);
+        let raw: Vec<u8> = rows.flat_map(|y| row(channels, width, y)).collect();
+        let packed = compressed(&raw)?;
+        // A block that compression doesn't shrink is stored uncompressed.
+        Ok(if packed.len() < raw.len() { packed } else { raw })
+    };
+    let count = height.div_ceil(BLOCK_ROWS);
+    let blocks = (0..count).into_par_iter().map(block).collect::<std::io::Result<Vec<_>>>()?;
     let mut file = Vec::new();
     file.extend(MAGIC.to_le_bytes());
     file.extend(VERSION.to_le_bytes());
     header(&mut file, [width as u32, height as u32], channels);
-    let blocks = height.div_ceil(BLOCK_ROWS);
-    let mut offset = file.len() + 8 * blocks;
-    let (mut offsets, mut body) = (Vec::new(), Vec::new());
-    for start in (0..height).step_by(BLOCK_ROWS) {
-        let rows = start..(start + BLOCK_ROWS).min(height);
-        let raw: Vec<u8> = rows.flat_map(|y| row(channels, width, y)).collect();
-        let packed = compressed(&raw)?;
-        // A block that compression doesn't shrink is stored uncompressed.
-        let block = if packed.len() < raw.len() { packed } else { raw };
-        offsets.extend((offset as u64).to_le_bytes());
-        body.extend((start as i32).to_le_bytes());
-        body.extend((block.len() as u32).to_le_bytes());
+    let mut offset = file.len() + 8 * count;
+    for block in &blocks {
+        file.extend((offset as u64).to_le_bytes());
         offset += 8 + block.len();
-        body.extend(block);
     }
-    file.extend(offsets);
-    file.extend(body);
+    for (index, block) in blocks.into_iter().enumerate() {
+        file.extend(((index * BLOCK_ROWS) as i32).to_le_bytes());
+        file.extend((block.len() as u32).to_le_bytes());
+        file.extend(block);
+    }
     Ok(file)
 }
 
@@ -156,8 +163,10 @@ fn row(channels: &[(&str, Channel)], width: usize, y: usize) -> Vec<u8> {
     let span = y * width..(y + 1) * width;
     let bytes = |(_, channel): &(&str, Channel)| -> Vec<u8> {
         match channel {
-            Channel::Half(all) => all[span.clone()].iter().flat_map(|v| v.to_le_bytes()).collect(),
-            Channel::Float(all) => all[span.clone()].iter().flat_map(|v| v.to_le_bytes()).collect(),
+            Channel::Half(value) => {
+                span.clone().flat_map(|k| half(value(k)).to_le_bytes()).collect()
+            }
+            Channel::Float(value) => span.clone().flat_map(|k| value(k).to_le_bytes()).collect(),
         }
     };
     channels.iter().flat_map(bytes).collect()
@@ -236,8 +245,8 @@ mod tests {
         let values: Vec<(&str, Vec<f64>)> = found
             .iter()
             .map(|(name, channel)| match channel {
-                Channel::Half(all) => (*name, all.iter().map(|v| value(*v)).collect()),
-                Channel::Float(all) => (*name, all.iter().map(|v| f64::from(*v)).collect()),
+                Channel::Half(of) => (*name, (0..2).map(|k| value(half(of(k)))).collect()),
+                Channel::Float(of) => (*name, (0..2).map(|k| f64::from(of(k))).collect()),
             })
             .collect();
         let expected = [

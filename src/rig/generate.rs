@@ -66,7 +66,7 @@ methods!(LossStamps {
     Mixed = "mixed": "Either in turn, by camera",
 });
 
-/// Lost frames of all cameras except the reference.
+/// How frames are lost: the settings for all cameras except the reference, which loses none.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Loss {
@@ -88,7 +88,7 @@ pub struct RigOptions {
     pub layout: RigLayout,
     /// Distance between neighbours' centres.
     pub spacing_m: f64,
-    /// Widths and heights of the images.
+    /// Widths and heights of the images, pixels.
     pub sizes_px: Vec<(u32, u32)>,
     /// Focal lengths, millimetres.
     pub lenses_mm: Vec<f64>,
@@ -96,21 +96,22 @@ pub struct RigOptions {
     pub sensor_width_mm: f64,
     /// Distortion of all lenses.
     pub distortion: RigDistortion,
-    /// Frame rates.
+    /// Frame rates, hertz.
     pub rates_hz: Vec<f64>,
-    /// Times of the first frames.
+    /// Times of the cameras' first frames.
     pub delays: Delays,
-    /// Standard deviations of the exposures' times.
+    /// Standard deviations of the exposures' random errors in time, seconds.
     pub jitters_s: Vec<f64>,
     /// Whether cameras stamp their frames with the jitter.
     pub jitter_stamped: bool,
-    /// Maximum absolute drift. Drifts are uniformly random within it; the reference has none.
+    /// Maximum absolute drift, parts per million. Drifts are uniformly random within it; the reference has
+    /// none.
     pub max_drift_ppm: f64,
     /// Lost frames, if any.
     pub loss: Option<Loss>,
     /// Whether all cameras share one clock.
     pub clock_shared: bool,
-    /// Durations for which the shutters are open.
+    /// Durations for which the shutters are open, seconds.
     pub exposures_s: Vec<f64>,
     /// Factors on the light, applied before display encoding.
     pub gains: Vec<f64>,

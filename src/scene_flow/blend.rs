@@ -11,16 +11,19 @@ use nalgebra::Point2;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Half-width of a cluster of candidates in depth, pixels of disparity.
+/// Half-width in depth, pixels of disparity, of a cluster: a group of candidates for one surface.
 const CLUSTER_PX: f32 = 1.5;
-/// Minimum fraction of all weights of a cluster that occludes a heavier one behind it.
+/// Weight above which a cluster occludes a heavier one behind it, as a fraction of the weight of all
+/// candidates at the pixel.
 const FRONT: f32 = 0.12;
-/// Minimum fraction of all weights of an opaque cluster. Between [`FRONT`] and this, opacity rises from 0 to
-/// 1.
+/// Weight from which a cluster is opaque, as a fraction of the weight of all candidates. Opacity rises
+/// linearly from 0 at [`FRONT`] to 1.
 const OPAQUE: f32 = 0.25;
-/// Minimum fraction of all weights of a cluster that shows through a transparent one.
+/// Weight above which a cluster is visible through a transparent one in front, as a fraction of the weight
+/// of all candidates.
 const BEHIND: f32 = 0.05;
-/// Minimum weight of a candidate in the mean of a cluster, as a fraction of the cluster's largest weight.
+/// Minimum weight of a candidate in the mean of its cluster, as a fraction of the largest weight in the
+/// cluster.
 const MIN_SHARE: f32 = 0.02;
 /// Distance of a colour from the mean at which its weight falls to a quarter; colours are RGB of 0 to 1.
 const COLOR: f32 = 0.06;
@@ -225,8 +228,8 @@ impl<'a> Behind<'a> {
     }
 
     /// Colours a hole at `[x, y]`, a position in the undistorted view, by its depth. The colour is that of
-    /// the nearest frame in which nothing occludes this depth; motion is neglected. If it is occluded in all
-    /// frames, the pixel stays as given. `None` if it is outside all images.
+    /// the nearest frame in which nothing occludes the point at this depth; motion is neglected. If the
+    /// point is occluded in all frames, the pixel stays as given. `None` if the point is outside all images.
     fn fill(&self, mut pixel: Pixel, [x, y]: [f32; 2]) -> Option<Pixel> {
         let mut is_filmed = false;
         for (MappedFrame { frame, map }, projection) in &self.frames {
@@ -255,8 +258,7 @@ impl<'a> Behind<'a> {
 type WeightedColors = Vec<([f32; 3], f32)>;
 
 /// The mean of the frontmost cluster with enough weight, composited over the cluster behind if it is not
-/// opaque. `reach` is a cluster's half-width, 1/m. `None` without candidates. `colors` is a buffer to be
-/// reused.
+/// opaque. `reach` is a cluster's half-width, 1/m. `None` without candidates. `colors` is a reusable buffer.
 fn pixel_of(candidates: &[Candidate], reach: f32, colors: &mut WeightedColors) -> Option<Pixel> {
     let depths = || candidates.iter().map(|c| c.inverse_depth);
     let nearest = depths().fold(f32::NEG_INFINITY, f32::max);

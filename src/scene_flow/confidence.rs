@@ -11,7 +11,8 @@ const MAX_DISPARITY_ERROR_PX: f32 = 1.5;
 /// Constant part of the maximum difference in velocity between an element and one that confirms it, pixels
 /// per frame.
 const MAX_MOTION_ERROR_PX: f32 = 2.0;
-/// Part of this maximum that is proportional to the speed, as a fraction of the speed.
+/// Part of the maximum difference in velocity that is proportional to the element's speed, as a fraction of
+/// the speed.
 const MAX_MOTION_ERROR: f32 = 0.15;
 /// Weight of a map in which the element is occluded, relative to a map that shows another surface there.
 const HIDDEN: f32 = 0.3;
@@ -23,9 +24,10 @@ const PRIOR_ALL: f32 = 0.5;
 /// The confidence of each pixel of each map, in the order of `mapped` and row by row: 1 to 255, where 255
 /// means that all comparable maps confirm the element.
 ///
-/// A map is comparable if its frame is near in time and the element projects into its image. Pass the frames
-/// around the view's instant: frames on both sides of it must agree on the motion between them. Confidences
-/// from these frames give views that are 1 dB better than those from all frames near one of them.
+/// A map is comparable if its frame is near in time and the element projects into its image. `mapped` should
+/// be the frames around the view's instant: frames before and after the instant must then agree on the
+/// motion between them. These confidences give views that are 1 dB better than confidences from all frames
+/// near each frame.
 pub fn confidences(mapped: &[MappedFrame]) -> Vec<Vec<u8>> {
     (0..mapped.len()).into_par_iter().map(|of| confidence(mapped, of)).collect()
 }

@@ -12,7 +12,8 @@ const MAX_DT: f32 = 0.8;
 /// Maximum motion of an element until the other map's frame, pixels. For larger motions, a small error of the
 /// velocity would move the element off a thin body.
 const MAX_MOTION_PX: f32 = 8.0;
-/// Maximum difference from one map, pixels; larger ones are truncated.
+/// Maximum difference of an element from one map, in disparity plus half a frame's motion, pixels; larger
+/// ones are truncated.
 const MAX_DIFFERENCE_PX: f32 = 4.0;
 /// Disparity by which a map's element must be in front to occlude an element, pixels.
 const HIDING_PX: f32 = 1.0;
@@ -44,7 +45,7 @@ impl Snapshot {
     }
 }
 
-/// Another frame's map, with its time and projection relative to the own frame.
+/// Another frame's map, with its time and projection relative to the frame that is estimated.
 struct OtherMap<'a> {
     dt: f32,
     projection: Projection,
@@ -73,9 +74,9 @@ impl<'a> OtherMaps<'a> {
         Self { maps: snapshots.iter().enumerate().filter_map(other).collect(), disparity_px }
     }
 
-    /// The mean difference, pixels, between an element at pixel `[x, y]` of the frame and the other maps
-    /// where it projects to. A difference is that of disparity plus that of half a frame's motion. 0 if it
-    /// projects into no other image.
+    /// The mean difference, pixels, of an element at pixel `[x, y]` of the frame from the other maps, where
+    /// it projects into them. Each difference is the sum of the differences in disparity and in half a
+    /// frame's motion. 0 if the element projects into no other image.
     pub fn difference(&self, e: &Element, [x, y]: [f32; 2]) -> f32 {
         let (mut sum, mut count) = (0.0, 0.0);
         let speed = e.speed();

@@ -4,12 +4,13 @@ use super::element::Element;
 use super::matching::{MatchedElement, PatchMatcher};
 use nalgebra::{Matrix6, Vector6};
 
-/// Weight of the prior, relative to the normal equations of a patch whose gradients are all 1 per pixel.
+/// Weight of the prior, which damps the step and shrinks rate and acceleration, relative to the normal
+/// equations of a patch whose gradients are all 1 per pixel.
 const PRIOR: f64 = 1e-6;
-/// Factor on the prior's weight for the rate of the inverse depth, relative to the inverse depth.
+/// Factor by which the step of the inverse depth's rate is damped more than that of the inverse depth.
 const RATE_STIFFNESS: f64 = 16.0;
-/// Factor on the weight that draws the rate of the inverse depth to 0, relative to the one that draws the
-/// acceleration to 0.
+/// Weight with which the rate of the inverse depth is shrunk to 0, as a multiple of its damping. For the
+/// acceleration, this multiple is 1.
 const RATE_PULL: f64 = 10.0;
 /// Maximum step, pixels of the pyramid level.
 const MAX_STEP_PX: f32 = 3.0;

@@ -42,7 +42,7 @@ const DEPTH_STEPS: f32 = u16::MAX as f32;
 /// Maximum difference of two neighbours on one surface, pixels: the sum of the differences in disparity and
 /// in motion.
 const MAX_JUMP_PX: f32 = 1.0;
-/// Duration of the motion in this difference, frames.
+/// Duration of the motion that counts in a difference of two neighbours, frames ([`MAX_JUMP_PX`]).
 const JUMP_FRAMES: f32 = 0.5;
 
 /// A frame's depth and motion, quantized for rendering and storage: 14 bytes per pixel, and about a third of

@@ -11,21 +11,23 @@ use std::ops::Range;
 const HALF_WIDTH: f32 = 0.55;
 /// Half-width of a splat towards a neighbour on another surface, pixels of the frame.
 const HALF_WIDTH_AT_EDGE: f32 = 0.5;
-/// Minimum and maximum size of a splat, relative to its size in the frame.
+/// Minimum and maximum magnification of a splat by the change of depth from the frame to the view. The ratio
+/// of the focal lengths is a further factor.
 const SCALES: [f32; 2] = [0.8, 8.0];
 /// Difference in disparity from which a nearer element occludes another, pixels.
 const HIDING_PX: f32 = 0.5;
 /// Constant part of the expected error of an element's position, pixels.
 const ERROR_PX: f32 = 0.2;
-/// Expected error per pixel of disparity between the frame's camera and the view.
+/// Expected error, pixels, per pixel of disparity between the frame's camera and the view.
 const ERROR_BY_BASELINE: f32 = 0.005;
 /// Expected errors per frame of time between the frame and the instant: a constant part, pixels, and a part
 /// per unit of speed (pixel per frame).
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
 /// Expected error as a fraction of acceleration times squared time, since paths are not parabolas.
 const ERROR_BY_CURVATURE: f32 = 0.1;
-/// Expected error due to place and time, pixels, below which a frame's weight rises steeply. So a view from a
-/// camera's own place at a frame's own time is that frame.
+/// Expected error due to the distance of the cameras and to the time from frame to instant, pixels, below
+/// which a frame's weight rises steeply. So a view from a camera's own place at a frame's own time is that
+/// frame.
 const EXACT_PX: f32 = 0.01;
 
 /// A map rendered into some rows of a view; each vector has one value per pixel, row by row.

@@ -19,20 +19,21 @@ const MAX_ROUGHNESS_PX: f32 = 2.0;
 const COLOR: f32 = 0.08;
 /// Added to the colour term, so that neighbours of any colour have some smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Matching cost below which no random elements are tried.
+/// Matching cost below which no random elements are tried, and a pixel can be settled.
 const MATCHED: f32 = 0.012;
 /// Distance ([`PatchMatcher::distance`]) below which two elements count as equal, pixels of the level.
 const SAME_PX: f32 = 0.08;
-/// Speed below which an element counts as static, pixels per frame.
+/// Speed below which an element counts as static, pixels per frame. It is also the maximum distance between
+/// the elements of a settled pixel and its neighbours, pixels of the level.
 const STILL_PX: f32 = 0.3;
-/// Speed above which, at the finest level, the static element is not tried, pixels per frame.
+/// Speed from which, at the finest level, an element's copy without motion is not tried, pixels per frame.
 const MAX_SPEED_TO_REST_PX: f32 = 4.0;
 /// At coarse levels, the fraction of random elements that are drawn from the whole search range. The others
 /// are near the current element.
 const ANYWHERE: f32 = 0.7;
-/// Fraction of the elements drawn from the whole range that are static.
+/// Fraction of the random elements from the whole range that are static.
 const AT_REST: f32 = 0.15;
-/// Fraction of the elements drawn from the whole range that keep the pixel's current depth.
+/// Fraction of the random elements from the whole range that have the pixel's current depth.
 const KEEP_DEPTH: f32 = 0.3;
 /// Maximum size of a random change of an element, pixels of the level.
 const MAX_CHANCE_PX: f32 = 4.0;
@@ -98,7 +99,8 @@ struct Best<'a, 'b> {
 }
 
 impl Best<'_, '_> {
-    /// Replaces the element by a proposal of lower total cost: match, smoothness and consistency.
+    /// Replaces the element by the proposal if the total cost of match, smoothness and consistency is then
+    /// lower.
     #[inline(always)]
     fn consider(&mut self, proposal: Element) {
         if !self.limits.contain(&proposal) {
@@ -167,8 +169,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers a Gauss–Newton step in the last pass, and for a pixel whose element has changed or that
-    /// later passes will skip as settled.
+    /// Considers a Gauss–Newton step if one is due: in the last pass, if this pass has changed the element
+    /// (before it: `before`), and in the first pass for a settled pixel, which later passes skip.
     fn step_if_due(&mut self, before: &Element, is_settled: bool, pass: &Pass) {
         let has_changed = self.matcher.distance(before, &self.element) > 0.0;
         if !(pass.is_last || has_changed || (is_settled && pass.turn == 0)) {

@@ -7,9 +7,10 @@ use super::map::ElementMap;
 
 /// Maximum time between two frames that propose elements to each other, frames of the reference camera.
 const MAX_PROPOSAL_DT: f32 = 1.1;
-/// Cost per frame of time between the two frames, which favours the nearer frame among equal matches.
+/// Cost that is added per frame of time between the two frames, so that the nearer of two equally good
+/// frames is preferred.
 const COST_PER_FRAME: f32 = 0.01;
-/// Maximum cost of an element that is proposed for being the frontmost.
+/// Upper bound of the cost of an element that is proposed because it is the frontmost.
 const MAX_NEAR_COST: f32 = 0.1;
 
 /// The elements of other frames' maps that project to each pixel of a map: the one of least cost, and the

@@ -4,13 +4,15 @@
 //!
 //! Known limits: Linux and macOS only. If the parent process is killed, its children are ended only on Linux.
 
+mod calibration;
 mod programs;
 mod script;
 mod setup;
 
-pub use programs::{
-    Check, CheckVerdict, FilmOptions, FilmedScene, blend_path, build_extension, check, film, review,
+pub use calibration::{
+    Calibration, CalibrationRequest, CameraEstimate, Check, CheckVerdict, calibrate, check,
 };
+pub use programs::{FilmOptions, FilmedScene, blend_path, build_extension, film, review};
 pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};
 
 /// Why a script or the set-up failed: one sentence, including the command that repairs it if there is one.

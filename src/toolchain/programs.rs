@@ -1,5 +1,5 @@
-//! Calls the Python programs, which film a capture, check a calibration, lay out the review of a comparison
-//! in Blender, and package the Blender extension as one file to install.
+//! Calls the Python programs, which film a capture, lay out the review of a comparison in Blender, and
+//! package the Blender extension as one file to install.
 
 use super::setup::{self, Environment};
 use super::{ToolchainError, script};
@@ -7,8 +7,6 @@ use crate::host::read_text;
 use crate::host::temporary::Temporary;
 use crate::json;
 use crate::progress::Reporter;
-use serde::Deserialize;
-use serde_json::Value;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -112,64 +110,6 @@ pub fn film(
     let mut command = script::command(environment, "capture.py");
     command.args(options.arguments());
     script::run(&mut command, "filming", reporter, |line| reporter.note(line))
-}
-
-/// The result of a calibration check.
-#[derive(Clone, Debug)]
-pub struct Check {
-    /// The measured values: the JSON object that `blender/check.py` prints.
-    pub values: Value,
-    pub verdict: CheckVerdict,
-    /// The lines of a table of the values. The last line is a sentence with the verdict.
-    pub table: Vec<String>,
-}
-
-/// The result of a calibration check in one word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum CheckVerdict {
-    Right,
-    Off,
-    /// The images do not suffice to tell.
-    Unknown,
-    /// The program's own projections differ from pycolmap's or Blender's, so that no verdict is possible.
-    Inconsistent,
-}
-
-impl CheckVerdict {
-    /// Whether the check failed: the calibration is wrong, or the program itself is. Images that do not
-    /// suffice are no failure.
-    pub fn is_failure(self) -> bool {
-        matches!(self, Self::Off | Self::Inconsistent)
-    }
-}
-
-/// Checks a capture's calibration. A wrong calibration is a result, not an error.
-pub fn check(
-    environment: &Environment,
-    capture: &Path,
-    reporter: &Reporter,
-) -> Result<Check, ToolchainError> {
-    let mut command = script::command(environment, "check.py");
-    command.arg(capture);
-    let phase = reporter.phase("checking the calibration");
-    let mut stdout = String::new();
-    let ended = script::ended(&mut command, |line| {
-        stdout.push_str(line);
-        stdout.push('\n');
-    });
-    drop(phase);
-    let ended = ended.map_err(|e| ToolchainError::Failure(format!("check.py: {e}")))?;
-    let values = serde_json::from_str::<Value>(&stdout);
-    let decided = values
-        .ok()
-        .and_then(|values| Some((CheckVerdict::deserialize(&values["verdict"]).ok()?, values)));
-    let Some((verdict, values)) = decided else {
-        script::verdict("check.py", &ended)?;
-        return Err(ToolchainError::Failure("check.py: printed no result".into()));
-    };
-    let table = ended.stderr.lines().map(str::to_owned).collect();
-    Ok(Check { values, verdict, table })
 }
 
 /// Writes `review.blend` beside the `review.json` of a comparison.

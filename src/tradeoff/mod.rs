@@ -147,7 +147,7 @@ pub struct Tradeoff {
     pub cameras: usize,
     /// Width and height of the timed view.
     pub size_px: (usize, usize),
-    /// Threads that views are rendered with.
+    /// Number of threads with which views are rendered.
     pub threads: usize,
     pub against: Against,
     /// The clock that the Pareto front is computed from.

@@ -195,6 +195,7 @@ def pictures(capture: str, folder: str) -> dict[str, Any]:
     place(scene, filmed[3])
     time_s = middle_s(capture)
     found = {"like": picture(scene, work, time_s, "like")}
+    scene.stlfr.preset = "none"
     scene.stlfr.sync = scene.stlfr.proxy = "auto"
     found["auto"] = picture(scene, work, time_s, "auto")
     scene.stlfr.preset = "draft"
@@ -229,6 +230,7 @@ def animation(capture: str, folder: str) -> dict[str, Any]:
     filmed = json.loads((Path(capture) / "capture.json").read_text())["cameras"]
     place(scene, filmed[3])
     scene.frame_start, scene.frame_end = 1, 3
+    settings.preset = "none"
     settings.proxy, settings.use_plane_depth = "plane", True
     settings.time_offset_s = middle_s(capture) - 0.02
     settings.speed = 0.25

@@ -301,6 +301,7 @@ def test_pictures_are_the_command_lines(
         name: by_command_line(program, own_capture, wanted, tmp_path)
         for name, wanted in found.items()
     }
+    assert found["like"]["options"] == {"preset": "best"}
     assert found["auto"]["options"]["auto"] == {
         "sync": True,
         "proxy": True,

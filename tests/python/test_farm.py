@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -91,7 +93,8 @@ document.body.textContent = encodeURIComponent(JSON.stringify({label: JOB_TYPE.l
 """What Flamenco's manager does with a job type."""
 
 
-def test_flamenco_makes_the_tasks(job: Path, tmp_path: Path) -> None:
+def flamenco(job: Path, tmp_path: Path) -> dict[str, Any]:
+    """The job's label, and its tasks with their commands."""
     page = tmp_path / "page.html"
     script = (job / "stlfr.js").read_text()
     page.write_text(f"<body><script>{script}{STUB}</script></body>")
@@ -99,6 +102,11 @@ def test_flamenco_makes_the_tasks(job: Path, tmp_path: Path) -> None:
     dumped = run(["chromium", *options, f"--user-data-dir={tmp_path}", page.as_uri()])
     body = dumped.stdout.split("<body>")[1].split("</body>")[0]
     said: dict[str, Any] = json.loads(unquote(body))
+    return said
+
+
+def test_flamenco_makes_the_tasks(job: Path, tmp_path: Path) -> None:
+    said = flamenco(job, tmp_path)
     tasks = {task["name"]: task for task in said["tasks"]}
     assert said["label"] == "stlfr: it's a capture"
     assert list(tasks) == [
@@ -122,6 +130,84 @@ def test_flamenco_makes_the_tasks(job: Path, tmp_path: Path) -> None:
     assert command["parameters"]["args"] == [*arguments[:-1], "4-5/5"]
 
 
+PATH = ["--path", "bullet-time", "--duration", "0.2", "--preset", "draft"]
+CHUNKS = ["1-3/7", "4-6/7", "7-7/7"]
+
+
+def run_openjd(job: Path, _tmp_path: Path) -> None:
+    step = ["--step", "render", "--no-run-dependencies"]
+    ended = openjd("run", job / "openjd.json", *step)
+    assert ended.returncode == 0, ended.stdout[-3000:]
+
+
+def run_slurm(job: Path, _tmp_path: Path) -> None:
+    for task in range(1, len(CHUNKS) + 1):
+        array = ["CHUNK=3", f"SLURM_ARRAY_TASK_ID={task}"]
+        ended = run(["env", *array, "sh", str(job / "render.sh")])
+        assert ended.returncode == 0, ended.stderr
+
+
+def run_flamenco(job: Path, tmp_path: Path) -> None:
+    tasks = flamenco(job, tmp_path)["tasks"]
+    tasks = [task for task in tasks if task["name"].startswith("render")]
+    assert [task["name"] for task in tasks] == [f"render {c}" for c in CHUNKS]
+    for task in reversed(tasks):
+        [command] = task["commands"]
+        words = command["parameters"]
+        ended = run([words["exe"], *words["args"]])
+        assert ended.returncode == 0, ended.stderr
+
+
+@pytest.fixture(scope="module")
+def path_job(
+    program: Path, capture_dir: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A job beside the frames that one command renders along the same path."""
+    folder = tmp_path_factory.mktemp("path")
+    capture, whole = folder / "capture", folder / "whole" / "%06d.png"
+    shutil.copytree(capture_dir, capture)
+    rendered = run([str(program), "render", str(capture), *PATH, "-o", str(whole)])
+    assert rendered.returncode == 0, rendered.stderr
+    made = farm(program, capture, "-o", folder / "job", *PATH, "--render-chunk", "3")
+    assert made.returncode == 0, made.stderr
+    return folder / "job"
+
+
+@pytest.mark.parametrize("engine", [run_openjd, run_slurm, run_flamenco])
+def test_a_path_in_chunks_has_the_bytes_of_one_command(
+    engine: Callable[[Path, Path], None], path_job: Path, tmp_path: Path
+) -> None:
+    shutil.rmtree(path_job / "frames", ignore_errors=True)
+    engine(path_job, tmp_path)
+    whole = sorted((path_job.parent / "whole").iterdir())
+    assert [path.name for path in whole] == [f"{k:06}.png" for k in range(7)]
+    assert len(list((path_job / "frames").iterdir())) == len(whole)
+    for path in whole:
+        assert path.read_bytes() == (path_job / "frames" / path.name).read_bytes()
+
+
+def test_a_path_file_is_named_as_all_machines_see_it(
+    program: Path, capture_dir: Path, tmp_path: Path
+) -> None:
+    capture = json.loads((capture_dir / "capture.json").read_text())
+    camera = capture["cameras"][3]
+    view = {key: camera[key] for key in ("width", "height", "model", "params")}
+    view["cam_from_world"] = camera["cam_from_world"]
+    keys = [{"at_s": at_s, "time_s": 0.1, "camera": view} for at_s in (0, 1)]
+    path = {"format": "stlfr-path", "version": 1, "rate_hz": 24, "keys": keys}
+    (tmp_path / "path.json").write_text(json.dumps(path))
+    near = os.path.relpath(tmp_path / "path.json")
+    result = farm(program, capture_dir, "-o", tmp_path / "job", "--path", near)
+    assert result.returncode == 0, result.stderr
+    template = json.loads((tmp_path / "job/openjd.json").read_text())
+    step = next(step for step in template["steps"] if step["name"] == "render")
+    arguments = step["script"]["actions"]["onRun"]["args"]
+    [named] = [a for a in arguments if a.startswith("--path=")]
+    assert Path(named.removeprefix("--path=")).resolve() == tmp_path / "path.json"
+    assert Path(named.removeprefix("--path=")).is_absolute()
+    assert arguments[-1] == "{{Task.Param.Part}}/25"
+
+
 def test_what_a_job_cannot_be_made_of_is_refused(
     program: Path, capture_dir: Path, tmp_path: Path
 ) -> None:
@@ -129,6 +215,9 @@ def test_what_a_job_cannot_be_made_of_is_refused(
     for arguments, complaint in (
         ([tmp_path / "nowhere"], "nowhere/capture.json"),
         ([capture_dir, "--times", "0:1:3"], "--like"),
+        ([capture_dir, "--like", "cam3"], "--times or --path"),
+        ([capture_dir, "--like", "cam3", "--time", "0.1"], "--times or --path"),
+        ([capture_dir, "--path", tmp_path / "none.json"], "none.json"),
         ([capture_dir, "--times", "0:1:3", "--like", "cam9"], "the id 'cam9'"),
         ([capture_dir, "--options", tmp_path / "none.json"], "none.json"),
         ([capture_dir, "--scene", "magazine"], "--rig"),

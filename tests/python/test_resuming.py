@@ -269,14 +269,15 @@ def test_a_scene_without_a_place_for_the_rig_is_refused(
     assert not (tmp_path / "capture" / "capture.json").exists()
 
 
-def test_a_hidden_folder_that_is_a_link_is_refused(
-    small_rig: Path, tmp_path: Path
+@pytest.mark.parametrize("name", [".film", "left", "colmap", "truth", "truth/views"])
+def test_a_folder_that_is_a_link_is_refused(
+    name: str, small_rig: Path, tmp_path: Path
 ) -> None:
     mine = tmp_path / "elsewhere" / "partial"
     mine.mkdir(parents=True)
     capture = tmp_path / "capture"
-    capture.mkdir()
-    (capture / ".film").symlink_to(mine.parent)
+    (capture / name).parent.mkdir(parents=True)
+    (capture / name).symlink_to(mine.parent)
     result = run(small_film(capture, small_rig))
-    assert result.returncode == 2 and ".film is a link" in result.stderr
+    assert result.returncode == 2 and f"{name} is a link" in result.stderr
     assert mine.is_dir()

@@ -22,7 +22,13 @@ def poses(model: Any) -> dict[str, Any]:
     errors = uncertainty.standard_errors(model)
     matrices = {i.name: i.cam_from_world().matrix() for i in model.images.values()}
     return {
-        name: calibration.EstimatedPose(matrix[:, :3], matrix[:, 3], *errors[name])
+        name: calibration.EstimatedPose(
+            matrix[:, :3],
+            matrix[:, 3],
+            errors[name].rotation_deg,
+            errors[name].centre,
+            errors[name].points,
+        )
         for name, matrix in matrices.items()
     }
 

@@ -1,20 +1,21 @@
 //! A treecode (Barnes and Hut 1986) for the sums of eq. (7): far edges are approximated by clusters.
 //!
-//! An edge's displacement is linear in the position, so that the strength-weighted sum of a cluster's
-//! displacements is one linear map, without error. Only the edges' weights are approximated: all edges of a
-//! cluster have the weight of an edge of length 0 at its centre.
+//! An edge's weight in the sums is its strength, the boost of eq. (8), times a function of distance. An edge's
+//! displacement is linear in the position, so that the strength-weighted sum of a cluster's displacements is one
+//! linear map, without error. Only the function of distance is approximated: for all edges of a cluster, it is that
+//! of an edge of length 0 at the cluster's centre.
 //!
-//! **The error.** Let `e` be the largest error of a cluster's weight, `d` an edge's displacement, `D′` the
-//! approximate mean, and `W` the exact sum of weights. Then the error of the mean is at most Σ strength·e·|d
-//! − D′| / W. With the approximate sum of weights `W′`, and a reference displacement `D₀` near the tile, this
-//! bound can be computed from sums per cluster:
+//! **The error.** Let `e` be the largest error of this function in a cluster, `d` an edge's displacement, `D′` the
+//! approximate mean, and `W` the exact sum of weights. Then the error of the mean is at most Σ strength·e·|d − D′|
+//! / W. With the approximate sum of weights `W′`, and a reference displacement `D₀` near the tile, this bound can
+//! be computed from sums per cluster:
 //!
 //! ```text
 //! error ≤ (P + Q·|D′ − D₀|) / (W′ − Q),   P = Σ strength·e·|d − D₀|,   Q = Σ strength·e
 //! ```
 //!
-//! The clusters with the largest terms are opened, that is, replaced by their children, until the bound is at
-//! most [`TOLERANCE_PX`] at every node of a tile.
+//! The clusters with the largest terms are opened, that is, replaced by their children, until the bound is at most
+//! [`TOLERANCE_PX`] at every node of a tile.
 //!
 //! Known limit: the bound leaves out the rounding of f32, about 1e-4 px.
 

@@ -133,8 +133,9 @@ fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
         if !(length >= MIN_LENGTH_PX && source_length >= MIN_LENGTH_PX) {
             return None;
         }
-        // Beier and Neely's u is relative to the edge's length, their v is in pixels: X' = P' +
-        // e'·(e·(X−P))/L² + e'⊥·(e⊥·(X−P))/(L·L').
+        // Beier and Neely's coordinate u along the edge is relative to its length, and their v across it is
+        // in pixels. With the edge vectors e at the instant and e' in the source, their lengths L and L', and
+        // ⊥ for the perpendicular vector: X' = P' + e'·(e·(X−P))/L² + e'⊥·(e⊥·(X−P))/(L·L').
         let (along, across) = (length * length, length * source_length);
         let map = [
             e_source.x * e.x / along + e_source.y * e.y / across - 1.0,
@@ -349,7 +350,7 @@ mod tests {
                     }
                 }
                 assert!(!is_exact, "clusters count: {size} {spacing} {boost}");
-                // In addition to the tolerance, the rounding of the sums.
+                // The sums are rounded, which adds 1e-3 px to the tolerance.
                 assert!(worst <= clusters::TOLERANCE_PX + 1e-3, "{size} {boost}: {worst}");
             }
         }

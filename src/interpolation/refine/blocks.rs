@@ -3,7 +3,7 @@
 use nalgebra::Point2;
 use std::ops::Range;
 
-/// Minimum side of a block, pixels. It is at least four times a window's radius.
+/// Minimum side of a block, pixels. The side is also at least four times the radius of the windows.
 const MIN_SIDE_PX: usize = 16;
 /// Ratio of a block's side to its overlap with a neighbour. (With a ratio of 2, images of six scenes are 0.03
 /// dB better in the mean, and take twice as long to refine.)

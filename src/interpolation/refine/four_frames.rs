@@ -9,12 +9,12 @@ use crate::interpolation::warp::difference;
 use crate::raster::Image;
 use std::cell::OnceCell;
 
-/// Difference between an outer frame's cost and the middle frames' up to which the outer frame has full
-/// weight, values 0..=1.
+/// Excess of an outer frame's cost over the middle frames' cost, for pixel values of 0 to 1, up to which the
+/// outer frame has full weight.
 const OUTER_SLACK: f32 = 0.01;
-/// Further difference by which an outer frame's weight falls to 1/e.
+/// Increase of the excess beyond [`OUTER_SLACK`] by which an outer frame's weight falls to 1/e.
 const OUTER_SOFTNESS: f32 = 0.01;
-/// Maximum mean of this difference in a static block, as a fraction of [`OUTER_SLACK`].
+/// Maximum mean excess in a static block, as a fraction of [`OUTER_SLACK`].
 const STATIC_EXCESS_FRACTION: f32 = 0.25;
 /// Weights below this fraction of the largest weight are neglected.
 pub const NEGLIGIBLE_WEIGHT: f32 = 1e-3;
@@ -72,8 +72,8 @@ pub struct MiddleFrames<'a> {
 }
 
 /// Averages the outer frames into the composite of the middle frames, with a weight of at most `outer_weight`
-/// each. At each pixel, an outer frame is compensated by that of the motions for which it differs least from
-/// the composite.
+/// each. At each pixel, an outer frame is compensated by the one of the motions for which it differs least
+/// from the composite.
 pub fn fuse(
     MiddleFrames { at_pixels: middle, at_points, costs }: MiddleFrames,
     compensated: &[CompensatedFrames],
@@ -140,7 +140,8 @@ pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: Block
     })
 }
 
-/// The mean of the four frames in a static block, without motion compensation; 0 outside the image.
+/// A static block, without motion compensation: `cross_faded`, the cross-fade of the middle frames, averaged
+/// with the outer frames; 0 outside the image.
 pub fn static_mean(frames: &FourFrames, cross_faded: &Image, area: BlockArea) -> Vec<f32> {
     let weight = frames.outer_weight();
     let crop = |image: &Image| area.crop(image.data(), image.channels());

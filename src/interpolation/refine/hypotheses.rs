@@ -1,5 +1,5 @@
-//! Hypotheses about a block's pixels: each is a motion with a visibility. Their costs, their weights, and the
-//! weighted mean.
+//! Hypotheses about a block's pixels: each is a motion with a visibility. A hypothesis has a cost and a
+//! weight at every pixel, and the block's colours are the weighted mean of the hypotheses.
 
 use super::blocks::BlockArea;
 use super::costs::PointGrid;
@@ -11,7 +11,7 @@ use crate::raster::{Image, max_filter};
 use nalgebra::{Point2, Vector2};
 use std::borrow::Cow;
 
-/// Increase of a hypothesis's cost, values 0..=1, by which its weight falls to 1/e.
+/// Increase of a hypothesis's cost, for pixel values of 0 to 1, by which its weight falls to 1/e.
 const SOFTNESS: f32 = 0.02;
 /// Minimum weight of a hypothesis, so that the sum of weights is positive.
 const MIN_WEIGHT: f32 = 1e-30;
@@ -26,7 +26,7 @@ const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 /// Motion below which a surface counts as static, pixels per frame.
 const AT_REST_PX: f32 = 1.0;
 
-/// Which of the two middle frames see the surface, by a hypothesis.
+/// Which of the two middle frames see the surface, according to a hypothesis.
 enum Visibility {
     /// No surface: the cross-fade of the two warped frames.
     CrossFade,
@@ -241,8 +241,8 @@ impl<'a> BlockHypotheses<'a> {
         let motion_px = steps[1].norm() as f32;
         let change_px = change_px(0, 0).max(change_px(3, 1));
         let of_pixel = |(&cost, &of_warps): (&f32, &f32)| {
-            // For a static surface, frames may agree although another body passes between them: the warped
-            // frames' cost is a lower bound.
+            // The frames may show the same static surface although a body occludes it at the instant. The
+            // cost is therefore at least that of the warped frames.
             let cost = if motion_px < AT_REST_PX { cost.max(of_warps) } else { cost };
             [motion_px, change_px, cost]
         };

@@ -44,8 +44,8 @@ use hypotheses::BlockHypotheses;
 use motions::MotionHypotheses;
 use rayon::prelude::*;
 
-/// Maximum cost of the two warped frames in a block in which they agree: their mean difference over the
-/// window around each pixel, values 0..=1.
+/// Maximum cost of the two warped frames in a block in which they agree: their mean absolute difference over
+/// the window around each pixel, for pixel values of 0 to 1.
 const MAX_AGREEING_COST: f32 = 0.03;
 /// Maximum number of motions by which the outer frames are compensated, in a block in which the warped frames
 /// agree.

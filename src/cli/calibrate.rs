@@ -1,0 +1,189 @@
+//! `stlfr calibrate` and `stlfr refine`
+
+use super::CliError;
+use super::files::{CommandOutput, open_capture};
+use super::import::ClockArgs;
+use super::print::{Page, decimals};
+use std::path::{Path, PathBuf};
+use stlfr::camera::CameraFormat;
+use stlfr::capture::{CAPTURE_FILE, Capture, Opening};
+use stlfr::exchange::{self, Draft};
+use stlfr::progress::Reporter;
+use stlfr::toolchain::{
+    Calibration, CalibrationRequest, calibrate, ensure_environment, find_ffmpeg, project_root,
+};
+
+/// Make a capture from recordings without a calibration, or with one that is not trusted.
+///
+/// Cameras must not move. Their places and lenses are found from what stands still: the median of each camera's frames,
+/// which needs no synchronization. Something textured must stand still, and neighbouring cameras must see the same of it.
+/// The images tell no scale: give --distance for true metres. Cameras that all look one way don't tell their focal
+/// length: give --focal, or depth is stretched by the guess.
+///
+/// A capture's own calibration is not read. Its truth, offsets and COLMAP model are not taken along.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr calibrate videos -o .captures/mine\n  \
+    stlfr calibrate videos --distance cam0 cam7 0.42 -o .captures/mine\n  \
+    stlfr calibrate frames --rate 30 --focal 1450 --lens PINHOLE -o .captures/mine\n  \
+    stlfr calibrate .captures/imported -o .captures/mine")]
+pub struct CalibrateArgs {
+    /// A folder with a video or a sub-folder of images for each camera, or a capture.
+    recordings: PathBuf,
+    /// Two cameras and the distance of their centres, metres.
+    #[arg(long, num_args = 3, value_names = ["CAMERA", "CAMERA", "METRES"])]
+    distance: Option<Vec<String>>,
+    /// Focal length of all cameras, pixels [default: estimated].
+    #[arg(long, value_name = "PX")]
+    focal: Option<f64>,
+    /// COLMAP's lens model.
+    #[arg(long, value_name = "MODEL", default_value = "SIMPLE_RADIAL",
+        value_parser = ["PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"])]
+    lens: String,
+    #[command(flatten)]
+    clocks: ClockArgs,
+    /// The capture to make: a new folder.
+    #[arg(short, long, value_name = "CAPTURE")]
+    output: PathBuf,
+}
+
+/// Refine a capture's calibration by what stands still, into a new capture.
+///
+/// Poses are adjusted, and focal lengths and principal points where that is asked for, so that all cameras agree on the
+/// points that they see; the given capture is not changed. The array's mean place, direction and size are kept.
+/// What the images don't tell stays as it was given. If focal lengths may be wrong, give --focal: otherwise poses are bent
+/// to make up for them.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr refine .captures/mine -o .captures/refined\n  \
+    stlfr refine .captures/mine --focal --principal-point -o .captures/refined")]
+pub struct RefineArgs {
+    /// The capture's folder.
+    capture: PathBuf,
+    /// Refine focal lengths too, taken to be right to 1 %.
+    #[arg(long)]
+    focal: bool,
+    /// Refine principal points too, taken to be right to 0.5 % of the image's width.
+    #[arg(long)]
+    principal_point: bool,
+    /// The capture to make: a new folder.
+    #[arg(short, long, value_name = "CAPTURE")]
+    output: PathBuf,
+}
+
+pub fn run(args: &CalibrateArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+    if args.focal.is_some_and(|px| !(px > 0.0 && px < 1e6)) {
+        return Err(CliError::BadInput("--focal: must be positive pixels".into()));
+    }
+    let distance_m = args.distance.as_deref().map(distance).transpose()?;
+    let clock = args.clocks.clock()?;
+    CommandOutput::Capture(&args.output).check(Some(&args.recordings))?;
+    exchange::require_new(&args.output)?;
+    let request =
+        CalibrationRequest::New { lens: args.lens.clone(), focal_px: args.focal, distance_m };
+    if args.recordings.join(CAPTURE_FILE).exists() {
+        if args.clocks.are_given() {
+            let reason = "--rate, --first, --times and --shared are of recordings, and a capture has its clocks";
+            return Err(CliError::BadInput(reason.into()));
+        }
+        return calibrated(&args.recordings, &request, &args.output, page, reporter);
+    }
+    let ffmpeg = find_ffmpeg();
+    let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter };
+    let times = args.clocks.times.as_deref();
+    let draft = Draft::import(&args.recordings, times, clock, &args.output, &opening)?;
+    for note in &draft.notes {
+        reporter.note(note);
+    }
+    calibrated(&draft.folder, &request, &args.output, page, reporter)
+}
+
+pub fn run_refine(args: &RefineArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+    CommandOutput::Capture(&args.output).check(Some(&args.capture))?;
+    exchange::require_new(&args.output)?;
+    let (focal, principal_point) = (args.focal, args.principal_point);
+    let request = CalibrationRequest::Refinement { focal, principal_point };
+    calibrated(&args.capture, &request, &args.output, page, reporter)
+}
+
+/// Makes the capture `output` of a capture's frames with an estimated calibration.
+fn calibrated(
+    folder: &Path,
+    request: &CalibrationRequest,
+    output: &Path,
+    page: &mut Page,
+    reporter: &Reporter,
+) -> Result<(), CliError> {
+    // A wrong capture is an error before a set-up that may take minutes.
+    let capture = open_capture(folder, None, reporter)?;
+    require_distance(&capture, request)?;
+    let environment = ensure_environment(&project_root()?, reporter)?;
+    let calibration = calibrate(&environment, folder, request, reporter)?;
+    let cameras: Vec<CameraFormat> = calibration.cameras.iter().map(|c| c.format()).collect();
+    let ffmpeg = find_ffmpeg();
+    let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter };
+    exchange::recalibrate(&capture, &cameras, output, &opening)?;
+    print_table(&calibration, page);
+    for note in &calibration.notes {
+        reporter.note(note);
+    }
+    Ok(())
+}
+
+/// Parses the values of `--distance`.
+fn distance(values: &[String]) -> Result<([String; 2], f64), CliError> {
+    let wrong = |reason: &str| CliError::BadInput(format!("--distance: {reason}"));
+    let [first, second, metres] = values else { return Err(wrong("needs three values")) };
+    let metres = metres.parse::<f64>().ok().filter(|m| *m > 0.0 && *m < 1e6);
+    let metres = metres.ok_or_else(|| wrong("the third value must be positive metres"))?;
+    if first == second {
+        return Err(wrong("needs two cameras"));
+    }
+    Ok(([first.clone(), second.clone()], metres))
+}
+
+/// Refuses a distance of cameras that the capture doesn't have.
+fn require_distance(capture: &Capture, request: &CalibrationRequest) -> Result<(), CliError> {
+    let CalibrationRequest::New { distance_m: Some((ids, _)), .. } = request else {
+        return Ok(());
+    };
+    match ids.iter().find(|id| capture.cameras.iter().all(|c| c.id != **id)) {
+        Some(id) => Err(CliError::BadInput(format!("--distance: there is no camera '{id}'"))),
+        None => Ok(()),
+    }
+}
+
+fn print_table(calibration: &Calibration, page: &mut Page) {
+    let is_refined = calibration.cameras.iter().any(|c| c.turned_deg.is_some());
+    let mut header = format!(
+        "{:<12} {:>20} {:>12} {:>12} {:>7} {:>9}",
+        "camera", "focal length", "rotation ±", "position ±", "points", "error"
+    );
+    if is_refined {
+        header += &format!(" {:>11} {:>11}", "turned by", "moved by");
+    }
+    page.line(header);
+    for camera in &calibration.cameras {
+        let focal_px = camera.focal_px();
+        let std_err_px = focal_px * camera.focal_std_err_fraction;
+        let focal = if std_err_px > 0.0 {
+            let digits = decimals(Some(std_err_px)).min(2);
+            format!("{focal_px:.digits$} ± {std_err_px:.digits$} px")
+        } else {
+            format!("{focal_px:.2} px")
+        };
+        let mut line = format!(
+            "{:<12} {focal:>20} {:>8.4} deg {:>9.2} mm {:>7} {:>6.2} px",
+            camera.id,
+            camera.rotation_std_err_deg,
+            1e3 * camera.position_std_err_m,
+            camera.points,
+            camera.error_px,
+        );
+        if let (Some(deg), Some(m)) = (camera.turned_deg, camera.moved_m) {
+            line += &format!(" {deg:>7.3} deg {:>8.2} mm", 1e3 * m);
+        }
+        page.line(line);
+    }
+    page.line(format_args!("{} points that stand still", calibration.points));
+}

@@ -1,0 +1,104 @@
+//! Captures without a calibration, and a capture's frames with another one.
+
+use super::import::{NewCapture, import, link, name_of};
+use super::pairing::{extension, uncalibrated};
+use super::request::{ImportClock, ImportRequest};
+use super::{ExchangeError, content};
+use crate::camera::CameraFormat;
+use crate::capture::{CAPTURE_FILE, Capture, CaptureFormat, Opening};
+use crate::host::temporary::Temporary;
+use crate::json;
+use std::path::{Path, PathBuf};
+
+/// Name of the capture inside its temporary folder.
+const DRAFT: &str = "draft";
+
+/// A capture whose lenses and poses are placeholders: it is to be calibrated. Its folder is removed when it is dropped.
+pub struct Draft {
+    /// The capture's folder.
+    pub folder: PathBuf,
+    /// Sentences that say what was found, and what was decided.
+    pub notes: Vec<String>,
+    _temporary: Temporary,
+}
+
+impl Draft {
+    /// Imports a folder's videos and sub-folders of images into a draft beside `target`, the capture that it will become.
+    /// `times` is a table of all frames' times. A camera's id is its recording's name.
+    ///
+    /// Errors: as [`import`], and less than two recordings.
+    pub fn import(
+        images: &Path,
+        times: Option<&Path>,
+        clock: ImportClock,
+        target: &Path,
+        opening: &Opening,
+    ) -> Result<Self, ExchangeError> {
+        let cameras = uncalibrated(images)?;
+        let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
+        let absolute = std::path::absolute(target).map_err(failed)?;
+        let beside = absolute.parent().ok_or_else(|| content(target, "names no folder"))?;
+        let temporary = Temporary::inside(beside).map_err(failed)?;
+        let folder = temporary.path().join(DRAFT);
+        let request = ImportRequest {
+            images,
+            table: None,
+            times,
+            clock,
+            is_cropped: false,
+            is_uncalibrated: true,
+        };
+        let notes = import(&cameras, &request, &folder, opening)?;
+        Ok(Self { folder, notes, _temporary: temporary })
+    }
+}
+
+/// Makes the capture `target` of the frames and clocks of `capture`, with these cameras in its order. Frames are linked,
+/// or copied where the file system can't link them. The target appears only once it is complete and can be opened.
+///
+/// Truth, offsets and COLMAP's model belong to the other calibration, and are not taken along.
+///
+/// Errors: a target that is not empty, another number of cameras, a camera of another size than its frames.
+pub fn recalibrate(
+    capture: &Capture,
+    cameras: &[CameraFormat],
+    target: &Path,
+    opening: &Opening,
+) -> Result<(), ExchangeError> {
+    let description = capture.folder.join(CAPTURE_FILE);
+    let mut format: CaptureFormat =
+        json::read(&description).map_err(|error| content(&description, error))?;
+    if cameras.len() != capture.cameras.len() || format.cameras.len() != cameras.len() {
+        return Err(content(&description, "has another number of cameras than the calibration"));
+    }
+    let new = NewCapture::begin(target)?;
+    format.name = name_of(target)?;
+    for ((filmed, described), camera) in
+        capture.cameras.iter().zip(&mut format.cameras).zip(cameras)
+    {
+        let id = &filmed.id;
+        let linked = |from: &Path, name: String| {
+            let linked = link(from, &new.whole.join(name));
+            let (path, to) = (from.to_owned(), target.to_owned());
+            linked.map_err(|source| ExchangeError::Copy { path, to, source })
+        };
+        described.frames = if let Some(video) = &filmed.video {
+            let name = format!("{id}.{}", extension(&video.path).unwrap_or_default());
+            linked(&video.path, name.clone())?;
+            name
+        } else {
+            let extension = extension(&filmed.frames[0]).unwrap_or_default();
+            let made = std::fs::create_dir(new.whole.join(id));
+            made.map_err(|source| ExchangeError::Write { path: target.to_owned(), source })?;
+            for (k, frame) in filmed.frames.iter().enumerate() {
+                linked(frame, format!("{id}/{k:04}.{extension}"))?;
+            }
+            format!("{id}/%04d.{extension}")
+        };
+        let CameraFormat { width, height, model, params, cam_from_world } = camera.clone();
+        (described.width, described.height) = (width, height);
+        (described.model, described.params) = (model, params);
+        described.cam_from_world = cam_from_world;
+    }
+    new.finish(&format, target, opening)
+}

@@ -1,0 +1,182 @@
+//! Calls the Python programs that check, find and refine calibrations.
+
+use super::setup::Environment;
+use super::{ToolchainError, script};
+use crate::camera::{CameraFormat, PoseFormat};
+use crate::progress::Reporter;
+use serde::Deserialize;
+use serde_json::Value;
+use std::ffi::OsString;
+use std::path::Path;
+
+/// The result of a calibration check.
+#[derive(Clone, Debug)]
+pub struct Check {
+    /// The measured values: the JSON object that `blender/check.py` prints.
+    pub values: Value,
+    pub verdict: CheckVerdict,
+    /// The lines of a table of the values. The last line is a sentence with the verdict.
+    pub table: Vec<String>,
+}
+
+/// The result of a calibration check in one word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CheckVerdict {
+    Right,
+    Off,
+    /// The images do not suffice to tell.
+    Unknown,
+    /// The program's own projections differ from pycolmap's or Blender's, so that no verdict is possible.
+    Inconsistent,
+}
+
+impl CheckVerdict {
+    /// Whether the check failed: the calibration is wrong, or the program itself is. Images that do not
+    /// suffice are no failure.
+    pub fn is_failure(self) -> bool {
+        matches!(self, Self::Off | Self::Inconsistent)
+    }
+}
+
+/// Checks a capture's calibration. A wrong calibration is a result, not an error.
+pub fn check(
+    environment: &Environment,
+    capture: &Path,
+    reporter: &Reporter,
+) -> Result<Check, ToolchainError> {
+    let mut command = script::command(environment, "check.py");
+    command.arg(capture);
+    let phase = reporter.phase("checking the calibration");
+    let mut stdout = String::new();
+    let ended = script::ended(&mut command, |line| {
+        stdout.push_str(line);
+        stdout.push('\n');
+    });
+    drop(phase);
+    let ended = ended.map_err(|e| ToolchainError::Failure(format!("check.py: {e}")))?;
+    let values = serde_json::from_str::<Value>(&stdout);
+    let decided = values
+        .ok()
+        .and_then(|values| Some((CheckVerdict::deserialize(&values["verdict"]).ok()?, values)));
+    let Some((verdict, values)) = decided else {
+        script::verdict("check.py", &ended)?;
+        return Err(ToolchainError::Failure("check.py: printed no result".into()));
+    };
+    let table = ended.stderr.lines().map(str::to_owned).collect();
+    Ok(Check { values, verdict, table })
+}
+
+/// What is to be estimated of a calibration.
+#[derive(Clone, Debug)]
+pub enum CalibrationRequest {
+    /// Everything. The capture's own lenses and poses are not read.
+    New {
+        /// COLMAP's name of the lens model.
+        lens: String,
+        /// Focal length of all cameras, pixels, if it is known.
+        focal_px: Option<f64>,
+        /// Two cameras, and their distance in metres, if it is known.
+        distance_m: Option<([String; 2], f64)>,
+    },
+    /// The given poses, refined, and lens parameters.
+    Refinement {
+        /// Whether focal lengths are refined.
+        focal: bool,
+        /// Whether principal points are refined.
+        principal_point: bool,
+    },
+}
+
+impl CalibrationRequest {
+    /// The words for the script. Flag and value are one, so that a negative value isn't read as a flag.
+    fn arguments(&self) -> Vec<OsString> {
+        match self {
+            Self::New { lens, focal_px, distance_m } => {
+                let mut arguments = vec!["new".into(), format!("--lens={lens}").into()];
+                arguments.extend(focal_px.map(|px| format!("--focal={px}").into()));
+                if let Some(([first, second], metres)) = distance_m {
+                    arguments.push(format!("--between={first}").into());
+                    arguments.push(format!("--and={second}").into());
+                    arguments.push(format!("--metres={metres}").into());
+                }
+                arguments
+            }
+            Self::Refinement { focal, principal_point } => {
+                let mut arguments = vec!["refine".into()];
+                arguments.extend(focal.then(|| "--focal".into()));
+                arguments.extend(principal_point.then(|| "--principal-point".into()));
+                arguments
+            }
+        }
+    }
+}
+
+/// A calibration estimated from images.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Calibration {
+    /// In the order of the capture's cameras.
+    pub cameras: Vec<CameraEstimate>,
+    /// Number of points that it was estimated from.
+    pub points: usize,
+    /// Sentences for the user.
+    pub notes: Vec<String>,
+}
+
+/// A camera of an estimated calibration. Standard errors of poses are along the worst axis, relative to the array.
+#[derive(Clone, Debug, Deserialize)]
+pub struct CameraEstimate {
+    pub id: String,
+    width: u32,
+    height: u32,
+    model: String,
+    /// The lens model's parameters in COLMAP's order.
+    params: Vec<f64>,
+    cam_from_world: PoseFormat,
+    /// Number of points that the camera sees.
+    pub points: usize,
+    /// Root mean square of the reprojection errors, pixels.
+    pub error_px: f64,
+    pub rotation_std_err_deg: f64,
+    pub position_std_err_m: f64,
+    /// Standard error of the focal length as a fraction of it; 0 if it was given.
+    pub focal_std_err_fraction: f64,
+    /// By how much the camera was turned; `None` if there was no calibration before.
+    pub turned_deg: Option<f64>,
+    /// By how much its centre was moved, metres.
+    pub moved_m: Option<f64>,
+}
+
+impl CameraEstimate {
+    /// Lens and pose as a capture describes them.
+    pub fn format(&self) -> CameraFormat {
+        CameraFormat {
+            width: self.width,
+            height: self.height,
+            model: self.model.clone(),
+            params: self.params.clone(),
+            cam_from_world: self.cam_from_world.clone(),
+        }
+    }
+
+    /// The first of the focal lengths, pixels.
+    pub fn focal_px(&self) -> f64 {
+        self.params.first().copied().unwrap_or(f64::NAN)
+    }
+}
+
+/// Estimates a calibration from what stands still in a capture's frames. The capture isn't changed.
+pub fn calibrate(
+    environment: &Environment,
+    capture: &Path,
+    request: &CalibrationRequest,
+    reporter: &Reporter,
+) -> Result<Calibration, ToolchainError> {
+    let mut command = script::command(environment, "calibrate.py");
+    command.args(request.arguments()).arg(capture);
+    let mut result = String::new();
+    script::run(&mut command, "calibrating", reporter, |line| line.clone_into(&mut result))?;
+    serde_json::from_str(&result).map_err(|error| {
+        ToolchainError::Failure(format!("calibrate.py: printed no result ({error})"))
+    })
+}
