@@ -74,6 +74,7 @@
 //! compare
 //! tradeoff live farm publish
 //! toolchain
+//! cli
 //! python
 //! ```
 //!
@@ -99,6 +100,7 @@
 //! | [`publish`] | a light field as a site: a folder that any web server shows |
 //! | [`farm`] | the work as jobs of farms: Open Job Description, Slurm, Flamenco |
 //! | [`toolchain`] | the Python side: its environment, filming, the calibration check |
+//! | [`cli`] | the command line |
 //!
 //! # Adding to it
 //!
@@ -250,6 +252,7 @@
 pub mod camera;
 pub mod capture;
 pub mod chart;
+pub mod cli;
 pub mod compare;
 pub mod display;
 pub mod exchange;

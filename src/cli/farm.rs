@@ -6,11 +6,11 @@ use super::error::written;
 use super::files::{CommandOutput, OptionsArgs, open_capture, read_view};
 use super::print::Page;
 use super::values::{ImageOutput, Times};
+use crate::capture::Truth;
+use crate::farm::{FarmChunks, FarmJob, FarmNeeds, FarmStep};
+use crate::progress::Reporter;
+use crate::rig::Rig;
 use std::path::{Path, PathBuf, absolute};
-use stlfr::capture::Truth;
-use stlfr::farm::{FarmChunks, FarmJob, FarmNeeds, FarmStep};
-use stlfr::progress::Reporter;
-use stlfr::rig::Rig;
 
 /// Describe the work on captures for an engine that shares it among machines: Open Job Description, Slurm, Flamenco.
 ///
@@ -66,7 +66,13 @@ pub struct FarmArgs {
     options: OptionsArgs,
 }
 
-pub fn run(args: &FarmArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+/// `program` is the path that starts this program on the machines.
+pub fn run(
+    args: &FarmArgs,
+    program: &Path,
+    page: &mut Page,
+    reporter: &Reporter,
+) -> Result<(), CliError> {
     args.options.read()?;
     let wrong = |sentence: &str| Err(CliError::BadInput(sentence.into()));
     if args.rig.is_none() && args.scene != SceneArgs::default() {
@@ -76,7 +82,7 @@ pub fn run(args: &FarmArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
         return wrong("--rig: films one capture, and several are given");
     }
     let folder = written(&args.output, absolute(&args.output))?;
-    let job = args.job(&folder, reporter)?;
+    let job = args.job(program, &folder, reporter)?;
     let files = job.files();
     let names: Vec<&str> = files.iter().map(|(name, _)| &**name).collect();
     CommandOutput::Folder(&args.output, &names).check(None)?;
@@ -86,7 +92,7 @@ pub fn run(args: &FarmArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
 }
 
 impl FarmArgs {
-    fn job(&self, folder: &Path, reporter: &Reporter) -> Result<FarmJob, CliError> {
+    fn job(&self, program: &Path, folder: &Path, reporter: &Reporter) -> Result<FarmJob, CliError> {
         let mut steps = Steps { args: self, reporter, suffix: String::new(), steps: Vec::new() };
         steps.add("setup", vec!["setup".into()], &[], None);
         for (index, capture) in self.captures.iter().enumerate() {
@@ -95,11 +101,10 @@ impl FarmArgs {
             }
             steps.add_capture(&written(capture, absolute(capture))?, folder)?;
         }
-        let program = written(folder, std::env::current_exe())?;
         let name = self.captures.iter().filter_map(|c| c.file_name()?.to_str()).take(3);
         Ok(FarmJob {
             name: name.collect::<Vec<_>>().join(", "),
-            program: word(&program)?,
+            program: word(program)?,
             steps: steps.steps,
         })
     }

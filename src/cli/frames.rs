@@ -3,10 +3,10 @@
 use super::CliError;
 use super::error::written;
 use super::values::ImageOutput;
+use crate::host::{Claim, Claims, Taken};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use stlfr::host::{Claim, Claims, Taken};
 
 /// Between two looks at the images of other processes. Larger, and the end is noticed later; smaller reads more often.
 const LOOK: Duration = Duration::from_millis(300);

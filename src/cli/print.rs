@@ -1,9 +1,9 @@
 //! Output of commands on stdout.
 
 use super::CliError;
+use crate::text::printable;
 use std::fmt::Display;
 use std::io::{ErrorKind, Result, Write};
-use stlfr::text::printable;
 
 /// The output of a command, printed at its end.
 #[derive(Debug, Default)]

@@ -1,14 +1,14 @@
 //! Parsed values of the command line: methods, sizes, instants and image files.
 
+use crate::method::Method;
+use crate::path::{MAX_RATE_HZ, MIN_RATE_HZ, ReadyMadePath, is_rate_hz};
+use crate::raster::StillFormat;
+use crate::video::Codec;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use std::fmt::{self, Display, Formatter};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
-use stlfr::method::Method;
-use stlfr::path::{MAX_RATE_HZ, MIN_RATE_HZ, ReadyMadePath, is_rate_hz};
-use stlfr::raster::StillFormat;
-use stlfr::video::Codec;
 
 /// The value, in place of a method's name, that has the method chosen by measurements of the capture.
 pub const AUTO: &str = "auto";
@@ -277,8 +277,8 @@ mod tests {
 
     #[test]
     fn methods_and_auto() {
+        use crate::options::ProxyMethod;
         use clap::{Arg, Command};
-        use stlfr::options::ProxyMethod;
         let command =
             || Command::new("c").arg(Arg::new("p").value_parser(method_or_auto::<ProxyMethod>()));
         let parsed = |text: &str| {

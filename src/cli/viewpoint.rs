@@ -3,10 +3,10 @@
 use super::CliError;
 use super::files::read_view;
 use super::values::{PathSource, Shift};
+use crate::camera::Camera;
+use crate::capture::{Capture, NamedView};
 use nalgebra::{Point3, distance};
 use std::path::{Path, PathBuf};
-use stlfr::camera::Camera;
-use stlfr::capture::{Capture, NamedView};
 
 /// Where the view is rendered from.
 #[derive(Debug, clap::Args)]

@@ -70,14 +70,14 @@ impl Stamps {
     }
 }
 
-/// Source files of the Python module, in a fixed order: all but those of the command line.
+/// Source files of the Python module, in a fixed order: all but the program's.
 fn module_sources(root: &Path) -> Result<Vec<PathBuf>, ToolchainError> {
     let mut files: Vec<PathBuf> =
         ["Cargo.toml", "Cargo.lock", "blender/pyproject.toml"].map(|f| root.join(f)).into();
     walk(&root.join("src"), &mut files)?;
     walk(&root.join("blender/module"), &mut files)?;
-    let program = [root.join("src/main.rs"), root.join("src/cli")];
-    files.retain(|f| !program.iter().any(|p| f.starts_with(p)));
+    let program = root.join("src/main.rs");
+    files.retain(|file| *file != program);
     files.sort();
     Ok(files)
 }
@@ -118,7 +118,6 @@ mod tests {
             "Cargo.lock",
             "src/lib.rs",
             "src/main.rs",
-            "src/cli/mod.rs",
             "blender/pyproject.toml",
             "blender/requirements.txt",
             "blender/module/stlfr/__init__.py",
@@ -146,7 +145,6 @@ mod tests {
     fn what_is_finished_stays_so() {
         assert_eq!(after("README.md"), (true, true));
         assert_eq!(after("src/main.rs"), (true, true));
-        assert_eq!(after("src/cli/mod.rs"), (true, true));
     }
 
     #[test]
