@@ -154,7 +154,7 @@ def build_wheel(tree: Path, dist: Path) -> Path:
         environment={
             "PATH": f"{TOOLS / 'bin'}:{os.environ['PATH']}",
             # No path of this machine in the messages of panics.
-            "RUSTFLAGS": f"--remap-path-prefix={home}=cargo --remap-path-prefix={tree}=stlfr",
+            "RUSTFLAGS": f"--remap-path-prefix={home}=cargo",
         },
     )
     (wheel,) = out.glob("*.whl")
