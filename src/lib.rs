@@ -193,7 +193,9 @@
 //! # From Python
 //!
 //! `stlfr setup` installs the module `stlfr` into `.venv`; `pip install ./blender`, in this project's folder, builds it
-//! into any other Python from 3.11 on. It has type stubs, releases the GIL, and runs in one process with `bpy`.
+//! into any other Python from 3.11 on, with the command `stlfr`. It has type stubs, releases the GIL, and runs in one
+//! process with `bpy`. `.ci/release.py` builds a wheel for any Linux with glibc 2.17 or newer: `pip install` it there.
+//! The commands that film and check use the source folder; an installed wheel finds it by `STLFR_HOME`.
 //!
 //! ```python
 //! import numpy as np
