@@ -46,21 +46,27 @@ class ReleaseError(Exception):
 def run(
     *command: str | Path, cwd: Path = ROOT, environment: dict[str, str] | None = None
 ) -> str:
-    """Run a command, with variables besides the present ones, which has to succeed; what it prints."""
-    ended = subprocess.run(
+    """Run a command, which has to succeed, with variables besides the present ones; its standard output."""
+    return ended(*command, cwd=cwd, environment=environment).stdout
+
+
+def ended(
+    *command: str | Path, cwd: Path = ROOT, environment: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command, which has to succeed, with variables besides the present ones."""
+    process = subprocess.run(
         [str(part) for part in command],
         cwd=cwd,
         env={**os.environ, **(environment or {})},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
+        capture_output=True,
         text=True,
         check=False,
     )
-    if ended.returncode != 0:
+    if process.returncode != 0:
         raise ReleaseError(
-            f"{ended.stdout}{' '.join(map(str, command))}: failed with status {ended.returncode}"
+            f"{process.stdout}{process.stderr}{' '.join(map(str, command))}: failed with status {process.returncode}"
         )
-    return ended.stdout
+    return process
 
 
 def say(sentence: str) -> None:
@@ -91,7 +97,9 @@ def build_crate(tree: Path, dist: Path) -> None:
     """Pack the crate, and build it from its pack; a warning is an error."""
     say("Packing the crate.")
     target = ROOT / "target"
-    said = run("cargo", "package", "--locked", "--target-dir", target, cwd=tree)
+    said = ended(
+        "cargo", "package", "--locked", "--target-dir", target, cwd=tree
+    ).stderr
     if "warning" in said:
         raise ReleaseError(f"{said}cargo package: warns")
     (crate,) = (target / "package").glob(f"stlfr-{version(tree)}.crate")
