@@ -24,7 +24,6 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -123,8 +122,8 @@ def rust_target() -> str:
     return f"{platform.machine()}-unknown-linux-gnu"
 
 
-def licences(tree: Path, target: str) -> Iterator[str]:
-    """Name, licence and licence texts of every crate that the wheel links."""
+def licences(tree: Path, target: str) -> str:
+    """The licences of the crates that the wheel links, and each text once, with the crates that have it."""
     options = ("--features", "python", "--locked")
     listed = run(
         *("cargo", "tree", "--target", target, "--edges", "normal", "--prefix", "none"),
@@ -135,14 +134,20 @@ def licences(tree: Path, target: str) -> Iterator[str]:
     metadata = json.loads(
         run("cargo", "metadata", "--format-version", "1", *options, cwd=tree)
     )
+    table, texts = [], dict[str, list[str]]()
     for package in sorted(metadata["packages"], key=lambda p: str(p["name"])):
         name, release = package["name"], package["version"]
         if (name, f"v{release}") not in linked or package["source"] is None:
             continue
+        table.append(f"{name} {release}: {package['license']}")
         folder = Path(package["manifest_path"]).parent
-        texts = sorted({f for p in LICENCE_FILES for f in folder.rglob(p)})
-        yield f"{'=' * 80}\n{name} {release}: {package['license']}\n"
-        yield from (f.read_text("utf-8", "replace") for f in texts if f.is_file())
+        for file in sorted({f for p in LICENCE_FILES for f in folder.rglob(p)}):
+            if file.is_file():
+                text = file.read_text("utf-8", "replace").strip()
+                texts.setdefault(text, []).append(f"{name}: {file.name}")
+    parts = ("\n".join([*sorted({*names}), "", text]) for text, names in texts.items())
+    rule = f"\n\n{'=' * 80}\n\n"
+    return rule.join(["\n".join(table), *parts]) + "\n"
 
 
 def build_wheel(tree: Path, dist: Path) -> Path:
@@ -150,7 +155,7 @@ def build_wheel(tree: Path, dist: Path) -> Path:
     say("Building the wheel.")
     target = rust_target()
     notices = tree / "blender/LICENSE-THIRD-PARTY"
-    notices.write_text("\n".join(licences(tree, target)), encoding="utf-8")
+    notices.write_text(licences(tree, target), encoding="utf-8")
     home = Path(os.environ.get("CARGO_HOME", Path.home() / ".cargo"))
     out = tree / "wheels"
     run(
