@@ -1,6 +1,5 @@
 //! Errors of the command line: one sentence on stderr, and an exit code.
 
-use super::print::heard;
 use crate::capture::CaptureError;
 use crate::compare::CompareError;
 use crate::exchange::ExchangeError;
@@ -122,6 +121,16 @@ pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result
 /// Converts the result of writing a file; the error names the path.
 pub fn written<T>(path: &Path, result: std::io::Result<T>) -> Result<T, CliError> {
     of_io(path, "can't be written", result)
+}
+
+/// The result of printing; a closed pipe is not an error.
+pub fn heard(printed: std::io::Result<()>) -> Result<(), CliError> {
+    match printed {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(CliError::Failure(format!("stdout: can't be written ({error})")))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Prints the error, if any, and returns the exit code.

@@ -1,8 +1,8 @@
 //! `stlfr view`
 
 use super::CliError;
+use super::error::heard;
 use super::files::{OptionsArgs, open_capture};
-use super::print::heard;
 use crate::host;
 use crate::light_field::LightField;
 use crate::live::{Server, Studio};
