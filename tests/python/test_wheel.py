@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import stlfr
-from filming import pixels
+from filming import ROOT, pixels
 
 RENDER = """
 import sys, numpy, stlfr
@@ -24,14 +24,16 @@ numpy.save(sys.argv[2], capture.render(float(sys.argv[3]), like="cam3", preset="
 """
 
 
+RELEASED = os.environ.get("STLFR_TEST_WHEEL")
+"""The wheel of a release; without one, the tests take that of this tree's extension."""
+
+
 @pytest.fixture(scope="session")
 def wheel(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    """The wheel of a release, or else the one that the extension of this tree brings."""
-    released = os.environ.get("STLFR_TEST_WHEEL")
-    if released:
-        return Path(released)
+    if RELEASED:
+        return Path(RELEASED)
     extension: Path = request.getfixturevalue("extension_zip")
     folder = tmp_path_factory.mktemp("wheel")
     with zipfile.ZipFile(extension) as archive:
@@ -74,8 +76,25 @@ def test_it_holds_the_licences_and_nothing_else_than_the_package(wheel: Path) ->
     assert {f"stlfr/{name}" for name in files} == {
         n for n in names if n.startswith("stlfr/")
     }
-    if "linux_x86_64" not in wheel.name.split("-")[-1].split("."):
-        assert "many" in wheel.name
+
+
+@pytest.mark.skipif(not RELEASED, reason="of a release only")
+def test_a_release_knows_no_folder_of_the_machine_that_built_it(
+    wheel: Path, installed: Path, capture_dir: Path, outside: Path
+) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (notices,) = (
+            n for n in archive.namelist() if n.endswith("LICENSE-THIRD-PARTY")
+        )
+        assert b"nalgebra" in archive.read(notices)
+        module = archive.read("stlfr/_native.abi3.so")
+    assert b"/registry/src/" in module  # messages of panics
+    assert os.fsencode(Path.home()) + b"/" not in module
+    assert os.fsencode(ROOT) + b"/" not in module
+    check = [installed / "stlfr", "check", capture_dir]
+    ended = subprocess.run(check, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1 and len(ended.stderr.splitlines()) == 1
+    assert "set STLFR_HOME" in ended.stderr
 
 
 def test_the_module_renders_as_the_program_does(
