@@ -43,19 +43,18 @@
 //! | paper | module |
 //! |---|---|
 //! | the calibrated array, and all conventions | [`camera`] |
-//! | its videos, and a simulator's truth | [`capture`] |
+//! | its videos, and the ground truth of a simulated one | [`capture`] |
 //! | §4 image registration | [`registration`] |
 //! | §5 temporal interpolation | [`interpolation`] |
 //! | §6 view synthesis | [`lumigraph`], and beyond it [`stereo`] |
 //! | beyond the paper: motion and geometry together | [`scene_flow`] |
 //! | §7 temporal offsets | [`offset`] |
 //! | Fig. 2, the whole pipeline | [`light_field`], opened by [`pipeline`] |
-//! | §8 results, beside the truth | [`compare`] |
+//! | §8 comparison of results with the ground truth | [`compare`] |
 //!
 //! # Layers
 //!
-//! A module uses modules of earlier lines only, none of its own line. A test holds every `use` to
-//! this list.
+//! A module uses only modules of earlier lines, and none of its own line. A test checks every `use` against this list.
 //!
 //! ```text
 //! text
@@ -83,23 +82,23 @@
 //! | [`host`] | files read within bounds and written whole, child processes, signals, clocks, caches |
 //! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
 //! | `simd` | kernels compiled for the processor: AVX2, or any |
-//! | [`text`] | names and sentences, as they may reach a terminal or another program's file |
-//! | [`method`], [`option`] | names of what a user chooses among; options, declared once |
-//! | [`raster`] | images as the stages work on them, and image files |
+//! | [`text`] | escaping and checks of names and sentences from files |
+//! | [`method`], [`option`] | alternatives that a user chooses by name; options, declared once |
+//! | [`raster`] | images in memory, and image files |
 //! | [`metrics`] | PSNR, SSIM, FLIP, the moving part |
 //! | [`video`] | video files, through ffmpeg |
 //! | [`chart`] | charts as SVG |
-//! | [`path`] | camera paths: place, direction, lens and time of a view over the seconds of a video |
-//! | [`display`] | quilts of light-field displays, and views of two eyes |
-//! | [`rig`] | simulated arrays: their description and their generator |
-//! | [`exchange`] | other programs' calibrations |
+//! | [`path`] | camera paths: position, direction, lens and time of a view as functions of a video's seconds |
+//! | [`display`] | quilts for light-field displays, and stereo pairs |
+//! | [`rig`] | simulated arrays: their file format and their generator |
+//! | [`exchange`] | calibrations of other programs, and the import of recordings |
 //! | [`options`] | the methods and parameters of all stages |
-//! | [`plan`] | the methods that a capture requires |
-//! | [`tradeoff`] | what each combination of methods costs and gives |
-//! | [`live`] | a light field in a browser: the server and its page |
-//! | [`publish`] | a light field as a site: a folder that any web server shows |
-//! | [`farm`] | the work as jobs of farms: Open Job Description, Slurm, Flamenco |
-//! | [`toolchain`] | the Python side: its environment, filming, the calibration check |
+//! | [`plan`] | automatic choice of methods by measurements of a capture |
+//! | [`tradeoff`] | time and quality of every combination of methods |
+//! | [`live`] | interactive views in a browser: the server and its page |
+//! | [`publish`] | a light field as a site, for any static web server |
+//! | [`farm`] | jobs for render farms: Open Job Description, Slurm, Flamenco |
+//! | [`toolchain`] | the Python environment: set-up, filming, the calibration check |
 //! | [`cli`] | the command line |
 //!
 //! # Adding to it
@@ -113,17 +112,20 @@
 //!
 //! # The command line
 //!
-//! `stlfr COMMAND --help` has the options and examples. Exit codes: 0 done, 2 something given is wrong,
-//! 1 the work failed. An error is one sentence on stderr. `--quiet` silences progress and notes.
-//! An output replaces a regular file or nothing, never what belongs to a capture ([`capture::OutputGuard`]), and
-//! nothing through a link inside its folder. It appears when it is whole. An interrupted command removes what it has
-//! begun; what a killed one left is removed by the next that writes into the same folder.
-//! What is read is a regular file of a bounded size: a pipe, a device or a file of gigabytes is refused
-//! before it is read. A capture that changes under a command is told. Decoded videos, registered frames, plans and measurements are cached in `CAPTURE/.stlfr/cache`. A
-//! damaged entry is noted and computed again; `stlfr info` lists and deletes them. `offsets.json` may be edited
-//! ([`offset::file`]).
-//! Times are seconds on the reference camera's clock. Outside of what the cameras recorded there is no
-//! image; the message states the times that there are.
+//! `stlfr COMMAND --help` has the options and examples. Exit codes: 0 success, 2 bad input, 1 failed work. An error is
+//! one sentence on stderr. `--quiet` silences progress and notes.
+//!
+//! An output replaces only a regular file, never a part of a capture ([`capture::OutputGuard`]), and never through a
+//! link inside its folder. Files are written to a temporary name, then renamed. An interrupted command removes its
+//! temporary files; those of a killed command are removed by the next command that writes into the same folder.
+//!
+//! Only regular files of a bounded size are read: a pipe, a device or a file of gigabytes is an error. So is a capture
+//! that changes while a command uses it. Decoded videos, registered frames, plans and measurements are cached in
+//! `CAPTURE/.stlfr/cache`. A damaged entry is noted and computed again; `stlfr info` lists and deletes entries.
+//! `offsets.json` may be edited ([`offset::file`]).
+//!
+//! Times are seconds on the reference camera's clock. Outside of the recorded time there is no image; the error states
+//! the time range.
 //!
 //! # Paths and displays
 //!

@@ -1,6 +1,6 @@
-//! Methods: the alternatives of a stage, chosen by name.
+//! Methods of a stage: alternatives that a user chooses by name.
 
-/// An enum of a stage's methods, or of another choice among few, each with a name and a line of help.
+/// Implemented by an enum of alternatives, such as a stage's methods. Each variant has a name and a line of help.
 ///
 /// The name is the same in options files, on the command line and in reports.
 pub trait Method: Copy + Default + PartialEq + Send + Sync + 'static {
@@ -13,7 +13,7 @@ pub trait Method: Copy + Default + PartialEq + Send + Sync + 'static {
     /// What the method does, in one line.
     fn help(self) -> &'static str;
 
-    /// The method with a name; `None` if no method has it.
+    /// The method of this name; `None` if no method has it.
     fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|method| method.name() == name)
     }

@@ -1,12 +1,12 @@
-//! Options, each declared once: type, default, range, unit and help stand together (`options!`).
-//! Checks, the list of all options, the JSON Schema and the help on the command line follow from that.
+//! Options. The macro `options!` declares each option once, with its type, default, range, unit and help. Checks, the
+//! list of all options, the JSON Schema and the command line's help are derived from this.
 
 use crate::method::Method;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::ops::RangeInclusive;
 
-/// An option out of its range.
+/// The error of an option whose value is out of range.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{field}: is {value:?}, must be from {min:?} to {max:?}")]
 pub struct OptionError {
@@ -36,7 +36,7 @@ pub struct OptionChoice {
     pub help: &'static str,
 }
 
-/// An option's declaration, and its value in some set of options.
+/// An option: its declaration, and its value in one set of options.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct DeclaredOption {
     /// The option's path in an options file, such as `blend.cameras`.
@@ -47,25 +47,25 @@ pub struct DeclaredOption {
     pub default: Value,
     #[serde(skip)]
     pub value: Value,
-    /// Smallest and largest value of a number, both allowed.
+    /// Smallest and largest allowed value of a number.
     pub range: Option<[f64; 2]>,
-    /// The unit of a number, or what it counts.
+    /// The unit of a number, or the noun that it counts.
     pub unit: Option<&'static str>,
-    /// The names of a choice, the cheapest method first.
+    /// The allowed names of a choice; for methods, the cheapest is first.
     pub choices: Vec<OptionChoice>,
-    /// The value of a number. Unlike JSON, it may be NaN.
+    /// The value of a number. It may be NaN, which JSON can't express.
     #[serde(skip)]
     number: Option<f64>,
 }
 
 impl DeclaredOption {
-    /// An option without kind, default and value; `help` may have line breaks.
+    /// An option without kind, default and value. Line breaks in `help` become spaces.
     pub fn new(name: String, help: &str) -> Self {
         let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
         Self { name, help, ..Self::default() }
     }
 
-    /// Refuses a number outside of its range, or NaN.
+    /// An error for a NaN, or a number out of its range.
     pub fn check(&self) -> Result<(), OptionError> {
         let (Some(value), Some([min, max])) = (self.number, self.range) else { return Ok(()) };
         if (min..=max).contains(&value) {
@@ -94,7 +94,7 @@ impl DeclaredOption {
     }
 }
 
-/// The JSON Schema of an object with these options. No field is required, and no other is allowed.
+/// The JSON Schema of an object with these options. All fields are optional, and other fields are errors.
 pub fn options_schema(options: &[DeclaredOption]) -> Value {
     let group = || json!({"type": "object", "properties": {}, "additionalProperties": false});
     let mut root = group();
@@ -115,11 +115,11 @@ pub fn options_schema(options: &[DeclaredOption]) -> Value {
 
 /// A type that an option, or a group of options, can have.
 pub trait OptionValue {
-    /// Appends the option with its kind, default and value, or all options of the group.
+    /// Appends this option with its kind, default and value. A group appends all of its options.
     fn declare(&self, default: &Self, option: DeclaredOption, options: &mut Vec<DeclaredOption>);
 }
 
-/// A value as an options file has it: `f32` with its shortest digits.
+/// A value as in an options file. An `f32` has the shortest digits that identify it.
 fn in_json(value: &impl Serialize) -> Value {
     serde_json::to_string(value).and_then(|text| serde_json::from_str(&text)).unwrap_or_default()
 }
@@ -158,16 +158,16 @@ pub fn choices<M: Method>() -> Vec<OptionChoice> {
     M::ALL.iter().map(|m| OptionChoice { name: m.name(), help: m.help() }).collect()
 }
 
-/// The limits of a range, both included.
+/// The smallest and the largest value of a range.
 pub fn limits<T: Into<f64>>(range: RangeInclusive<T>) -> [f64; 2] {
     let (min, max) = range.into_inner();
     [min.into(), max.into()]
 }
 
-/// Declares a struct of options, each a line such as
-/// `cameras: usize [1..=1000, "cameras"] = 3,` under a comment that is its help.
+/// Declares a struct of options. A line such as `cameras: usize [1..=1000, "cameras"] = 3,` has the type, range, unit
+/// and default of an option, and the comment above it is the option's help.
 ///
-/// Enums and Booleans have no range. A field that is itself a struct of options has no default.
+/// Enums and Booleans have no range. A field whose type is another struct of options has no default.
 macro_rules! options {
     (
         $(#[doc = $about:literal])*

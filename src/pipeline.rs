@@ -12,15 +12,15 @@ use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
 
-/// The cache of plans: planning renders dozens of views, which later commands need not repeat. Every change of rendered
-/// views requires a new version, because plans are decided by them.
+/// Cache of plans. Planning renders dozens of views, which later commands then don't repeat. A change of the renderer
+/// that changes views needs a new version, because plans are chosen by views.
 const PLANS: CacheKind = CacheKind { name: "plans", version: 3 };
 
-/// Opens a capture's light field. Its offsets are known, stored in the capture's folder, or estimated now and stored
-/// there ([`resolve_offsets`]). Notes on the reporter say which, and name the cameras of unknown offset, which no view
-/// uses.
+/// Opens a capture's light field. Clock offsets are known, read from the capture's folder, or else estimated and
+/// stored there ([`resolve_offsets`]). Notes on the reporter say which. They also name the cameras with unknown
+/// offsets, which are excluded from views.
 ///
-/// Frames are decoded, and gains estimated, once for offsets and views together.
+/// Estimation and views share the decoded frames and the estimated gains.
 pub fn open_field(
     capture: Arc<Capture>,
     options: &RenderOptions,
@@ -38,8 +38,8 @@ pub fn open_field(
     Ok(field)
 }
 
-/// The options after the automatic choice of methods. The stages that `options.auto` names get the options that
-/// [`plan`] chooses; the plan is cached for the same offsets and options. Other stages stay as they are. Notes on the
+/// The options with automatic choices resolved. For the stages that `options.auto` names, [`plan`] chooses the method
+/// and its parameters; other stages are unchanged. The plan is cached, keyed with offsets and options. Notes on the
 /// reporter state the chosen methods, and the reasons if the plan is new.
 pub fn resolved(
     field: &LightField,
@@ -70,14 +70,14 @@ pub fn resolved(
     Ok(plan.options)
 }
 
-/// The options that an earlier plan chose for the same offsets and options, if it is cached.
+/// The options that a cached plan chose for the same offsets and options; `None` if none is cached.
 pub fn planned_before(field: &LightField, options: &RenderOptions) -> Option<RenderOptions> {
     let cache = field.capture().cache().ok()?;
     let planned: Option<RenderOptions> = cache.load_json(PLANS, &(field.offsets(), options));
     planned.filter(|planned| planned.check().is_ok())
 }
 
-/// Plans, and caches the plan for later commands with the same options.
+/// Computes a plan, and caches it for later commands with the same options.
 pub fn plan_again(
     field: &LightField,
     options: &RenderOptions,
@@ -89,7 +89,7 @@ pub fn plan_again(
         let inputs = (field.offsets(), options);
         cache.save_json(PLANS, &inputs, &plan.options).map_err(|error| error.to_string())
     });
-    // A read-only capture can be used all the same.
+    // A plan that can't be stored, as in a read-only capture, is still used.
     if let Err(error) = saved {
         reporter.note(&format!("The plan can't be cached for the next command: {error}."));
     }

@@ -1,5 +1,5 @@
-//! Progress reports: a bar with time left on a terminal, a line every half minute in a log, or JSON lines for another
-//! program.
+//! Progress reports. On a terminal they are a bar with the time left, in a log a line every half minute, for another
+//! program lines of JSON.
 
 use crate::text::printable;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -10,7 +10,8 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
-/// Receives progress: on standard error, bars if that is a terminal, else lines; or JSON lines on standard output.
+/// Receives the progress of all tasks: shows it as bars (terminal) or lines (log) on standard error, or as lines of
+/// JSON on standard output.
 #[derive(Clone, Copy, Debug)]
 pub struct Reporter {
     to: Listener,
@@ -20,29 +21,29 @@ pub struct Reporter {
 enum Listener {
     Nobody,
     Terminal,
-    /// Standard error that is no terminal.
+    /// Lines on a standard error that isn't a terminal.
     Log,
     Lines,
 }
 
-/// A running task; its bar disappears when it is dropped.
+/// A running task. Dropping it removes its bar.
 pub struct Task {
     bar: ProgressBar,
     in_lines: bool,
     log: Option<Log>,
 }
 
-/// The lines of a task in a log. They end when it is dropped.
+/// Writes a task's progress to a log at regular intervals, until it is dropped.
 struct Log {
-    /// Steps that were done earlier.
+    /// Number of steps that an earlier run has done.
     resumed: Arc<AtomicU64>,
     _end: Sender<()>,
 }
 
-/// Interval of the lines in a log.
+/// Time between two lines of a log.
 const LOG_INTERVAL: Duration = Duration::from_secs(30);
 
-/// Interval at which the spinner of a phase moves.
+/// Time between two frames of the spinner of a task without counted steps.
 const TICK: Duration = Duration::from_millis(200);
 
 impl Reporter {
@@ -66,7 +67,7 @@ impl Reporter {
         Self { to: Listener::Lines }
     }
 
-    /// Starts a bar of `total` steps.
+    /// Starts a task of `total` steps, shown as a bar.
     pub fn task(&self, label: &str, total: usize) -> Task {
         let template = "{msg:28} {bar:30} {pos}/{len}  {eta} left";
         let bar = self.bar(label, Some(total as u64), template);
@@ -87,7 +88,7 @@ impl Reporter {
     fn log(&self, bar: &ProgressBar) -> Option<Log> {
         (self.to == Listener::Log).then(|| {
             follow(bar.clone(), LOG_INTERVAL, |line| {
-                // A line is lost if standard error can't be written.
+                // If standard error can't be written, the line is lost.
                 let _ = writeln!(std::io::stderr(), "{}", printable(&line));
             })
         })
@@ -106,7 +107,7 @@ impl Reporter {
     /// Shows one sentence to the user.
     pub fn note(&self, sentence: &str) {
         if matches!(self.to, Listener::Terminal | Listener::Log) {
-            // A note is lost if standard error can't be written.
+            // If standard error can't be written, the note is lost.
             let _ = writeln!(std::io::stderr(), "{}", printable(sentence));
         }
     }
@@ -123,7 +124,7 @@ impl Task {
         self.say();
     }
 
-    /// Marks `done` steps as done earlier, so that they don't count for the time left.
+    /// Marks `done` steps as done by an earlier run. They don't count in the estimate of the time left.
     pub fn resume_at(&self, done: usize) {
         self.bar.set_position(done as u64);
         self.bar.reset_eta();
@@ -137,7 +138,7 @@ impl Task {
         self.bar.set_message(label.to_owned());
     }
 
-    /// Prints the progress as a line; errors of standard output are ignored.
+    /// In JSON mode, prints the progress as a line. Errors of standard output are ignored.
     fn say(&self) {
         if self.in_lines {
             let (done, total) = (self.bar.position(), self.bar.length().unwrap_or(0));
@@ -158,7 +159,7 @@ impl Drop for Task {
     }
 }
 
-/// Writes the state of a bar in every interval, until the bar is finished or the log is dropped.
+/// Calls `write` with the state of a bar in every interval, until the bar is finished or the returned log is dropped.
 fn follow(bar: ProgressBar, interval: Duration, write: impl Fn(String) + Send + 'static) -> Log {
     let (end, ended) = channel();
     let log = Log { resumed: Arc::default(), _end: end };
@@ -171,12 +172,13 @@ fn follow(bar: ProgressBar, interval: Duration, write: impl Fn(String) + Send + 
     log
 }
 
-/// A duration in words, such as `3 minutes`.
+/// A duration rounded to one unit, in words such as `3 minutes`.
 pub fn in_words(seconds: f64) -> String {
     HumanDuration(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)).to_string()
 }
 
-/// The state of a bar in one line. The time left is that of the steps so far, without those `resumed`.
+/// The progress as one line. The time left is extrapolated from the steps of this run; the first `resumed` steps are
+/// of an earlier run.
 fn state(bar: &ProgressBar, resumed: u64) -> String {
     let (label, done, elapsed_s) = (bar.message(), bar.position(), bar.elapsed().as_secs_f64());
     let Some(total) = bar.length() else {
@@ -207,7 +209,7 @@ mod tests {
         bar.set_position(2);
         assert!(lines.iter().any(|line| line.starts_with("filming: 2 of 8, ")), "{bar:?}");
         drop(log);
-        // The thread's sender is dropped with it.
+        // Dropping the log ends the thread and its sender, so that this loop ends.
         assert!(lines.iter().all(|line| line.starts_with("filming: 2 of 8, ")));
         let bar = bar.with_elapsed(Duration::from_secs(60));
         assert_eq!(state(&bar, 0), "filming: 2 of 8, 3 minutes left");

@@ -9,7 +9,7 @@ impl Random {
         Self(seed)
     }
 
-    /// A generator for a seed and a purpose, independent of those for other purposes.
+    /// A generator for one purpose. Streams of one seed with different purposes are independent.
     pub fn stream(seed: u64, purpose: &str) -> Self {
         let mut hasher = blake3::Hasher::new();
         hasher.update(&seed.to_le_bytes());
@@ -27,22 +27,22 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// Uniform in [0, 1).
+    /// A uniform number in [0, 1).
     pub fn unit(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Uniform in [`low`, `high`).
+    /// A uniform number in [`low`, `high`).
     pub fn in_range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
 
-    /// Uniform in [−1, 1).
+    /// A uniform number in [−1, 1).
     pub fn signed(&mut self) -> f64 {
         self.in_range(-1.0, 1.0)
     }
 
-    /// Normal with mean 0 and standard deviation 1 (Box–Muller).
+    /// A normal number of mean 0 and standard deviation 1 (Box–Muller).
     pub fn gaussian(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.unit()).cos()

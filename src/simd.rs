@@ -1,17 +1,17 @@
 //! Function multiversioning: kernels have one source and are compiled twice, for AVX2 with FMA and for any
 //! processor.
 //!
-//! A kernel is an `#[inline(always)]` function, and [`multiversion!`] defines the function that calls it. Plain
-//! loops, which the compiler vectorizes, give the same bits by both versions. Kernels that it doesn't vectorize
-//! well compute with vectors `V:` [`F32x8`]. Their multiply–adds are fused by AVX2 only, and agree to 1e-5 for
-//! values of order 1.
+//! A kernel is an `#[inline(always)]` function, and [`multiversion!`] defines the function that calls it.
+//! Plain loops, which the compiler vectorizes, give the same bits in both versions. Kernels that the compiler
+//! doesn't vectorize well are written with vectors of a generic type `V:` [`F32x8`]. With AVX2 their
+//! multiply–adds are fused; the two versions agree to 1e-5 for values of order 1.
 
 use std::ops::{Add, Div, Mul, Sub};
 
-/// Defines a function that calls a kernel in the version for the processor.
+/// Defines a function that calls a kernel in the version for the current processor.
 ///
-/// `fn f(a: A) -> R = kernel` calls plain loops, and `= kernel::<V>` a kernel of vectors `V:` [`F32x8`].
-/// Further generic parameters stand in brackets: `fn f[const C: usize](…)`.
+/// `fn f(a: A) -> R = kernel` calls a kernel of plain loops, `= kernel::<V>` one that is generic over `V:`
+/// [`F32x8`]. Further generic parameters stand in brackets: `fn f[const C: usize](…)`.
 macro_rules! multiversion {
     (
         $(#[$meta:meta])*
@@ -48,13 +48,14 @@ pub(crate) fn has_avx2_and_fma() -> bool {
     is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
 }
 
-/// Number of values of a vector.
+/// Number of values in a vector.
 pub const LANES: usize = 8;
 
-/// A SIMD vector of eight `f32` values; operators work element by element. The default methods are [`Scalar`]'s;
-/// [`Avx2`] overrides those that the compiler doesn't vectorize or that round differently.
+/// A SIMD vector of eight `f32` values; operators work element by element. The default methods are those of
+/// [`Scalar`]. [`Avx2`] overrides the ones that the compiler doesn't vectorize, or that round differently.
 ///
-/// Closures must not use it: they are not compiled for the instructions of the function around them.
+/// Closures must not use this trait: they are not compiled for the instruction set of the function around
+/// them.
 pub trait F32x8:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
@@ -102,23 +103,23 @@ pub trait F32x8:
         Self::from_array(&std::array::from_fn(choice))
     }
 
-    /// Element-wise minimum. Where `self` is NaN: `other`. Where `other` is NaN: `self` by [`Scalar`], NaN by
-    /// AVX2.
+    /// Element-wise minimum. Where `self` is NaN, the result is `other`. Where `other` is NaN, it is `self`
+    /// with [`Scalar`], and NaN with AVX2.
     #[inline(always)]
     fn simd_min(self, other: Self) -> Self {
         let [a, b] = [self, other].map(Self::to_array);
         Self::from_array(&std::array::from_fn(|l| a[l].min(b[l])))
     }
 
-    /// Element-wise maximum. NaN as for [`Self::simd_min`].
+    /// Element-wise maximum; NaN is treated as in [`Self::simd_min`].
     #[inline(always)]
     fn simd_max(self, other: Self) -> Self {
         let [a, b] = [self, other].map(Self::to_array);
         Self::from_array(&std::array::from_fn(|l| a[l].max(b[l])))
     }
 
-    /// Element-wise floor and fractional part, in 0..1, of values below 2²³ in magnitude. The floor of NaN is 0
-    /// by [`Scalar`], `i32::MIN` by AVX2.
+    /// Element-wise floor and fractional part, in 0..1, of values below 2²³ in magnitude. The floor of NaN is
+    /// 0 with [`Scalar`], and `i32::MIN` with AVX2.
     #[inline(always)]
     fn floor_and_fraction(self) -> ([i32; LANES], Self) {
         let whole = self.to_array().map(|v| {
@@ -128,7 +129,7 @@ pub trait F32x8:
         (whole, self - Self::from_array(&whole.map(|v| v as f32)))
     }
 
-    /// The sum of the eight values, added pairwise in `f32`.
+    /// The sum of the eight values; pairs are added in `f32`.
     #[inline(always)]
     fn sum(self) -> f64 {
         let [a, b, c, d, e, f, g, h] = self.to_array();
@@ -171,7 +172,7 @@ pub trait F32x8:
         Self::from_array(row[at..].first_chunk().expect("rows are padded to whole vectors"))
     }
 
-    /// As [`Self::load`], without a bounds check.
+    /// [`Self::load`] without a bounds check.
     ///
     /// # Safety
     /// `row` has at least eight values from index `at` on.
@@ -212,7 +213,7 @@ pub trait F32x8:
     }
 }
 
-/// Implements an operator of vectors.
+/// Implements an arithmetic operator of a vector type.
 macro_rules! operator {
     ($vector:ident, $operator:ident $method:ident, |$a:ident, $b:ident| $value:expr) => {
         impl std::ops::$operator for $vector {
@@ -226,7 +227,7 @@ macro_rules! operator {
     };
 }
 
-/// [`F32x8`] as an array, for every processor.
+/// [`F32x8`] as an array, for any processor.
 #[derive(Clone, Copy)]
 pub struct Scalar([f32; LANES]);
 
@@ -262,13 +263,13 @@ mod avx2 {
     use super::{F32x8, LANES};
     use std::arch::x86_64::*;
 
-    /// [`F32x8`] as a 256-bit register, for AVX2 and FMA. Only [`multiversion!`](super::multiversion) names it,
-    /// so that its methods are inlined into functions compiled for these instructions.
+    /// [`F32x8`] as a 256-bit register, for AVX2 and FMA. Only [`multiversion!`](super::multiversion) uses
+    /// this type, so that its methods are inlined into functions compiled for these instructions.
     #[derive(Clone, Copy)]
     pub struct Avx2(__m256);
 
-    // SAFETY of all blocks below: the processor has AVX2 and FMA, as the type demands; loads and stores are within
-    // their arrays.
+    // SAFETY of all blocks below: the processor has AVX2 and FMA, as the use of this type requires; loads and
+    // stores are within their arrays.
     operator!(Avx2, Add add, |a, b| unsafe { Avx2(_mm256_add_ps(a.0, b.0)) });
     operator!(Avx2, Sub sub, |a, b| unsafe { Avx2(_mm256_sub_ps(a.0, b.0)) });
     operator!(Avx2, Mul mul, |a, b| unsafe { Avx2(_mm256_mul_ps(a.0, b.0)) });
@@ -328,13 +329,14 @@ mod avx2 {
             x: [Self; 4],
             y: [Self; 4],
         ) -> Self {
-            // One check for all loads below: of the last row of each neighbourhood.
+            // A single check for all loads below: the last row of each neighbourhood must be inside the
+            // plane.
             let mut last = 0;
             for &first in first {
                 last = last.max(first);
             }
             assert!(last + 3 * stride + 4 <= plane.len(), "the border is wide enough");
-            // Neighbourhoods k and k + 4 share a register: a row of four samples each.
+            // Neighbourhoods k and k + 4 share a register, with a row of four samples each.
             macro_rules! column_sums {
                 ($k:literal) => {{
                     const ALL: i32 = $k * 0b01_01_01_01;
@@ -352,7 +354,7 @@ mod avx2 {
                 }};
             }
             let (a, b, c, d) = (column_sums!(0), column_sums!(1), column_sums!(2), column_sums!(3));
-            // Transposed: one register a column, neighbourhoods in order.
+            // Transposes them, so that each register holds one column of all neighbourhoods, in order.
             unsafe {
                 let (ab_low, ab_high) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
                 let (cd_low, cd_high) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
@@ -381,7 +383,7 @@ mod tests {
         assert_eq!(fraction.0, [0.5, 0.0, 0.75, 0.0, 0.25, 0.0, 0.75, 0.0]);
     }
 
-    /// Operations that round alike by both implementations.
+    /// Operations that give the same bits in both implementations.
     #[inline(always)]
     fn exact_by<V: F32x8>(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] {
         let (a, b) = (V::from_array(a), V::from_array(b));

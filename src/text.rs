@@ -4,12 +4,12 @@
 /// fillers, which are invisible letters.
 pub const ID_PATTERN: &str =
     r"^(?! )(?!\.{1,2}$)(?!.*[\u115F\u1160\u3164\uFFA0])[\p{Alphabetic}\p{N}_. -]+(?<! )$";
-/// Largest number of characters of an id.
+/// Maximum number of characters of an id.
 pub const MAX_ID_LENGTH: usize = 100;
 
-/// Largest number of characters of a name.
+/// Maximum number of characters of a name.
 pub const MAX_NAME_LENGTH: usize = 1000;
-/// Largest number of digits in a message.
+/// Maximum number of characters of a number in a message.
 const MAX_NUMBER_LENGTH: usize = 24;
 
 /// Checks that an id can name a file: at most [`MAX_ID_LENGTH`] visible letters, digits, `_`, `-`, `.`
@@ -35,8 +35,8 @@ pub fn check_id(id: &str) -> Result<(), String> {
     Err(format!("'{}' {reason}", printable(id)))
 }
 
-/// Checks a name that is shown, such as a scene's: a line of at most [`MAX_NAME_LENGTH`] printable characters. The
-/// error completes the sentence "The name …".
+/// Checks a name that is displayed, such as a scene's: one line of at most [`MAX_NAME_LENGTH`] printable
+/// characters. The error completes the sentence "The name …".
 pub fn check_name(name: &str) -> Result<(), String> {
     if name.chars().count() <= MAX_NAME_LENGTH && name.chars().all(is_printable) {
         return Ok(());
@@ -44,7 +44,8 @@ pub fn check_name(name: &str) -> Result<(), String> {
     Err(format!("must be a line of at most {MAX_NAME_LENGTH} printable characters"))
 }
 
-/// A number in a message: with an exponent, if its digits would fill the line.
+/// Formats a number for a message; with an exponent if it would have more than [`MAX_NUMBER_LENGTH`]
+/// characters.
 pub(crate) fn number(value: impl std::fmt::Display) -> String {
     let text = value.to_string();
     match text.parse::<f64>() {
@@ -53,7 +54,7 @@ pub(crate) fn number(value: impl std::fmt::Display) -> String {
     }
 }
 
-/// Two times of a message, seconds: with as many decimals as tell them apart, at least 4.
+/// Formats two times for a message, seconds, with as many decimals as distinguish them, at least 4.
 pub(crate) fn distinct_s([a, b]: [f64; 2]) -> [String; 2] {
     let decimals =
         (4..MAX_NUMBER_LENGTH).find(|n| a == b || format!("{a:.n$}") != format!("{b:.n$}"));
@@ -67,8 +68,8 @@ pub(crate) fn short(value: &str) -> String {
     value.chars().take(MAX_ID_LENGTH).collect()
 }
 
-/// Escapes text for one line of a terminal: control characters, line separators, direction marks and
-/// characters without width become `\u{1b}` and the like.
+/// Escapes text for one line of a terminal. Control characters, line separators, direction marks and
+/// characters of zero width are written as `\u{1b}` and the like.
 pub fn printable(text: &str) -> String {
     let shown = |c: char| if is_printable(c) { c.into() } else { c.escape_default().to_string() };
     text.chars().map(shown).collect()

@@ -4,16 +4,16 @@
 
 mod common;
 
-use common::wall::{H, Scene, W};
+use common::wall::{FOCAL_PX, H, Scene, write_truth};
 use common::{assert_refused, make_pipe, run, stderr, stlfr, text};
-use serde_json::{Value, json};
+use serde_json::json;
 use std::fs::File;
 use std::io::Write;
 use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
-use stlfr::raster::{BitDepth, Image, read_image, write_image};
+use stlfr::raster::{BitDepth, Image, read_image};
 use tempfile::TempDir;
 
 /// Most memory that any of these may take, MiB: a gigabyte.
@@ -34,30 +34,6 @@ fn inputs() -> TempDir {
         assert!(export.status.success(), "{}", stderr(&export));
     }
     folder
-}
-
-fn write_truth(root: &Path, scene: &Scene) {
-    let image = scene.image(scene.centers_m[1], 0.05);
-    write_image(&root.join("truth/0.png"), &image, None, BitDepth::Eight).unwrap();
-    let motion: Vec<u8> = (0..W * H).flat_map(|_| 2_f32.to_le_bytes()).collect();
-    std::fs::write(root.join("truth/0.npy"), [npy([H, W]), motion].concat()).unwrap();
-    let offsets: Vec<Value> =
-        (0..3).map(|c| json!({"id": format!("cam{c}"), "offset_s": 0.0})).collect();
-    let truth = json!({"format": "stlfr-truth", "version": 1, "scene": "wall", "rig": "row",
-        "offsets": offsets, "shutter": [], "views": [{"id": "a", "time_s": 0.05, "like": "cam1",
-            "camera": scene.camera(scene.centers_m[1]), "image": "0.png", "depth": "none.npy",
-            "motion": "0.npy"}]});
-    std::fs::write(root.join("truth/truth.json"), truth.to_string()).unwrap();
-}
-
-/// The head of an array of float32.
-fn npy([height, width]: [usize; 2]) -> Vec<u8> {
-    let header =
-        format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({height}, {width}), }}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.bytes());
-    bytes
 }
 
 /// Where a file is put, and the command that reads it, with the inputs' folder for `@`.
@@ -194,6 +170,25 @@ fn files_of_terabytes_are_refused_unread() {
         let path = folder.path().join(file);
         File::create(&path).unwrap().set_len(1 << 40).unwrap();
         check(&format!("{file}: 1 TiB"), command, folder.path(), ", the maximum");
+    }
+}
+
+/// The largest view that is not refused, over each geometry.
+#[test]
+fn the_largest_views_take_no_gigabyte() {
+    let folder = inputs();
+    let mut view = Scene { frames: 3, ..Scene::default() }.camera([0.01, 0.0, 0.0]);
+    let (width, height) = (8192, 4320);
+    let zoom = f64::from(height) / H as f64;
+    (view["width"], view["height"]) = (json!(width), json!(height));
+    let focal = zoom * FOCAL_PX;
+    view["params"] = json!([focal, focal, f64::from(width) / 2.0, f64::from(height) / 2.0]);
+    std::fs::write(folder.path().join("view.json"), view.to_string()).unwrap();
+    for geometry in ["mesh", "depth", "scene-flow"] {
+        let command = format!(
+            "render @ --camera @/view.json --time 0.05 --sync refined --proxy {geometry} -o @/out.png"
+        );
+        check(&format!("a view of {width}×{height}, {geometry}"), &command, folder.path(), "");
     }
 }
 

@@ -5,9 +5,9 @@
 mod common;
 
 use common::random::below;
-use common::wall::{FRAME_S, Scene};
+use common::wall::{FRAME_S, Scene, write_truth};
 use common::{copy_folder, edit, ffmpeg, stlfr};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -25,23 +25,28 @@ fn changes() -> usize {
     std::env::var("STLFR_CHANGES").ok().and_then(|n| n.parse().ok()).unwrap_or(CHANGES)
 }
 
-/// Commands that store results in the capture. Their own result is in the file that they end with, else on stdout.
-const COMMANDS: [&str; 4] = [
+/// Commands that store results. Their own result is in the file or folder that they end with, else on stdout.
+const COMMANDS: [&str; 6] = [
     "offsets capture --json",
     "prepare capture",
-    "render capture --like cam1 --time 0.07 -o out",
-    "render capture --like cam1 --time 0.07 --sync auto --proxy auto --blend auto -o out",
+    "render capture --like cam1 --time 0.07 --preset balanced -o out",
+    LATER,
+    "compare capture --preset balanced -o review",
+    "tradeoff capture --runs 1 --rounds 0 -o points",
 ];
 
 /// A command that reads frames one after the other, as the clocks are known, and stores nothing.
 const LONG: &str = "render capture --like cam1 --times 0.01:0.11:25 -o video";
 
 /// The command whose result depends on all that is stored.
-const LATER: &str = COMMANDS[3];
+const LATER: &str =
+    "render capture --like cam1 --time 0.07 --sync auto --proxy auto --blend auto -o out";
 
 /// The wall with one motion or another, as image sequences or as videos.
 fn film(velocity: [f64; 2], as_videos: bool, shared: bool) -> TempDir {
-    let folder = Scene { frames: FRAMES, velocity, shared: [shared; 3], ..Scene::default() }.film();
+    let scene = Scene { frames: FRAMES, velocity, shared: [shared; 3], ..Scene::default() };
+    let folder = scene.film();
+    write_truth(folder.path(), &scene);
     for c in (0..3).filter(|_| as_videos) {
         let frames = folder.path().join(format!("cam{c}"));
         let read = |k| read_image(&frames.join(format!("{k}.png"))).unwrap().0;
@@ -78,12 +83,38 @@ fn command(folder: &Path, words: &str) -> Command {
     command
 }
 
+/// Values that tell how long something took, or depend on it.
+const TIMES: [&str; 7] =
+    ["on_front", "cpu_s", "planning_s", "preparation", "recommended", "seconds", "wall_s"];
+
+/// A JSON file without [`TIMES`], and the points of a trade-off in the order of their names.
+fn without_times(path: &Path) -> Vec<u8> {
+    fn clear(value: &mut Value) {
+        match value {
+            Value::Array(values) => values.iter_mut().for_each(clear),
+            Value::Object(fields) => {
+                fields.retain(|name, _| !TIMES.contains(&name.as_str()));
+                fields.values_mut().for_each(clear);
+            }
+            _ => {}
+        }
+    }
+    let mut value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+    clear(&mut value);
+    if let Some(points) = value.get_mut("points").and_then(Value::as_array_mut) {
+        points.sort_by_cached_key(Value::to_string);
+    }
+    value.to_string().into()
+}
+
 /// The result of a command, or its sentence.
 fn result(folder: &Path, words: &str, output: std::process::Output) -> Result<Vec<u8>, String> {
     if output.status.success() {
         return Ok(match words.rsplit(' ').next() {
             Some("out") => std::fs::read(folder.join(IMAGE)).unwrap(),
             Some("video") => std::fs::read(folder.join(VIDEO)).unwrap(),
+            Some("review") => without_times(&folder.join("review/metrics.json")),
+            Some("points") => without_times(&folder.join("points/tradeoff.json")),
             _ if words.starts_with("prepare") => Vec::new(), // prints times
             _ => output.stdout,
         });
@@ -130,10 +161,11 @@ struct Change {
 impl Change {
     fn any(random: &mut Random, as_videos: bool) -> Self {
         let camera = below(random, 3);
-        let path = match below(random, 4) {
+        let path = match below(random, 5) {
             0 => "capture.json".into(),
+            1 => format!("truth/{}", ["truth.json", "0.png", "depth.npy"][below(random, 3)]),
             _ if as_videos => format!("cam{camera}.mkv"),
-            1 => format!("cam{camera}"),
+            2 => format!("cam{camera}"),
             _ => format!("cam{camera}/{}.png", below(random, FRAMES)),
         };
         let is_folder = !path.contains('.');
@@ -188,9 +220,11 @@ fn try_change(words: &str, captures: &[TempDir; 2], took: Duration, change: &Cha
     }
     let found = result(folder.path(), words, child.wait_with_output().unwrap());
     assert!(found.is_err() || allowed.contains(&found), "{words}: another result, {change:?}");
-    let output = command(folder.path(), LATER).output().unwrap();
-    let later = result(folder.path(), LATER, output);
-    assert_eq!(later, from_nothing(&capture, LATER), "{words}: stored wrongly, {change:?}");
+    for later in [words, LATER] {
+        let output = command(folder.path(), later).output().unwrap();
+        let found = result(folder.path(), later, output);
+        assert!(found == from_nothing(&capture, later), "{words}: stored wrongly, {change:?}");
+    }
 }
 
 fn try_changes(commands: &[&str], as_videos: bool, shared: bool) {
@@ -201,7 +235,9 @@ fn try_changes(commands: &[&str], as_videos: bool, shared: bool) {
         let first = from_nothing(captures[0].path(), words);
         let took = start.elapsed();
         assert!(first.is_ok(), "{first:?}");
-        for _ in 0..changes() {
+        // Those that run every method take ten times as long.
+        let is_long = ["compare", "tradeoff"].iter().any(|name| words.starts_with(name));
+        for _ in 0..if is_long { changes().div_ceil(3) } else { changes() } {
             let change = Change::any(&mut random, as_videos);
             try_change(words, &captures, took, &change);
         }

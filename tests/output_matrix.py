@@ -57,6 +57,12 @@ OPTIONS = [
         ".mkv",
         "truth/a.mkv",
     ),
+    Option(
+        "render -o layers",
+        "render CAPTURE --like cam3 --time 0.1 --preset draft -o",
+        ".exr",
+        "truth/a.exr",
+    ),
     Option("plan -o", "plan CAPTURE -o", ".json", "truth/truth.json"),
     Option("rig -o", "rig line --count 400 -o", ".json", "capture.json"),
     Option("check --json", "check CAPTURE --json", ".json", "capture.json"),
@@ -76,6 +82,16 @@ OPTIONS = [
     ),
     Option("compare -o", "compare CAPTURE --preset draft -o", "", "truth"),
     Option("tradeoff -o", "tradeoff CAPTURE --rounds 0 --runs 1 -o", "", "cam0"),
+    Option("farm -o", "farm CAPTURE -o", "", "truth"),
+    Option(
+        "export --frames -o", "export CAPTURE --format nerf --frames -o", "", "truth"
+    ),
+    Option(
+        "export --synchronized -o",
+        "export CAPTURE --format colmap --synchronized --preset draft -o",
+        "",
+        "truth",
+    ),
     Option("publish -o", "publish CAPTURE --max-mb 1 -o", "", "truth"),
     Option("import -o", "import CAPTURE/colmap --images CAPTURE --rate 30 -o", "", ""),
     Option(

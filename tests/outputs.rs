@@ -27,6 +27,8 @@ fn file_outputs(capture: &str) -> Vec<(&'static str, Vec<&str>)> {
     vec![
         ("png", vec!["render", capture, "--like", "cam1", "--time", "0.05", "-o"]),
         ("mkv", vec!["render", capture, "--like", "cam1", "--times", "0.05:0.06:2", "-o"]),
+        ("exr", vec!["render", capture, "--like", "cam1", "--time", "0.05", "-o"]),
+        ("gif", vec!["render", capture, "--like", "cam1", "--times", "0.05:0.06:2", "-o"]),
         ("json", vec!["plan", capture, "-o"]),
         ("json", vec!["rig", "line", "-o"]),
         ("json", vec!["check", capture, "--json"]),
@@ -145,6 +147,9 @@ fn folder_outputs(capture: &str) -> Vec<Vec<&str>> {
         vec!["compare", capture, "-o"],
         vec!["tradeoff", capture, "--rounds", "0", "--runs", "1", "-o"],
         vec!["publish", capture, "-o"],
+        vec!["farm", capture, "-o"],
+        vec!["export", capture, "--format", "nerf", "--frames", "-o"],
+        vec!["export", capture, "--format", "colmap", "--synchronized", "-o"],
         vec!["export", capture, "--format", "colmap", "-o"],
         vec!["export", capture, "--format", "colmap-text", "-o"],
         vec!["import", capture, "--images", capture, "--rate", "25", "-o"],
@@ -194,6 +199,18 @@ fn no_folder_in_an_output_is_written_through_a_link() {
         }
     }
     let film = ["capture", "rigs/linear8.json", "--scene", "magazine", "-o"];
+    for name in ["images", "sparse"] {
+        let data = tempfile::tempdir().unwrap();
+        symlink(root.join("cam0"), data.path().join(name)).unwrap();
+        let before = contents(root);
+        let export = ["export", text(root), "--format", "colmap", "--frames", "-o"];
+        assert_refused(
+            &run_into(&export, data.path()),
+            2,
+            "is a link, which is not written through",
+        );
+        assert_eq!(contents(root), before, "{name}");
+    }
     for name in ["cam0", "truth", ".film", ".stlfr", "truth/views"] {
         let unfinished = tempfile::tempdir().unwrap();
         let link = unfinished.path().join(name);

@@ -1,4 +1,4 @@
-//! Lens distortion on the normalized plane z = 1, its inverse, and its domain.
+//! Lens distortion on the normalized image plane z = 1, its inverse, and the domain in which it can be inverted.
 
 use super::prism::PrismFisheye;
 use super::radial_curve::RadialCurve;
@@ -7,7 +7,7 @@ use super::solve::{
 };
 use nalgebra::{Matrix2, Point2};
 
-/// A lens's distortion as a map of the plane z = 1. Coefficients are unitless.
+/// A lens's distortion as a map of the normalized plane z = 1 to itself. Coefficients are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Distortion {
     /// No distortion.
@@ -17,14 +17,15 @@ pub(super) enum Distortion {
     Brown { k: [f64; 6], p: [f64; 2] },
     /// Kannala and Brandt's model: the angle θ from the axis is mapped to θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸).
     Fisheye { k: [f64; 4] },
-    /// A radial map with an inverse in closed form.
+    /// FOV, division or EUCM model: a radial map whose inverse has a closed form.
     Curve(RadialCurve),
-    /// A fisheye whose elements are tilted.
+    /// A fisheye with tangential and thin-prism distortion.
     Prism(PrismFisheye),
 }
 
 impl Distortion {
-    /// The distorted point, by the model's formula. It is meaningful only inside of the fold.
+    /// The distorted point, by the model's formula. It is meaningful only inside of the fold
+    /// ([`Self::is_short_of_fold`]).
     pub fn distorted(&self, n: &Point2<f64>) -> Point2<f64> {
         match self {
             Self::None => *n,
@@ -71,8 +72,8 @@ impl Distortion {
         }
     }
 
-    /// The point inside of the fold that is distorted to `d`; `None` if there is none, or if a coordinate isn't
-    /// finite.
+    /// The inverse of [`Self::distorted`]: the point inside of the fold that is distorted to `d`. `None` if there is
+    /// none, or if a coordinate isn't finite.
     pub fn undistorted(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
         if !(d.x.is_finite() && d.y.is_finite()) {
             return None;
@@ -91,7 +92,7 @@ impl Distortion {
         }
     }
 
-    /// Jacobian of [`Self::distorted`] for Brown's model; the identity for the others.
+    /// Jacobian of [`Self::distorted`] for Brown's model; the identity matrix for all other models.
     fn derivative(&self, n: &Point2<f64>) -> Matrix2<f64> {
         let Self::Brown { k, p: [p1, p2] } = self else { return Matrix2::identity() };
         let (x, y) = (n.x, n.y);
@@ -111,14 +112,14 @@ impl Distortion {
     }
 }
 
-/// Inverts the fisheye model by Newton's method on the angle, inside a bracket. `None` from 90° on.
+/// Inverts the fisheye model by Newton's method on the angle from the axis, with a bracket. `None` from 90° on.
 fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
     let target = d.coords.norm();
     if target == 0.0 {
         return Some(*d);
     }
     let (value, slope) = (angular(k), angular_slope(k));
-    // Brackets: the slope is positive up to `high`, or the bracket shrinks until it is.
+    // Bracket of the angle. An angle beyond the fold, where the slope isn't positive, becomes its upper end.
     let (mut low, mut high) = (0.0, MAX_ANGLE);
     let mut theta = target.min(0.99 * high);
     for _ in 0..2 * ITERATIONS {
@@ -154,7 +155,7 @@ fn radial_quotient(k: &[f64; 6]) -> [[f64; 4]; 2] {
     [[1.0, k[0], k[1], k[2]], [1.0, k[3], k[4], k[5]]]
 }
 
-/// Slope of the radial distortion r N/D, times D²: N D + 2 s (N′ D − N D′), in powers of s = r².
+/// Numerator of the slope of the distorted radius r N/D: N D + 2 s (N′ D − N D′), in powers of s = r².
 fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
     let [above, below] = radial_quotient(k);
     let mut slope = [0.0; 7];

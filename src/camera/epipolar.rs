@@ -1,4 +1,4 @@
-//! Two cameras' epipolar geometry, eq. (1): `p_iᵀ F p_j = 0`.
+//! Epipolar geometry of two cameras: `p_jᵀ F p_i = 0`, eq. (1) up to the order of the cameras.
 
 use super::Camera;
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
@@ -26,19 +26,20 @@ impl EpipolarLine {
 
 /// The fundamental matrix F of an ordered pair of cameras (i, j), eq. (1).
 ///
-/// Both images' pixels are without distortion, as
-/// [`ideal_from_pixel`](super::CameraModel::ideal_from_pixel) gives them.
+/// Pixels of both images are undistorted pixels, as [`ideal_from_pixel`](super::CameraModel::ideal_from_pixel) gives
+/// them.
 #[derive(Clone, Debug)]
 pub struct EpipolarGeometry {
-    /// The matrix F: `line in j = j_from_i · p_i`.
+    /// The matrix F. The epipolar line in image j of the pixel `p_i` is `j_from_i · p_i`.
     j_from_i: Matrix3<f64>,
 }
 
-/// Minimum baseline, as a fraction of the centres' distance from the world's origin; below it rounding
-/// dominates.
+/// Minimum baseline, as a fraction of the camera centres' distance from the world's origin. Rounding dominates shorter
+/// baselines.
 const MIN_BASELINE_FRACTION: f64 = 1e-12;
 
-/// Minimum length of a line's normal, relative to the norm of F; below it the pixel is the epipole.
+/// Minimum length of an epipolar line's normal, as a fraction of the norm of F. The pixel of a shorter normal is the
+/// epipole.
 const MIN_LINE_FRACTION: f64 = 1e-12;
 
 impl EpipolarGeometry {
@@ -53,7 +54,7 @@ impl EpipolarGeometry {
         if !(baseline.norm() > MIN_BASELINE_FRACTION * scale) || baseline.norm() == 0.0 {
             return None;
         }
-        // F is used up to scale: a baseline of unit length neither under- nor overflows.
+        // F is defined up to scale. A baseline of unit length neither underflows nor overflows.
         let t = -(camera_j.cam_from_world.rotation * baseline.normalize());
         let rotation = (camera_j.cam_from_world.rotation
             * camera_i.cam_from_world.rotation.inverse())
@@ -61,19 +62,19 @@ impl EpipolarGeometry {
         let essential = t.cross_matrix() * rotation.matrix();
         let k_inv = |camera: &Camera| {
             let (fx, fy, cx, cy) = camera.model.intrinsics();
-            // Columns.
+            // The array lists columns.
             Matrix3::from([[1.0 / fx, 0.0, 0.0], [0.0, 1.0 / fy, 0.0], [-cx / fx, -cy / fy, 1.0]])
         };
         Some(Self { j_from_i: k_inv(camera_j).transpose() * essential * k_inv(camera_i) })
     }
 
-    /// The epipolar line in camera j of a pixel of camera i, both without distortion.
+    /// The epipolar line in image j of a pixel of image i. Pixel and line are undistorted.
     ///
     /// `None` if the pixel is the epipole, whose line is undefined.
     pub fn line_in_j(&self, p_i: &Point2<f64>) -> Option<EpipolarLine> {
         let l = self.j_from_i * Vector3::new(p_i.x, p_i.y, 1.0);
         let length = l.xy().norm();
-        // At the epipole, l is rounding of the matrix's largest entries.
+        // At the epipole, rounding errors alone make the normal differ from 0.
         if !(length > MIN_LINE_FRACTION * self.j_from_i.norm()) {
             return None;
         }

@@ -1,7 +1,7 @@
-//! A camera object in JSON: in a capture, and as a view to render.
+//! JSON of a camera: an entry of `capture.json`, or a view to render.
 //!
-//! A view's file holds one camera as `capture.json` has them; its `id`, `frames`, `color` and `clock` may be left out,
-//! and are not read. Lengths are metres. The axes are COLMAP's: x right, y down, z forward.
+//! The file of a view holds one camera in the form of a camera in `capture.json`. The fields `id`, `frames`, `color`
+//! and `clock` are optional and ignored. Lengths are metres. The axes are COLMAP's: x right, y down, z forward.
 //!
 //! ```json
 //! { "width": 320, "height": 240, "model": "PINHOLE", "params": [343.1, 343.1, 160.0, 120.0],
@@ -17,11 +17,11 @@ use schemars::JsonSchema;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
-/// A pose in JSON, which maps points of the world (or of the rig) to the camera's frame.
+/// A pose in JSON: the rigid transform from the world (in a rig's file, from the rig) to the camera's frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFormat {
-    /// Quaternion of unit length, to [`MAX_QUATERNION_ERROR`].
+    /// Rotation as a quaternion (w, x, y, z), of unit length within [`MAX_QUATERNION_ERROR`].
     pub rotation_wxyz: [f64; 4],
     /// Translation, metres.
     pub translation: [f64; 3],
@@ -43,7 +43,7 @@ pub struct CameraFormat {
     pub cam_from_world: PoseFormat,
 }
 
-/// A view to render, in JSON: lens and pose, and what a camera of `capture.json` has besides.
+/// A view to render, in JSON: lens and pose. Other fields of a camera in `capture.json` are allowed and ignored.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ViewFormat {
@@ -68,7 +68,7 @@ pub enum CameraFormatError {
     /// Width or height is 0 or too large.
     #[error("{field}: is {value}, must be from 1 to {max}")]
     Size { field: &'static str, value: u32, max: u32 },
-    /// The image has more than [`MAX_PIXELS`], or a view more than cinema's 8K.
+    /// The image has more pixels than [`MAX_PIXELS`], or a view more than 8192×4320.
     #[error("width: {width}×{height} are more pixels than {max}")]
     Pixels { width: u32, height: u32, max: u64 },
     /// The model's name is unknown, or its number of parameters wrong.
@@ -92,15 +92,15 @@ fn known_models() -> String {
 
 /// Maximum width and height of an image, pixels.
 const MAX_SIZE_PX: u32 = 65_536;
-/// Maximum coordinate of a translation, metres: the powers that views compute of it are finite.
+/// Maximum coordinate of a translation, metres. Its powers in the computation of views stay finite.
 const MAX_TRANSLATION_M: f64 = 1e12;
-/// Maximum number of pixels of a view: those of cinema's 8K. Rendering takes about 32 bytes a pixel.
+/// Maximum number of pixels of a view, 8K of digital cinema. Rendering takes about 32 bytes a pixel.
 const MAX_VIEW_PIXELS: u64 = 8192 * 4320;
-/// Maximum difference of a quaternion's length from 1: Blender's are single precision.
+/// Maximum difference of a quaternion's length from 1. Blender's quaternions have single precision.
 pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
 impl ViewFormat {
-    /// As [`CameraFormat::camera`]. A view has fewer pixels than an image that is read.
+    /// Checks every field and converts to a camera. The maximum size of a view is smaller than that of an input image.
     pub fn camera(self) -> Result<Camera, CameraFormatError> {
         let Self { width, height, model, params, cam_from_world, .. } = self;
         let camera = CameraFormat { width, height, model, params, cam_from_world }.camera()?;

@@ -5,8 +5,7 @@
 //! - Pixels: the centre of the top-left pixel is (0.5, 0.5).
 //! - Models: COLMAP's names and parameter order.
 //!
-//! Known limit: a viewing ray is a point of the normalized plane z = 1, so that fields of view stay
-//! below 180°.
+//! Known limit: a viewing ray is a point of the normalized plane z = 1. The field of view is therefore below 180°.
 
 mod distortion;
 mod epipolar;
@@ -29,17 +28,17 @@ pub struct Camera {
     pub width: usize,
     /// Image height, pixels.
     pub height: usize,
-    /// Lens model, from the plane z = 1 to pixels.
+    /// Lens model: maps the normalized plane z = 1 to pixels.
     pub model: CameraModel,
     /// Pose: maps world points, metres, to the camera's frame (+x right, +y down, +z forward).
     pub cam_from_world: Isometry3<f64>,
 }
 
-/// Minimum depth of a point that projects, as a fraction of its distance: an angle of 89.9999° from the axis.
+/// Minimum depth of a point that projects, as a fraction of its distance from the centre: 89.9999° from the axis.
 const MIN_DEPTH_FRACTION: f64 = 1e-6;
 
 impl Camera {
-    /// The camera with pixels of twice the size. An odd row or column is dropped. `None` if no pixel is left.
+    /// The camera at half the resolution. An odd row or column is dropped. `None` if no pixel is left.
     pub fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         let model = self.model.halved();
@@ -55,7 +54,7 @@ impl Camera {
         self.project_cam(&p)
     }
 
-    /// As [`Self::project`], for a point in this camera's frame.
+    /// [`Self::project`] for a point in this camera's frame, metres.
     pub fn project_cam(&self, p: &Point3<f64>) -> Option<Point2<f64>> {
         if !(p.z > MIN_DEPTH_FRACTION * p.coords.norm()) {
             return None;
@@ -76,7 +75,7 @@ impl Camera {
         Some(Vector3::new(n.x, n.y, 1.0))
     }
 
-    /// [`Self::ray`] in world coordinates. Its depth is 1, not its length.
+    /// [`Self::ray`] in world coordinates. Its component along the optical axis is 1; its length isn't.
     pub fn ray_world(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         Some(self.cam_from_world.rotation.inverse_transform_vector(&self.ray(pixel)?))
     }
@@ -86,7 +85,7 @@ impl Camera {
         self.cam_from_world.inverse_transform_point(&Point3::origin())
     }
 
-    /// The camera at another place, `shift_m` metres away along its own axes: right, down and ahead.
+    /// The camera moved by `shift_m`, metres along its own axes right, down and forward.
     pub fn shifted(&self, shift_m: Vector3<f64>) -> Self {
         let cam_from_world = Translation3::from(-shift_m) * self.cam_from_world;
         Self { cam_from_world, ..self.clone() }
@@ -105,7 +104,7 @@ impl Camera {
             && pixel.y <= self.height as f64
     }
 
-    /// Mean of the two focal lengths, pixels: the extent of one radian near the axis.
+    /// Mean of the two focal lengths, pixels: near the axis, the number of pixels per radian.
     pub fn focal_px(&self) -> f64 {
         let (fx, fy, ..) = self.model.intrinsics();
         0.5 * (fx + fy)

@@ -19,7 +19,7 @@ pub enum CameraModel {
     Radial { f: f64, cx: f64, cy: f64, k: [f64; 2] },
     /// `OPENCV`: fx, fy, cx, cy, k1, k2, p1, p2 (Brown's radial and tangential distortion).
     OpenCv { fx: f64, fy: f64, cx: f64, cy: f64, k1: f64, k2: f64, p1: f64, p2: f64 },
-    /// `FULL_OPENCV`: fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 (its radial part a quotient).
+    /// `FULL_OPENCV`: fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 (rational radial distortion, and tangential).
     FullOpenCv { fx: f64, fy: f64, cx: f64, cy: f64, k: [f64; 6], p: [f64; 2] },
     /// `SIMPLE_RADIAL_FISHEYE`: f, cx, cy, k.
     SimpleRadialFisheye { f: f64, cx: f64, cy: f64, k: f64 },
@@ -135,8 +135,8 @@ impl CameraModel {
         }
     }
 
-    /// The model of COLMAP's name and parameters; `None` if the name is unknown or the number of
-    /// parameters is wrong.
+    /// The model with COLMAP's name and parameters; `None` if the name is unknown or the number of parameters is
+    /// wrong.
     pub fn from_params(name: &str, params: &[f64]) -> Option<Self> {
         Some(match (name, params) {
             ("SIMPLE_PINHOLE", &[f, cx, cy]) => Self::SimplePinhole { f, cx, cy },
@@ -207,19 +207,19 @@ impl CameraModel {
         }
     }
 
-    /// The model for pixels of twice the size.
+    /// The model of the image at half the resolution, whose pixels are twice as large.
     pub fn halved(&self) -> Self {
         self.scaled(0.5)
     }
 
-    /// The model of images with `factor` times as many pixels a side.
+    /// The model of the image at `factor` times the resolution in both directions.
     pub fn scaled(&self, factor: f64) -> Self {
         let has_one_focal =
             ["SIMPLE_", "RADIAL"].iter().any(|start| self.name().starts_with(start));
         let intrinsics = if has_one_focal { 3 } else { 4 };
         let mut params = self.params();
         params[..intrinsics].iter_mut().for_each(|v| *v *= factor);
-        // These are the name and the number of parameters of this very model.
+        // Name and number of parameters come from the model itself, so that this can't fail.
         Self::from_params(self.name(), &params).unwrap_or(*self)
     }
 
@@ -228,7 +228,7 @@ impl CameraModel {
         self.distortion() == Distortion::None
     }
 
-    /// Projects a point of the plane z = 1. It is meaningful only inside of the fold
+    /// Projects a point of the plane z = 1 to a pixel. The result is meaningful only inside of the fold
     /// ([`Self::is_short_of_fold`]).
     pub fn pixel_from_normalized(&self, n: &Point2<f64>) -> Point2<f64> {
         let (fx, fy, cx, cy) = self.intrinsics();
@@ -247,8 +247,8 @@ impl CameraModel {
         self.distortion().undistorted(&Point2::new((pixel.x - cx) / fx, (pixel.y - cy) / fy))
     }
 
-    /// The undistorted pixel, with the same focal lengths and principal point. Among undistorted pixels,
-    /// epipolar curves are lines. `None` as for [`Self::normalized_from_pixel`].
+    /// The pixel at which the same camera without distortion would see the point of `pixel`. Undistorted pixels have
+    /// straight epipolar lines. `None` where [`Self::normalized_from_pixel`] is `None`.
     pub fn ideal_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         if self.is_pinhole() {
             return Some(*pixel);
@@ -308,7 +308,7 @@ impl CameraModel {
 mod tests {
     use super::*;
 
-    /// One of each model, of a 640×480 image, distorted as real lenses are.
+    /// One model of each kind, with a realistic distortion, for a 640×480 image.
     fn one_of_each() -> Vec<CameraModel> {
         let (f, fx, fy, cx, cy) = (400.0, 686.0, 680.0, 321.0, 239.0);
         let params: [&[f64]; 17] = [
@@ -370,7 +370,7 @@ mod tests {
         }
     }
 
-    /// A fisheye without coefficients is equidistant: f θ pixels from the middle.
+    /// A fisheye with zero coefficients is equidistant: the radius in pixels is f θ.
     #[test]
     fn a_fisheye_measures_angles() {
         let model = CameraModel::SimpleRadialFisheye { f: 300.0, cx: 0.0, cy: 0.0, k: 0.0 };
@@ -406,7 +406,7 @@ mod tests {
         assert!(!folding.is_short_of_fold(&Point2::new(f64::NAN, 0.0)));
     }
 
-    /// The slope is positive again further out, but the pixels there are images of points nearer to the axis too.
+    /// Further out the slope is positive again, but the pixels there are also images of points nearer to the axis.
     #[test]
     fn a_lens_that_folds_twice_ends_at_the_first() {
         let model = CameraModel::Radial { f: 1.0, cx: 0.0, cy: 0.0, k: [-1.0, 0.3] };
@@ -419,7 +419,8 @@ mod tests {
         assert!(inverse.is_none_or(|n| n.coords.norm() < 0.65), "{inverse:?}");
     }
 
-    /// Up to the fold, and with pincushion distortion that takes points beyond the fold's radius.
+    /// Covers barrel distortion up to the fold, and pincushion distortion, which moves points beyond the fold's
+    /// radius.
     #[test]
     fn strong_distortion_is_inverted_up_to_its_fold() {
         let barrel = CameraModel::SimpleRadial { f: 1.0, cx: 0.0, cy: 0.0, k: -0.5 };
@@ -443,7 +444,7 @@ mod tests {
         }
     }
 
-    /// `tests/golden/make_lens_reference.py` writes what pycolmap says.
+    /// `tests/golden/make_lens_reference.py` writes the reference pixels, computed by pycolmap.
     #[test]
     fn points_are_projected_as_pycolmap_does() {
         let text = include_str!("../../tests/golden/lenses.json");

@@ -3,8 +3,11 @@
 use super::solve::{MAX_ANGLE, MIN_SLOPE, is_positive_up_to, newton, polynomial};
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// A point at the angle θ from the axis is w, of length θ. With s = |w|², the radial part is q = w (1 + k₁s + … + k₆s⁶).
-/// Added to q are 2 (p·b) b + |b|² p and (s₁|b|² + s₂|b|⁴, s₃|b|² + s₄|b|⁴), where b is q or w.
+/// Radial, tangential and thin-prism distortion of a fisheye.
+///
+/// The vector w = (n / |n|) θ has the direction of the point n of the plane z = 1, and as length the angle θ from the
+/// axis. With s = |w|², the radial part is q = w (1 + k₁s + … + k₆s⁶). The image is q + 2 (p·b) b + |b|² p + (s₁|b|² +
+/// s₂|b|⁴, s₃|b|² + s₄|b|⁴), where b is q or w.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PrismFisheye {
     /// Radial coefficients k₁ to k₆.
@@ -13,7 +16,7 @@ pub(super) struct PrismFisheye {
     pub p: [f64; 2],
     /// Thin-prism coefficients s₁ to s₄.
     pub s: [f64; 4],
-    /// Whether b is q, or else w.
+    /// Whether b is q (`RAD_TAN_THIN_PRISM_FISHEYE`) or w (`THIN_PRISM_FISHEYE`).
     pub is_nested: bool,
 }
 
@@ -22,7 +25,7 @@ impl PrismFisheye {
         self.project_angles(&angles(n))
     }
 
-    /// Whether the radial part still grows at a point, and the map keeps its orientation there.
+    /// Whether the radial part grows from the axis to this point, and the Jacobian's determinant is positive there.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         self.is_inside(&angles(n))
     }
@@ -45,7 +48,7 @@ impl PrismFisheye {
             && self.derivative(w).determinant() > MIN_SLOPE
     }
 
-    /// 1 + k₁s + … + k₆s⁶, and its derivative by s.
+    /// 1 + k₁s + … + k₆s⁶, and its derivative with respect to s.
     fn radial(&self, s: f64) -> (f64, f64) {
         let [k1, k2, k3, k4, k5, k6] = self.k;
         let value = polynomial(&[1.0, k1, k2, k3, k4, k5, k6], s);
@@ -76,7 +79,7 @@ impl PrismFisheye {
     }
 }
 
-/// A point of the plane z = 1 at its angle from the axis.
+/// The vector w of a point of the plane z = 1: its direction from the axis, with the angle from the axis as length.
 fn angles(n: &Point2<f64>) -> Point2<f64> {
     let r = n.coords.norm();
     if r == 0.0 { *n } else { n * (r.atan() / r) }

@@ -6,16 +6,17 @@ use nalgebra::Point2;
 /// A radial map of the plane z = 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum RadialCurve {
-    /// Devernay and Faugeras' model of an angle of view ω: the radius r is mapped to atan(2 r tan(ω/2)) / ω.
+    /// FOV model of Devernay and Faugeras, with field of view ω: the radius r is mapped to atan(2 r tan(ω/2)) / ω.
     Fov { omega: f64 },
-    /// Fitzgibbon's: a distorted radius d is that of r = d / (1 + k d²).
+    /// Division model of Fitzgibbon: the inverse maps a distorted radius d to r = d / (1 + k d²).
     Division { k: f64 },
-    /// Khomutenko, Garcia and Martinet's: r is mapped to r / (α √(β r² + 1) + 1 − α).
+    /// EUCM model of Khomutenko, Garcia and Martinet: the radius r is mapped to r / (α √(β r² + 1) + 1 − α).
     Eucm { alpha: f64, beta: f64 },
 }
 
 impl RadialCurve {
-    /// The factor of a point at this radius. It is meaningful only inside of the fold.
+    /// The distorted radius over the radius r, the factor that distorts a point. It is meaningful only inside of the
+    /// fold.
     pub fn scale(&self, r: f64) -> f64 {
         match *self {
             Self::Fov { omega } => {
@@ -27,7 +28,7 @@ impl RadialCurve {
         }
     }
 
-    /// Whether the distorted radius still grows at this one. False for parameters that are no lens's.
+    /// Whether the distorted radius grows with the radius at r. False for parameters that the model doesn't allow.
     pub fn is_short_of_fold(&self, r: f64) -> bool {
         match *self {
             Self::Fov { omega } => omega.abs() < std::f64::consts::PI && r.is_finite(),

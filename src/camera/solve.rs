@@ -1,27 +1,28 @@
-//! What inverses of lenses are found with: polynomials, and Newton's method inside a domain.
+//! Numerical inversion of lens distortion: polynomials, and Newton's method inside a domain.
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Newton's method stops when a step is shorter than this, in normalized units.
+/// Newton's method stops when a step is shorter than this, in units of the plane z = 1.
 pub(super) const STEP: f64 = 1e-14;
-/// Maximum number of Newton steps: 3 to 6 are usual, some 30 next to the fold, where convergence is linear.
+/// Maximum number of Newton steps. Usually 3 to 6 suffice; next to the fold, convergence is linear and takes about 30.
 pub(super) const ITERATIONS: usize = 60;
-/// Minimum slope of the distortion, and minimum determinant of its derivative, inside of the fold.
+/// Minimum slope of the distorted radius, and minimum determinant of the distortion's Jacobian, inside of the fold.
 pub(super) const MIN_SLOPE: f64 = 1e-9;
-/// Maximum residual of a solution, in normalized units.
+/// Maximum residual of a solution, in units of the plane z = 1.
 pub(super) const MAX_RESIDUAL: f64 = 1e-12;
-/// Maximum angle from the axis, radians: at 90° the plane z = 1 has no point.
+/// Maximum angle from the axis, radians. A ray at 90° doesn't meet the plane z = 1.
 pub(super) const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
 
-/// The point inside of a domain that a map takes to `d`, by Newton's method; steps that would leave the domain are
-/// halved. The domain contains the origin, and the map is near to the identity there. `None` if there is no such point.
+/// Inverts a map by Newton's method: the point of a domain that the map takes to `d`, or `None` if there is none. A
+/// step that would leave the domain is halved. The domain must contain the origin, and the map must be near to the
+/// identity there.
 pub(super) fn newton(
     d: &Point2<f64>,
     value: impl Fn(&Point2<f64>) -> Point2<f64>,
     derivative: impl Fn(&Point2<f64>) -> Matrix2<f64>,
     is_inside: impl Fn(&Point2<f64>) -> bool,
 ) -> Option<Point2<f64>> {
-    // Starts at the distorted point. It may lie beyond the fold; points near the axis never do.
+    // The start is the distorted point itself, moved towards the origin until it is inside the domain.
     let mut n = *d;
     for _ in 0..ITERATIONS {
         if is_inside(&n) {
@@ -49,18 +50,20 @@ pub(super) fn newton(
     ((value(&n) - d).norm() < MAX_RESIDUAL * (1.0 + d.coords.norm())).then_some(n)
 }
 
-/// Value of a polynomial at s, lowest power first.
+/// Value of a polynomial at s. Coefficients are in ascending powers.
 pub(super) fn polynomial<const N: usize>(coefficients: &[f64; N], s: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, c| sum * s + c)
 }
 
-/// Maximum number of halvings before a polynomial that touches zero counts as crossing it.
+/// Maximum depth of the bisection. A polynomial that is undecided at this depth touches zero, and counts as crossing
+/// it.
 const MAX_DEPTH: usize = 40;
 
-/// Whether a polynomial (lowest power first, 1 at 0) is above [`MIN_SLOPE`] on all of [0, end].
+/// Whether a polynomial is above [`MIN_SLOPE`] on all of [0, end]. Coefficients are in ascending powers, the first is
+/// 1.
 ///
-/// Its Bernstein coefficients bound it on an interval (Farouki 2012, §3); where they don't decide,
-/// the interval is halved. False if a coefficient or `end` is not finite.
+/// The Bernstein coefficients bound the polynomial on an interval (Farouki 2012, §3). Where the bounds don't decide,
+/// the interval is bisected. False if a coefficient or `end` is not finite.
 pub(super) fn is_positive_up_to<const N: usize>(coefficients: &[f64; N], end: f64) -> bool {
     let mut scaled = *coefficients;
     let mut power = 1.0;
@@ -90,7 +93,8 @@ fn is_bernstein_positive<const N: usize>(b: [f64; N], depth: usize) -> bool {
     if depth == 0 || !(b[0] > MIN_SLOPE && b[N - 1] > MIN_SLOPE) {
         return false;
     }
-    // de Casteljau at the middle: the first of each row is the left half's, the last the right's.
+    // De Casteljau's subdivision at the middle: the first entry of each row belongs to the left half, the last to the
+    // right.
     let (mut left, mut right, mut row) = ([0.0; N], b, b);
     for i in 0..N {
         left[i] = row[0];

@@ -2,12 +2,12 @@
 
 use super::{Capture, FilmedCamera};
 
-/// Shortest time between two frames, seconds. Offsets and trajectories divide by it.
+/// Shortest time between two frames, seconds. Estimates of offsets and trajectories divide by it.
 const MIN_FRAME_S: f64 = 1e-9;
-/// Largest absolute time, seconds (3000 years). Unix times in seconds pass; those in milliseconds don't.
+/// Largest absolute time, seconds (3000 years). Unix times are accepted in seconds and refused in milliseconds.
 pub(super) const MAX_TIME_S: f64 = 1e11;
 
-/// Largest drift of a clock against the reference's, parts per million, simulated or estimated. Quartz drifts by at most
+/// Largest drift of a clock relative to the reference's clock, parts per million. Drifts of quartz clocks are at most
 /// 100.
 pub const MAX_DRIFT_PPM: f64 = 1000.0;
 
@@ -16,7 +16,7 @@ pub const MAX_DRIFT_PPM: f64 = 1000.0;
 pub struct Clock {
     /// The middle of each frame's exposure: seconds from the capture's start, strictly ascending.
     pub times_s: Vec<f64>,
-    /// Whether this is the one clock that all cameras with this flag share.
+    /// Whether the camera has the common clock. All cameras with this flag share one clock.
     pub shared: bool,
     /// Whether the clock's rate may differ from that of the reference's clock.
     pub drift: bool,
@@ -25,7 +25,8 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Refuses times that don't ascend. The error is a reason.
+    /// An error unless the times are strictly ascending and at least [`MIN_FRAME_S`] apart. The error is a reason,
+    /// without file.
     pub(super) fn ascends(&self) -> Result<(), String> {
         match self.times_s.windows(2).position(|w| !(w[1] - w[0] >= MIN_FRAME_S)) {
             None => Ok(()),
@@ -54,8 +55,8 @@ impl Clock {
     }
 }
 
-/// Indices of the frames around a time: the last at or before it, and the first at or after it. They are equal if a frame
-/// has exactly this time.
+/// Indices of the last frame at or before a time, and of the first frame at or after it. They are equal if a frame has
+/// exactly this time.
 ///
 /// `None` before the first time, after the last, and for NaN. `times_s` must ascend; of equal times, the first counts.
 pub fn bracket(times_s: &[f64], time_s: f64) -> Option<(usize, usize)> {
@@ -64,14 +65,15 @@ pub fn bracket(times_s: &[f64], time_s: f64) -> Option<(usize, usize)> {
     if found == time_s { Some((after, after)) } else { Some((after.checked_sub(1)?, after)) }
 }
 
-/// Whether times are finite and strictly ascending. After a very large offset is added, rounding makes times equal.
+/// Whether times are finite and strictly ascending. Adding a very large offset rounds neighbouring times to equal
+/// values.
 pub fn are_frame_times(times_s: &[f64]) -> bool {
     times_s.iter().all(|t| t.is_finite()) && times_s.windows(2).all(|w| w[0] < w[1])
 }
 
 impl FilmedCamera {
-    /// Upper bound on the recording's duration on any clock, seconds, its last frame included. A camera that loses frames
-    /// is assumed to have lost at most as many as it has.
+    /// Upper bound on the recording's duration, from the first frame's start to the last frame's end, seconds on any
+    /// clock. A camera that may lose frames (`lost`) is assumed to have lost at most half of them.
     fn max_duration_s(&self) -> f64 {
         let times = &self.clock.times_s;
         let duration_s = times[times.len() - 1] - times[0] + self.clock.frame_s();
@@ -81,8 +83,8 @@ impl FilmedCamera {
 }
 
 impl Capture {
-    /// Upper bound on the time between a camera's recording and the reference's, seconds. Offsets can be estimated only
-    /// along chains of overlapping recordings, and no chain is longer than all recordings one after the other.
+    /// Upper bound on the time between a camera's recording and the reference's, seconds. Offsets are estimated along
+    /// chains of overlapping recordings; the longest chain has all recordings one after the other.
     pub fn reach_s(&self) -> f64 {
         self.cameras.iter().map(FilmedCamera::max_duration_s).sum()
     }
@@ -93,8 +95,9 @@ impl Capture {
         camera == self.reference || (shares(camera) && shares(self.reference))
     }
 
-    /// Bounds on the times of a camera's frames on the reference's clock, whatever its offset, seconds; of all cameras for
-    /// `None`. They are exact for a camera with the reference's clock that loses no frames.
+    /// Bounds on the times of a camera's frames for every possible offset, seconds on the reference's clock. `None`
+    /// stands for all cameras together. The bounds are exact for a camera with the reference's clock that loses no
+    /// frames.
     pub fn widest_span_s(&self, camera: Option<usize>) -> (f64, f64) {
         let reference = &self.cameras[self.reference];
         let span = |c: usize| {

@@ -1,8 +1,7 @@
-//! The identity of a capture's content, hashes of the bytes that were read; and the results that the capture's cache on
-//! disk holds for this content, in postcard's binary form.
+//! Hashes of a capture's content, and cached results on disk that are keyed with this content.
 //!
-//! Cached results are keyed with the content. A frame that changes after the capture was opened is an error, so that no
-//! result mixes two contents or gets the key of another.
+//! Results are stored in postcard's binary form. A frame that changes after the capture was opened is an error. A
+//! result is therefore never computed from two contents, or stored with the key of another content.
 
 use super::{Capture, CaptureError, FilmedCamera};
 use crate::host::{CacheKind, DiskCache, ENTRY_OVERHEAD_BYTES};
@@ -13,7 +12,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-/// Hashes of the files of an opened capture. Hashes of images are set when the images are first read.
+/// Hashes of the files of an opened capture. The hash of an image is computed when the image is first read.
 #[derive(Debug)]
 pub(super) struct ContentHashes {
     /// Hash of `capture.json`.
@@ -23,7 +22,7 @@ pub(super) struct ContentHashes {
 
 #[derive(Debug)]
 struct FrameContent {
-    /// The file's state when the capture was opened.
+    /// State of the file (size and times) when the capture was opened.
     state: Option<FileState>,
     hash: OnceLock<blake3::Hash>,
 }
@@ -42,13 +41,13 @@ impl ContentHashes {
         Self { description: blake3::hash(description.as_bytes()), frames }
     }
 
-    /// The hash of a frame's file; `None` if the file wasn't read yet.
+    /// The hash of a frame's file; `None` if the file hasn't been read yet.
     fn get(&self, frame: &Path) -> Option<blake3::Hash> {
         self.frames.get(frame).and_then(|known| known.hash.get()).copied()
     }
 
-    /// Refuses a frame whose bytes aren't those that were read before; before the first reading, a file that isn't the
-    /// one that was opened, or has changed since.
+    /// An error if a frame was read with other bytes than before. At the first reading, an error if the file was
+    /// replaced or modified since the capture was opened.
     pub fn require_unchanged(&self, frame: &Path, read: &FileRead) -> Result<(), CaptureError> {
         let Some(known) = self.frames.get(frame) else { return Ok(()) };
         let is_opened = known.state.is_none_or(|state| read.state.has_content_of(&state));
@@ -65,7 +64,8 @@ impl ContentHashes {
     }
 }
 
-/// The hash of a capture's content, computed once. Clones compute their own, since their cameras may be replaced.
+/// The hash of a capture's content, computed once. A clone starts without the hash, because its cameras may be
+/// replaced.
 #[derive(Debug, Default)]
 pub(super) struct ContentHash(OnceLock<String>);
 
@@ -76,8 +76,8 @@ impl Clone for ContentHash {
 }
 
 impl Capture {
-    /// The capture with some of its cameras only, in this order. The first is the reference if the reference isn't among
-    /// them.
+    /// The capture reduced to these cameras, in this order. If they don't include the reference, the first one becomes
+    /// the reference.
     pub(crate) fn with_cameras(&self, cameras: &[usize]) -> Self {
         Self {
             reference: cameras.iter().position(|&c| c == self.reference).unwrap_or(0),
@@ -86,7 +86,7 @@ impl Capture {
         }
     }
 
-    /// Hash of the capture's content, `capture.json` and the bytes of the frames or videos: 64 hexadecimal digits.
+    /// Hash of the capture's content (`capture.json`, and the bytes of all frames or videos), 64 hexadecimal digits.
     ///
     /// Computed once. Hashes of files that haven't changed since an earlier command come from the cache.
     ///
@@ -130,8 +130,8 @@ impl Capture {
         Ok(self.cache.for_content(self.content_hash()?))
     }
 
-    /// Loads the result for these inputs, if it is stored. If the cache has no results of this kind, the capture's
-    /// content isn't hashed.
+    /// Loads the cached result of these inputs; `None` if it isn't stored. The capture's content is hashed only if the
+    /// cache has results of this kind.
     pub(crate) fn load_stored<T: DeserializeOwned>(
         &self,
         kind: CacheKind,
@@ -140,7 +140,7 @@ impl Capture {
         postcard::from_bytes(&self.stored_bytes(kind, inputs)?).ok()
     }
 
-    /// Whether the result for these inputs is stored.
+    /// Whether the cache on disk has the result of these inputs.
     pub(crate) fn is_stored(&self, kind: CacheKind, inputs: &impl Serialize) -> bool {
         self.stored_bytes(kind, inputs).is_some()
     }
@@ -150,7 +150,7 @@ impl Capture {
         cache.load(kind, inputs)
     }
 
-    /// Computes and stores the result for these inputs, unless it is stored already.
+    /// Computes and stores the result of these inputs, unless it is stored already.
     ///
     /// # Errors
     /// Those of [`Self::cache`] and of `compute`, and [`CaptureError::Write`] if it can't be written.
@@ -175,7 +175,7 @@ impl Capture {
     }
 }
 
-/// A result on disk.
+/// A result that is stored in the cache on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stored {
     /// Size of the result's file, bytes.

@@ -46,7 +46,7 @@ pub struct FilmedCameraFormat {
     pub model: String,
     /// The model's parameters in COLMAP's order.
     pub params: Vec<f64>,
-    /// Pose, from the world to the camera's frame.
+    /// Pose: rigid transform from the world to the camera's frame.
     pub cam_from_world: PoseFormat,
     /// Whether the frames are read as RGB or as grey.
     #[serde(default)]
@@ -74,10 +74,10 @@ pub struct ClockFormat {
     /// Time of the first frame, seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_s: Option<f64>,
-    /// The middle of each frame's exposure: seconds, ascending, one a frame.
+    /// The middle of each frame's exposure, seconds: ascending, one time per frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times_s: Option<Vec<f64>>,
-    /// Whether this is the one clock that all cameras with this flag share.
+    /// Whether the camera has the common clock. All cameras with this flag share one clock.
     pub shared: bool,
     /// Whether the clock's rate may differ from that of the reference's clock.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -88,7 +88,8 @@ pub struct ClockFormat {
 }
 
 impl CaptureFormat {
-    /// Checks everything that needs no frames; returns the index of the reference camera. The error is a reason.
+    /// Checks everything that needs no frames; returns the index of the reference camera. The error is a reason,
+    /// without file.
     pub(super) fn check(&self) -> Result<usize, String> {
         if self.format != "stlfr-capture" {
             return Err(format!("format: is '{}', must be 'stlfr-capture'", short(&self.format)));

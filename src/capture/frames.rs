@@ -6,7 +6,7 @@ use std::path::{Component, Path, PathBuf};
 /// Files and folders that the program writes into a capture.
 const RESERVED: [&str; 5] = [super::CAPTURE_FILE, "offsets.json", "offsets.svg", ".stlfr", ".film"];
 
-/// A printf pattern with one integer field, split at it: `cam0/%04d.png` is `cam0/`, 4, `.png`.
+/// A printf pattern with one integer field, split around the field: `cam0/%04d.png` is `cam0/`, 4 and `.png`.
 #[derive(Debug, PartialEq)]
 struct Pattern<'a> {
     before: &'a str,
@@ -14,14 +14,14 @@ struct Pattern<'a> {
     after: &'a str,
 }
 
-/// Splits a pattern at its integer field: the text before it, its width, and the text after it.
+/// Splits a pattern around its integer field into the text before the field, the field's width, and the text after it.
 fn split(pattern: &str) -> Option<(&str, &str, &str)> {
     let (before, rest) = pattern.split_once('%')?;
     let (width, after) = rest.split_once('d')?;
     Some((before, width, after))
 }
 
-/// The number of a file in a sequence, from the text of the names before and after it; `None` for other files.
+/// The digits in the name of a sequence's file, between the texts `before` and `after`; `None` for another name.
 fn number<'a>(name: &'a str, before: &str, after: &str) -> Option<&'a str> {
     let number = name.strip_prefix(before)?.strip_suffix(after)?;
     (!number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())).then_some(number)
@@ -55,8 +55,8 @@ impl<'a> Pattern<'a> {
     }
 }
 
-/// Finds the files of a pattern, numbered from 0 without gaps, in `root`, the capture's canonical folder. The error is a
-/// reason.
+/// Finds the files of a pattern, numbered from 0 without gaps. `root` is the capture's canonical folder. The error is
+/// a reason, without file.
 pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     let parsed = Pattern::parse(pattern)?;
     must_be_relative(pattern)?;
@@ -92,7 +92,8 @@ pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> 
     Ok(Some(real))
 }
 
-/// A file in `root`, links followed; `None` if it doesn't exist. The error is a reason.
+/// The canonical path of a file in `root`; `None` if it doesn't exist. The error is a reason, such as a link that
+/// leads out of `root`.
 fn file(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
     let real = match root.join(name).canonicalize() {
         Ok(real) => real,
@@ -123,7 +124,7 @@ fn must_be_relative(name: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// The number of the first file after a gap that begins at `missing`; `None` if there is no such file.
+/// The first file number after a gap in a sequence; `missing` is the first missing number. `None` if no file follows.
 fn number_beyond(root: &Path, pattern: &Pattern, missing: usize) -> Option<usize> {
     let sample = root.join(pattern.name(0));
     let before = pattern.before.rsplit('/').next().unwrap_or_default();

@@ -48,7 +48,7 @@ pub struct Capture {
     /// The reference's first time stamp in `capture.json`, seconds. It is subtracted from all times, so that the
     /// reference's first frame is at 0.
     pub time_origin_s: f64,
-    /// The capture's cache on disk, with keys that don't depend on the content.
+    /// The capture's cache on disk, without the content's hash in its keys.
     cache: DiskCache,
     hashes: Arc<ContentHashes>,
     content: ContentHash,
@@ -76,9 +76,9 @@ pub struct FilmedCamera {
 /// Decoding of videos while a capture is opened.
 #[derive(Clone, Copy)]
 pub struct Opening<'a> {
-    /// Decodes videos. Without it, a video that isn't decoded yet is an error.
+    /// The ffmpeg that decodes videos. If it is `None`, a video that isn't decoded yet is an error.
     pub ffmpeg: Option<&'a Path>,
-    /// Reports decoding, and damaged cache entries.
+    /// Receives the progress of decoding, and notes on damaged cache entries.
     pub reporter: &'a Reporter,
 }
 
@@ -86,7 +86,7 @@ pub struct Opening<'a> {
 struct CaptureSource<'a> {
     /// `capture.json`.
     description: &'a Path,
-    /// The folder, links followed.
+    /// The folder's canonical path.
     root: &'a Path,
     cache: &'a DiskCache,
     opening: &'a Opening<'a>,
@@ -156,7 +156,7 @@ impl Capture {
             filmed.map(|(k, camera)| camera.open(k, &source)).collect::<Result<Vec<_>, _>>()?;
         let time_origin_s = cameras[reference].clock.times_s[0];
         for (index, camera) in cameras.iter_mut().enumerate() {
-            // For precision: an f64 resolves 1e-16 s near 0, but only 2.4e-7 s at Unix times.
+            // Subtracted for precision: an f64 resolves 1e-16 s near 0, but only 2.4e-7 s at Unix times.
             camera.clock.times_s.iter_mut().for_each(|t| *t -= time_origin_s);
             let ascends = camera.clock.ascends();
             ascends.map_err(|e| refused(format!("cameras[{index}] ({}).clock: {e}", camera.id)))?;
@@ -189,12 +189,12 @@ impl Capture {
         }
     }
 
-    /// Index of the camera with that id; `None` if there is none.
+    /// Index of the camera with an id; `None` if no camera has it.
     pub fn camera_index(&self, id: &str) -> Option<usize> {
         self.cameras.iter().position(|c| c.id == id)
     }
 
-    /// Times of a camera's frames as in `capture.json`, up to rounding: seconds on the camera's own clock.
+    /// Times of a camera's frames as they are in `capture.json`, up to rounding: seconds on the camera's own clock.
     pub fn times_in_file_s(&self, camera: usize) -> Vec<f64> {
         self.cameras[camera].clock.times_s.iter().map(|t| t + self.time_origin_s).collect()
     }
@@ -204,7 +204,7 @@ impl Capture {
         self.cameras.iter().all(|c| c.frames.len() == 1)
     }
 
-    /// Refuses a capture of one camera, which has no offsets.
+    /// An error for a capture of one camera, which has no offsets.
     pub fn require_two_cameras(&self) -> Result<(), CaptureError> {
         if self.cameras.len() > 1 {
             return Ok(());
@@ -230,19 +230,19 @@ impl Capture {
         })
     }
 
-    /// The reference camera's median time between frames, seconds; 0 if it has one frame. Offsets "in frames" are in this
-    /// unit.
+    /// The reference camera's median time between frames, seconds; 0 if it has one frame. It is the unit of offsets
+    /// "in frames".
     pub fn frame_s(&self) -> f64 {
         self.cameras[self.reference].clock.frame_s()
     }
 
-    /// The bit depth of results: the largest of the inputs'.
+    /// The bit depth of rendered images: the largest bit depth of the cameras' frames.
     pub fn bit_depth(&self) -> BitDepth {
         self.cameras.iter().map(|c| c.bit_depth).max().unwrap_or(BitDepth::Eight)
     }
 }
 
-/// Refuses an image of another size, width and height in pixels, than its camera's.
+/// An error if an image's size, `[width, height]` in pixels, isn't that of its camera.
 pub(crate) fn require_size(
     path: &Path,
     [width, height]: [usize; 2],

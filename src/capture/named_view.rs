@@ -1,34 +1,34 @@
-//! A view by its name: a camera of the capture, or a view that its truth shows.
+//! Views by name: a camera of the capture, or a view of its ground truth.
 
 use super::{CAPTURE_FILE, Capture, CaptureError, Truth, TruthView};
 use crate::camera::Camera;
 use crate::text::short;
 use std::collections::BTreeSet;
 
-/// A view that has a name.
+/// A view that was given by name.
 #[derive(Clone, Debug)]
 pub enum NamedView {
-    /// A filming camera, by its index.
+    /// A camera of the capture, by its index.
     Filming(usize),
-    /// Any other camera.
+    /// Any other view, as a camera.
     Free(Camera),
 }
 
-/// Names that an error lists.
+/// Largest number of names that the error of an unknown name lists.
 const LISTED: usize = 12;
 
 impl TruthView {
-    /// The name of the view's place: that of `t0-between` is `between`.
+    /// The part of the view's id after the instant: `between` for `t0-between`.
     fn place(&self) -> &str {
         self.id.split_once('-').map_or(&self.id, |(_, place)| place)
     }
 }
 
 impl Capture {
-    /// The camera with that id, or else the view of the truth with that id or at that place.
+    /// Finds a camera by its id, or else a view of the ground truth by its id (`t0-between`) or by the part of its id
+    /// after the instant (`between`).
     ///
-    /// # Errors
-    /// If there is none, with the names that there are. If the truth can't be read.
+    /// If nothing has the name; the message lists the names. If the truth can't be read.
     pub fn named_view(&self, name: &str) -> Result<NamedView, CaptureError> {
         if let Some(index) = self.camera_index(name) {
             return Ok(NamedView::Filming(index));

@@ -1,7 +1,7 @@
 //! Checks of output paths, so that no output replaces a part of a capture.
 //!
-//! Protected are `capture.json`, the frames, all names that match the patterns of frames, `truth/`, `colmap/`, the
-//! offsets and the cache. They are also protected against paths that lead to them through links. Other files in the
+//! Protected are `capture.json`, the frames, all names that match a camera's frame pattern, `truth/`, `colmap/`, the
+//! offsets and the cache. Paths that lead to protected files through links are refused too. Other files in the
 //! capture's folder, and its `review/`, may be replaced. A folder into which a simulated rig films is protected as a
 //! whole.
 
@@ -15,19 +15,19 @@ use std::path::{Path, PathBuf};
 /// Protected paths in a capture's folder, besides its description and frames.
 const PARTS: [&str; 6] = ["truth", "colmap", ".stlfr", FILM, "offsets.json", "offsets.svg"];
 
-/// The filming script's hidden folder. If it is there and `capture.json` is not, filming is unfinished.
+/// Hidden folder of the filming script. If it exists and `capture.json` doesn't, filming is unfinished.
 const FILM: &str = ".film";
 
 /// Checks outputs before a computation begins. An output file may replace a regular file or nothing, and no output may
 /// replace a part of a capture.
 pub struct OutputGuard {
-    /// The capture that the command reads. The output may lie elsewhere.
+    /// The folder of the capture that the command reads. The output may lie outside of it.
     own: Option<PathBuf>,
-    /// The captures found so far, by folder; `None` for a folder that is no capture.
+    /// The captures found so far, by folder; `None` for a folder that isn't a capture.
     known: HashMap<PathBuf, Option<ProtectedPaths>>,
 }
 
-/// The protected paths of one capture, canonical.
+/// The protected paths of one capture, all canonical.
 struct ProtectedPaths {
     root: PathBuf,
     is_filming: bool,
@@ -50,7 +50,7 @@ impl OutputGuard {
         Self { own: own.map(Path::to_owned), known: HashMap::new() }
     }
 
-    /// Refuses an output file that isn't allowed.
+    /// An error for an output file that isn't allowed.
     pub fn check_file(&mut self, path: &Path) -> Result<(), CaptureError> {
         let name = path.as_os_str().as_encoded_bytes();
         if path.file_name().is_none() || name.ends_with(b"/") || name.ends_with(b"/.") {
@@ -62,8 +62,8 @@ impl OutputGuard {
         self.check(path, false, ProtectedPaths::against_file)
     }
 
-    /// Refuses an output folder that isn't allowed. `names` are those of the files to be written into it, and of its
-    /// folders, which end with `/`; they may exist.
+    /// An error for an output folder that isn't allowed. `names` lists what will be written into it: files, and
+    /// sub-folders with a final `/`. They may exist already.
     pub fn check_folder(&mut self, path: &Path, names: &[&str]) -> Result<(), CaptureError> {
         must_be_a_folder(path)?;
         self.check(path, true, ProtectedPaths::against_capture)?;
@@ -74,8 +74,8 @@ impl OutputGuard {
         })
     }
 
-    /// Refuses a folder for a new or unfinished capture that isn't allowed. An unfinished one holds no links to folders,
-    /// through which filming would write elsewhere.
+    /// An error for the folder of a new or unfinished capture that isn't allowed. An unfinished capture must not
+    /// contain links to folders, because filming would write through them.
     pub fn check_capture(&mut self, path: &Path) -> Result<(), CaptureError> {
         must_be_a_folder(path)?;
         if !path.join(CAPTURE_FILE).exists() {
@@ -86,8 +86,8 @@ impl OutputGuard {
         self.check(path, true, ProtectedPaths::against_capture)
     }
 
-    /// Checks a path against the protected paths of the captures around it and of the command's own capture. Links on the
-    /// way are followed; a link that is the path itself is followed if it `is_folder`.
+    /// Checks a path against the protected paths of the command's own capture and of all captures in folders above the
+    /// path. Links in parent folders are followed. If `is_folder`, the path itself is followed too.
     fn check(
         &mut self,
         path: &Path,
@@ -115,7 +115,7 @@ fn must_be_a_folder(path: &Path) -> Result<(), CaptureError> {
     Err(CaptureError::content(path, "is no folder"))
 }
 
-/// Refuses a link to a folder, through which outputs would reach another place.
+/// An error for a link to a folder, because outputs would be written to where it leads.
 fn must_be_no_link(path: &Path) -> Result<(), CaptureError> {
     if path.is_dir() && path.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
         return Err(CaptureError::content(path, "is a link, which is not written through"));
@@ -123,7 +123,7 @@ fn must_be_no_link(path: &Path) -> Result<(), CaptureError> {
     Ok(())
 }
 
-/// Follows the links among a path's existing folders, but not the path itself.
+/// Resolves the links in the parent folders of a path, but not the path itself.
 fn real(absolute: &Path) -> PathBuf {
     let found = absolute.ancestors().skip(1).find_map(|folder| {
         let rest = absolute.strip_prefix(folder).ok()?;
@@ -132,20 +132,20 @@ fn real(absolute: &Path) -> PathBuf {
     found.unwrap_or_else(|| absolute.to_owned())
 }
 
-/// Follows links; a path that doesn't exist stays as it is.
+/// The canonical path; the unchanged path if it doesn't exist.
 fn followed(path: PathBuf) -> PathBuf {
     path.canonicalize().unwrap_or(path)
 }
 
 impl ProtectedPaths {
-    /// The protected paths of a capture's folder; `None` for a folder that is no capture.
+    /// The protected paths of a capture's folder; `None` for a folder that isn't a capture.
     fn of(folder: &Path) -> Option<Self> {
         let description = folder.join(CAPTURE_FILE);
         let is_described = description.is_file();
         if !is_described && !folder.join(FILM).is_dir() {
             return None;
         }
-        // A capture whose description can't be read is protected as far as its parts are known.
+        // If the description can't be read, only the parts with fixed names are protected.
         let read: Value = json::read(&description).unwrap_or_default();
         if read["format"].as_str().is_some_and(|format| format != "stlfr-capture") {
             return None;
@@ -305,7 +305,7 @@ mod tests {
         std::fs::write(&description, "[").unwrap();
         let mut guard = OutputGuard::new(None);
         assert!(guard.check_file(&folder.path().join("truth/truth.json")).is_err());
-        // Another program's file of that name makes no capture.
+        // A file of that name by another program doesn't make the folder a capture.
         std::fs::write(&description, r#"{"format": "stlfr-rig"}"#).unwrap();
         let mut guard = OutputGuard::new(None);
         guard.check_file(&folder.path().join("colmap/cameras.txt")).unwrap();

@@ -58,7 +58,7 @@ fn every_wrong_field_is_named() {
             "(b).clock: the times must be within",
         ),
         (|j| j["cameras"][1]["clock"]["rate_hz"] = json!(1e300), "ascend by at least"),
-        // Different times in the file, which rounding makes equal when the reference's start is subtracted.
+        // The times differ in the file. Subtracting the reference's first time rounds them to equal values.
         (
             |j| {
                 j["cameras"][0]["clock"]["first_s"] = json!(-1e11);
@@ -94,7 +94,7 @@ fn the_hash_follows_the_content() {
     assert!(![before, &changed].contains(&hash().as_str()));
 }
 
-/// Nothing computed from other bytes gets the key of the content.
+/// A result that was computed from other bytes must not get the key of the content.
 #[test]
 fn a_frame_that_changes_while_it_is_used_is_refused() {
     let change = |folder: &tempfile::TempDir| {
@@ -105,14 +105,14 @@ fn a_frame_that_changes_while_it_is_used_is_refused() {
         let message = error.to_string();
         assert!(message.ends_with("b/01.png: changed while it was being used"), "{message}");
     };
-    // Hashed, then read.
+    // Hashed first, then read.
     let (folder, capture) = written(|_| ());
     let capture = capture.unwrap();
     capture.content_hash().unwrap();
     change(&folder);
     refused(capture.read_frame(1, 1).unwrap_err());
     capture.read_frame(1, 2).unwrap();
-    // Read, then hashed, or read again.
+    // Read first, then hashed or read again.
     let (folder, capture) = written(|_| ());
     let capture = capture.unwrap();
     capture.read_frame(1, 1).unwrap();
@@ -151,7 +151,7 @@ fn a_frame_that_changes_before_it_is_read_is_told() {
     };
     changed(capture.read_frame(1, 1).map(|_| String::new()));
     changed(capture.content_hash().map(str::to_owned));
-    // Put back, it is the file that was opened.
+    // Once restored, the file is the one that was opened.
     std::fs::rename(&kept, &path).unwrap();
     capture.read_frame(1, 1).unwrap();
     capture.content_hash().unwrap();

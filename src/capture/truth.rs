@@ -1,5 +1,5 @@
-//! `truth/`: the ground truth of a simulated capture. Only `compare` and `tradeoff` read it, and `render --like` the
-//! place of a true view.
+//! Ground truth of a simulated capture, in its folder `truth/`. Only `compare` and `tradeoff` read it; `render --like`
+//! reads the cameras of its views.
 //!
 //! # A benchmark of sub-frame synchronization
 //!
@@ -79,13 +79,13 @@ pub struct Truth {
     pub tracks: Option<String>,
     #[serde(skip)]
     folder: PathBuf,
-    /// Hashes of the files that were read.
+    /// Hashes of the files that were read. A file that is read again must have the same bytes.
     #[serde(skip)]
     hashes: Arc<Mutex<HashMap<PathBuf, blake3::Hash>>>,
 }
 
-/// The truth of one camera's clock: time_ref = time_cam + (time_cam − first_cam) · `rate_ppm` · 1e-6
-/// + `offset_s`, with first_cam the camera's first time.
+/// The true clock of one camera: time_ref = time_cam + (time_cam − first_cam) · `rate_ppm` · 1e-6 + `offset_s`, where
+/// first_cam is the time of the camera's first frame.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthOffset {
@@ -107,7 +107,7 @@ pub struct TruthOffset {
 pub struct TruthShutter {
     /// The camera's id.
     pub id: String,
-    /// One time a frame, ascending.
+    /// Times in ascending order, one per frame.
     pub times_s: Vec<f64>,
 }
 
@@ -124,7 +124,7 @@ pub struct TruthView {
     pub time_s: f64,
     /// Id of the filming camera at the view's place, if there is one.
     pub like: Option<String>,
-    /// Lens and pose.
+    /// Lens and pose of the view.
     pub camera: CameraFormat,
     /// File of the image.
     pub image: String,
@@ -142,7 +142,7 @@ pub struct TruthVideo {
     pub view: String,
     /// Times of the images, seconds on the reference's clock.
     pub times_s: Vec<f64>,
-    /// Lens and pose.
+    /// Lens and pose of the view.
     pub camera: CameraFormat,
     /// Pattern of the image files, such as `video/%04d.png`.
     pub images: String,
@@ -163,7 +163,8 @@ impl Truth {
         Ok(Some(truth))
     }
 
-    /// Refuses another format, ids and names that `capture.json` couldn't have, and wrong cameras. The error is a reason.
+    /// An error for another format, for ids and names that `capture.json` couldn't have, and for wrong cameras. The
+    /// error is a reason, without file.
     fn check(&self) -> Result<(), String> {
         if self.format != "stlfr-truth" || self.version != 1 {
             return Err("format and version must be 'stlfr-truth' and 1".into());
@@ -200,7 +201,7 @@ impl Truth {
         self.offsets.iter().find(|o| o.id == id)
     }
 
-    /// The path of a file. An error if it doesn't exist, or lies outside of `truth/`.
+    /// The path of a file of the ground truth. An error if it doesn't exist, or lies outside of `truth/`.
     pub fn file(&self, relative: &str) -> Result<PathBuf, CaptureError> {
         let path = self.folder.join(relative);
         let inside = Path::new(relative).components().all(|c| matches!(c, Component::Normal(_)));
@@ -213,7 +214,7 @@ impl Truth {
         }
     }
 
-    /// Refuses a file whose bytes aren't those that were read before.
+    /// An error if a file has other bytes than when it was first read.
     fn require_unchanged(&self, path: &Path, hash: blake3::Hash) -> Result<(), CaptureError> {
         match *lock(&self.hashes).entry(path.to_owned()).or_insert(hash) == hash {
             true => Ok(()),
@@ -221,7 +222,7 @@ impl Truth {
         }
     }
 
-    /// The hash of a file; later the file must have the same bytes.
+    /// The hash of a file of the ground truth. All later reads of the file must find the same bytes.
     pub(crate) fn hash(&self, relative: &str) -> Result<blake3::Hash, CaptureError> {
         let path = self.file(relative)?;
         let hash =
@@ -229,7 +230,7 @@ impl Truth {
         self.require_unchanged(&path, hash).map(|()| hash)
     }
 
-    /// Reads an image of a camera.
+    /// Reads an image of the ground truth. It must have the camera's size.
     pub(crate) fn image(&self, relative: &str, camera: &Camera) -> Result<Image, CaptureError> {
         let path = self.file(relative)?;
         let (image, read) = read_hashed_image(&path)?;
@@ -238,7 +239,7 @@ impl Truth {
         Ok(image)
     }
 
-    /// Reads the values of a depth or motion image of a camera, row by row.
+    /// Reads a depth or motion image of the ground truth, H×W values row by row. It must have the camera's size.
     pub(crate) fn array(&self, relative: &str, camera: &Camera) -> Result<Vec<f32>, CaptureError> {
         let path = self.file(relative)?;
         let (bytes, read) = read_hashed(&path, MAX_ARRAY_BYTES)
@@ -256,15 +257,14 @@ const MAX_ARRAY_BYTES: u64 = (256 << 20) + 10 + 0xffff;
 
 /// Reads a depth or motion image, an H×W array in numpy's format, version 1: width, height, and values row by row.
 ///
-/// # Errors
-/// For another type, Fortran's order, another number of axes, or a size that the header contradicts.
+/// If the array isn't float32 in C order with two axes, or the file's size contradicts its header.
 pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), CaptureError> {
     let bytes = read_bytes(path, MAX_ARRAY_BYTES)
         .map_err(|source| CaptureError::Read { path: path.to_owned(), source })?;
     parse_array(&bytes).map_err(|reason| CaptureError::content(path, reason))
 }
 
-/// Parses an array of little-endian float32. The error is a reason.
+/// Parses an H×W array of little-endian float32. The error is a reason, without the file's name.
 fn parse_array(file: &[u8]) -> Result<(usize, usize, Vec<f32>), String> {
     let rest = file.strip_prefix(b"\x93NUMPY\x01\x00").ok_or("is no npy file")?;
     let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;

@@ -1,11 +1,12 @@
-//! A camera's video, decoded into the capture's cache and read from there as an image sequence.
+//! The video of a camera. It is decoded into the capture's cache, and read from there as an image sequence.
 //!
-//! The cache entry holds the hashes of the decoded frames, and is saved when all frames are there. Frames that don't match
-//! it when the capture is opened are decoded again. While one process decodes a video, others wait.
+//! The cache entry holds the hashes of the decoded frames. It is saved after the last frame, so that it means that all
+//! frames are there. Frames that don't match their hashes when the capture is opened are decoded again. While one
+//! process decodes a video, others wait.
 //!
-//! ffmpeg 5.1 or newer must be able to read the video. The clock stays in `capture.json`, because containers round their
-//! time stamps (Matroska to 1 ms). A `rate_hz` that contradicts the file is refused; the message names the file that lists
-//! the video's own `times_s`.
+//! ffmpeg 5.1 or newer must be able to read the video. The camera's clock is that of `capture.json`, because
+//! containers round time stamps (Matroska to 1 ms). A `rate_hz` that contradicts the video's time stamps is an error;
+//! its message names the file in the cache that lists the time stamps as `times_s`.
 
 use super::{CaptureError, CaptureSource};
 use crate::host::temporary::Temporary;
@@ -23,10 +24,10 @@ pub const MAX_FRAMES: usize = 100_000;
 
 const DECODED_VIDEOS: CacheKind = CacheKind { name: "video", version: 1 };
 
-/// The file of the video's own time stamps, for the user to read.
+/// Name of the file, in the folder of decoded frames, that lists the video's own time stamps for the user.
 const STAMPS_FILE: &str = "frames.json";
 
-/// Rounding of time stamps, seconds: Matroska's are whole milliseconds.
+/// Largest rounding error of the time between two time stamps, seconds. Matroska rounds to whole milliseconds.
 const ROUNDING_S: f64 = 2e-3;
 
 /// A camera's video file, decoded.
@@ -60,8 +61,8 @@ fn hash(cache: &DiskCache, path: &Path) -> Result<blake3::Hash, CaptureError> {
 }
 
 impl VideoFile {
-    /// Opens a video of images of a size, and decodes it unless its frames are cached. `wrong` converts a reason into an
-    /// error.
+    /// Opens a video whose images have the given size. It is decoded unless its frames are cached. `wrong` converts a
+    /// reason into an error.
     pub(super) fn open(
         source: &CaptureSource,
         path: PathBuf,
@@ -86,7 +87,7 @@ impl VideoFile {
         Ok(video)
     }
 
-    /// The file of the cache entry.
+    /// The path of the cache entry.
     fn entry(&self) -> PathBuf {
         self.folder.with_extension("")
     }
@@ -96,7 +97,7 @@ impl VideoFile {
         (0..self.frames.len()).map(|k| self.folder.join(frame_name(k))).collect()
     }
 
-    /// Loads the cache entry; `false` unless the frames are complete and match their hashes.
+    /// Loads the cache entry. `false` if there is none, or the frames are incomplete or don't match their hashes.
     fn load(&mut self, cache: &DiskCache) -> bool {
         let entry = cache.load_json::<DecodedVideo>(DECODED_VIDEOS, self.hash.as_bytes());
         let Some(entry) = entry else { return false };
@@ -128,7 +129,7 @@ impl VideoFile {
         if self.load(cache) {
             return Ok(()); // the process that held the lock has decoded it
         }
-        // Under the lock: no other process touches the folder.
+        // Other processes wait for the lock, so that none uses the folder now.
         cache.remove(DECODED_VIDEOS, self.hash.as_bytes()).map_err(failed)?;
         let temporary = Temporary::inside(parent).map_err(failed)?;
         let partial = temporary.path().join(FRAMES);
@@ -142,7 +143,7 @@ impl VideoFile {
             return Err(changed());
         }
         let times_s = decoded.map_err(|error| match error {
-            // Names the cache's folder: the temporary one is removed before the message is read.
+            // The error names the cache's folder, because the temporary folder is removed before the message is read.
             VideoError::File { path, source } if path.starts_with(&partial) => failed(source),
             VideoError::File { path, source } => CaptureError::Write { path, source },
             error => wrong(format!("'{name}' {error}")),
@@ -162,8 +163,8 @@ impl VideoFile {
         Ok(())
     }
 
-    /// Refuses a constant rate that the video's own time stamps contradict: by half a frame between two frames, or by 1 %
-    /// over all frames. Stamps may be rounded by [`ROUNDING_S`]. The error is a reason.
+    /// An error if a constant rate contradicts the video's own time stamps: by half a frame between two frames, or by
+    /// 1 % over all frames, beyond a rounding of [`ROUNDING_S`]. The error is a reason, without the file's name.
     pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
         let frame_s = 1.0 / rate_hz;
         let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
@@ -186,22 +187,22 @@ impl VideoFile {
         ))
     }
 
-    /// Advice for a clock that contradicts the file.
+    /// Advice that follows the message about a clock that contradicts the video.
     pub(super) fn offer(&self) -> String {
         let stamps = self.folder.join(STAMPS_FILE);
         format!("give times_s (the video's own are in {})", stamps.display())
     }
 }
 
-/// The hashes of a folder's frames, if they match the cache entry. The entry is checked for plausibility: its checksum
-/// has no secret, so that anybody can write one.
+/// The hashes of the decoded frames in a folder; `None` if they don't match the cache entry. The entry may be forged,
+/// because its checksum uses no secret. Its numbers are therefore checked first.
 fn matching_hashes(
     cache: &DiskCache,
     folder: &Path,
     entry: &DecodedVideo,
 ) -> Option<Vec<blake3::Hash>> {
     let frames = entry.frames.len();
-    // Through a link, files outside of the capture would be read.
+    // A link could lead to files outside of the capture.
     let is_file =
         |k| folder.join(frame_name(k)).symlink_metadata().is_ok_and(|found| found.is_file());
     let is_plausible = (1..=MAX_FRAMES).contains(&frames)
@@ -212,7 +213,7 @@ fn matching_hashes(
     is_same.then_some(hashes)
 }
 
-/// The hashes of a folder's first frames.
+/// The hashes of the first `frames` frames in a folder.
 fn hash_frames(cache: &DiskCache, folder: &Path, frames: usize) -> io::Result<Vec<blake3::Hash>> {
     let files: Vec<PathBuf> = (0..frames).map(|k| folder.join(frame_name(k))).collect();
     let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();

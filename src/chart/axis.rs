@@ -1,6 +1,6 @@
-//! Axes: values to positions on the page, and ticks at round values.
+//! Chart axes: positions of values on the page, and ticks at round values.
 
-/// Maps values to positions on the page, linearly or logarithmically.
+/// Maps values to positions on the page, in pixels or as fractions of a width, linearly or logarithmically.
 pub(super) struct Axis {
     /// The smallest value of the axis, or its decimal logarithm.
     low: f64,
@@ -13,20 +13,20 @@ pub(super) struct Axis {
     log: bool,
 }
 
-/// Margin beyond the values on either side, as a fraction of their range.
+/// Margin beyond the smallest and the largest value, as a fraction of their range.
 const MARGIN: f64 = 0.05;
 
-/// Number of ticks aimed at.
+/// Approximate number of ticks.
 const TICKS: f64 = 6.0;
 
-/// Largest number of ticks: near a huge value, rounding would give thousands.
+/// Largest number of ticks. For a small range of huge values, rounding errors would give thousands.
 const MAX_TICKS: usize = 20;
 
 impl Axis {
-    /// The axis that shows all values, from position `from` to position `to`.
+    /// The axis that shows all values. Its ends are at the positions `from` and `to`.
     ///
-    /// Values that aren't finite, or have no logarithm on a logarithmic axis, are ignored. A single
-    /// value, or none, still gets a range.
+    /// Ignores values that aren't finite and, on a logarithmic axis, values that aren't positive. A single value, or
+    /// none, still gets a range.
     pub fn around(values: impl Iterator<Item = f64>, log: bool, from: f64, to: f64) -> Self {
         let values = values.map(|v| if log { v.log10() } else { v }).filter(|v| v.is_finite());
         let (low, high) = values
@@ -36,7 +36,7 @@ impl Axis {
         Self { low: low - margin, high: high + margin, from, to, log }
     }
 
-    /// Position of a value; `None` outside the axis.
+    /// Position of a value; `None` for a value outside of the axis.
     pub fn at(&self, value: f64) -> Option<f64> {
         let value = if self.log { value.log10() } else { value };
         let fraction = (value - self.low) / (self.high - self.low);
@@ -66,7 +66,7 @@ impl Axis {
     }
 }
 
-/// A tick's number, without digits of rounding errors, and with a typographic minus.
+/// A tick's value as text, with a typographic minus and without digits that are rounding errors.
 pub(super) fn tick_text(tick: f64) -> String {
     if tick != 0.0 && (tick.abs() < 1e-4 || tick.abs() >= 1e6) {
         return format!("{tick:.0e}").replace('-', "−");

@@ -1,6 +1,6 @@
-//! Dot plots: rows of labelled dots on one axis, as SVG that stands inside an HTML page.
+//! Dot plots: rows of labelled dots on one axis, as SVG for use inside an HTML page.
 //!
-//! Every element has a CSS class of the page, so that its colours follow a light or a dark scheme.
+//! Every element has a CSS class. The page's style sheet colours it for a light or a dark scheme.
 
 use super::axis::{Axis, tick_text};
 use super::template::filled;
@@ -9,7 +9,7 @@ use minijinja::{Value, context};
 /// Rows of dots on a common axis.
 #[derive(Clone, Debug, Default)]
 pub struct DotPlot {
-    /// From the top.
+    /// The rows, from top to bottom.
     pub rows: Vec<DotRow>,
     /// Quantity and unit of the axis.
     pub x_label: String,
@@ -21,7 +21,7 @@ pub struct DotPlot {
 #[derive(Clone, Debug, Default)]
 pub struct DotRow {
     pub label: String,
-    /// Dots that aren't finite are not drawn.
+    /// The dots. Those that aren't finite are not drawn.
     pub dots: Vec<Dot>,
 }
 
@@ -29,15 +29,15 @@ pub struct DotRow {
 #[derive(Clone, Debug, Default)]
 pub struct Dot {
     pub value: f64,
-    /// Half the length of its error bar.
+    /// Half the length of the error bar.
     pub bar: Option<f64>,
-    /// Its colour: the page's class `s0` to `s5`, modulo 6.
+    /// Number of the colour. The page's CSS classes `s0` to `s5` are its colours, by this number modulo 6.
     pub series: usize,
-    /// The text that appears under the pointer.
+    /// Tooltip.
     pub title: String,
 }
 
-/// CSS classes of colours that a page has.
+/// Number of the page's CSS classes for colours, `s0` to `s5`.
 const SERIES_CLASSES: usize = 6;
 
 impl Dot {
@@ -45,7 +45,7 @@ impl Dot {
         self.value.is_finite() && self.bar.is_none_or(f64::is_finite)
     }
 
-    /// Ends of its error bar.
+    /// The ends of the error bar.
     fn ends(&self) -> [f64; 2] {
         let bar = self.bar.unwrap_or(0.0);
         [self.value - bar, self.value + bar]
@@ -53,8 +53,8 @@ impl Dot {
 }
 
 impl DotPlot {
-    /// The plot as inline SVG of class `plot`, twice: `wide`, and `narrow` for a telephone. The page
-    /// shows one of them. An empty string if there is no finite dot.
+    /// The plot as inline SVG of class `plot`, in two versions: `wide`, and `narrow` for telephones. The page shows
+    /// one of them. An empty string if no dot is finite.
     pub fn svg(&self) -> String {
         let dots = self.rows.iter().flat_map(|r| &r.dots).filter(|d| d.is_finite());
         let mut ends: Vec<f64> = dots.flat_map(Dot::ends).collect();

@@ -2,22 +2,23 @@
 
 use super::template::{ADVANCE, TEXT_SIZE};
 
-/// A box on the page: left, top, right and bottom.
+/// A rectangle on the page: left, top, right and bottom, pixels.
 pub(super) type Box4 = [f64; 4];
 
-/// Distances from a point that are tried, in turn, pixels.
+/// Candidate distances of a text from its point, pixels, in the order in which they are tried.
 const DISTANCES: [f64; 6] = [7.0, 14.0, 24.0, 36.0, 50.0, 66.0];
-/// Number of directions around a point that are tried at each distance.
+/// Number of candidate directions at each distance.
 const DIRECTIONS: usize = 16;
-/// The direction that is tried first, radians anticlockwise from the right: up and to the left, where a
-/// plot of quality over cost has no better point.
+/// The first candidate direction, radians anticlockwise from the right: up and to the left. In a plot of quality over
+/// cost, that side of the best points is free.
 const FIRST_ANGLE: f64 = 2.4;
 
 fn overlap(a: &Box4, b: &Box4) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// The box of a text in a direction (radians, anticlockwise from the right) and at a distance from `at`.
+/// The rectangle of a text that is `width` pixels wide. It lies `distance` pixels from the point `at`, in the direction
+/// `angle`, radians anticlockwise from the right.
 fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     let (w, h) = (0.5 * width, 0.5 * TEXT_SIZE);
     let (dx, dy) = (angle.cos(), -angle.sin());
@@ -26,10 +27,10 @@ fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     [x - w, y - h, x + w, y + h]
 }
 
-/// Chooses a box for each text, beside its point.
+/// Chooses a rectangle for each text, beside its point.
 ///
-/// A box is the nearest candidate inside the frame that overlaps neither an obstacle nor an earlier
-/// box. Without one, it is the first candidate.
+/// The rectangle is the nearest candidate inside the frame that overlaps neither an obstacle nor an earlier text. If
+/// there is none, it is the first candidate.
 pub(super) fn place(labels: &[([f64; 2], &str)], obstacles: &[Box4], frame: &Box4) -> Vec<Box4> {
     let mut taken: Vec<Box4> = obstacles.to_vec();
     labels

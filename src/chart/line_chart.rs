@@ -11,11 +11,11 @@ pub struct Chart {
     pub title: String,
     pub x_label: String,
     pub y_label: String,
-    /// Whether the x axis is logarithmic. Values that aren't positive are then not drawn.
+    /// Whether the x axis is logarithmic. A logarithmic axis doesn't show values that aren't positive.
     pub log_x: bool,
-    /// Like `log_x`, for the y axis.
+    /// Whether the y axis is logarithmic.
     pub log_y: bool,
-    /// A range that the y axis includes.
+    /// A range that the y axis includes, whatever the points.
     pub y_shows: Option<(f64, f64)>,
     /// Later series are drawn over earlier ones.
     pub series: Vec<Series>,
@@ -23,7 +23,7 @@ pub struct Chart {
     pub rules: Vec<(f64, String)>,
     /// Texts beside points.
     pub labels: Vec<Label>,
-    /// Lines of text beside the frame.
+    /// Explanations, a line of text each, at the right of the frame.
     pub key: Vec<String>,
 }
 
@@ -39,9 +39,9 @@ pub struct Label {
 /// A set of points of one colour.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// Its entry in the legend; empty for none.
+    /// Name in the legend; if it is empty, the legend leaves the series out.
     pub label: String,
-    /// In the order in which the line joins them. Points that aren't finite are not drawn.
+    /// The points, in the order in which the line joins them. Those that aren't finite are not drawn.
     pub points: Vec<ChartPoint>,
     /// Whether the points are joined by a line.
     pub line: bool,
@@ -56,9 +56,9 @@ pub struct Series {
 pub struct ChartPoint {
     pub x: f64,
     pub y: f64,
-    /// Half the length of its error bar along y; 0 for none.
+    /// Half the length of the error bar along y; 0 for none.
     pub bar: f64,
-    /// Ends of its error bar along x.
+    /// Ends of the error bar along x.
     pub x_range: Option<(f64, f64)>,
 }
 
@@ -71,11 +71,12 @@ impl From<(f64, f64)> for ChartPoint {
 /// Size of a chart without a key, pixels at a zoom of 1.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 340.0;
-/// Left, right, top and bottom of the frame, from the chart's edges: room for ticks and titles.
+/// Left, right, top and bottom margins between the chart's edges and its frame, pixels; ticks and titles stand in
+/// them.
 const MARGINS: [f64; 4] = [74.0, 16.0, 34.0, 48.0];
-/// Height of a line of text.
+/// Height of a line of text, pixels.
 const ROW: f64 = 15.0;
-/// Enlargement of a chart with a key beside it.
+/// Factor on the size of a chart that has a key.
 const KEYED: f64 = 1.4;
 /// Colours of the series, distinct in hue and in lightness.
 const COLORS: [&str; 8] =
@@ -84,7 +85,7 @@ const FAINT: &str = "#b4b4b4";
 
 /// Charts side by side, `columns` a row, as one standalone SVG file.
 ///
-/// `columns` is clamped to 1 and to the number of charts. No charts give an empty page.
+/// `columns` is clamped to the range from 1 to the number of charts. Without charts, the page is empty.
 pub fn svg(charts: &[Chart], columns: usize) -> String {
     let columns = columns.clamp(1, charts.len().max(1));
     let rows = charts.len().div_ceil(columns);
@@ -125,7 +126,7 @@ impl Chart {
         longest.map_or(0.0, |n| ADVANCE * n as f64 + 16.0)
     }
 
-    /// The row at which the key starts, below the legend.
+    /// Number of text rows above the key: those of the legend.
     fn key_from(&self) -> usize {
         let names = self.series.iter().filter(|s| !s.label.is_empty()).count();
         if names > 0 { names + 1 } else { 0 }
@@ -149,7 +150,7 @@ impl Chart {
         Axes { x, y, frame }
     }
 
-    /// The values that the template draws, in pixels from the chart's top left corner.
+    /// The values for the template, in pixels from the chart's top left corner.
     fn drawn(&self) -> Value {
         let axes = self.axes();
         let ticks = |axis: &Axis| -> Vec<Value> {
@@ -178,7 +179,7 @@ impl Chart {
         }
     }
 
-    /// The box of the legend inside the frame.
+    /// The rectangle of the legend inside the frame.
     fn legend_box(&self, axes: &Axes) -> Box4 {
         let [left, top, ..] = axes.frame;
         let names = self.series.iter().map(|s| s.label.chars().count()).filter(|n| *n > 0);
@@ -187,8 +188,8 @@ impl Chart {
         [left, top, left + 26.0 + ADVANCE * longest, top + ROW * rows + 4.0]
     }
 
-    /// Texts beside points, clear of dots, of lines, of the legend and of each other. A line joins a distant text to
-    /// its point.
+    /// Places the texts beside their points, clear of dots, lines, the legend and each other. A line joins a distant
+    /// text to its point.
     fn drawn_labels(&self, axes: &Axes) -> Vec<Value> {
         let placed: Vec<([f64; 2], &Label)> = self
             .labels
@@ -216,13 +217,13 @@ impl Chart {
 }
 
 impl Series {
-    /// The points that lie on the axes, with their positions.
+    /// The points inside the axes, each with its position.
     fn placed(&self, axes: &Axes) -> Vec<([f64; 2], ChartPoint)> {
         let place = |p: &ChartPoint| Some(([axes.x.at(p.x)?, axes.y.at(p.y)?], *p));
         self.points.iter().filter_map(place).collect()
     }
 
-    /// Positions that labels avoid: the dots, and points on the line, 6 pixels apart.
+    /// Positions that labels must not cover: the dots, and samples of the line every 6 pixels.
     fn obstacles(&self, axes: &Axes) -> Vec<[f64; 2]> {
         let mut positions: Vec<[f64; 2]> = self.placed(axes).iter().map(|(at, _)| *at).collect();
         if self.line {
@@ -300,7 +301,7 @@ mod tests {
         chart.rules = vec![(0.5, "a<b".into())];
         let svg = svg(&[chart.clone(), chart], 2);
         assert!(svg.contains("viewBox=\"0 0 1120 340\"") && svg.ends_with("</svg>\n"));
-        // The rule's ends, at the left and the right of the frame, in either chart.
+        // Ends of the horizontal line, at the left and the right of the frame, for both charts.
         for line in ["74.0,163.0 544.0,163.0", "634.0,163.0 1104.0,163.0"] {
             assert!(svg.contains(&format!("points=\"{line}\"")), "{line}");
         }

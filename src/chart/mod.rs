@@ -3,12 +3,12 @@
 //! | file | contents |
 //! |---|---|
 //! | `line_chart.rs` | line and scatter charts, several on a page: standalone files |
-//! | `dot_plot.rs` | rows of labelled dots on one axis: inline, in the colours of an HTML page |
-//! | `axis.rs` | values to positions, and ticks |
+//! | `dot_plot.rs` | rows of labelled dots on one axis: inline SVG in the colours of an HTML page |
+//! | `axis.rs` | positions of values, and ticks |
 //! | `labels.rs` | placement of texts beside points |
 //! | `template.rs`, `*.svg` | templates of SVG |
 //!
-//! Known limits: no legend avoids the points, and labels assume a monospaced font.
+//! Known limits: legends may cover points, and the placement of labels assumes a monospaced font.
 
 mod axis;
 mod dot_plot;

@@ -9,8 +9,8 @@ pub(super) const ADVANCE: f64 = 7.0;
 /// Font size, pixels. Letters of monospaced fonts are 0.6 of it wide, which is [`ADVANCE`].
 pub(super) const TEXT_SIZE: f64 = 11.7;
 
-/// Fills in a template. Its filters are `px`, a position with one decimal, and `number`, all digits without an empty
-/// fraction.
+/// Fills in an SVG template. Filters for its values: `px` gives a position with one decimal, `number` a number without
+/// trailing zeros.
 ///
 /// # Panics
 /// If the template is wrong, whatever the values.
@@ -21,7 +21,7 @@ pub(super) fn filled(template: &'static str, values: Value) -> String {
     env.set_syntax(syntax.build().expect("delimiters are the default ones"));
     env.add_filter("px", |position: f64| format!("{position:.1}"));
     env.add_filter("number", |value: f64| value.to_string());
-    // The name's suffix makes minijinja escape texts as in HTML.
+    // The suffix `.html` makes minijinja escape texts.
     env.add_template("chart.html", template).expect("the template has no wrong syntax");
     let chart = env.get_template("chart.html").expect("it was added");
     chart.render(values).expect("the template uses what it is given")

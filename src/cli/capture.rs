@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 /// Film a scene in Blender with a simulated camera rig. After an interruption, the same command
 /// continues.
 ///
-/// The same command on other machines that share the folder helps: each image is filmed once, whichever machine's
-/// clock is wrong. What a machine had begun that died is filmed by another after --silence.
+/// Other machines that share the folder may run the same command to help. Each image is filmed once, even if the
+/// machines' clocks are wrong. Images that a failed machine had begun are filmed again after --silence.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr capture rigs/linear8.json --scene magazine -o .captures/magazine --size 320x240\n  \
@@ -29,10 +29,11 @@ pub struct CaptureArgs {
     output: PathBuf,
     #[command(flatten)]
     scene: SceneArgs,
-    /// Only parts K to L of N, such as 3-6/100; at last, film without it what makes a capture of them.
+    /// Film only parts K to L of N, such as 3-6/100. When all parts are filmed, run the command without it to complete
+    /// the capture.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
-    /// Seconds without a sign of life after which another process's images are filmed here [default: 60].
+    /// Seconds without a sign of life after which the images of another process are filmed here [default: 60].
     #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u32).range(5..=100_000))]
     silence: Option<u32>,
 }
@@ -47,19 +48,19 @@ pub struct SceneArgs {
     /// A .blend file of your own.
     #[arg(long, value_name = "FILE", group = "source")]
     blend: Option<PathBuf>,
-    /// Size at which all cameras film, of the same aspect as in the rig.
+    /// Image size of all cameras; the aspect ratio must be that of the rig.
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     size: Option<(u32, u32)>,
-    /// Frames of the reference camera; the others film as long [default: 9].
+    /// Number of frames of the reference camera; the others film for the same time [default: 9].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
-    /// Samples a pixel, four times as many for truth [default: 16].
+    /// Samples per pixel; images of the truth have four times as many [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     samples: Option<u32>,
     /// Blender's render engine. Workbench is many times faster, and lacks shadows and highlights.
     #[arg(long, value_name = "ENGINE", value_parser = ["cycles", "workbench"])]
     engine: Option<String>,
-    /// Instants at which the truth is rendered [default: 3].
+    /// Number of instants at which the truth is rendered [default: 3].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     instants: Option<u32>,
     /// The instants of the truth, in seconds on the reference camera's clock, such as 0.1,0.15.
@@ -71,10 +72,10 @@ pub struct SceneArgs {
         allow_hyphen_values = true
     )]
     instants_s: Vec<f64>,
-    /// Points of the scene whose tracks belong to the truth [default: 0].
+    /// Number of surface points whose tracks are written into the truth [default: 0].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     tracks: Option<u32>,
-    /// Frames of true slow motion from the rig's first view [default: 0].
+    /// Number of frames of a slow motion that is rendered as truth, from the rig's first view [default: 0].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=MAX_FRAMES as i64))]
     truth_video: Option<u32>,
     /// Film without truth.
@@ -86,7 +87,7 @@ pub struct SceneArgs {
 }
 
 pub fn run(args: &CaptureArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    // Wrong arguments are errors before a set-up that may take minutes.
+    // Wrong arguments are reported before the set-up, which may take minutes.
     let mut options = args.scene.options(&args.rig, &args.output)?;
     options.part = args.part.as_ref().map(Parts::to_string);
     options.silence_s = args.silence;
@@ -102,7 +103,7 @@ impl SceneArgs {
         !self.no_truth
     }
 
-    /// What to film with a rig, its files checked.
+    /// The options of filming with a rig. All files that they name are checked.
     pub fn options(&self, rig: &Path, capture: &Path) -> Result<FilmOptions, CliError> {
         for file in std::iter::once(rig).chain(self.blend.as_deref()) {
             must_be_a_file(file)?;

@@ -20,8 +20,8 @@ use crate::toolchain::{Environment, project_root, review};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Render what the capture has truth of, and set it beside the truth and beside traditional light
-/// field rendering: pictures, metrics.json and report.html.
+/// Compare rendered views with the truth, and with traditional light field rendering: pictures, metrics.json and
+/// report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr compare .captures/demo\n  \
@@ -33,7 +33,7 @@ pub struct CompareArgs {
     /// Where the report goes [default: CAPTURE/review].
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// A video too: truth, traditional and space-time light field side by side.
+    /// Also write a video: truth, traditional and space-time light field side by side.
     #[arg(long)]
     video: bool,
     /// Only score the offsets in this file, of the form that `stlfr offsets --json` prints.
@@ -104,7 +104,7 @@ fn print_scores(
     Ok(())
 }
 
-/// Renders and compares, with a video too if it is asked for.
+/// Renders and compares. If `video` is set, writes a video too.
 pub fn with_truth(
     capture: Arc<Capture>,
     options: &RenderOptions,
@@ -183,7 +183,8 @@ fn lines(headline: &Headline) -> Vec<String> {
     lines
 }
 
-/// Scores of the views: the baseline, ST-LFR through every proxy, and perfect sync through that of `render`.
+/// Lines of the score table: the traditional baseline, ST-LFR with every proxy, and perfect synchronization with the
+/// proxy that `render` uses.
 fn table(methods: &[MethodHeadline]) -> Vec<String> {
     let Some(baseline) = methods.first() else { return Vec::new() };
     let rendered = methods.iter().find(|m| m.is_rendered).map(|m| m.proxy);

@@ -1,4 +1,4 @@
-//! Several views in one picture: `--quilt` and `--stereo` of `stlfr render`.
+//! Options `--quilt` and `--stereo` of `stlfr render`: several views in one picture.
 
 use super::CliError;
 use super::shots::Shots;
@@ -10,14 +10,15 @@ use crate::light_field::{LightField, Request, Viewpoint};
 use crate::options::RenderOptions;
 use crate::progress::Reporter;
 
-/// The smallest cone that a quilt is rendered for, degrees: less shows no depth.
+/// Smallest angle of a quilt's view cone, degrees. A smaller angle shows no depth.
 const MIN_CONE_DEG: f64 = 1.0;
 
-/// Pictures of several views.
+/// Options of pictures that contain several views.
 #[derive(Debug, clap::Args)]
 pub struct DisplayArgs {
     /// A quilt for a Looking Glass display: go, portrait, 16-landscape, 16-portrait, 27-landscape, 27-portrait,
-    /// 32-landscape, 32-portrait, 65, or a layout such as 8x6:3360x3360. The name gets its end, such as _qs8x6a0.75.
+    /// 32-landscape, 32-portrait, 65, or a layout such as 8x6:3360x3360. The layout is appended to the file's name,
+    /// such as _qs8x6a0.75.
     #[arg(long, value_name = "DISPLAY")]
     quilt: Option<QuiltLayout>,
     /// Angle between a quilt's first and last view [default: the display's, or as much as the cameras cover].
@@ -26,20 +27,20 @@ pub struct DisplayArgs {
     /// Views of the left and the right eye side by side, the eyes this far apart.
     #[arg(long, value_name = "METRES", conflicts_with = "quilt", value_parser = positive)]
     stereo: Option<f64>,
-    /// Distance of the plane without parallax, which a display shows as its own [default: the middle of the scene's
-    /// depths].
+    /// Distance of the plane without parallax, which appears at the display's surface [default: the middle of the
+    /// scene's depths].
     #[arg(long, value_name = "METRES", value_parser = positive)]
     convergence: Option<f64>,
 }
 
-/// How pictures are made of views.
+/// How many views a picture contains, and how their cameras are placed.
 pub enum Layout {
     Single,
     Quilt { quilt: QuiltLayout, cone_deg: f64, convergence_m: f64 },
     Stereo { distance_m: f64, convergence_m: f64 },
 }
 
-/// Where the views of a picture are.
+/// Places of the views inside a picture.
 pub struct PictureParts {
     /// Width and height of the picture, pixels.
     pub size_px: [usize; 2],
@@ -48,17 +49,17 @@ pub struct PictureParts {
 }
 
 impl DisplayArgs {
-    /// Whether pictures have several views.
+    /// Whether a picture contains several views.
     pub fn is_of_several(&self) -> bool {
         self.quilt.is_some() || self.stereo.is_some()
     }
 
-    /// The output, with the end of a quilt's name.
+    /// The output path; for a quilt, the quilt's layout is appended to the name, as Looking Glass software expects.
     pub fn named(&self, output: &ImageOutput) -> ImageOutput {
         self.quilt.map_or_else(|| output.clone(), |quilt| output.ending(&quilt.name()))
     }
 
-    /// The layout of all pictures, decided by the first view.
+    /// The layout of all pictures. Its cone and its convergence distance are chosen for the first view.
     pub fn layout(
         &self,
         field: &LightField,
@@ -128,7 +129,7 @@ pub fn camera<'a>(field: &'a LightField, view: &'a NamedView) -> &'a Camera {
 }
 
 impl Layout {
-    /// The views of one picture, in order.
+    /// The views that a picture around `view` contains, in the order of its parts.
     pub fn views(&self, field: &LightField, view: &NamedView) -> Vec<NamedView> {
         let middle = camera(field, view);
         let cameras = match self {
@@ -143,7 +144,7 @@ impl Layout {
         cameras.into_iter().map(NamedView::Free).collect()
     }
 
-    /// Where the views are in a picture; `None` if it has but one.
+    /// The places of the views inside a picture; `None` for a picture of a single view.
     pub fn parts(&self, field: &LightField, view: &NamedView) -> Option<PictureParts> {
         match self {
             Self::Single => None,

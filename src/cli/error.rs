@@ -16,7 +16,7 @@ use std::fmt::{Display, Formatter};
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
-/// Why a command failed. It is no [`Error`] itself, so that all errors of the library convert to it.
+/// Why a command failed. It doesn't implement [`Error`], so that every error of the library converts to it by `From`.
 #[derive(Debug)]
 pub enum CliError {
     /// An input is wrong: exit code 2.
@@ -33,7 +33,7 @@ impl Display for CliError {
 }
 
 impl CliError {
-    /// The error of a flag's value.
+    /// Puts the name of a flag before the message, for a wrong value of this flag.
     pub fn of_flag(self, flag: &str) -> Self {
         match self {
             Self::BadInput(sentence) => Self::BadInput(format!("{flag}: {sentence}")),
@@ -49,8 +49,8 @@ impl<E: Error + 'static> From<E> for CliError {
     }
 }
 
-/// Whether the work failed, though its inputs are right. A view that can't be rendered is bad input: a time outside the
-/// recording, a view of nothing. So is a file that is missing or must not be read.
+/// Whether an error is failed work (exit code 1) and not bad input. Bad input includes a view that can't be rendered
+/// (a time outside of the recording, nothing in view), and a file that is missing or must not be read.
 fn is_failure(error: &(dyn Error + 'static)) -> bool {
     match error.downcast_ref() {
         Some(TradeoffError::Capture(error)) => return is_failure(error),
@@ -90,7 +90,7 @@ fn is_failure(error: &(dyn Error + 'static)) -> bool {
     io.is_some_and(|io| !is_bad_input(io))
 }
 
-/// Whether a read or write failed by a missing file, a permission or a wrong kind of file.
+/// Whether reading or writing failed because of a missing file, a permission or a wrong kind of file.
 fn is_bad_input(error: &std::io::Error) -> bool {
     matches!(
         error.kind(),
@@ -105,8 +105,8 @@ fn is_bad_input(error: &std::io::Error) -> bool {
     )
 }
 
-/// Converts the result of writing or deleting a file or folder. `failed` is the predicate of the error's sentence, such
-/// as `can't be written`.
+/// Adds the path to the error of a file operation. `failed` is the predicate of the message, such as `can't be
+/// written`.
 pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result<T, CliError> {
     result.map_err(|error| {
         let sentence = format!("{}: {failed} ({error})", path.display());
@@ -118,12 +118,12 @@ pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result
     })
 }
 
-/// Converts the result of writing a file; the error names the path.
+/// Adds the path to the error of writing a file.
 pub fn written<T>(path: &Path, result: std::io::Result<T>) -> Result<T, CliError> {
     of_io(path, "can't be written", result)
 }
 
-/// The result of printing; a closed pipe is not an error.
+/// The result of printing. A closed pipe counts as success.
 pub fn heard(printed: std::io::Result<()>) -> Result<(), CliError> {
     match printed {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
@@ -133,10 +133,10 @@ pub fn heard(printed: std::io::Result<()>) -> Result<(), CliError> {
     }
 }
 
-/// Prints the error, if any, and returns the exit code.
+/// Prints the error, if there is one, and returns the exit code.
 pub fn exit(result: Result<(), CliError>) -> u8 {
     let Err(error) = result else { return 0 };
-    // Without stderr, the exit code alone reports the error.
+    // If stderr can't be written, the exit code alone reports the error.
     let _ = writeln!(std::io::stderr(), "{}", printable(error.to_string().trim_end()));
     match error {
         CliError::BadInput(_) => 2,
@@ -167,7 +167,7 @@ fn sentence(message: &str) -> String {
     format!("{joined} (--help says more)")
 }
 
-/// Arguments of which one is required, `<--a <A>|--b <B>>`, as `--a <A> or --b <B>`; any other line itself.
+/// Rewrites a choice of required arguments, `<--a <A>|--b <B>>`, as `--a <A> or --b <B>`. Other lines are unchanged.
 fn alternatives(line: &str) -> String {
     let inner = line.strip_prefix('<').and_then(|line| line.strip_suffix('>'));
     match inner.filter(|inner| inner.starts_with("--")) {

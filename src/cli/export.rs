@@ -12,10 +12,10 @@ use crate::progress::Reporter;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Write a capture for another program: its calibration, or a folder with images too.
+/// Write a capture's calibration for another program, also with synchronized images or with the filmed frames.
 ///
-/// Alone, it writes the calibration. With --synchronized, it renders every camera's image at common instants, which
-/// trainers of Gaussian splatting and NeRF ask for. With --frames, it writes the frames as they were filmed, with their
+/// Without --synchronized and --frames, only the calibration is written. --synchronized renders every camera's image
+/// at common instants, for trainers of Gaussian splatting and NeRF. --frames writes the frames as filmed, with their
 /// times on the reference camera's clock.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
@@ -40,7 +40,7 @@ pub struct ExportArgs {
     /// N instants evenly from START to END [default: the reference camera's frames that all cameras film around].
     #[arg(long, value_name = "START:END:N", allow_hyphen_values = true, requires = "synchronized")]
     times: Option<Times>,
-    /// Write the images as pinhole cameras see them.
+    /// Undistort the images: pinhole cameras with the same focal lengths.
     #[arg(long)]
     undistort: bool,
     /// The nearest depth, metres (llff).
@@ -164,14 +164,14 @@ fn run_dataset(
     Ok(writing.dataset.finish()?)
 }
 
-/// The cameras, the reference first: it is the reference of the rig.
+/// Indices of the cameras, the reference first. The first camera is the reference of COLMAP's rig.
 fn by_reference(capture: &Capture) -> Vec<usize> {
     let mut cameras: Vec<usize> = (0..capture.cameras.len()).collect();
     cameras.sort_by_key(|&c| c != capture.reference);
     cameras
 }
 
-/// A dataset that is being written, and the cameras that it has.
+/// A dataset that is being written, with the cameras that it contains.
 struct Writing<'a> {
     capture: &'a Arc<Capture>,
     dataset: Dataset,
@@ -180,7 +180,7 @@ struct Writing<'a> {
 }
 
 impl Writing<'_> {
-    /// Appends an image of the k-th camera at a time from the capture's start.
+    /// Appends an image of camera `chosen[k]`. The time is in seconds from the capture's start.
     fn image(
         &mut self,
         k: usize,
@@ -194,7 +194,7 @@ impl Writing<'_> {
         Ok(self.dataset.push(k, time_ns, undistorted.as_ref().unwrap_or(image), depth)?)
     }
 
-    /// Appends all frames as they were filmed.
+    /// Appends all frames as filmed.
     fn frames(&mut self, field: &LightField, reporter: &Reporter) -> Result<(), CliError> {
         let times_s = field.offsets().common_times_s(self.capture);
         let frames = self.chosen.iter().map(|&c| self.capture.cameras[c].frames.len()).sum();
@@ -211,8 +211,8 @@ impl Writing<'_> {
     }
 }
 
-/// The instants to render, seconds from the capture's start: those given, or the frames of the first camera. All cameras
-/// film around them.
+/// The instants to render, seconds from the capture's start: those of `--times`, or the frame times of the first
+/// camera. All cameras film before and after each of them.
 fn instants_s(
     args: &ExportArgs,
     field: &LightField,
@@ -243,10 +243,10 @@ fn instants_s(
     }))
 }
 
-/// Largest unevenness of instants in a video, as a fraction of their distance.
+/// Largest deviation of a step between instants from the mean step, as a fraction of it, for a video.
 const MAX_UNEVENNESS: f64 = 1e-3;
 
-/// The rate of instants, hertz; 30 for a single one.
+/// The frame rate of evenly spaced instants, hertz; 30 for a single instant.
 fn even_rate_hz(instants_s: &[f64]) -> Result<f64, CliError> {
     let steps = instants_s.len() - 1;
     if steps == 0 {
@@ -255,7 +255,7 @@ fn even_rate_hz(instants_s: &[f64]) -> Result<f64, CliError> {
     let step_s = (instants_s[steps] - instants_s[0]) / steps as f64;
     let is_even = |w: &[f64]| ((w[1] - w[0]) - step_s).abs() <= MAX_UNEVENNESS * step_s;
     if step_s > 0.0 && instants_s.windows(2).all(is_even) {
-        // A rate such as 30 is not 29.999999999999996 in the video.
+        // Removes the rounding error: a video's rate is 30, not 29.999999999999996.
         let rate_hz = 1.0 / step_s;
         let whole = rate_hz.round();
         return Ok(if (rate_hz / whole - 1.0).abs() < 1e-9 { whole } else { rate_hz });

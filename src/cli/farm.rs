@@ -12,13 +12,14 @@ use crate::progress::Reporter;
 use crate::rig::Rig;
 use std::path::{Path, PathBuf, absolute};
 
-/// Describe the work on captures for an engine that shares it among machines: Open Job Description, Slurm, Flamenco.
+/// Write a job for a render farm, which divides the work on captures among machines: Open Job Description, Slurm,
+/// Flamenco.
 ///
-/// The work: set-up; with --rig, filming in chunks; the calibration check; offsets; prepare; with --times, rendering in
-/// chunks, into JOB/frames; compare, where there is truth. Every task may be run again. All machines must see the program,
-/// the captures and JOB at the same paths. JOB holds
+/// The steps of the job: set-up; with --rig, filming in chunks; the calibration check; offsets; prepare; with --times,
+/// rendering in chunks, into JOB/frames; compare, where there is truth. Every task may be run again. All machines must
+/// see the program, the captures and JOB at the same paths. JOB holds
 ///
-/// openjd.json, for AWS Deadline Cloud and all else that takes Open Job Descriptions;
+/// openjd.json, for AWS Deadline Cloud and other engines of Open Job Description;
 /// submit.sh, which submits the other scripts to Slurm;
 /// stlfr.js, a job type for the folder `scripts` of Flamenco's manager.
 #[derive(Debug, clap::Args)]
@@ -30,10 +31,10 @@ pub struct FarmArgs {
     /// The captures' folders.
     #[arg(required = true)]
     captures: Vec<PathBuf>,
-    /// Folder for the description.
+    /// Folder of the job's files (JOB).
     #[arg(short, long, value_name = "JOB")]
     output: PathBuf,
-    /// Film the capture with this rig, and the scene below.
+    /// Film the capture with this rig; --scene or --blend gives the scene.
     #[arg(long, value_name = "RIG", requires = "source")]
     rig: Option<PathBuf>,
     #[command(flatten)]
@@ -44,19 +45,19 @@ pub struct FarmArgs {
     /// The camera whose view is rendered.
     #[arg(long, value_name = "CAMERA", group = "view")]
     like: Option<String>,
-    /// The view that is rendered, a JSON file.
+    /// A JSON file of the view that is rendered.
     #[arg(long, value_name = "VIEW.json", group = "view")]
     camera: Option<PathBuf>,
-    /// Parts into which filming is divided.
+    /// Number of parts into which filming is divided.
     #[arg(long, value_name = "N", default_value = "100", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     film_parts: u32,
-    /// Parts that one task films.
+    /// Number of parts that one task films.
     #[arg(long, value_name = "N", default_value = "5", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     film_chunk: u32,
-    /// Images that one task renders.
+    /// Number of images that one task renders.
     #[arg(long, value_name = "N", default_value = "20", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     render_chunk: u32,
-    /// Processor cores that a task needs.
+    /// Number of processor cores that a task needs.
     #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u32).range(1..=1024))]
     cores: u32,
     /// Memory that a task needs, MiB.
@@ -110,17 +111,17 @@ impl FarmArgs {
     }
 }
 
-/// The steps of a job, as they are being added.
+/// The steps of a job, collected one by one.
 struct Steps<'a> {
     args: &'a FarmArgs,
     reporter: &'a Reporter,
-    /// Of the names of the steps of one capture among several.
+    /// Suffix of the step names of one capture, if the job has several captures.
     suffix: String,
     steps: Vec<FarmStep>,
 }
 
 impl Steps<'_> {
-    /// Adds a step after another one of the same capture; the set-up has none.
+    /// Adds a step that runs after the steps `after`. All names get the capture's suffix, except `setup`.
     fn add(
         &mut self,
         name: &str,
@@ -162,7 +163,7 @@ impl Steps<'_> {
             return Err(CliError::BadInput(sentence));
         }
         let options = self.args.options.absolute_words()?;
-        // One camera has no offset.
+        // A single camera has no offset.
         for name in ["check", "offsets", "prepare"] {
             if name == "offsets" && ids.len() == 1 {
                 continue;
@@ -182,7 +183,7 @@ impl Steps<'_> {
         Ok(())
     }
 
-    /// Filming in parts, then what makes a capture of them.
+    /// Adds the steps that film in parts, and the step that completes the capture.
     fn add_filming(&mut self, rig: &Path, capture: &Path) -> Result<(), CliError> {
         let mut film = self.args.scene.options(rig, capture)?;
         film.make_absolute().map_err(|error| CliError::BadInput(error.to_string()))?;
@@ -196,7 +197,7 @@ impl Steps<'_> {
         Ok(())
     }
 
-    /// The images of `--times`.
+    /// Adds the step that renders the images of `--times`.
     fn add_rendering(
         &mut self,
         capture: &Path,
@@ -226,7 +227,8 @@ impl Steps<'_> {
     }
 }
 
-/// A path as an argument that all engines pass on as it is.
+/// A path as a word that the shells and templates of all engines leave unchanged. An error for `{{` and control
+/// characters.
 fn word(path: &Path) -> Result<String, CliError> {
     let text =
         path.to_str().filter(|text| !text.contains("{{") && !text.contains(char::is_control));

@@ -1,4 +1,4 @@
-//! Files that the command line names. They are checked before long work, with one-sentence errors.
+//! Files on the command line. They are checked before long work; each error is one sentence.
 
 use super::CliError;
 use super::error::written;
@@ -15,7 +15,7 @@ use crate::toolchain::{Environment, blend_path, find_ffmpeg, project_root};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Largest options or view file that is read, bytes.
+/// Size limit of options and view files, bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
 /// An error unless `path` is a readable regular file.
@@ -23,8 +23,8 @@ pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
     open_file(path).map(drop).map_err(|error| wrong(path, error))
 }
 
-/// Opens a capture. The command's output, if there is one, is checked first: opening may take minutes, because it
-/// decodes videos.
+/// Opens a capture. The command's output, if there is one, is checked first, because opening may decode videos for
+/// minutes.
 pub fn open_capture(
     folder: &Path,
     output: Option<CommandOutput>,
@@ -38,14 +38,14 @@ pub fn open_capture(
     Ok(Arc::new(Capture::open_with(folder, &opening)?))
 }
 
-/// Finds the ffmpeg that `what` needs; the error says how to install it.
+/// Finds ffmpeg for the flag `what`. The error says how to install it.
 pub fn ffmpeg_for(what: &str) -> Result<PathBuf, CliError> {
     find_ffmpeg().ok_or_else(|| {
         CliError::Failure(format!("{what} needs ffmpeg: install it, or run stlfr setup"))
     })
 }
 
-/// Options of all stages: those of a preset, overridden by a file, overridden by single options.
+/// Options of all stages: a preset, overridden by a file, overridden by single options.
 #[derive(Clone, Debug, clap::Args)]
 pub struct OptionsArgs {
     /// Named options of all stages, from fast to accurate [default: best].
@@ -60,7 +60,7 @@ pub struct OptionsArgs {
 }
 
 impl OptionsArgs {
-    /// These options as command-line words.
+    /// The flags of these options, as words of a command line.
     pub fn words(&self) -> Vec<String> {
         let preset = self.preset.iter().flat_map(|p| ["--preset".into(), p.name().into()]);
         let file = self.options.iter().flat_map(|f| ["--options".into(), f.display().to_string()]);
@@ -68,7 +68,7 @@ impl OptionsArgs {
         preset.chain(file).chain(set).collect()
     }
 
-    /// These options as words that do not depend on the working folder.
+    /// The flags of these options, with absolute paths, as words of a command line.
     pub fn absolute_words(&self) -> Result<Vec<String>, CliError> {
         let mut options = self.clone();
         if let Some(file) = &mut options.options {
@@ -77,7 +77,7 @@ impl OptionsArgs {
         Ok(options.words())
     }
 
-    /// Whether none are given, so that they are those of the default preset.
+    /// Whether no option is given, so that the default preset applies.
     pub fn are_default(&self) -> bool {
         self.words().is_empty()
     }
@@ -133,17 +133,17 @@ fn wrong(path: &Path, error: impl std::fmt::Display) -> CliError {
 #[derive(Clone, Copy)]
 pub enum CommandOutput<'a> {
     File(&'a Path),
-    /// The files of this many images.
+    /// A number of images.
     Images(&'a ImageOutput, usize),
-    /// A folder, and the files that the command writes into it.
+    /// A folder, with the names of the files that the command writes into it.
     Folder(&'a Path, &'a [&'a str]),
     /// A folder that is a capture or becomes one.
     Capture(&'a Path),
 }
 
 impl CommandOutput<'_> {
-    /// An error if the output can't be written, or would replace part of a capture or anything but a
-    /// regular file. `own` is the folder of the capture that the command reads.
+    /// An error if the output can't be written, if it would replace a part of a capture, or if it would replace
+    /// anything but a regular file. `own` is the folder of the capture that the command reads.
     pub fn check(self, own: Option<&Path>) -> Result<(), CliError> {
         let mut guard = OutputGuard::new(own);
         let path = match self {
@@ -170,7 +170,7 @@ impl CommandOutput<'_> {
 /// An error if the nearest existing folder of the output can't be written to.
 fn must_be_writable(output: &Path) -> Result<(), CliError> {
     let absolute = written(output, std::path::absolute(output))?;
-    // The output may be a folder itself. An existing file above it can't contain it.
+    // The output may be an existing folder. A regular file in place of a parent folder is an error.
     let nearest = absolute.ancestors().find(|p| p.is_dir() || (p.exists() && *p != absolute));
     let Some(folder) = nearest.filter(|p| p.is_dir()) else {
         return Err(CliError::BadInput(format!("{}: has no folder to be in", output.display())));

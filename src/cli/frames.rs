@@ -1,4 +1,4 @@
-//! Which images of a sequence this process renders: all, some parts, or those that no other process has.
+//! The images of a sequence that this process renders: all, some parts, or those that no other process has taken.
 
 use super::CliError;
 use super::error::written;
@@ -8,10 +8,11 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Between two looks at the images of other processes. Larger, and the end is noticed later; smaller reads more often.
+/// Interval at which the images of other processes are checked. Larger: the end is noticed later; smaller: more file
+/// access.
 const LOOK: Duration = Duration::from_millis(300);
 
-/// A folder by which processes share images.
+/// The folder through which processes divide the images of a sequence among themselves.
 #[derive(Clone)]
 pub struct SharedFolder {
     claims: Claims,
@@ -19,14 +20,14 @@ pub struct SharedFolder {
 }
 
 impl SharedFolder {
-    /// Removes the folder, all images being done.
+    /// Removes the folder after all images are done.
     pub fn end(&self) -> Result<(), CliError> {
         written(&self.folder, self.claims.end())
     }
 }
 
-/// Images to render, in order. Those that other processes render are waited for at the end, and taken over where such a
-/// process has ended.
+/// Iterates over the images that this process has to render, in order. At the end it waits for images that other
+/// processes render, and takes over those of processes that have died.
 pub struct Frames<'a> {
     output: &'a ImageOutput,
     claims: Option<SharedFolder>,
@@ -35,19 +36,19 @@ pub struct Frames<'a> {
 }
 
 impl<'a> Frames<'a> {
-    /// All of these images.
+    /// The given images, rendered by this process alone.
     pub fn all(output: &'a ImageOutput, frames: impl Iterator<Item = usize>) -> Self {
         Self { output, claims: None, left: frames.collect(), elsewhere: Vec::new() }
     }
 
-    /// The first so many images, shared with all processes that use the same folder.
+    /// The first `count` images, divided among all processes that use the same folder.
     pub fn shared(output: &'a ImageOutput, count: usize, folder: &Path) -> Result<Self, CliError> {
         let claims = written(folder, Claims::join(folder))?;
         let claims = Some(SharedFolder { claims, folder: folder.to_owned() });
         Ok(Self { claims, ..Self::all(output, 0..count) })
     }
 
-    /// The folder of the shared work; `None` if it isn't shared.
+    /// The folder through which the images are shared; `None` if this process renders alone.
     pub fn shared_folder(&self) -> Option<SharedFolder> {
         self.claims.clone()
     }
@@ -72,7 +73,7 @@ impl Iterator for Frames<'_> {
             match written(folder, claims.take(frame)) {
                 Ok(Taken::Mine(claim)) => return Some(Ok((frame, Some(claim)))),
                 Ok(Taken::Elsewhere) => self.elsewhere.push(frame),
-                // An image that was deleted since is rendered again.
+                // An image that was rendered and then deleted is rendered again.
                 Ok(Taken::Done) if !self.output.file(frame).is_some_and(|f| f.exists()) => {
                     return Some(Ok((frame, None)));
                 }

@@ -23,31 +23,31 @@ use std::path::PathBuf;
 pub struct ImportArgs {
     /// The calibration's folder or file.
     calibration: PathBuf,
-    /// The folder with a video or a sub-folder of images for each camera [default for a .json: its own].
+    /// Folder with a video or a sub-folder of images for each camera [default for a .json: the folder of the .json].
     #[arg(long, value_name = "FOLDER")]
     images: Option<PathBuf>,
-    /// A table that says which camera filmed what (CSV).
+    /// A CSV table of cameras and their recordings.
     #[arg(long, value_name = "FILE")]
     table: Option<PathBuf>,
-    /// Frames a second [default: the times of the videos, of timestamps.csv or of the calibration].
+    /// Frame rate, hertz [default: the times of the videos, of timestamps.csv or of the calibration].
     #[arg(long, value_name = "HZ", conflicts_with = "times")]
     rate: Option<f64>,
     /// The first frame's time on each camera's own clock, seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
     first: f64,
-    /// A table with the time of every frame (CSV).
+    /// A CSV table with the time of every frame.
     #[arg(long, value_name = "FILE")]
     times: Option<PathBuf>,
-    /// All cameras share one clock: there is nothing to estimate.
+    /// All cameras share one clock, and offsets are not estimated.
     #[arg(long)]
     shared: bool,
-    /// Images smaller than the calibration's are its top left part.
+    /// Images smaller than the calibration's are cropped from its top left corner.
     #[arg(long)]
     crop: bool,
-    /// The unit of the calibration's lengths; Qualisys' are millimetres.
+    /// The unit of the calibration's lengths, which Qualisys gives in millimetres.
     #[arg(long, value_enum, default_value = "m")]
     unit: Unit,
-    /// The capture to make: a new folder.
+    /// The folder of the new capture.
     #[arg(short, long, value_name = "CAPTURE")]
     output: PathBuf,
 }

@@ -14,7 +14,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Show what a capture holds, and what is estimated and cached beside it.
+/// Show what a capture contains, its offsets, and its cached results.
 ///
 /// Nothing is decoded or estimated. Decoded videos, registered frames, plans, measurements and hashes of files are cached
 /// in the capture's folder, under .stlfr/cache. They may be deleted at any time, and are computed again when they are
@@ -49,7 +49,7 @@ pub fn run(args: &InfoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
     }
 }
 
-/// Deletes cached results, also of a capture that can't be opened.
+/// Deletes cached results. It works too if the capture can't be opened.
 fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), CliError> {
     must_be_a_file(&capture.join(CAPTURE_FILE))?;
     let cache = DiskCache::new(capture, |_| ());
@@ -70,22 +70,22 @@ fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), Cli
     Ok(())
 }
 
-/// Summary of a capture.
+/// Summary of a capture, printed as text or JSON.
 #[derive(Serialize)]
 struct Info {
     name: String,
     /// The reference camera's id.
     reference: String,
     cameras: Vec<CameraInfo>,
-    /// First and last time covered by every camera whose clock is known, seconds.
+    /// First and last time at which every camera with a known clock has frames, seconds on the reference's clock.
     times_of_all_s: Option<(f64, f64)>,
-    /// First and last time covered by any camera whose clock is known, seconds.
+    /// First and last time at which any camera with a known clock has frames, seconds on the reference's clock.
     times_of_any_s: Option<(f64, f64)>,
-    /// Times of true images by view, seconds.
+    /// Times of the truth's images, seconds on the reference's clock, by view.
     truth: BTreeMap<String, Vec<f64>>,
     offsets: OffsetsState,
     cache: Vec<CacheUse>,
-    /// A command that renders a view; `None` while videos aren't decoded.
+    /// A command that renders a view; `None` if videos aren't decoded yet.
     example: Option<String>,
 }
 
@@ -95,14 +95,14 @@ struct CameraInfo {
     width: u32,
     height: u32,
     model: String,
-    /// The frames in capture.json: a pattern, or a video.
+    /// The camera's `frames` in capture.json: a pattern, or a video.
     source: String,
     /// Number of frames; `None` for a video that isn't decoded yet.
     frames: Option<usize>,
     /// Frame rate; `None` for a camera with one frame.
     rate_hz: Option<f64>,
     clock: ClockState,
-    /// Time on the reference's clock less that on the camera's; `None` if unknown.
+    /// Time on the reference's clock minus time on the camera's clock, seconds; `None` if unknown.
     offset_s: Option<f64>,
     std_err_s: Option<f64>,
 }
@@ -111,9 +111,9 @@ struct CameraInfo {
 #[serde(rename_all = "snake_case")]
 enum ClockState {
     Reference,
-    /// The same clock as the reference's.
+    /// The camera shares the reference's clock.
     Shared,
-    /// No offset is needed: every camera took one frame.
+    /// Every camera has one frame, so that no offset is needed.
     OneFrame,
     Estimated,
     /// The offset in offsets.json was edited by hand.
@@ -124,7 +124,7 @@ enum ClockState {
 #[derive(Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum OffsetsState {
-    /// All cameras share one clock, or took one frame.
+    /// No offset is needed: all cameras share one clock, or have one frame.
     Unneeded,
     Missing,
     /// offsets.json was estimated from these frames.
@@ -132,13 +132,13 @@ enum OffsetsState {
     /// offsets.json was estimated from other frames, or by another version.
     Outdated,
     Edited,
-    /// Unknown while videos aren't decoded.
+    /// Not known, because videos aren't decoded yet.
     Unchecked,
 }
 
 impl Info {
     fn of(folder: &Path, reporter: &Reporter) -> Result<Self, CliError> {
-        // Without an ffmpeg, nothing is decoded.
+        // No ffmpeg is given, so that no video is decoded.
         let capture = match Capture::open_with(folder, &Opening { ffmpeg: None, reporter }) {
             Ok(capture) => Some(capture),
             Err(CaptureError::NoFfmpeg { .. }) => None,
@@ -248,7 +248,7 @@ impl Info {
     }
 }
 
-/// Prints rows, the first one after `head`; `none` if there are no rows.
+/// Prints rows; the text `head` stands before the first one. Prints `none` if there are no rows.
 fn list(page: &mut Page, mut head: &str, none: &str, rows: Vec<String>) {
     if rows.is_empty() {
         page.line(format_args!("{head:<8} {none}"));
@@ -295,8 +295,8 @@ impl OffsetsState {
     }
 }
 
-/// The state of offsets.json, and the offsets: those of the file if it is of these frames or edited, else those that
-/// are known without an estimate.
+/// The state of offsets.json, and the offsets. They are those of the file, if it was edited or estimated from these
+/// frames; else only offsets that need no estimate are known. `None` if the state is unknown.
 fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliError> {
     let is_known = |camera| capture.has_reference_clock(camera);
     let mut known = Offsets::known(capture);
@@ -319,7 +319,7 @@ fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliErro
     })
 }
 
-/// Times of the true images by view, seconds.
+/// Times of the truth's images, by view, seconds on the reference's clock.
 fn true_times_s(folder: &Path) -> Result<BTreeMap<String, Vec<f64>>, CliError> {
     let mut by_view = BTreeMap::<String, Vec<f64>>::new();
     for view in Truth::open(folder)?.into_iter().flat_map(|truth| truth.views) {
@@ -331,7 +331,7 @@ fn true_times_s(folder: &Path) -> Result<BTreeMap<String, Vec<f64>>, CliError> {
 
 type Span = Option<(f64, f64)>;
 
-/// Times covered by all cameras, and by any, among those whose clocks are known.
+/// Times at which all cameras have frames, and times at which any has. Cameras with unknown clocks are ignored.
 fn spans_s(capture: &Capture, offsets: &Offsets) -> (Span, Span) {
     let times_s = offsets.common_times_s(capture);
     let of_camera = |times: &Vec<f64>| Some((*times.first()?, *times.last()?));
@@ -344,7 +344,7 @@ fn spans_s(capture: &Capture, offsets: &Offsets) -> (Span, Span) {
     (fold(f64::max, f64::min), fold(f64::min, f64::max))
 }
 
-/// Lists a few times, and counts the others.
+/// Lists the first few times, and the number of the others.
 fn times_of(times_s: &[f64]) -> String {
     const SHOWN: usize = 6;
     let shown: Vec<String> = times_s.iter().take(SHOWN).map(|t| rounded(*t)).collect();

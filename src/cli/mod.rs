@@ -1,5 +1,5 @@
-//! The command line: the commands, each with its arguments and its call of the library. The program `stlfr` calls
-//! [`main`], and so does the command that the Python module installs.
+//! The command line. Each command has its arguments and calls the library. The program `stlfr` calls [`main`], and so
+//! does the command that the Python module installs.
 
 mod capture;
 mod compare;
@@ -39,7 +39,7 @@ use std::path::Path;
 /// that starts the same again: `stlfr farm` writes it. From here on, SIGINT, SIGTERM and SIGHUP end the process.
 pub fn main(program: &Path, arguments: impl IntoIterator<Item = OsString>) -> u8 {
     reuse_freed_memory();
-    // Without it, what an interrupted run leaves is removed by the next one.
+    // If this fails, the next run removes the files that an interrupted run leaves.
     let _ = remove_unfinished_on_signals();
     match Cli::try_parse_from(arguments) {
         Ok(cli) => error::exit(cli.run(program)),
@@ -88,7 +88,7 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command, and prints its output even if it fails.
+    /// Runs the command. Its output is printed even if the command fails.
     fn run(&self, program: &Path) -> Result<(), CliError> {
         let mut page = Page::default();
         let result = self.run_on(program, &mut page);

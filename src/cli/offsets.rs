@@ -8,8 +8,8 @@ use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::path::PathBuf;
 
-/// Estimate the offset of each camera's clock from the reference's, with its standard error, from the
-/// images alone.
+/// Estimate the offset of each camera's clock from the reference's clock, with its standard error, from the images
+/// alone.
 ///
 /// Time on the reference's clock = time on the camera's clock + offset. Rates are estimated for clocks
 /// that capture.json declares to drift, and lost frames for cameras that it declares may lose them. The

@@ -42,7 +42,7 @@ pub fn run(args: &OptionListArgs, page: &mut Page) -> Result<(), CliError> {
     }
 }
 
-/// Name, value, range of a number, and help with the names of a choice.
+/// A row of the table: name, value, range of a number, and help with the allowed names of a choice.
 fn row(option: &DeclaredOption) -> [String; 4] {
     let value = option.value.as_str().map_or_else(|| option.value.to_string(), str::to_owned);
     let range = option.range.map(|range| {

@@ -11,8 +11,7 @@ use crate::plan::{Decision, Plan};
 use crate::progress::Reporter;
 use std::path::PathBuf;
 
-/// What this capture requires, and why: for every stage the cheapest method that keeps its error
-/// within a budget.
+/// Choose for every stage the cheapest method whose error on this capture is within a budget, and say why.
 ///
 /// `--sync auto`, `--proxy auto` and `--blend auto` of `render`, and `auto` in an options file, choose
 /// methods by this plan.
@@ -24,7 +23,7 @@ use std::path::PathBuf;
 pub struct PlanArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// How far a cheaper method may displace a surface in the image, pixels [default: 0.25].
+    /// Largest error by which a cheaper method may displace a surface in the image, pixels [default: 0.25].
     #[arg(long, value_name = "PX")]
     budget_px: Option<f64>,
     /// Print JSON and nothing else.

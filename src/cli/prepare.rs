@@ -12,12 +12,12 @@ use crate::progress::Reporter;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Register all frame pairs of a capture beforehand, so that views need not; with --set proxy.method=scene-flow, depth and
-/// motion of all frames too.
+/// Register all frame pairs of a capture beforehand, so that rendering is faster. With --set proxy.method=scene-flow,
+/// also estimate depth and motion of all frames.
 ///
-/// render, view and compare then find them in the capture's folder, under .stlfr/cache. Images stay the same to
-/// the byte. Stopped at any time, the same command continues. Other frames, offsets or registration options need
-/// pairs of their own; the presets share theirs.
+/// The results are stored in the capture's folder, under .stlfr/cache, where render, view and compare find them.
+/// Rendered images are the same to the byte. After an interruption, the same command continues. Other frames, offsets
+/// or registration options need other frame pairs; all presets use the same.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr prepare .captures/demo\n  \
@@ -33,7 +33,7 @@ pub struct PrepareArgs {
     options: OptionsArgs,
 }
 
-/// Deletes the registered frame pairs of a capture, even if the capture can't be opened.
+/// Deletes the registered frame pairs of a capture. It works too if the capture can't be opened.
 fn delete(capture: &Path, page: &mut Page) -> Result<(), CliError> {
     must_be_a_file(&capture.join(CAPTURE_FILE))?;
     let cache = DiskCache::new(capture, |_| ());

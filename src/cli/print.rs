@@ -6,12 +6,12 @@ use crate::text::printable;
 use std::fmt::Display;
 use std::io::Write;
 
-/// The output of a command, printed at its end.
+/// The output of a command, collected and printed at the command's end.
 #[derive(Debug, Default)]
 pub struct Page(String);
 
 impl Page {
-    /// Adds lines, with control characters escaped.
+    /// Adds lines. Control characters are escaped.
     pub fn line(&mut self, line: impl Display) {
         let line = line.to_string();
         let lines: Vec<String> = line.split('\n').map(printable).collect();
@@ -36,7 +36,7 @@ impl Page {
     }
 }
 
-/// Decimals that show two digits of a standard error, at most 4.
+/// Number of decimals that shows two digits of a standard error, at most 4.
 pub fn decimals(std_err: Option<f64>) -> usize {
     let digits = |error: f64| (1.0 - error.log10().floor()).clamp(0.0, 4.0) as usize;
     std_err.filter(|error| *error > 0.0).map_or(4, digits)

@@ -14,9 +14,9 @@ use std::path::{Path, PathBuf};
 
 /// Publish the light field as a folder that any static web server shows.
 ///
-/// The page is drawn by the visitor's graphics card (WebGL 2), from the frames with their depth and motion, as render
-/// --proxy scene-flow draws it. It also opens from disk. Depth and motion that prepare has not stored are computed first.
-/// Quality and size of the frames are the best within --max-mb.
+/// The visitor's graphics card draws the page (WebGL 2), from the frames with their depth and motion, like render
+/// --proxy scene-flow. The page also opens from disk. Depth and motion that prepare has not stored are computed first.
+/// Quality and size of the frames are the largest that fit into --max-mb.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr publish .captures/demo -o site\n  \
@@ -48,7 +48,7 @@ const MB: f64 = 1e6;
 
 pub fn run(args: &PublishArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let mut options = args.options.read()?;
-    // The page draws by scene flow, whatever the method of other commands.
+    // The page renders by scene flow, whatever method other commands use.
     options.proxy.method = ProxyMethod::SceneFlow;
     (options.auto.proxy, options.auto.blend, options.auto.sync) = (false, false, false);
     CommandOutput::Folder(&args.output, &[]).check(Some(&args.capture))?;
@@ -73,7 +73,7 @@ pub fn run(args: &PublishArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// Prints what was published, its sizes, and how it compares with `render`'s pictures.
+/// Prints the number and size of the files, and the difference of the page's pictures from those of `render`.
 fn print(published: &Publication, origin_s: f64, page: &mut Page) {
     let &Publication { cameras, frames, size: [width, height], span_s, jpeg, .. } = published;
     let [start, end] = [span_s.0, span_s.1].map(|t| rounded(t + origin_s));
@@ -103,7 +103,7 @@ fn print(published: &Publication, origin_s: f64, page: &mut Page) {
     }
 }
 
-/// The line that shows the site in another page.
+/// The `<iframe>` line that embeds the site in another page.
 fn iframe(folder: &Path, name: &str, [width, height]: [usize; 2]) -> String {
     let folder = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     format!(
@@ -113,7 +113,7 @@ fn iframe(folder: &Path, name: &str, [width, height]: [usize; 2]) -> String {
     )
 }
 
-/// A folder's name in an address.
+/// A folder's name, percent-encoded for an address.
 fn in_address(name: &str) -> String {
     let shown = |b: u8| match b {
         b if b.is_ascii_alphanumeric() || b"-._~".contains(&b) => char::from(b).to_string(),
@@ -122,7 +122,7 @@ fn in_address(name: &str) -> String {
     name.bytes().map(shown).collect()
 }
 
-/// A text in an attribute of HTML.
+/// A text, escaped for an attribute in HTML.
 fn in_attribute(text: &str) -> String {
     text.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;").replace('>', "&gt;")
 }

@@ -45,7 +45,7 @@ pub struct RenderArgs {
     capture: PathBuf,
     #[command(flatten)]
     viewpoint: ViewpointArgs,
-    /// The instant, seconds on the reference camera's clock; along a path, the one at which time stops.
+    /// The instant, seconds on the reference camera's clock. With --path, time stops at this instant.
     #[arg(
         long,
         value_name = "SECONDS",
@@ -57,15 +57,16 @@ pub struct RenderArgs {
     /// N instants evenly from START to END, both included: slow motion in one run.
     #[arg(long, value_name = "START:END:N", allow_hyphen_values = true, conflicts_with = "path")]
     times: Option<Times>,
-    /// Seconds of the video along a path [default: the path's own, 4 for those by name].
+    /// Duration of the video along a path, seconds [default: the path's own; 4 for sweep, orbit, bullet-time and
+    /// dolly].
     #[arg(long, value_name = "SECONDS", requires = "path", value_parser = positive)]
     duration: Option<f64>,
-    /// Frames a second of a video, and along a path [default: the path's or 30; for --times the capture's].
+    /// Frame rate of a video or a path, hertz [default: the path's or 30; for --times the capture's].
     #[arg(long, value_name = "HZ", value_parser = rate_hz)]
     fps: Option<f64>,
     #[command(flatten)]
     display: DisplayArgs,
-    /// Only parts K to L of N, such as 3-6/100: other commands, on any machine, render the others.
+    /// Render only parts K to L of N, such as 3-6/100. Other commands, on any machine, render the other parts.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
     /// An image (.png, .jpg, .exr with depth); for --times and --path a pattern such as out/%04d.png, or a video (.mp4
@@ -81,10 +82,10 @@ pub struct RenderArgs {
     /// How cameras are weighted where they see the same point.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<BlendMethod>())]
     blend: Option<String>,
-    /// Overlay what moved in this many seconds before the instant: temporal integration.
+    /// Overlay what moved in this many seconds before the instant (temporal integration).
     #[arg(long, value_name = "SECONDS")]
     trail: Option<f64>,
-    /// Instants that a trail overlays [default: 16].
+    /// Number of instants that a trail overlays [default: 16].
     #[arg(long, value_name = "N")]
     trail_instants: Option<usize>,
     /// How a trail overlays its instants [default: mean].
@@ -112,7 +113,7 @@ impl RenderArgs {
         trail.duration_s = self.trail.unwrap_or(trail.duration_s);
         trail.instants = self.trail_instants.unwrap_or(trail.instants);
         trail.mode = self.trail_mode.unwrap_or(trail.mode);
-        // The file's options were checked when they were read; those of the command line are not yet.
+        // The file's options were checked when they were read, the command line's were not.
         options.check()?;
         Ok(options)
     }
@@ -142,8 +143,8 @@ impl RenderArgs {
         }
     }
 
-    /// The images that this process renders. Those of a whole sequence are shared with the processes of the same
-    /// command, which `key` tells.
+    /// The images that this process renders. A whole sequence is shared with other processes that run the same
+    /// command; `key` identifies the command.
     fn frames<'a>(
         &self,
         wanted: Range<usize>,
@@ -159,7 +160,7 @@ impl RenderArgs {
         }
     }
 
-    /// Indices of the images that are rendered now, of this many.
+    /// Indices of the images to render among `count` images, after `--part`.
     fn wanted(&self, count: usize) -> Result<Range<usize>, CliError> {
         match &self.part {
             None => Ok(0..count),
@@ -212,7 +213,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     shared.map_or(Ok(()), |folder| folder.end())
 }
 
-/// A view of a picture that is to be rendered.
+/// One view of a picture, to be rendered.
 struct ViewOfFrame {
     frame: usize,
     part: usize,
@@ -220,7 +221,7 @@ struct ViewOfFrame {
     claim: Option<Claim>,
 }
 
-/// The views of a picture, in order.
+/// The views of a picture, in the order of its parts.
 fn views_of(
     frame: Result<(usize, Option<Claim>), CliError>,
     layout: &Layout,

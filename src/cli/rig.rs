@@ -29,8 +29,8 @@ use std::path::PathBuf;
     stlfr rig --schema rig > rig.schema.json")]
 #[command(group = clap::ArgGroup::new("what").required(true).args(["layout", "check", "schema"]))]
 pub struct RigArgs {
-    /// Where the cameras stand: from left to right, row by row, or on an arc whose cameras look at
-    /// one point.
+    /// Arrangement of the cameras: a line from left to right, a grid row by row, or an arc whose cameras look at one
+    /// point.
     layout: Option<LayoutName>,
     /// Check a rig file instead.
     #[arg(long, value_name = "FILE")]
@@ -81,7 +81,7 @@ struct PlaceArgs {
     /// Columns of a grid [default: 4].
     #[arg(long, value_name = "N", value_parser = number_of)]
     columns: Option<NonZeroUsize>,
-    /// Distance between neighbours, metres.
+    /// Distance between neighbouring cameras, metres.
     #[arg(long, value_name = "M", default_value_t = 0.06)]
     spacing: f64,
     /// Distance to the point that the cameras of an arc look at, metres [default: 1.8].
@@ -108,33 +108,33 @@ struct ClockArgs {
     /// Frame rates.
     #[arg(long, value_name = "HZ,…", default_value = "30", value_delimiter = ',')]
     rate: Vec<f64>,
-    /// When the first frames are exposed: `random` within a frame, `none`, or seconds.
+    /// Times of the first exposures: `random` within a frame, `none`, or seconds.
     #[arg(long, value_name = "random|none|S,…", default_value = "random", value_parser = delays,
         allow_hyphen_values = true)]
     delays: Delays,
-    /// Standard deviations of the exposures' times, seconds.
+    /// Standard deviations of the exposure times' jitter, seconds.
     #[arg(long, value_name = "S,…", default_value = "0.001", value_delimiter = ',')]
     jitter: Vec<f64>,
-    /// The cameras don't stamp their frames, so that their jitter is hidden.
+    /// The cameras write no time stamps, so that their jitter is hidden.
     #[arg(long)]
     hidden_jitter: bool,
-    /// Largest drift of the clocks, millionths; the reference's has none.
+    /// Largest drift of the clocks, parts per million; the reference's clock has none.
     #[arg(long, value_name = "PPM", default_value_t = 0.0)]
     drift: f64,
-    /// Frames that each camera loses; the reference loses none.
+    /// Number of frames that each camera loses; the reference loses none.
     #[arg(long, value_name = "N", default_value_t = 0)]
     lost: usize,
-    /// Lost frames are among the first N; the very first is never lost.
+    /// Frames are lost only among the first N, but never the very first.
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..MAX_FRAMES as i64)]
     lost_within: i64,
-    /// Whether the cameras' times show lost frames: as a gap, not at all, or either in turn.
+    /// How a camera's time stamps show lost frames: as a gap, not at all, or alternately by camera.
     #[arg(long, value_name = "HOW", default_value = "stamped",
         value_parser = method::<LossStamps>())]
     lost_stamps: LossStamps,
-    /// All cameras share one clock: there is nothing to estimate.
+    /// All cameras share one clock, and offsets are not estimated.
     #[arg(long)]
     shared_clock: bool,
-    /// Durations for which the shutters are open, seconds.
+    /// Exposure durations, seconds.
     #[arg(long, value_name = "S,…", default_value = "0", value_delimiter = ',')]
     exposure: Vec<f64>,
 }
@@ -146,13 +146,13 @@ struct SensorArgs {
     #[arg(long, value_name = "COLOR,…", default_value = "rgb", value_delimiter = ',',
         value_parser = method::<RigColor>())]
     color: Vec<RigColor>,
-    /// Factors on the light.
+    /// Gain factors of the sensors.
     #[arg(long, value_name = "GAIN,…", default_value = "1", value_delimiter = ',')]
     gain: Vec<f64>,
-    /// Standard deviations of the noise, for a full scale of 1.
+    /// Standard deviations of the noise, relative to a full scale of 1.
     #[arg(long, value_name = "SIGMA,…", default_value = "0", value_delimiter = ',')]
     noise: Vec<f64>,
-    /// Bits a channel, 8 or 16.
+    /// Bits per channel, 8 or 16.
     #[arg(long, value_name = "N", default_value_t = 8)]
     bit_depth: u32,
 }
@@ -227,7 +227,7 @@ impl RigArgs {
 }
 
 impl PlaceArgs {
-    /// The layout, without arguments that it doesn't have.
+    /// The rig's layout. An error for arguments of another layout.
     fn layout(&self, name: LayoutName) -> Result<RigLayout, CliError> {
         let is_grid = matches!(name, LayoutName::Grid);
         let wrong = if is_grid && self.count.is_some() {

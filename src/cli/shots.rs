@@ -1,4 +1,4 @@
-//! The views and instants that `stlfr render` renders: one, many instants of one view, or a camera path.
+//! The views that `stlfr render` renders: one view, one view at many instants, or a camera path.
 
 use super::CliError;
 use super::files::{read_blend_path, read_path};
@@ -11,13 +11,13 @@ use crate::options::RenderOptions;
 use crate::path::{CameraPath, PathFrame, PathScene, ReadyMadePath};
 use crate::progress::Reporter;
 
-/// Frames a second along a path that has no rate of its own.
+/// Frame rate along a path without a rate of its own, hertz.
 const PATH_RATE_HZ: f64 = 30.0;
 
-/// Seconds that a ready-made path takes.
+/// Default duration of a ready-made path, seconds.
 const READY_MADE_S: f64 = 4.0;
 
-/// What the command line says about views and instants.
+/// The arguments that choose views and instants.
 pub struct ShotArgs<'a> {
     pub viewpoint: &'a ViewpointArgs,
     pub time_s: Option<f64>,
@@ -26,29 +26,29 @@ pub struct ShotArgs<'a> {
     pub rate_hz: Option<f64>,
 }
 
-/// A view at an instant.
+/// A view at an instant: one image to render.
 #[derive(Debug)]
 pub struct Shot {
     pub view: NamedView,
-    /// Seconds from the capture's start.
+    /// The instant, seconds from the capture's start.
     pub time_s: f64,
 }
 
-/// All views, in order.
+/// All views to render, in order.
 pub struct Shots<'a> {
     viewpoint: &'a ViewpointArgs,
     source: ShotSource,
-    /// Frames a second, if they are known without the capture.
+    /// Frame rate, hertz; `None` if it depends on the capture.
     rate_hz: Option<f64>,
     /// The number of views.
     count: usize,
     is_sequence: bool,
-    /// The views, once they are known.
+    /// The views. They are empty before [`Shots::place`]; a ready-made path's, before [`Shots::fit`].
     shots: Vec<Shot>,
 }
 
 enum ShotSource {
-    /// One view, which may be given as a camera, at times of the reference's clock.
+    /// One view at several instants. A view of `--camera` is given here. Times are seconds on the reference's clock.
     Still(Option<Box<Camera>>, Vec<f64>),
     Path(Vec<PathFrame>),
     ReadyMade {
@@ -59,7 +59,7 @@ enum ShotSource {
 }
 
 impl<'a> ShotArgs<'a> {
-    /// Reads and checks what needs no capture.
+    /// Reads and checks the arguments, as far as this needs no capture.
     pub fn shots(self, reporter: &Reporter) -> Result<Shots<'a>, CliError> {
         if self.time_s.is_some_and(|time_s| !time_s.is_finite()) {
             return Err(CliError::BadInput("--time: must be finite".into()));
@@ -104,7 +104,7 @@ impl<'a> ShotArgs<'a> {
         Ok(self.path_shots(source, rate_hz, count))
     }
 
-    /// The frames of a path, which are not placed yet.
+    /// The views of a camera path. They are placed in the capture later.
     fn path_shots(self, source: ShotSource, rate_hz: f64, count: usize) -> Shots<'a> {
         let viewpoint = self.viewpoint;
         let rate_hz = Some(rate_hz);
@@ -126,12 +126,12 @@ impl Shots<'_> {
         self.count
     }
 
-    /// Whether the views are a sequence, if only of one.
+    /// Whether the output is a sequence, which may have only one view.
     pub fn is_sequence(&self) -> bool {
         self.is_sequence
     }
 
-    /// The instants as given, seconds on the reference's clock; none for a ready-made path.
+    /// The given instants, seconds on the reference's clock; empty for a ready-made path.
     #[cfg(test)]
     pub fn times_in_file_s(&self) -> Vec<f64> {
         match &self.source {
@@ -141,12 +141,16 @@ impl Shots<'_> {
         }
     }
 
-    /// A view. Panics before [`Self::fit`].
+    /// The view of an index.
+    ///
+    /// # Panics
+    /// If the views aren't placed yet ([`Self::place`], [`Self::fit`]).
     pub fn get(&self, index: usize) -> &Shot {
         &self.shots[index]
     }
 
-    /// What tells these views, rendered with these options, from others: 16 letters. `more` tells what is made of them.
+    /// A hash of these views, the offsets, the options and `more` (other options of the output), 16 hexadecimal
+    /// digits.
     pub fn key(&self, field: &LightField, options: &RenderOptions, more: &str) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format!("{:?} {options:?} {more}", field.offsets()).as_bytes());
@@ -156,14 +160,14 @@ impl Shots<'_> {
         hasher.finalize().to_hex()[..16].to_owned()
     }
 
-    /// Frames a second.
+    /// Frame rate, hertz.
     pub fn rate_hz(&self, capture: &Capture) -> f64 {
         let frame_s = capture.frame_s();
         let own_hz = if frame_s > 0.0 { 1.0 / frame_s } else { PATH_RATE_HZ };
         self.rate_hz.unwrap_or(own_hz)
     }
 
-    /// Places the views in a capture, and checks what can be checked before its offsets are known.
+    /// Places the views in a capture, and checks them as far as this needs no offsets.
     pub fn place(&mut self, capture: &Capture, reporter: &Reporter) -> Result<(), CliError> {
         let origin_s = capture.time_origin_s;
         match &self.source {
@@ -201,7 +205,7 @@ impl Shots<'_> {
         self.shots.iter().map(|shot| shot.time_s).collect()
     }
 
-    /// Checks that the light field has all instants.
+    /// An error if an instant lies outside of the light field's time range.
     pub fn check(&self, field: &LightField) -> Result<(), CliError> {
         let Some(first) = self.shots.first() else { return Ok(()) };
         Ok(field.check_times(viewpoint(&first.view), &self.times_s())?)
@@ -230,7 +234,7 @@ impl Shots<'_> {
     }
 }
 
-/// The viewpoint of a request for a view.
+/// The viewpoint that renders a named view.
 pub fn viewpoint(view: &NamedView) -> Viewpoint<'_> {
     match view {
         NamedView::Filming(index) => Viewpoint::Like(*index),

@@ -62,7 +62,7 @@ pub struct CheckArgs {
 }
 
 pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    // A wrong capture or output is an error before a set-up that may take minutes.
+    // A wrong capture or output is reported before the set-up, which may take minutes.
     open_capture(&args.capture, args.json.as_deref().map(CommandOutput::File), reporter)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     let check = check(&environment, &args.capture, reporter)?;
@@ -75,7 +75,7 @@ pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Resu
     if check.verdict.is_failure() { Err(refuted(check)) } else { Ok(()) }
 }
 
-/// The error of a check that failed.
+/// The error of a check with a negative verdict; its message is the table's last line.
 fn refuted(mut check: Check) -> CliError {
     CliError::Failure(check.table.pop().unwrap_or_default())
 }
@@ -83,7 +83,7 @@ fn refuted(mut check: Check) -> CliError {
 /// Everything, end to end: set up, film a scene with eight cameras that are not synchronized,
 /// check the calibration, reconstruct, and compare with the truth.
 ///
-/// If it is interrupted, the same command resumes it; frames that were filmed are used again.
+/// After an interruption, the same command continues, and keeps the frames that were filmed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr demo\n  \
@@ -92,22 +92,21 @@ pub struct DemoArgs {
     /// Size of the images.
     #[arg(long, value_name = "WxH", default_value = "320x240", value_parser = image_size)]
     size: (u32, u32),
-    /// Frames a camera [default: 9]; 3 instants between them are compared.
+    /// Number of frames per camera [default: 9]. Views at 3 instants between frames are compared.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(5..=100_000))]
     frames: Option<u32>,
-    /// Samples a pixel [default: 16].
+    /// Samples per pixel [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     samples: Option<u32>,
-    /// A video too: truth, traditional and space-time light field side by side.
+    /// Also write a video: truth, traditional and space-time light field side by side.
     #[arg(long)]
     video: bool,
-    /// The capture's folder [default: .captures/demo in the source folder; what is filmed with
-    /// other options than the defaults has a folder of its own beside it].
+    /// The capture's folder [default: .captures/demo in the source folder; with other options, a folder beside it].
     #[arg(short, long, value_name = "CAPTURE")]
     output: Option<PathBuf>,
 }
 
-/// Frames of the true slow motion that `--video` shows.
+/// Number of frames of the slow motion that is filmed as truth for `--video`.
 const VIDEO_FRAMES: u32 = 48;
 
 pub fn run_demo(args: &DemoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
@@ -122,7 +121,7 @@ pub fn run_demo(args: &DemoArgs, page: &mut Page, reporter: &Reporter) -> Result
 }
 
 impl DemoArgs {
-    /// Sets up, films, and checks the calibration.
+    /// Sets up the environment, films the capture, and checks its calibration.
     fn film(&self, reporter: &Reporter) -> Result<Arc<Capture>, CliError> {
         let root = project_root()?;
         let folder =
@@ -140,7 +139,7 @@ impl DemoArgs {
         if check.verdict.is_failure() { Err(refuted(check)) } else { Ok(capture) }
     }
 
-    /// The capture's folder name, which differs for other options.
+    /// Name of the capture's folder. It depends on the options, unless all have their defaults.
     fn name(&self) -> String {
         let mut name = "demo".to_owned();
         if self.size != (320, 240) {

@@ -9,8 +9,8 @@ use crate::progress::Reporter;
 use crate::tradeoff::{FILES, Point, TimingClock, Tradeoff, TradeoffOptions, methods, tradeoff};
 use std::path::PathBuf;
 
-/// Measure the trade of speed for accuracy on this capture: time and quality of every sensible combination of methods
-/// and main parameters.
+/// Measure speed and accuracy on this capture: time and quality of every sensible combination of methods and main
+/// parameters.
 ///
 /// Quality is measured against the truth; without truth, against held-out cameras. The output is
 /// tradeoff.json, a plot (tradeoff.svg), and recommended.json, the options of the fastest
@@ -23,17 +23,16 @@ use std::path::PathBuf;
 pub struct TradeoffArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// A folder of its own: a new one, or that of a run that was stopped.
+    /// Folder for the results: a new one, or that of an interrupted run.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// How often each view is timed.
+    /// Number of times that each view is timed.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = parsed(1, 1000))]
     runs: usize,
-    /// How many rounds of variations of the Pareto front, one parameter at a time; 0 measures the
-    /// methods alone.
+    /// Number of rounds that vary the Pareto front, one parameter at a time; 0 measures the methods alone.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parsed(0, 10))]
     rounds: usize,
-    /// Which clock the Pareto front is computed from.
+    /// The timing from which the Pareto front is computed.
     #[arg(long, value_name = "CLOCK", value_parser = method::<TimingClock>(), default_value = "wall")]
     clock: TimingClock,
     /// Print JSON and nothing else.
@@ -43,7 +42,7 @@ pub struct TradeoffArgs {
     options: OptionsArgs,
 }
 
-/// Parses a count from `min` to `max`.
+/// Parser of a count from `min` to `max`.
 fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Clone {
     move |text| match text.parse() {
         Ok(count) if (min..=max).contains(&count) => Ok(count),
@@ -52,7 +51,7 @@ fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Cl
 }
 
 pub fn run(args: &TradeoffArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    // Combinations vary fixed methods.
+    // Combinations fix the methods, so that no automatic choice remains.
     let are_default = args.options.are_default();
     let base = if are_default { RenderOptions::default() } else { args.options.read()? };
     let output = CommandOutput::Folder(&args.output, &FILES);

@@ -1,4 +1,4 @@
-//! Parsed values of the command line: methods, sizes, instants and image files.
+//! Types of values on the command line, and their parsers: methods, sizes, instants and image files.
 
 use crate::method::Method;
 use crate::path::{MAX_RATE_HZ, MIN_RATE_HZ, ReadyMadePath, is_rate_hz};
@@ -10,7 +10,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// The value, in place of a method's name, that has the method chosen by measurements of the capture.
+/// Value in place of a method's name. It leaves the choice of the method to [`crate::plan`].
 pub const AUTO: &str = "auto";
 
 fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
@@ -19,7 +19,7 @@ fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
 
 /// Parses a method of a stage.
 pub fn method<T: Method>() -> impl TypedValueParser<Value = T> {
-    // The parser passes only names of methods.
+    // The parser before has accepted only names of methods.
     PossibleValuesParser::new(possible::<T>()).map(|name| T::from_name(&name).unwrap_or_default())
 }
 
@@ -37,11 +37,11 @@ pub fn image_size(text: &str) -> Result<(u32, u32), String> {
         .ok_or_else(|| "is no size like 320x240, at least 8x8".into())
 }
 
-/// `X,Y,Z`: metres right, down and ahead.
+/// `X,Y,Z`: a displacement right, down and forward, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shift(pub [f64; 3]);
 
-/// Maximum of a shift's metres, so that the view's pose is finite.
+/// Largest coordinate of a displacement, metres. The displaced pose stays finite.
 const MAX_SHIFT_M: f64 = 1e9;
 
 impl FromStr for Shift {
@@ -61,7 +61,7 @@ impl FromStr for Shift {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Times(pub Vec<f64>);
 
-/// Maximum number of instants, so that a typing error does not ask for billions of images.
+/// Largest number of instants. A typing error can't ask for billions of images.
 const MAX_TIMES: usize = 1_000_000;
 
 impl FromStr for Times {
@@ -80,7 +80,7 @@ impl FromStr for Times {
         if count == 0 || count > MAX_TIMES {
             return Err(format!("asks for {count} images, must be from 1 to {MAX_TIMES}"));
         }
-        // The fraction of END is exactly 1, so that rounding can't exceed it. END − START could overflow.
+        // The last fraction is exactly 1, so that rounding can't exceed END. END − START could overflow.
         let fraction = |k: usize| if count == 1 { 0.0 } else { k as f64 / (count - 1) as f64 };
         let instant_s = |k: usize| start_s * (1.0 - fraction(k)) + end_s * fraction(k);
         Ok(Self((0..count).map(instant_s).collect()))
@@ -103,7 +103,7 @@ impl FromStr for TimeSpan {
     }
 }
 
-/// `K-L/N`: parts K to L, both included and counted from 1, of N equal parts of some images.
+/// `K-L/N`: parts K to L of N equal parts of a sequence of images, counted from 1, both included.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parts {
     first: usize,
@@ -133,13 +133,13 @@ impl Display for Parts {
 }
 
 impl Parts {
-    /// The indices of these parts' images, among so many.
+    /// The indices of the images in these parts, for a sequence of `images` images.
     pub fn range(&self, images: usize) -> Range<usize> {
         (self.first - 1) * images / self.count..self.last * images / self.count
     }
 }
 
-/// A camera path: one by name, or a file.
+/// A camera path: a ready-made one by name, or a file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PathSource {
     ReadyMade(ReadyMadePath),
@@ -167,7 +167,7 @@ impl FromStr for PathSource {
     }
 }
 
-/// Parses frames a second.
+/// Parses a frame rate, hertz.
 pub fn rate_hz(text: &str) -> Result<f64, String> {
     let rate_hz = text.parse().ok().filter(|rate_hz| is_rate_hz(*rate_hz));
     rate_hz.ok_or_else(|| format!("must be a number from {MIN_RATE_HZ} to {MAX_RATE_HZ}"))
@@ -179,7 +179,7 @@ pub fn positive(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "must be a number from 0.000001 to 1000000".into())
 }
 
-/// The format of image files.
+/// Format of an image file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ImageFile {
     Still(StillFormat),
@@ -187,7 +187,7 @@ pub enum ImageFile {
     Exr,
 }
 
-/// Where images go: one file, a numbered sequence, or a video.
+/// Output of rendered images: one file, a numbered sequence, or a video.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ImageOutput {
     Image(PathBuf, ImageFile),
@@ -224,14 +224,14 @@ impl FromStr for ImageOutput {
 }
 
 impl ImageOutput {
-    /// Paths of `images` images.
+    /// Paths of the first `images` images.
     pub fn files(&self, images: usize) -> impl Iterator<Item = PathBuf> {
         let files = if matches!(self, Self::Sequence(..)) { images } else { 1 };
         (0..files).filter_map(|index| self.file(index))
     }
 
-    /// Path of the `index`-th image. An image or a video has one path for all. `None` for a sequence
-    /// whose pattern has no number field.
+    /// Path of the `index`-th image; the same for all indices if the output is one image or a video. `None` for a
+    /// sequence whose pattern has no number field.
     pub fn file(&self, index: usize) -> Option<PathBuf> {
         let (Self::Image(path, _) | Self::Sequence(path, _) | Self::Video(path, _)) = self;
         if !matches!(self, Self::Sequence(..)) {
@@ -247,7 +247,7 @@ impl ImageOutput {
         (!after.contains('%')).then(|| PathBuf::from(format!("{before}{index:0width$}{after}")))
     }
 
-    /// The format of its images; `None` for a video.
+    /// Format of the images; `None` for a video.
     pub fn image_file(&self) -> Option<ImageFile> {
         match self {
             Self::Image(_, file) | Self::Sequence(_, file) => Some(*file),
@@ -255,7 +255,7 @@ impl ImageOutput {
         }
     }
 
-    /// The output with `end` before its suffix, unless it is there.
+    /// The output with `end` appended to the name before the suffix, unless the name has it already.
     #[must_use]
     pub fn ending(&self, end: &str) -> Self {
         let mut output = self.clone();

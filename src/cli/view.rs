@@ -14,7 +14,7 @@ use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Look around in a capture, in space and time, in the browser. Ends with Ctrl+C.
+/// Look around in a capture, in space and time, in the browser. Ctrl+C ends it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr view .captures/demo\n  \
@@ -29,7 +29,7 @@ pub struct ViewArgs {
     /// The port of the page's address [default: a free one].
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     port: u16,
-    /// Open at the place of a link that the page gave, also in an earlier run: what stands after its #.
+    /// Start at the place of a link that the page gave, also in an earlier run. Only the part after its # is needed.
     #[arg(long, value_name = "LINK", value_parser = place)]
     at: Option<String>,
     /// Only print the address.
@@ -43,7 +43,7 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     host::bound_arenas();
     let options = args.options.read()?;
     let capture = open_capture(&args.capture, None, reporter)?;
-    // The port is bound before long work, which would be in vain without it.
+    // The port is bound first, so that a port in use is reported before long work.
     let server = Server::bind(args.port).map_err(|error| refused(args.port, &error))?;
     let field = pipeline::open_field(capture, &options, reporter)?;
     let (options, words) = live_options(&field, &options, &args.options, reporter)?;
@@ -61,8 +61,10 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     server.serve(&studio).map_err(|error| CliError::Failure(format!("the server ended ({error})")))
 }
 
-/// The options after the automatic choice of methods, without what a page can't wait for: a plan, unless it was made before
-/// or options are given, and maps that are not prepared. With them the words by which `stlfr render` has the same.
+/// The options of the page's pictures, and the flags with which `stlfr render` uses the same options.
+///
+/// Slow automatic choices are replaced by depth per pixel: without other options, a plan that isn't cached; and scene
+/// flow whose depth and motion aren't prepared.
 fn live_options(
     field: &LightField,
     options: &RenderOptions,
@@ -97,10 +99,10 @@ fn live_options(
     Ok((planned, words))
 }
 
-/// Longest place of a link, bytes.
+/// Longest accepted state of a link, bytes.
 const MAX_PLACE: usize = 512;
 
-/// The place of a link, whole or only what stands after its `#`: names and values of the page's state.
+/// The page's state in a link, as names and values: the part after its `#`, which may also be given alone.
 fn place(link: &str) -> Result<String, String> {
     let place = link.rsplit_once('#').map_or(link, |(_, place)| place);
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "=&.+-".contains(c);
@@ -123,16 +125,16 @@ fn refused(port: u16, error: &std::io::Error) -> CliError {
     }
 }
 
-/// Opens an address in the user's browser. Returns whether there is a program that opens addresses.
+/// Opens an address in the user's browser. Returns `false` if no program can open it.
 fn open(address: &str) -> bool {
     use std::os::unix::process::CommandExt;
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let mut command = Command::new(opener);
     command.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    // In a group of its own: Ctrl+C ends the server, not the browser.
+    // A process group of its own: Ctrl+C ends the server, but not the browser.
     match command.process_group(0).spawn() {
         Ok(mut child) => {
-            // The child may be the browser itself, which runs on: a thread waits for it.
+            // The child may be the browser itself, which keeps running. A thread waits for it.
             std::thread::spawn(move || child.wait());
             true
         }

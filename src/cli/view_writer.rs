@@ -1,4 +1,4 @@
-//! Writes finished views: images, sequences, videos; each of one view, or of several beside each other.
+//! Writes rendered views into images, sequences or videos. A picture has one view, or several side by side.
 
 use super::CliError;
 use super::display::PictureParts;
@@ -14,46 +14,46 @@ use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
 
-/// Finished views that may wait to be written. More: memory; fewer: rendering waits for a file that takes longer
-/// than others.
+/// Largest number of rendered views that wait to be written. Larger: more memory; smaller: rendering stalls on a file
+/// that takes long to write.
 const WAITING_VIEWS: usize = 2;
 
-/// Fraction of a view's pixels that cameras must see, or else a note says how few they see.
+/// Fraction of pixels that cameras must see. Below it, a note states the smallest fraction of the views.
 const MIN_SEEN_FRACTION: f64 = 0.5;
 
-/// A finished view.
+/// A rendered view.
 pub struct View {
-    /// Index of its picture.
+    /// Index of the picture that the view belongs to.
     pub frame: usize,
-    /// Its place among the picture's views.
+    /// Index of the view inside its picture.
     pub part: usize,
     pub rendered: Rendered,
-    /// Its depths, where the output has them.
+    /// Depths, if the output format has them.
     pub depths: Option<DepthMap>,
-    /// What says that the picture is done, with its last view.
+    /// Marks the picture as done for other processes; the last view of a picture has it.
     pub claim: Option<Claim>,
 }
 
-/// Where finished views go.
+/// Writes rendered views to the output.
 pub struct ViewWriter<'a> {
     output: &'a ImageOutput,
-    /// Where the views of a picture are; `None` for one view a picture.
+    /// Places of the views inside a picture; `None` for pictures of one view.
     pub parts: Option<PictureParts>,
-    /// The picture whose views are not all there yet.
+    /// The picture of which not all views have arrived.
     picture: Option<Quantized>,
     depth: BitDepth,
     rate_hz: f64,
-    /// ffmpeg and the codec; `None` if the output is no video.
+    /// Path of ffmpeg, and the codec; `None` if the output isn't a video.
     encoder: Option<(PathBuf, Codec)>,
-    /// The video, from its first frame on.
+    /// The video; `None` before its first frame.
     video: Option<VideoWriter>,
-    /// The smallest fraction of a view's pixels that cameras see.
+    /// The smallest fraction of a view's pixels that cameras see, over the views so far.
     seen_fraction: f64,
     reporter: &'a Reporter,
 }
 
 impl<'a> ViewWriter<'a> {
-    /// A writer of single views. For a video, an encoder is found and tried.
+    /// A writer of pictures with one view. For a video, finds an encoder and tries it.
     pub fn new(
         output: &'a ImageOutput,
         capture: &Capture,
@@ -82,14 +82,15 @@ impl<'a> ViewWriter<'a> {
         })
     }
 
-    /// Writes views while the next ones are rendered. Views before an error are written, but no video is finished then.
+    /// Writes views while the next ones are rendered. After an error, the views before it are written, but a video is
+    /// not finished.
     pub fn write_all(
         mut self,
         views: impl Iterator<Item = Result<View, CliError>>,
     ) -> Result<(), CliError> {
         let (send, received) = sync_channel(WAITING_VIEWS);
         std::thread::scope(|scope| {
-            // ffmpeg ends with the thread that started it, which therefore finishes the video.
+            // The thread that starts ffmpeg must also finish the video, because ffmpeg ends with this thread.
             let writing = scope.spawn(move || {
                 for view in received {
                     let view: View = view?;
@@ -106,7 +107,7 @@ impl<'a> ViewWriter<'a> {
             });
             for view in views {
                 let failed = view.is_err();
-                // Without a receiver, writing has failed, and says why.
+                // Sending fails if the writer has failed; the writer returns the error.
                 if send.send(view).is_err() || failed {
                     break;
                 }
@@ -116,7 +117,7 @@ impl<'a> ViewWriter<'a> {
         })
     }
 
-    /// Adds a view to its picture, and writes the picture if it is whole.
+    /// Adds a view to its picture. Writes the picture when its last view arrives.
     fn add(&mut self, view: &View) -> Result<(), CliError> {
         let Rendered { image, coverage } = &view.rendered;
         let seen = coverage.iter().filter(|is_seen| **is_seen).count();
@@ -147,7 +148,7 @@ impl<'a> ViewWriter<'a> {
         Ok(())
     }
 
-    /// Whether files tell which pixels no camera sees.
+    /// Whether the output's format has an alpha channel, for pixels that no camera sees.
     fn has_alpha(&self) -> bool {
         matches!(self.output.image_file(), Some(ImageFile::Still(format)) if format.is_lossless())
     }

@@ -1,4 +1,4 @@
-//! The viewpoint of `stlfr render`, and an example of one for `stlfr info`.
+//! The viewpoint of `stlfr render`, and the example command of `stlfr info`.
 
 use super::CliError;
 use super::files::read_view;
@@ -8,18 +8,18 @@ use crate::capture::{Capture, NamedView};
 use nalgebra::{Point3, distance};
 use std::path::{Path, PathBuf};
 
-/// Where the view is rendered from.
+/// Arguments of the viewpoint.
 #[derive(Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("view").required(true))]
 pub struct ViewpointArgs {
-    /// The view, a JSON file: a camera as in capture.json.
+    /// A JSON file of the view: a camera in the form of capture.json.
     #[arg(long, value_name = "VIEW.json", group = "view")]
     camera: Option<PathBuf>,
-    /// The view by its name: a camera of the capture, or a view that was filmed as truth, such as between.
+    /// Name of the view: a camera of the capture, or a view of the truth, such as between.
     #[arg(long, value_name = "NAME", group = "view")]
     like: Option<String>,
-    /// A camera path over place, direction, lens and time: path.json, the animated camera of my.blend, or one of sweep,
-    /// orbit, bullet-time and dolly, which stay inside of what the rig sees.
+    /// A camera path over place, direction, lens and time: path.json, the animated camera of my.blend, or one of
+    /// sweep, orbit, bullet-time and dolly, which stay where the rig sees the whole view.
     #[arg(long, value_name = "PATH", group = "view")]
     pub path: Option<PathSource>,
     /// Move the view right, down and ahead, in metres along its own axes, such as 0.03,0,0.
@@ -28,12 +28,12 @@ pub struct ViewpointArgs {
 }
 
 impl ViewpointArgs {
-    /// The camera of the file, if one is given.
+    /// The camera of the `--camera` file; `None` without `--camera`.
     pub fn camera(&self) -> Result<Option<Camera>, CliError> {
         self.camera.as_deref().map(read_view).transpose()
     }
 
-    /// The view of these arguments; `given` is [`Self::camera`].
+    /// The view that the arguments choose; `given` is the result of [`Self::camera`].
     pub fn view(&self, given: Option<Camera>, capture: &Capture) -> Result<NamedView, CliError> {
         let name = self.like.as_deref().unwrap_or_default();
         let view = match given {
@@ -53,7 +53,7 @@ fn centers(capture: &Capture) -> Vec<Point3<f64>> {
     capture.cameras.iter().map(|filmed| filmed.camera.center()).collect()
 }
 
-/// A warning about a view that is further from every camera than the cameras are from each other.
+/// A warning for a view that is further from every camera than any two cameras are from each other; else `None`.
 pub fn far_outside(view: &Camera, capture: &Capture) -> Option<String> {
     let centers = centers(capture);
     let to_all = |from: &Point3<f64>| centers.iter().map(|c| distance(from, c)).collect::<Vec<_>>();
@@ -68,7 +68,8 @@ pub fn far_outside(view: &Camera, capture: &Capture) -> Option<String> {
     })
 }
 
-/// A command that renders a view of the capture: halfway from the reference to its nearest camera, between two frames.
+/// A command that renders an example: the view halfway between the reference and its nearest camera, between two
+/// frames.
 pub fn example(capture: &Capture, folder: &Path) -> String {
     let reference = &capture.cameras[capture.reference];
     let centers = centers(capture);
@@ -100,7 +101,7 @@ pub fn rounded(value: f64) -> String {
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-/// A word of a command line, in quotes if it needs them.
+/// A word of a shell's command line, in quotes if it needs them.
 fn quoted(word: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "/._-".contains(c);
     if word.chars().all(is_plain) {

@@ -1,4 +1,4 @@
-//! Compares every instant of the truth, then writes the folder's files.
+//! Runs a comparison: all instants of the truth, then the files of the report.
 
 use super::results::{CaptureFacts, Metrics, OffsetResult, StageTimes, headline};
 use super::{
@@ -18,9 +18,8 @@ use std::time::Instant;
 /// compared with three blended views: from each camera's nearest frame (traditional LFR), from the synchronized images
 /// (ST-LFR), and from the true images of all cameras (perfect sync).
 ///
-/// # Errors
-/// [`CompareError::NoTruth`] without truth. The truth and the options are checked before anything is rendered. Files
-/// that can't be written are errors. An error of the video is returned after all other files are written.
+/// [`CompareError::NoTruth`] without truth. The truth and the options are checked before anything is rendered. A file
+/// that can't be written is an error. If the video fails, all other files are written before its error is returned.
 pub fn compare(
     renderer: &dyn Renderer,
     truth: Option<&Truth>,
@@ -33,7 +32,7 @@ pub fn compare(
     let truth = truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
     options.check()?;
     let instants = truths::instants(truth, capture)?;
-    // Started once before anything is rendered, so that a broken ffmpeg is found early.
+    // ffmpeg is run once before rendering, so that a broken one is found early.
     let codec = options.video.as_ref().map(|video| Codec::for_browsers(&video.ffmpeg)).transpose();
     let codec = codec.map_err(video::ReviewVideoError::from)?;
 

@@ -1,5 +1,5 @@
-//! One instant of the truth: synchronizes the cameras, measures their images, and writes the pictures. Views that are
-//! blended from these images are in `views.rs`.
+//! Compares one instant of the truth: synchronizes the cameras, measures their images, and writes the pictures.
+//! `views.rs` blends views from these images.
 
 use super::results::{StageTimes, SyncResult, ViewResult};
 use super::sheet::{Panel, sheet};
@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Inputs of the comparison that all instants share.
+/// Inputs of the comparison that are the same for all instants.
 pub(super) struct Comparison<'a> {
     pub renderer: &'a dyn Renderer,
     pub truth: &'a Truth,
@@ -33,17 +33,17 @@ pub(super) struct Results {
     pub figures: Vec<Figure>,
 }
 
-/// A true image, with its view and instant, that images are measured against.
+/// A true image, with its view and instant. Rendered images are measured against it.
 pub(super) struct ComparedTarget<'a> {
     pub instant: &'a TrueInstant,
     pub view: &'a TrueView,
     pub truth: &'a TrueImage,
 }
 
-/// An image, or a sentence why there is none.
+/// An image, or a sentence that says why it is missing.
 pub(super) type ImageOrReason = Result<Image, String>;
 
-/// The cameras' images by one sync method, or sentences why there are none.
+/// A sync method, with the synchronized image of each camera by index, or a sentence that says why it is missing.
 pub(super) type SynchronizedBy = (SyncMethod, Vec<Result<Arc<Synchronized>, String>>);
 
 const RENDERING: &str = "synchronized images";
@@ -84,8 +84,8 @@ impl Comparison<'_> {
         Ok(())
     }
 
-    /// Synchronized images by method and camera: of all cameras if there is a view to blend, else of those with
-    /// a true image.
+    /// Synchronized images by method and camera. If a view is to be blended, all cameras are synchronized, else only
+    /// those with a true image.
     fn synchronize(&self, instant: &TrueInstant) -> Vec<SynchronizedBy> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
         let cameras = self.renderer.field().capture().cameras.len();
@@ -102,7 +102,7 @@ impl Comparison<'_> {
         self.options.methods().into_iter().map(all).collect()
     }
 
-    /// Measures all sync methods on a filming camera.
+    /// Measures the images of one filming camera by all sync methods.
     fn measure_sync(
         &self,
         target: &ComparedTarget,
@@ -147,13 +147,13 @@ impl Comparison<'_> {
         Ok((rows, Figure::new(&self.truth.views[view.index].id, true_file, sheets, truth, first)))
     }
 
-    /// The path of a file in the comparison's folder; an error if a link is on the way.
+    /// The path of a file in the comparison's folder. An error if a link lies on the path.
     pub(super) fn file(&self, name: &str) -> Result<PathBuf, CompareError> {
         let failed = |source| CompareError::Write { path: self.out.join(name), source };
         beneath(self.out, name).map_err(failed)
     }
 
-    /// Writes an image in the input's bit depth; returns its path relative to the folder.
+    /// Writes an image in the capture's bit depth; returns its path relative to the comparison's folder.
     pub(super) fn write(
         &self,
         target: &ComparedTarget,
@@ -181,7 +181,7 @@ impl Comparison<'_> {
         Ok(SheetFile { file, title })
     }
 
-    /// An image, clamped and rounded as its file holds it; an error if its size differs from the truth's.
+    /// The image as its file will hold it, clamped and rounded. An error if its size isn't that of the truth.
     pub(super) fn checked(&self, image: Result<&Image, &String>, truth: &Image) -> ImageOrReason {
         let image = image.map_err(Clone::clone)?;
         if (image.width(), image.height()) != (truth.width(), truth.height()) {

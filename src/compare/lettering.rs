@@ -1,36 +1,36 @@
-//! Text in images: Noto Sans Mono, rasterized in advance (`noto-sans-mono-bitmap`: no font file, the
-//! same bytes everywhere).
+//! Text in images, in Noto Sans Mono. The glyphs are rasterized in advance (`noto-sans-mono-bitmap`), so that no font
+//! file is needed and the result is the same everywhere.
 
 use crate::raster::Image;
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
-/// Height of a line of text, pixels: 16 of the letters, 2 between lines.
+/// Height of a line of text, pixels: 16 for the glyphs, 2 between lines.
 pub const LINE_PX: usize = 18;
 
-/// Look of a line.
+/// Style of a line of text.
 #[derive(Clone, Copy)]
 pub struct TextStyle {
     /// Bold or regular letters.
     pub bold: bool,
-    /// Red, green and blue, 0 to 1.
+    /// Red, green and blue, each from 0 to 1.
     pub color: [f32; 3],
 }
 
-/// Advance of every letter, pixels.
+/// Horizontal advance of every glyph, pixels.
 fn advance_px() -> usize {
     get_raster_width(FontWeight::Regular, RasterHeight::Size16)
 }
 
-/// Width of a line, pixels.
+/// Width of a line of text, pixels.
 pub fn width_px(text: &str) -> usize {
     text.chars().count() * advance_px()
 }
 
-/// Writes a line into an RGB image with its top left corner at the pixel (x, y), at most `room_px`
-/// wide.
+/// Draws a line of text into an RGB image. Its top left corner is at the pixel (x, y), and its width is at most
+/// `room_px`.
 ///
-/// A line that doesn't fit is cut off with an ellipsis, a letter that the font lacks is a `?`, and
-/// pixels outside of the image are skipped.
+/// A longer line is cut off and ends with an ellipsis. A character that the font lacks becomes `?`. Pixels outside of
+/// the image are skipped.
 pub fn write(
     image: &mut Image,
     (x, y): (usize, usize),
@@ -56,7 +56,7 @@ pub fn write(
     }
 }
 
-/// The letters of a text, the end replaced by an ellipsis where there are more than `max`.
+/// The characters of a text. If there are more than `max`, the end is replaced by an ellipsis.
 fn fitted(text: &str, max: usize) -> Vec<char> {
     if text.chars().count() <= max {
         return text.chars().collect();

@@ -1,4 +1,4 @@
-//! A light field as a [`Renderer`].
+//! Implements [`Renderer`] for a light field.
 
 use super::results::StageTime;
 use super::{ComparedView, Renderer, TRADITIONAL};
@@ -12,7 +12,7 @@ use crate::progress::Reporter;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A light field with its options, and the time that its preparation took.
+/// A light field with its options, and the time that opening it took.
 pub struct ComparedLightField {
     field: LightField,
     options: RenderOptions,
@@ -20,7 +20,8 @@ pub struct ComparedLightField {
 }
 
 impl ComparedLightField {
-    /// Opens a capture's light field: with known, stored or estimated offsets, and with planned methods for `auto`.
+    /// Opens a capture's light field. Offsets are known, stored or estimated; a plan replaces the methods that are
+    /// `auto`.
     pub fn open(
         capture: Arc<Capture>,
         options: &RenderOptions,
@@ -49,9 +50,9 @@ impl Renderer for ComparedLightField {
     }
 
     fn view(&self, view: &ComparedView) -> Result<Rendered, String> {
-        // An instant is compared with the truth, without a trail.
+        // The truth shows an instant, so that a trail is switched off.
         let mut options = RenderOptions { trail: TrailOptions::default(), ..self.options.clone() };
-        // The baseline is the same whatever the options.
+        // The traditional baseline must not depend on the options.
         if matches!(view.images, Images::By(TRADITIONAL)) && options.sync != TRADITIONAL {
             let RenderOptions { blend, proxy, .. } = RenderOptions::default();
             (options.blend, options.proxy) = (blend, proxy);

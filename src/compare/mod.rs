@@ -1,32 +1,32 @@
-//! §8: comparison of results with the truth.
+//! §8: comparison of rendered images with the ground truth.
 //!
 //! [`compare`] renders every view that the truth has an image of, measures the results, and writes into one folder:
 //!
-//! - `metrics.json`: every number; the same bytes from run to run, whatever the thread count
-//! - `timings.json`: how long the stages took
-//! - `report.html`: numbers, plots, and a viewer of the pictures in `images/`, for a reader
-//! - `sheets/`: truth, methods and their differences side by side, as WebP without loss
+//! - `metrics.json`: all numbers; the same bytes in every run, for any number of threads
+//! - `timings.json`: run times of the stages
+//! - `report.html`: numbers, plots, and a viewer of the pictures in `images/`
+//! - `sheets/`: truth, methods and difference images side by side, as lossless WebP
 //! - `images/`: the rendered images, in the input's bit depth
 //! - `review.json`: the layout of `review.blend`
-//! - `review.mp4` and the lossless movies in `video/`, if asked for
+//! - `review.mp4`, and the lossless videos in `video/`, if the options ask for them
 //!
 //! | file | what |
 //! |---|---|
 //! | `mod.rs` | the interface to the renderer, options, errors, the summary |
-//! | `driver.rs` | all instants, then the folder's files |
+//! | `driver.rs` | the loop over all instants, then the report's files |
 //! | `light_field.rs` | the light field that is compared |
-//! | `instant.rs` | one instant: synchronize the cameras and measure them |
-//! | `views.rs` | one view at an instant: blend it by every method and measure that |
+//! | `instant.rs` | one instant: synchronizes the cameras and measures their images |
+//! | `views.rs` | one view at an instant: blends it by every method, and measures the results |
 //! | `truths.rs` | the truth's images and moving parts |
 //! | `results.rs` | the contents of `metrics.json` and `timings.json`, and the headline |
 //! | `sheet.rs`, `lettering.rs` | pictures with labels |
-//! | `viewer.rs` | the views that the report's viewer shows |
+//! | `viewer.rs` | the data of the report's viewer |
 //! | `report.rs`, `report.html`, `report.css`, `report.js` | the report |
 //! | `video.rs` | the review video |
 //! | `review.rs` | the layout of `review.blend` |
 //!
-//! Known limits: images are measured as their files hold them, rounded to the bit depth. The noise of
-//! the truth itself, which bounds every PSNR, is not known here.
+//! Known limits: images are measured after rounding to the bit depth of their files. The noise of the true images
+//! bounds every PSNR, and is unknown.
 
 mod driver;
 mod instant;
@@ -61,7 +61,7 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// The files of a comparison's folder that always have the same names, and its folders, whose names end with `/`.
+/// Fixed names in a comparison's folder: files, and sub-folders with a final `/`.
 pub const FILES: [&str; 8] = [
     "report.html",
     "metrics.json",
@@ -73,15 +73,16 @@ pub const FILES: [&str; 8] = [
     "video/",
 ];
 
-/// The sync method of traditional light field rendering, which everything is compared with.
+/// The sync method of traditional light field rendering, which is the baseline.
 pub const TRADITIONAL: SyncMethod = SyncMethod::Nearest;
 
-/// Renders the compared images: an opened light field, or a test's images of known error. Calls are
-/// sequential, so that an implementation may use all cores and a cache.
+/// Renders the images that are compared. Implemented by an opened light field, and in tests by images of known error.
+/// Calls are sequential, so that an implementation may use all cores and a cache.
 ///
 /// Times are seconds on the reference's clock, from the capture's start
-/// ([`Capture::time_origin_s`](crate::capture::Capture::time_origin_s) subtracted). An `Err` is one sentence for the
-/// report that says why this image can't be made. It excludes the camera or the view, and the comparison goes on.
+/// ([`Capture::time_origin_s`](crate::capture::Capture::time_origin_s) subtracted). An `Err` is a sentence for the
+/// report that says why the image can't be rendered. The report then lacks this camera or view, and the comparison
+/// goes on.
 pub trait Renderer: Sync {
     /// The light field, with the capture and its offsets.
     fn field(&self) -> &LightField;
@@ -94,17 +95,17 @@ pub trait Renderer: Sync {
         time_s: f64,
     ) -> Result<Arc<Synchronized>, String>;
 
-    /// A view that is blended from images of the filming cameras.
+    /// A view, blended from images of the filming cameras.
     fn view(&self, view: &ComparedView) -> Result<Rendered, String>;
 
-    /// The options of all stages, to be written beside the numbers.
+    /// The options of all stages, which are written beside the results.
     fn options(&self) -> &RenderOptions;
 
-    /// Times of the preparation.
+    /// Run times of the preparation.
     fn timings(&self) -> Vec<StageTime>;
 }
 
-/// A view that is compared.
+/// A view to render for the comparison.
 #[derive(Clone, Copy, Debug)]
 pub struct ComparedView<'a> {
     pub target: &'a Camera,
@@ -112,7 +113,7 @@ pub struct ComparedView<'a> {
     pub proxy: ProxyMethod,
     /// The images that are blended.
     pub images: Images<'a>,
-    /// The images that depth per pixel is estimated from.
+    /// The images from which depth per pixel is estimated.
     pub shape: Images<'a>,
 }
 
@@ -124,15 +125,15 @@ pub struct CompareOptions {
     pub sync: SyncMethod,
     /// Whether all sync methods are measured on the filming cameras, not only `nearest` and `sync`.
     pub all_methods: bool,
-    /// Motion within ±1 frame above which a surface point belongs to the moving part, pixels.
+    /// A surface point belongs to the moving part if it moves by more than this within ±1 frame, pixels.
     pub moving_threshold_px: f32,
     /// Dilation radius of the moving part, pixels.
     pub moving_dilation_px: usize,
-    /// FLIP's viewing condition, pixels per degree.
+    /// Viewing condition of the FLIP metric, pixels per degree.
     pub pixels_per_degree: f64,
-    /// Factor of the sheets' difference images.
+    /// Factor on the difference images of the sheets.
     pub difference_gain: f32,
-    /// Options of a side-by-side video, if one is wanted.
+    /// Options of the side-by-side video; `None` for no video.
     pub video: Option<video::VideoOptions>,
 }
 
@@ -150,7 +151,7 @@ impl Default for CompareOptions {
     }
 }
 
-/// Why a comparison failed: one sentence.
+/// Why a comparison failed. The message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
     #[error("{folder} has no truth/truth.json to compare with")]
@@ -176,7 +177,7 @@ pub enum CompareError {
 pub struct Summary {
     pub headline: Headline,
     pub report: PathBuf,
-    /// `review.json`, the layout of `review.blend`.
+    /// Path of `review.json`, the layout of `review.blend`.
     pub review: PathBuf,
     pub video: Option<PathBuf>,
 }

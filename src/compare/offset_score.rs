@@ -1,12 +1,12 @@
-//! Scores offsets against the truth: the sub-frame synchronization benchmark.
+//! Errors of offsets against the truth: the sub-frame synchronization benchmark.
 
 use super::results::OffsetResult;
 use crate::capture::Truth;
 use crate::offset::{CameraOffset, Offsets};
 
 impl OffsetResult {
-    /// Compares a camera's offset with the true one. `frame_s` is the frame interval; without it, errors in frames are
-    /// `None`.
+    /// Compares a camera's offset with the true one. `frame_s` is the frame interval, seconds; without it, errors in
+    /// frames are `None`.
     pub(super) fn new(
         camera: &str,
         given: Option<&CameraOffset>,
@@ -33,9 +33,9 @@ impl OffsetResult {
     }
 }
 
-/// Scores the offsets of every camera but the reference, in the truth's order. `frame_s` is the reference camera's
-/// frame interval. Offsets must be relative to the camera `reference`, like the truth's; otherwise the error is one
-/// sentence.
+/// The errors of the offsets of all cameras but the reference, in the order of the truth. `frame_s` is the reference
+/// camera's frame interval, seconds. Offsets must be relative to the camera `reference`, as the truth's are; otherwise
+/// an error of one sentence.
 pub fn score_offsets(
     offsets: &Offsets,
     truth: &Truth,
@@ -60,7 +60,7 @@ pub fn score_offsets(
     Ok(scored.collect())
 }
 
-/// Absolute errors in frames, ascending, of cameras with an offset.
+/// Absolute errors of the estimated offsets, frames, ascending.
 pub fn errors_frames(scored: &[OffsetResult]) -> Vec<f64> {
     let errors = scored.iter().filter_map(|camera| camera.error_frames);
     let mut errors: Vec<f64> = errors.map(f64::abs).collect();

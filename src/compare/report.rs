@@ -1,8 +1,8 @@
-//! `report.html`, which needs no network, and the folders `images` and `sheets` beside it.
+//! `report.html`, the report of a comparison. It needs no network, only the folders `images` and `sheets` beside it.
 //!
-//! The page is the template `report.html` beside this file, filled in by minijinja, which escapes
-//! all text from files. Its style `report.css` and its script `report.js` are part of it. Pictures are the files of
-//! `images`, as measured; the browser loads those of the view that is shown. Plots are SVG.
+//! The page is the template `report.html` beside this file, filled in by minijinja, which escapes all text from files.
+//! The style sheet `report.css` and the script `report.js` are embedded. Pictures are the measured files in `images`;
+//! the browser loads those of the current view. Plots are SVG.
 
 use super::results::{Metrics, StageTime, ViewHeadline, ViewMethod, used};
 use super::viewer::{Figure, groups};
@@ -14,7 +14,7 @@ use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
 use std::path::Path;
 
-/// The whole page.
+/// The report as HTML.
 pub(super) fn html(
     metrics: &Metrics,
     stages: &[StageTime],
@@ -52,25 +52,25 @@ pub(super) fn html(
     })
 }
 
-/// JSON for a `script` element, which no text inside can end.
+/// JSON for a `script` element. It is escaped, so that no text inside can close the element.
 fn in_script(value: &impl Serialize) -> Value {
     let text = serde_json::to_string(value).unwrap_or_default();
     Value::from_safe_string(text.replace('<', "\\u003c"))
 }
 
-/// The headline of the views through the proxy that `render` uses.
+/// The headline of the views with the proxy that `render` uses.
 fn rendered(metrics: &Metrics) -> Option<&ViewHeadline> {
     let headline = &metrics.headline;
     let proxy = headline.methods.iter().find(|method| method.is_rendered)?.proxy;
     headline.views.iter().find(|views| views.proxy == proxy)
 }
 
-/// A table of scores: a row for each image that is compared, its methods side by side.
+/// A table of scores. A row is a compared image, a column a method.
 #[derive(Serialize)]
 struct ScoreTable {
     columns: Vec<&'static str>,
     rows: Vec<ScoreRow>,
-    /// Why images are missing.
+    /// Sentences that say why images are missing.
     missing: Vec<String>,
 }
 
@@ -80,7 +80,7 @@ struct ScoreRow {
     scores: Vec<Option<RegionScores>>,
 }
 
-/// One image by one method.
+/// The scores of one image by one method.
 struct ScoredImage<'a> {
     labels: [String; 2],
     method: &'static str,
@@ -89,7 +89,7 @@ struct ScoredImage<'a> {
 }
 
 impl ScoreTable {
-    /// Images with the same labels are one row.
+    /// Makes a table. Images with the same labels form one row.
     fn new<'a>(columns: Vec<&'static str>, images: impl Iterator<Item = ScoredImage<'a>>) -> Self {
         let (mut rows, mut missing): (Vec<ScoreRow>, Vec<String>) = Default::default();
         for ScoredImage { labels, method, scores, reason } in images {
@@ -138,14 +138,15 @@ fn num(value: Value, digits: usize) -> String {
     }
 }
 
-/// [`num`] with a sign, unless it is 0.
+/// [`num`] with an explicit sign, except for 0.
 fn signed(value: Value, digits: usize) -> String {
     let plus = f64::try_from(value.clone())
         .is_ok_and(|v| v.is_finite() && v > 0.0 && rounded(v, digits) != rounded(0.0, digits));
     format!("{}{}", if plus { "+" } else { "" }, num(value, digits))
 }
 
-/// The decimals of a number with this standard error times `factor`: two digits of the error; 4 without an error.
+/// Number of decimals for a value with the standard error `std_err` × `factor`: the error has two digits. 4 without an
+/// error.
 fn decimals(std_err: Value, factor: f64) -> usize {
     let error = f64::try_from(std_err).map(|error| factor * error);
     match error {
@@ -156,28 +157,28 @@ fn decimals(std_err: Value, factor: f64) -> usize {
     }
 }
 
-/// Rounded, without a minus before 0.
+/// The value with `digits` decimals, and no minus sign before a zero.
 fn rounded(v: f64, digits: usize) -> String {
     let text = format!("{v:.digits$}");
     let zero = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
     if zero { text.trim_start_matches('-').to_owned() } else { text }
 }
 
-/// Formats the PSNR of [`crate::metrics::Scores`]; identical pixels give a word.
+/// The PSNR of [`crate::metrics::Scores`] as text; for identical images a word, since the PSNR is infinite.
 fn psnr(scores: Value) -> Result<String, minijinja::Error> {
     let (pixels, psnr_db) = (scores.get_attr("pixels")?, scores.get_attr("psnr_db")?);
     let same = psnr_db.is_none() && u64::try_from(pixels).unwrap_or(0) > 0;
     Ok(if same { "identical".into() } else { num(psnr_db, 1) })
 }
 
-/// The smallest and the largest measured fraction of a view, in percent.
+/// The smallest and the largest fraction of a view that is measured, percent.
 fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
     let fractions = || metrics.views.iter().filter_map(|v| v.measured);
     let (min, max) = (fractions().min_by(f64::total_cmp)?, fractions().max_by(f64::total_cmp)?);
     Some([min, max].map(|fraction| format!("{:.1}", 100.0 * fraction)))
 }
 
-/// Names and help texts of the methods that occur. The help texts start in lower case, for the middle of a sentence.
+/// Names and help texts of the given methods. The help texts start in lower case, for use within a sentence.
 fn explained<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<Value> {
     let explain = |method: M| {
         let mut letters = method.help().chars();
@@ -188,7 +189,7 @@ fn explained<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<Value> {
     used(occurring).into_iter().map(explain).collect()
 }
 
-/// Offset errors in thousandths of a frame, with two standard errors to either side.
+/// Plot of the offset errors, thousandths of a frame, with bars of two standard errors.
 fn offset_plot(metrics: &Metrics) -> String {
     let rows: Vec<DotRow> = metrics
         .offsets
@@ -208,7 +209,7 @@ fn offset_plot(metrics: &Metrics) -> String {
     DotPlot { rows, x_label, symmetric: true }.svg()
 }
 
-/// PSNR of the moving part of each camera's image, one row a camera, one colour a method.
+/// Plot of the PSNR of the moving part of each camera's image: a row per camera, a colour per method.
 fn sync_plot(metrics: &Metrics) -> String {
     let methods = used(metrics.sync.iter().map(|row| row.method));
     let dots = metrics.sync.iter().map(|row| ScoredDot {
@@ -220,7 +221,7 @@ fn sync_plot(metrics: &Metrics) -> String {
     psnr_plot(dots, "PSNR on the moving part, dB (a dot per instant)")
 }
 
-/// PSNR of the moving part of each view, one row a view and proxy, one colour a method.
+/// Plot of the PSNR of the moving part of each view: a row per view and proxy, a colour per method.
 fn view_plot(metrics: &Metrics) -> String {
     let dots = metrics.views.iter().map(|row| {
         let label = format!("{}, {}", row.view, row.proxy.name());
@@ -234,7 +235,7 @@ fn view_plot(metrics: &Metrics) -> String {
     psnr_plot(dots, "PSNR on the moving part, dB")
 }
 
-/// An image's dot in a plot of PSNR.
+/// A dot in a plot of PSNR, for one image.
 struct ScoredDot {
     /// The label of its row.
     label: String,
@@ -243,7 +244,7 @@ struct ScoredDot {
     scores: Option<RegionScores>,
 }
 
-/// PSNR of the moving part, in rows by label, in order of first appearance.
+/// Plot of the PSNR of the moving part. Dots with the same label form a row; rows are in order of first appearance.
 fn psnr_plot(dots: impl Iterator<Item = ScoredDot>, x_label: &str) -> String {
     let mut rows: Vec<DotRow> = Vec::new();
     for ScoredDot { label, title, series, scores } in dots {

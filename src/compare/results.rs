@@ -1,4 +1,4 @@
-//! The results of a comparison, as `metrics.json` and `timings.json` hold them.
+//! The results of a comparison, in the form of `metrics.json` and `timings.json`.
 
 use super::CompareOptions;
 use crate::interpolation::SyncMethod;
@@ -8,16 +8,16 @@ use crate::options::ProxyMethod;
 use serde::Serialize;
 use std::time::Instant;
 
-/// `metrics.json`: all results but run times, so that two runs write the same bytes.
+/// `metrics.json`: all results except run times, so that every run writes the same bytes.
 #[derive(Clone, Debug, Serialize)]
 pub struct Metrics {
     pub format: &'static str,
     pub version: u32,
-    /// This program's version.
+    /// The version of stlfr.
     pub stlfr: &'static str,
     pub capture: CaptureFacts,
     pub options: CompareOptions,
-    /// The options of the stages.
+    /// The options of all stages.
     pub renderer: serde_json::Value,
     pub headline: Headline,
     pub offsets: Vec<OffsetResult>,
@@ -48,7 +48,7 @@ pub struct Headline {
     pub offset: OffsetHeadline,
     pub sync: SyncHeadline,
     pub views: Vec<ViewHeadline>,
-    /// Scores of every method through every proxy; the baseline first.
+    /// Scores of every method with every proxy; the baseline is first.
     pub methods: Vec<MethodHeadline>,
     /// Number of images that couldn't be rendered: synchronized images of cameras, and blended views.
     pub missing_images: usize,
@@ -58,12 +58,12 @@ pub struct Headline {
     pub missing_reason: Option<String>,
 }
 
-/// Scores of one method through one proxy, each the median over views.
+/// Scores of one method with one proxy: medians over all views.
 #[derive(Clone, Debug, Serialize)]
 pub struct MethodHeadline {
     pub proxy: ProxyMethod,
     pub method: ViewMethod,
-    /// Whether `render` uses this method and proxy with the same options.
+    /// Whether `render` uses this method and this proxy with the same options.
     pub is_rendered: bool,
     pub scores: RegionScores,
     pub views: usize,
@@ -76,7 +76,7 @@ pub struct OffsetHeadline {
     pub worst_frames: Option<f64>,
     /// Number of cameras whose clock is not the reference's.
     pub unknown_clocks: usize,
-    /// Number of these cameras whose offset was estimated.
+    /// Number of cameras whose clock is not the reference's and whose offset was estimated.
     pub estimated: usize,
 }
 
@@ -89,13 +89,13 @@ pub struct SyncHeadline {
     pub images: usize,
 }
 
-/// Gain of ST-LFR over traditional LFR, and gap to perfect sync, for one proxy.
+/// PSNR gain of ST-LFR over traditional LFR, and PSNR gap to perfect synchronization, for one proxy.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ViewHeadline {
     pub proxy: ProxyMethod,
     pub gain_whole_db: Option<f64>,
     pub gain_moving_db: Option<f64>,
-    /// Negative if ST-LFR is better than perfect sync.
+    /// Gap of the whole image, decibels; negative if ST-LFR is better than perfect synchronization.
     pub gap_whole_db: Option<f64>,
     pub gap_moving_db: Option<f64>,
     pub views: usize,
@@ -111,9 +111,9 @@ pub struct OffsetResult {
     pub truth_s: Option<f64>,
     pub error_frames: Option<f64>,
     pub std_err_frames: Option<f64>,
-    /// The error in standard errors.
+    /// The error over its standard error.
     pub z: Option<f64>,
-    /// Why there is no offset.
+    /// Sentence that says why the offset is unknown.
     pub reason: Option<String>,
 }
 
@@ -127,11 +127,11 @@ pub struct SyncResult {
     pub method: SyncMethod,
     pub scores: Option<RegionScores>,
     pub image: Option<String>,
-    /// Why there is no image.
+    /// Sentence that says why the image is missing.
     pub reason: Option<String>,
 }
 
-/// The source of the images that a view is blended from. Its help text is the name that readers see.
+/// A method of blended views, by the source of its input images. Its help text is its name in reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViewMethod {
@@ -150,43 +150,43 @@ methods!(ViewMethod {
     PerfectSync = "perfect-sync": "Perfect sync",
 });
 
-/// A new view at an instant, by one method through one proxy.
+/// The result of a blended view at an instant, for one method and one proxy.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewResult {
     pub view: String,
     pub time_s: f64,
     pub proxy: ProxyMethod,
     pub method: ViewMethod,
-    /// Number of cameras with an image.
+    /// Number of cameras whose images are blended.
     pub cameras: usize,
-    /// The cameras without one.
+    /// Cameras whose images are missing.
     pub excluded: Vec<ExcludedCamera>,
-    /// Fraction of the view's pixels that are measured: those that all methods cover with all proxies.
+    /// Fraction of the view's pixels that is measured: the pixels that all methods cover with all proxies.
     pub measured: Option<f64>,
     pub scores: Option<RegionScores>,
     pub image: Option<String>,
     pub reason: Option<String>,
 }
 
-/// A camera that gave no image.
+/// A camera whose image is missing.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExcludedCamera {
     pub camera: String,
     pub reason: String,
 }
 
-/// Wall-clock time of one stage.
+/// Wall-clock time of one stage of the comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct StageTime {
     pub stage: String,
     pub seconds: f64,
 }
 
-/// Times of the stages, each the sum of its parts.
+/// Wall-clock times of the stages, each summed over its calls.
 pub(super) struct StageTimes(pub Vec<StageTime>);
 
 impl StageTimes {
-    /// Runs one part of a stage.
+    /// Runs `work`, and adds its time to the stage's time.
     pub fn time<T>(&mut self, stage: &str, work: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = work();
@@ -194,7 +194,7 @@ impl StageTimes {
         result
     }
 
-    /// Adds the time since `start` to a stage's time.
+    /// Adds the time elapsed since `start` to the stage's time.
     pub fn add(&mut self, stage: &str, start: Instant) {
         let seconds = start.elapsed().as_secs_f64();
         match self.0.iter_mut().find(|s| s.stage == stage) {
@@ -204,13 +204,13 @@ impl StageTimes {
     }
 }
 
-/// The methods that occur, cheapest first.
+/// The distinct methods among the given ones, cheapest first.
 pub(super) fn used<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<M> {
     let occurring: Vec<M> = occurring.collect();
     M::ALL.iter().copied().filter(|method| occurring.contains(method)).collect()
 }
 
-/// Summarizes the results.
+/// Summarizes all results in the headline.
 pub(super) fn headline(
     options: &CompareOptions,
     rendered: ProxyMethod,
@@ -247,7 +247,7 @@ pub(super) fn headline(
     }
 }
 
-/// Why images are missing, one reason for each.
+/// The reasons of all missing images, one per image.
 fn missing_reasons<'a>(sync: &'a [SyncResult], views: &'a [ViewResult]) -> Vec<&'a str> {
     let unknown = |reason: &'a Option<String>| reason.as_deref().unwrap_or("no image");
     let cameras = sync.iter().filter(|s| s.scores.is_none()).map(|s| unknown(&s.reason));
@@ -261,8 +261,8 @@ fn most_frequent(reasons: &[&str]) -> Option<String> {
     reasons.iter().max_by_key(count).map(|reason| (*reason).to_owned())
 }
 
-/// The median scores of every method through every proxy. The baseline comes first: traditional LFR through the
-/// cheapest proxy.
+/// Median scores over views of every method with every proxy. The baseline is first: traditional LFR with the cheapest
+/// proxy.
 fn method_headlines(views: &[ViewResult], rendered: ProxyMethod) -> Vec<MethodHeadline> {
     let mut found = Vec::new();
     for method in used(views.iter().map(|v| v.method)) {
@@ -293,7 +293,8 @@ fn method_headlines(views: &[ViewResult], rendered: ProxyMethod) -> Vec<MethodHe
     found
 }
 
-/// PSNR gains of the chosen method over the nearest frame on the moving part, one for each image with both.
+/// PSNR gains of the chosen sync method over the nearest frame, on the moving part: one per image that both methods
+/// gave.
 fn sync_gains(options: &CompareOptions, sync: &[SyncResult]) -> Vec<f64> {
     let psnr = |view: &str, method: SyncMethod| {
         let found = sync.iter().find(|s| s.view == view && s.method == method)?;
@@ -309,7 +310,7 @@ fn view_headline(all: &[ViewResult], proxy: ProxyMethod) -> ViewHeadline {
     let by =
         |method: ViewMethod| all.iter().filter(move |v| v.proxy == proxy && v.method == method);
     let ours = || by(ViewMethod::StLfr);
-    // The median of ST-LFR's gains over another method.
+    // Median PSNR gain of ST-LFR over another method.
     let over = |other: ViewMethod, psnr: fn(&RegionScores) -> Option<f64>| {
         let gain = |v: &ViewResult| {
             let same = by(other).find(|o| o.view == v.view)?;

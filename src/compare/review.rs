@@ -7,27 +7,27 @@ use crate::interpolation::SyncMethod;
 use crate::method::Method;
 use serde::Serialize;
 
-/// The file's name in the review's folder.
+/// Name of the file in the folder of the comparison.
 pub const FILE: &str = "review.json";
 
-/// Display time of a still, seconds.
+/// Display time of a still picture, seconds.
 const STILL_S: f64 = 2.0;
 
-/// Frame rate without a video, hertz.
+/// Frame rate of the review if it has no video, hertz.
 const STILL_RATE_HZ: f64 = 12.0;
 
-/// The whole file. Paths are relative to its folder.
+/// The contents of the file. Paths are relative to the file's folder.
 #[derive(Debug, Serialize)]
 pub(super) struct Layout {
     format: &'static str,
     version: u32,
     title: String,
-    /// Factor of the differences.
+    /// Factor on the difference images.
     difference_gain: f32,
     reels: Vec<Reel>,
 }
 
-/// A sequence of shots with one frame rate.
+/// A sequence of shots with a common frame rate.
 #[derive(Debug, Serialize)]
 struct Reel {
     name: &'static str,
@@ -35,7 +35,7 @@ struct Reel {
     shots: Vec<Shot>,
 }
 
-/// The truth and two methods, side by side for a number of frames. `None` for a missing picture.
+/// Truth and two methods, shown side by side for a number of frames. A missing picture is `None`.
 #[derive(Debug, Serialize)]
 struct Shot {
     label: String,
@@ -52,7 +52,7 @@ struct ReviewPanel {
     file: String,
 }
 
-/// The layout of the review: reels of the video, of the new views, and of the filming cameras' images.
+/// The layout of the review: one reel each for the video, the blended views, and the filming cameras' images.
 pub(super) fn layout(metrics: &Metrics, video: Option<&ReviewVideo>) -> Layout {
     let mut reels: Vec<Reel> = video.map(movie_reel).into_iter().collect();
     for (name, shots) in [("Views", view_shots(metrics)), ("Cameras", camera_shots(metrics))] {
@@ -85,8 +85,8 @@ fn movie_reel(video: &ReviewVideo) -> Reel {
     Reel { name: "Video", rate_hz: video.rate_hz, shots: vec![shot] }
 }
 
-/// A shot of stills, by traditional LFR and by ST-LFR, and of the true picture, which lies in the same folder. `None`
-/// if both methods have no picture.
+/// A shot of still pictures: traditional LFR, ST-LFR, and the true picture from the same folder. `None` if both
+/// methods have no picture.
 fn still(label: String, panels: [Option<ReviewPanel>; 2]) -> Option<Shot> {
     let (folder, _) = panels.iter().flatten().next()?.file.rsplit_once('/')?;
     let truth = Some(format!("{folder}/truth.png"));

@@ -1,5 +1,5 @@
-//! Comparison sheets: the truth and each method's image side by side, labelled, with the amplified
-//! differences beneath.
+//! Comparison sheets: the truth and each method's image side by side, with labels, and the amplified differences
+//! below.
 
 use super::lettering::{LINE_PX, TextStyle, width_px, write};
 use super::truths::TrueImage;
@@ -7,7 +7,7 @@ use crate::metrics::{RegionScores, Scores};
 use crate::raster::Image;
 use std::borrow::Cow;
 
-/// Grey of the page.
+/// Grey value of the background.
 const BACKGROUND: f32 = 0.09;
 const TITLE: TextStyle = TextStyle { bold: true, color: [0.93; 3] };
 const CAPTION: TextStyle = TextStyle { bold: false, color: [0.65; 3] };
@@ -15,25 +15,26 @@ const CAPTION: TextStyle = TextStyle { bold: false, color: [0.65; 3] };
 const MOVING_TINT: [f32; 3] = [1.0, 0.62, 0.18];
 /// Tint of all other pixels.
 const STILL_TINT: [f32; 3] = [0.45; 3];
-/// Margin between the panels, and around them.
+/// Margin between panels and around them, pixels.
 const MARGIN_PX: usize = 12;
-/// Panels narrower than this are enlarged by whole factors, pixels.
+/// Panels narrower than this, in pixels, are enlarged by a whole factor.
 const MIN_PANEL_PX: usize = 300;
-/// Panels with a longer side are reduced by whole factors, pixels. A sheet of eight panels is then within WebP's bounds.
+/// Panels whose longer side exceeds this, in pixels, are reduced by a whole factor. A sheet of eight panels then stays
+/// below the largest size of WebP.
 const MAX_PANEL_PX: usize = 1920;
 
-/// One method's image beside the truth.
+/// The image of one method, for a sheet.
 pub(super) struct Panel<'a> {
     /// The method's name.
     pub title: String,
-    /// An error is the reason why there is no image.
+    /// The image, or the reason why it is missing.
     pub image: Result<&'a Image, &'a String>,
-    /// Scores against the truth, if there is an image.
+    /// Scores against the truth; `None` without an image.
     pub scores: Option<RegionScores>,
 }
 
-/// Draws a sheet as an RGB image: the truth with its moving part, and the methods from left to right with their
-/// differences times `gain`.
+/// Draws a sheet as an RGB image. The truth, with its moving part marked, is at the left, then follow the methods.
+/// Below each method is its difference image times `gain`.
 ///
 /// # Panics
 /// If an image differs from the truth in size or channels.
@@ -79,7 +80,7 @@ pub(super) fn sheet(title: &str, truth: &TrueImage, panels: &[Panel], gain: f32)
     sheet
 }
 
-/// The truth, grey and dark, with its moving part tinted.
+/// The true image, dark and grey, with its moving part tinted.
 fn marked(truth: &TrueImage) -> Image {
     let gray = truth.image.to_gray();
     let pixels = gray.data().iter().zip(&truth.moving).flat_map(|(v, moves)| {
@@ -89,7 +90,7 @@ fn marked(truth: &TrueImage) -> Image {
     Image::from_data(gray.width(), gray.height(), 3, pixels.collect())
 }
 
-/// |a − b| times `gain`, at most 1.
+/// The absolute difference |a − b| times `gain`, clamped to 1.
 ///
 /// # Panics
 /// If the images differ in size or channels.
@@ -99,7 +100,7 @@ fn difference(a: &Image, b: &Image, gain: f32) -> Image {
     Image::from_data(a.width(), a.height(), a.channels(), data.collect())
 }
 
-/// One line for each metric: whole image and moving part.
+/// One line of text per metric, with the scores of the whole image and of the moving part.
 fn score_lines(scores: &RegionScores) -> [String; 3] {
     let number = |v: Option<f64>, digits: usize| match v {
         Some(v) => format!("{v:.digits$}"),
@@ -120,7 +121,8 @@ fn score_lines(scores: &RegionScores) -> [String; 3] {
     ]
 }
 
-/// The means of blocks of `factor` by `factor` pixels; at the right and lower borders, of what is left.
+/// The image reduced by a whole factor: means of blocks of `factor`×`factor` pixels, which are smaller at the right
+/// and lower borders.
 fn reduced(image: &Image, factor: usize) -> Cow<'_, Image> {
     if factor == 1 {
         return Cow::Borrowed(image);
@@ -142,7 +144,7 @@ fn reduced(image: &Image, factor: usize) -> Cow<'_, Image> {
 /// Copies an image into an RGB sheet at (x, y), enlarged by `scale`.
 ///
 /// # Panics
-/// If it reaches beyond the sheet.
+/// If the enlarged image doesn't fit into the sheet.
 pub fn paste(sheet: &mut Image, (x, y): (usize, usize), image: &Image, scale: usize) {
     let stride = sheet.width();
     for row in 0..image.height() * scale {
@@ -156,8 +158,8 @@ pub fn paste(sheet: &mut Image, (x, y): (usize, usize), image: &Image, scale: us
     }
 }
 
-/// Images side by side with a title each and a line above: a frame of the review video. Width and
-/// height are even, as H.264 wants them.
+/// A frame of the review video: images side by side, each with a title, and a heading above. Width and height are
+/// even, because H.264 requires it.
 pub(super) fn strip(heading: &str, panels: &[(&str, &Image)]) -> Image {
     let widest = panels.iter().map(|(_, i)| i.width()).max().unwrap_or(1);
     let tallest = panels.iter().map(|(_, i)| i.height()).max().unwrap_or(1);

@@ -1,4 +1,4 @@
-//! The truth's images, checked before anything is rendered.
+//! The true images of a comparison. They are checked before anything is rendered.
 
 use super::{CompareError, CompareOptions};
 use crate::camera::Camera;
@@ -6,21 +6,21 @@ use crate::capture::{Capture, Color, Truth};
 use crate::metrics::moving_part;
 use crate::raster::{BitDepth, Image};
 
-/// True times that differ by less than this are one instant, seconds.
+/// True images whose times differ by less than this, in seconds, belong to one instant.
 const SAME_INSTANT_S: f64 = 1e-6;
 
 /// An instant with true images.
 pub(crate) struct TrueInstant {
-    /// The time in the truth's file.
+    /// The time in the truth's file, seconds on the reference's clock.
     pub time_s: f64,
-    /// Seconds from the capture's start.
+    /// The same time in seconds from the capture's start.
     pub inner_s: f64,
     pub views: Vec<TrueView>,
 }
 
 /// One true image of an instant.
 pub(crate) struct TrueView {
-    /// Its index in `truth.views`.
+    /// Index in `truth.views`.
     pub index: usize,
     /// The filming camera at the same place, if there is one.
     pub like: Option<usize>,
@@ -35,8 +35,7 @@ pub(crate) struct TrueImage {
     pub moving: Vec<bool>,
 }
 
-/// Groups the truth's views by instant, in the order of the file, and checks that their files are
-/// there.
+/// Groups the truth's views by instant, in the order of the file. An error if an image file is missing.
 pub(crate) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInstant>, CompareError> {
     let mut instants: Vec<TrueInstant> = Vec::new();
     for (index, view) in truth.views.iter().enumerate() {
@@ -68,7 +67,8 @@ pub(crate) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInsta
     Ok(instants)
 }
 
-/// A file name from a view's id, made of letters, digits, `-` and `_`; with the index if that isn't unique.
+/// A file name for a view, from its id: letters, digits, `-` and `_`. The view's index is appended if another view has
+/// the same name.
 fn stem(truth: &Truth, index: usize) -> String {
     let own = slug(&truth.views[index].id);
     let alike = truth.views.iter().filter(|v| slug(&v.id).eq_ignore_ascii_case(&own)).count();
@@ -82,7 +82,7 @@ pub(crate) fn slug(name: &str) -> String {
 }
 
 impl TrueView {
-    /// Reads a true image and its moving part; the image becomes grey if the compared ones are.
+    /// Reads a true image and its moving part. The image is converted to grey if the rendered images are grey.
     pub fn read(
         &self,
         truth: &Truth,
@@ -108,7 +108,7 @@ impl TrueView {
     }
 }
 
-/// Fills unmeasured pixels with the truth, so that windows of metrics see no black.
+/// Replaces the pixels that aren't covered by the truth's, so that they add no error to the windows of metrics.
 pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
     let n = image.channels();
     let mut filled = image.clone();
@@ -120,12 +120,12 @@ pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Ima
     filled
 }
 
-/// The image as a file of this bit depth holds it: clamped and rounded, grey or RGB.
+/// The image as a file of this bit depth holds it: clamped, rounded, and grey or RGB.
 pub(crate) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Image {
     let mut image = if channels == 1 { image.to_gray() } else { image.to_rgb() };
     let most = ((1u32 << bits(depth)) - 1) as f32;
     for v in image.data_mut() {
-        // As `write_image` rounds; NaN becomes 0.
+        // Rounds as `write_image` does; NaN becomes 0.
         *v = ((*v * most + 0.5) as u32).min(most as u32) as f32 / most;
     }
     image

@@ -1,5 +1,5 @@
-//! The review video: truth, traditional LFR and ST-LFR side by side over time, and each in a file
-//! of its own, without loss, for `review.blend`.
+//! The review video: truth, traditional LFR and ST-LFR side by side over time. For `review.blend`, each of them is
+//! also written as a lossless video of its own.
 
 use super::instant::Comparison;
 use super::results::ViewMethod;
@@ -20,11 +20,11 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VideoOptions {
-    /// Number of frames, if the truth has no video. Otherwise the times of the truth's video are used.
+    /// Number of frames. It has no effect if the truth has a video, whose times are then used.
     pub frames: usize,
-    /// Frames shown a second.
+    /// Frame rate at which the video is shown, hertz.
     pub rate_hz: f64,
-    /// The ffmpeg to encode with; not part of the options that are written.
+    /// The ffmpeg that encodes. It is not written with the options.
     #[serde(skip)]
     pub ffmpeg: PathBuf,
 }
@@ -35,7 +35,7 @@ impl Default for VideoOptions {
     }
 }
 
-/// Why a video can't be made: one sentence.
+/// Why a video can't be made. The message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum ReviewVideoError {
     #[error(transparent)]
@@ -52,21 +52,21 @@ pub enum ReviewVideoError {
 
 /// The files of a review video.
 pub(super) struct ReviewVideo {
-    /// The video of the truth and the methods side by side.
+    /// Path of the side-by-side video.
     pub path: PathBuf,
-    /// The view's id.
+    /// Id of the view that the videos show.
     pub view: String,
     pub frames: usize,
     pub rate_hz: f64,
-    /// One lossless file for the truth and for each method: `truth` or the method's name, and the path relative to the
-    /// review's folder.
+    /// Lossless videos of the truth and of each method, as pairs of a name (`truth` or the method's) and a path
+    /// relative to the comparison's folder.
     pub movies: Vec<(&'static str, String)>,
 }
 
 impl ReviewVideo {
-    /// Renders the view of the truth's video, if there is one. Otherwise renders the truth's first new view, or the
-    /// view from the reference camera's place, over the span that all cameras cover. The proxy is the most accurate
-    /// one. `codec` is for the side-by-side file.
+    /// Renders and writes the videos. The view is that of the truth's video. If the truth has no video, it is the
+    /// truth's first new view, or else the reference camera's view, over the time that all cameras cover. The most
+    /// accurate proxy is used. `codec` is that of the side-by-side video.
     pub fn write(
         comparison: &Comparison,
         codec: Codec,
@@ -115,18 +115,18 @@ impl ReviewVideo {
     }
 }
 
-/// One view at several times.
+/// A view at several times, with its true images.
 struct Shots {
     target: Camera,
     /// Seconds from the capture's start.
     times_s: Vec<f64>,
-    /// One true image for each time, or none.
+    /// Files of the true images, one per time; empty if there are none.
     truth: Vec<PathBuf>,
     view: String,
 }
 
 impl Shots {
-    /// The times and the images of the truth's own video.
+    /// The times and the true images of the truth's video.
     fn of_truth(comparison: &Comparison, video: &TruthVideo) -> Result<Self, ReviewVideoError> {
         let wrong = |reason: &str| ReviewVideoError::Field(reason.to_owned());
         if video.times_s.is_empty() || video.times_s.iter().any(|t| !t.is_finite()) {
@@ -146,7 +146,7 @@ impl Shots {
         })
     }
 
-    /// Times spread evenly over the span that all cameras cover, without true images.
+    /// Evenly spaced times over the span that all cameras cover. There are no true images.
     fn spanning(comparison: &Comparison, frames: usize) -> Result<Self, ReviewVideoError> {
         let capture = comparison.renderer.field().capture();
         let span_s = comparison.renderer.field().common_span_s();
@@ -161,7 +161,7 @@ impl Shots {
         Ok(Self { target, times_s, truth: Vec::new(), view })
     }
 
-    /// The true image, if there is one, and the methods' images at one time.
+    /// The images at one time: the true image, if there is one, and one per method.
     fn panels(
         &self,
         comparison: &Comparison,
@@ -199,14 +199,14 @@ impl Shots {
     }
 }
 
-/// The image of the truth, or of one method, at one time.
+/// An image at one time, of the truth or of a method.
 struct VideoPanel {
     name: &'static str,
     title: String,
     image: Image,
 }
 
-/// The file of a printf pattern with one `%d` or `%0Nd`.
+/// The name of the `index`-th file of a printf pattern with one `%d` or `%0Nd`; `None` for another pattern.
 fn numbered(pattern: &str, index: usize) -> Option<String> {
     let (before, rest) = pattern.split_once('%')?;
     let (width, after) = rest.split_once('d')?;

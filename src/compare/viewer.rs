@@ -1,4 +1,4 @@
-//! What the report's viewer shows: the files of every view's pictures, by proxy and method.
+//! Data of the report's viewer: the picture files of every view, by proxy and method.
 
 use super::results::{Metrics, SyncResult, ViewMethod, ViewResult, used};
 use super::truths::TrueImage;
@@ -7,31 +7,32 @@ use crate::metrics::RegionScores;
 use crate::raster::Image;
 use serde::Serialize;
 
-/// Columns and rows of the grid in which the place of the loupe is searched.
+/// Columns and rows of the grid on which the initial place of the magnifier is searched.
 const GRID: [usize; 2] = [16, 12];
 
-/// A comparison sheet's file and title.
+/// File and title of a comparison sheet.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct SheetFile {
     pub file: String,
     pub title: String,
 }
 
-/// A true image whose results the viewer shows.
+/// A true image that the viewer shows beside the results.
 #[derive(Clone, Debug)]
 pub(super) struct Figure {
-    /// The truth's id of the view.
+    /// Id of the view in the truth.
     view: String,
-    /// The true image's file.
+    /// File of the true image.
     truth: String,
     pub sheets: Vec<SheetFile>,
     size_px: [usize; 2],
-    /// Where the loupe is at first, as fractions of width and height.
+    /// Initial centre of the magnifier, as fractions of width and height.
     focus: [f64; 2],
 }
 
 impl Figure {
-    /// The loupe is where the first image differs most from the truth, within the moving part if there is one.
+    /// Initially, the magnifier is where the first image differs most from the truth. Only the moving part counts, if
+    /// there is one. Without an image, the magnifier is in the middle.
     pub fn new(
         view: &str,
         file: String,
@@ -45,7 +46,7 @@ impl Figure {
     }
 }
 
-/// The middle of the two by two cells with the largest sum of absolute differences.
+/// Centre of the 2×2 grid cells with the largest sum of absolute differences, as fractions of width and height.
 fn focus(truth: &TrueImage, image: &Image) -> [f64; 2] {
     let [columns, rows] = GRID;
     let (width, height, channels) =
@@ -66,14 +67,14 @@ fn focus(truth: &TrueImage, image: &Image) -> [f64; 2] {
     [(best.0 + 1) as f64 / columns as f64, (best.1 + 1) as f64 / rows as f64]
 }
 
-/// Views with the same rows and columns of pictures.
+/// Views that have the same rows and columns of pictures.
 #[derive(Debug, Serialize)]
 pub(super) struct ViewerGroup {
     title: &'static str,
-    /// Titles of the rows; of one row, it may be empty.
+    /// Titles of the rows. The title of a single row may be empty.
     rows: Vec<&'static str>,
     columns: Vec<&'static str>,
-    /// The row and the column that the viewer shows at first.
+    /// Row and column of the picture that the viewer shows first.
     start: [usize; 2],
     views: Vec<ViewerView>,
 }
@@ -81,11 +82,11 @@ pub(super) struct ViewerGroup {
 #[derive(Debug, Serialize)]
 struct ViewerView {
     title: String,
-    /// The true image's file.
+    /// File of the true image.
     truth: String,
     size_px: [usize; 2],
     focus: [f64; 2],
-    /// By row and column.
+    /// The pictures, by row and column.
     cells: Vec<Vec<ViewerCell>>,
 }
 
@@ -93,7 +94,7 @@ struct ViewerView {
 struct ViewerCell {
     file: Option<String>,
     scores: Option<RegionScores>,
-    /// Why there is no picture.
+    /// Sentence that says why the picture is missing.
     reason: Option<String>,
 }
 

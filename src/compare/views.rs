@@ -1,4 +1,4 @@
-//! One view at an instant: blended by every method through every proxy, then measured.
+//! One view at an instant: blended by every method with every proxy, then measured.
 
 use super::instant::{ComparedTarget, Comparison, ImageOrReason, SynchronizedBy};
 use super::results::{ExcludedCamera, ViewMethod, ViewResult};
@@ -15,7 +15,7 @@ use crate::options::ProxyMethod;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// A blended view for one proxy and one method, with its result before it is measured.
+/// A blended view for one proxy and one method. Its result isn't measured yet.
 pub(super) struct Blend {
     result: ViewResult,
     rendered: Result<Rendered, String>,
@@ -45,7 +45,7 @@ impl Comparison<'_> {
         let synchronized = Images::By(self.options.sync);
         let mut blends = Vec::new();
         for &method in ViewMethod::ALL {
-            // Nearest frames are of different instants, so that no depth can be estimated from them.
+            // Nearest frames show different instants, so that no depth can be estimated from them.
             let (made, images, shape) = match method {
                 ViewMethod::TraditionalLfr => {
                     (by(TRADITIONAL), Images::By(TRADITIONAL), synchronized)
@@ -87,15 +87,15 @@ impl Comparison<'_> {
         blends
     }
 
-    /// The proxies that are compared, cheapest first. Scene flow takes minutes, and is compared only if the options ask
-    /// for it.
+    /// The proxies that are compared, cheapest first. Scene flow takes minutes, and is included only if the options
+    /// select it.
     fn proxies(&self) -> impl Iterator<Item = ProxyMethod> + use<> {
         let asked = self.renderer.options().proxy.method;
         let is_compared = move |p: &ProxyMethod| *p != ProxyMethod::SceneFlow || *p == asked;
         ProxyMethod::ALL.iter().copied().filter(is_compared)
     }
 
-    /// Measures all blends of one view on the pixels that all of them cover.
+    /// Measures all blends of one view, on the pixels that all of them cover.
     pub(super) fn measure_view(
         &self,
         target: &ComparedTarget,
@@ -118,7 +118,7 @@ impl Comparison<'_> {
             .collect();
         let id = &self.truth.views[view.index].id;
         let mut sheets = Vec::new();
-        // The rows are sorted by proxy.
+        // Sorted by proxy, so that each proxy's panels are one chunk.
         for (proxy, panels) in self.proxies().zip(panels.chunks(ViewMethod::ALL.len())) {
             let name = proxy.name();
             let title = format!("View {id} at {:.4} s, proxy {name}", instant.time_s);
@@ -133,7 +133,7 @@ impl Comparison<'_> {
         Ok((rows, Figure::new(id, true_file, sheets, truth, first)))
     }
 
-    /// Results of all blends; writes their images.
+    /// The results of all blends of a view. Their images are written to files.
     fn view_results(
         &self,
         target: &ComparedTarget,
@@ -161,7 +161,7 @@ impl Comparison<'_> {
     }
 }
 
-/// Pixels that all methods cover with all proxies, on which all are measured.
+/// Mask of the pixels that all methods cover with all proxies.
 fn common_coverage(blends: &[Blend], images: &[ImageOrReason], pixels: usize) -> Vec<bool> {
     let mut covered = vec![true; pixels];
     let with_image = blends.iter().zip(images).filter(|(_, image)| image.is_ok());

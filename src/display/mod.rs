@@ -1,8 +1,8 @@
-//! Pictures of several views for displays of light fields, and for two eyes.
+//! Pictures that consist of several views: quilts for light-field displays, and stereo pairs.
 //!
-//! The views stand side by side and look in one direction. Each is sheared (off-axis), so that all show the same
-//! rectangle of one plane, that of convergence: what lies in it has no parallax. They are never turned towards each
-//! other.
+//! The views stand side by side and look in one direction. Each frustum is sheared (off-axis), so that all views show
+//! the same rectangle of the plane of convergence. Points in this plane have no parallax. Cameras are never rotated
+//! towards each other (no toe-in).
 
 mod quilt;
 
@@ -11,21 +11,22 @@ pub use quilt::{QuiltLayout, QuiltLayoutError};
 use crate::camera::{Camera, CameraModel};
 use nalgebra::Vector3;
 
-/// The view `offset_m` metres to the right of a view, sheared about the plane `convergence_m` metres ahead. Distortion
-/// is dropped.
+/// The view from a place `offset_m` metres to the right, sheared about the plane `convergence_m` metres ahead. The
+/// result is a pinhole camera: distortion is dropped.
 pub fn sheared(view: &Camera, offset_m: f64, convergence_m: f64) -> Camera {
     let (fx, fy, cx, cy) = view.model.intrinsics();
     let model = CameraModel::Pinhole { fx, fy, cx: cx + fx * offset_m / convergence_m, cy };
     Camera { model, ..view.shifted(Vector3::x() * offset_m) }
 }
 
-/// The views of the left and of the right eye, `distance_m` apart.
+/// The views of the left and the right eye. The eyes are `distance_m` metres apart, with `view` in the middle.
 pub fn stereo(view: &Camera, distance_m: f64, convergence_m: f64) -> [Camera; 2] {
     [-0.5, 0.5].map(|side| sheared(view, side * distance_m, convergence_m))
 }
 
-/// The cone, symmetric about a view's axis, that cameras cover, degrees: seen from the point of the axis in the plane of
-/// convergence, there are cameras to the left and to the right of all of it. 0 if the view doesn't stand among them.
+/// The widest view cone, in degrees, for which every view has cameras to its left and to its right. The cone is
+/// symmetric about the axis of `view`; its apex is the point of the axis `convergence_m` metres ahead. 0 if `view`
+/// doesn't stand between cameras.
 pub fn covered_cone_deg(view: &Camera, cameras: &[Camera], convergence_m: f64) -> f64 {
     let right_m = cameras.iter().map(|camera| (view.cam_from_world * camera.center()).x);
     let angles = right_m.map(|x| (x / convergence_m).atan());

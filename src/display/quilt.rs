@@ -1,8 +1,8 @@
-//! Quilts, the pictures of Looking Glass displays: a grid of views, the first, leftmost one at the bottom left, the last
-//! at the top right. The file's name ends in `_qsCxRaA`: columns, rows, and the views' aspect ratio.
+//! Quilts, the pictures of Looking Glass displays: a grid of views. The leftmost view is at the bottom left, the
+//! rightmost at the top right. The file's name ends in `_qsCxRaA`: columns, rows, and the aspect ratio of the views.
 //!
-//! Sizes are those of <https://docs.lookingglassfactory.com/keyconcepts/quilts>, view cones those of the vendor's
-//! LKG-Toolkit; where it has none, the documentation's standard of 35°.
+//! Sizes are those of <https://docs.lookingglassfactory.com/keyconcepts/quilts>. View cones are those of the vendor's
+//! LKG-Toolkit, or else the documentation's standard of 35°.
 
 use super::sheared;
 use crate::camera::{Camera, CameraModel};
@@ -11,19 +11,19 @@ use std::str::FromStr;
 /// The layout of a quilt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QuiltLayout {
-    /// Views beside each other.
+    /// Number of views per row.
     pub columns: usize,
-    /// Views above each other.
+    /// Number of rows of views.
     pub rows: usize,
     /// Width and height of the quilt, pixels.
     pub size_px: [usize; 2],
-    /// Width of the display divided by its height. Views are stretched to their tiles.
+    /// Width of the display divided by its height. Each view is stretched from this aspect ratio to its tile.
     pub aspect: f64,
     /// Angle between the first and the last view, seen from the middle of the plane of convergence, degrees.
     pub cone_deg: f64,
 }
 
-/// Why a text names no quilt: a sentence without its subject.
+/// Why a text doesn't describe a quilt. The message is a predicate without a subject.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum QuiltLayoutError {
     #[error("is no display ({}) and no layout like 8x6:3360x3360", names())]
@@ -38,7 +38,7 @@ const MAX_VIEWS: usize = 1024;
 const MIN_TILE_PX: usize = 8;
 const MAX_SIDE_PX: usize = 8192;
 
-/// The documentation's standard cone, degrees.
+/// The documentation's standard view cone, degrees.
 const STANDARD_CONE_DEG: f64 = 35.0;
 
 const fn device(
@@ -54,7 +54,7 @@ const fn device(
 const LANDSCAPE: f64 = 16.0 / 9.0;
 const PORTRAIT: f64 = 9.0 / 16.0;
 
-/// Displays by name.
+/// The layouts of displays, by the display's name.
 const DEVICES: [(&str, QuiltLayout); 9] = [
     ("go", device(11, 6, [4092, 4092], PORTRAIT, 54.0)),
     ("portrait", device(8, 6, [3360, 3360], 0.75, 40.0)),
@@ -71,7 +71,7 @@ fn names() -> String {
     DEVICES.map(|(name, _)| name).join(", ")
 }
 
-/// Parses a display's name, or `COLUMNSxROWS:WIDTHxHEIGHT`, with the aspect ratio of its tiles.
+/// Parses the name of a display, or `COLUMNSxROWS:WIDTHxHEIGHT`, whose aspect ratio is that of a tile.
 impl FromStr for QuiltLayout {
     type Err = QuiltLayoutError;
 
@@ -104,27 +104,29 @@ impl QuiltLayout {
         self.columns * self.rows
     }
 
-    /// Width and height of a view, pixels. What the quilt has beyond the tiles is black, at the right and at the top.
+    /// Width and height of a view's tile, pixels. Pixels outside of all tiles are black; they are at the right and at
+    /// the top.
     pub fn tile_px(&self) -> [usize; 2] {
         [self.size_px[0] / self.columns, self.size_px[1] / self.rows]
     }
 
-    /// The top left pixel of a view, from the quilt's top left.
+    /// The top left pixel of a view's tile, from the quilt's top left corner.
     pub fn tile_origin(&self, view: usize) -> [usize; 2] {
         let [width, height] = self.tile_px();
         let (column, row) = (view % self.columns, view / self.columns);
         [column * width, self.size_px[1] - (row + 1) * height]
     }
 
-    /// The end of the file's name before its suffix: `_qs8x6a0.75`.
+    /// The part of a file's name before its suffix that describes the layout: `_qs8x6a0.75`.
     pub fn name(&self) -> String {
         let aspect = format!("{:.5}", self.aspect);
         let aspect = aspect.trim_end_matches('0').trim_end_matches('.');
         format!("_qs{}x{}a{aspect}", self.columns, self.rows)
     }
 
-    /// The views about a middle one, the leftmost first: `cone_deg` degrees from first to last, seen from the plane of
-    /// convergence, `convergence_m` metres ahead. They show what of the middle view fits the display.
+    /// The cameras of all views, the leftmost first. `view` is in their middle, `cone_deg` degrees lie between the
+    /// first and the last, seen from the point `convergence_m` metres ahead. The views show the largest centred part
+    /// of `view` that has the display's aspect ratio.
     pub fn cameras(&self, view: &Camera, cone_deg: f64, convergence_m: f64) -> Vec<Camera> {
         let framed = self.framed(view);
         let last = (self.views() - 1) as f64;
@@ -133,11 +135,12 @@ impl QuiltLayout {
         (0..self.views()).map(|k| sheared(&framed, offset_m(k), convergence_m)).collect()
     }
 
-    /// The largest part of a view with the display's aspect ratio, about the view's middle, in a tile's pixels.
+    /// The largest centred part of a view that has the display's aspect ratio, at the resolution of a tile. Its pixels
+    /// are not square if the tile's aspect ratio differs.
     fn framed(&self, view: &Camera) -> Camera {
         let (fx, fy, cx, cy) = view.model.intrinsics();
         let [width, height] = [view.width, view.height].map(|side| side as f64);
-        // Sides of the part on the plane z = 1.
+        // Width and height of the whole view on the plane z = 1.
         let [whole_x, whole_y] = [width / fx, height / fy];
         let (x, y) = match whole_x / whole_y > self.aspect {
             true => (whole_y * self.aspect, whole_y),

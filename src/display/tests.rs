@@ -8,7 +8,7 @@ fn view() -> Camera {
     view
 }
 
-/// The point of a view's frame in the world.
+/// The world coordinates of a point in a view's camera frame.
 fn at(view: &Camera, point: [f64; 3]) -> Point3<f64> {
     view.cam_from_world.inverse() * Point3::from(point)
 }
@@ -25,7 +25,8 @@ fn the_plane_of_convergence_has_no_parallax_and_views_are_not_turned() {
             let pixels = |point| cameras.iter().map(move |c| c.project(&point).unwrap());
             let first = pixels(on).next().unwrap();
             assert!(pixels(on).all(|p| (p - first).norm() < 1e-9), "{name}");
-            // From left to right, what is nearer moves left, what is further moves right, along rows.
+            // From one view to the next on its right, near points move to the left and far points to the right, along
+            // rows.
             let [near, far] = [near, far].map(|point| pixels(point).collect::<Vec<_>>());
             assert!(near.is_sorted_by(|a, b| a.x > b.x) && far.is_sorted_by(|a, b| a.x < b.x));
             assert!(

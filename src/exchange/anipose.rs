@@ -1,8 +1,10 @@
-//! Calibrations in TOML, by OpenCV's conventions: Anipose's and Pose2Sim's `Calib.toml`, caliscope's `camera_array.toml`.
+//! Calibrations in TOML with OpenCV's conventions: `Calib.toml` of Anipose and Pose2Sim, `camera_array.toml` of
+//! caliscope.
 //!
-//! Each camera is a table, at the top or under `cameras`: `size`, `matrix`, `distortions` (k1 k2 p1 p2 k3 k4 k5 k6,
-//! or four of a fisheye), `rotation` (a vector of Rodrigues or a matrix) and `translation`, from the world to the camera.
-//! OpenCV has the centre of the first pixel at 0: half a pixel is added. Other tables are skipped.
+//! Each camera is a table, at the top level or under `cameras`. Its fields: `size`, `matrix`, `distortions` (k1 k2 p1
+//! p2 k3 k4 k5 k6, or four of a fisheye), `rotation` (a Rodrigues vector or a matrix) and `translation`, both from the
+//! world to the camera. OpenCV has the centre of the first pixel at 0, so that half a pixel is added to the principal
+//! point. Other tables are skipped.
 
 use super::{
     ExchangeError, NamedCamera, checked, content, opencv_model, pose_from_axes, whole_size,
@@ -14,10 +16,10 @@ use serde::Deserialize;
 use std::path::Path;
 use toml::{Table, Value};
 
-/// Largest file that is read, bytes: two thousand cameras. Parsed, a hostile one takes a hundred times as much memory.
+/// Size limit of the file, bytes: enough for two thousand cameras. Parsing takes up to a hundred times as much memory.
 const MAX_BYTES: u64 = 2 << 20;
 
-/// The fields of a camera. Others are skipped.
+/// The fields of a camera. Other fields are skipped.
 #[derive(Debug, Deserialize)]
 struct CameraTable {
     name: Option<Value>,
@@ -33,17 +35,17 @@ struct CameraTable {
     ignore: bool,
 }
 
-/// A rotation from the world to the camera.
+/// The rotation from the world to the camera.
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 enum Rotation {
-    /// The axis, as long as the angle in radians.
+    /// Rodrigues vector: its direction is the axis, its length the angle in radians.
     Vector([f64; 3]),
     Matrix([[f64; 3]; 3]),
 }
 
-/// Reads the cameras in the order of the file, named by `name`, else by their tables; those under `cameras` are called
-/// `cam_0` and so on. Cameras with `ignore` are skipped.
+/// Reads the cameras in the order of the file. A camera is named by `name`, else by its table; tables under `cameras`
+/// give names `cam_0` and so on. Cameras with `ignore` are skipped.
 ///
 /// Errors: no camera, a camera without size, lens or pose, a skewed or unknown lens.
 pub fn read_anipose(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
@@ -78,7 +80,7 @@ pub fn read_anipose(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     Ok(cameras)
 }
 
-/// A parser's message, whose lines draw the place of the error.
+/// A parser's message on one line. Its line breaks only draw a pointer to the place of the error.
 fn one_line(message: &str) -> String {
     message.split_whitespace().collect::<Vec<_>>().join(" ")
 }

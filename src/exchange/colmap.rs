@@ -16,7 +16,7 @@ pub const COLMAP_TEXT_FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D
 /// Files of a binary model: cameras, images, points.
 pub const COLMAP_BINARY_FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 
-/// Image sizes and lenses by camera number.
+/// Image size (width, height, pixels) and lens of each camera, by COLMAP's camera number.
 type Lenses = HashMap<u32, ((u64, u64), CameraModel)>;
 
 struct ModelImage {
@@ -27,15 +27,15 @@ struct ModelImage {
     translation: [f64; 3],
 }
 
-/// The parsers of a model's cameras file and images file. An error is a reason.
+/// Parsers of the cameras file and of the images file. The error is a reason, without the file's name.
 type Readers = (fn(&[u8]) -> Result<Lenses, String>, fn(&[u8]) -> Result<Vec<ModelImage>, String>);
 
-/// Reads the cameras of a COLMAP model's folder, one for each image, sorted by image number and named
-/// after the images. Binary files are preferred to text files, as in COLMAP. Rigs and frames, if there are any, give the
-/// poses. Images have the times of colmap4d's `times`.
+/// Reads a COLMAP model's folder: one [`NamedCamera`] per image, named after the image, sorted by image number. Binary
+/// files are preferred to text files, as in COLMAP. If there are rigs and frames, they give the poses. If there are
+/// colmap4d's `times`, they give the images' times.
 ///
-/// Errors: no images, too many images or cameras, a file that is not regular or larger
-/// than `MAX_MODEL_BYTES`, an unknown camera model, a camera that a capture would refuse.
+/// Errors: no images, too many images or cameras, a file that is not regular or larger than `MAX_MODEL_BYTES`, an
+/// unknown camera model, a camera that a capture would refuse.
 pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let is_binary = folder.join(COLMAP_BINARY_FILES[0]).exists();
     let files = if is_binary { COLMAP_BINARY_FILES } else { COLMAP_TEXT_FILES };
@@ -57,7 +57,7 @@ pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     cameras.collect()
 }
 
-/// The camera of an image. `frame_pose` is that of its frame and rig, which counts for more than the image's own.
+/// The camera of an image. `frame_pose`, the pose from the image's frame and rig, overrides the image's own pose.
 fn named(
     lenses: &Lenses,
     image: ModelImage,
@@ -104,7 +104,7 @@ fn model(name: &str, params: &[f64]) -> Result<CameraModel, String> {
         .ok_or_else(|| format!("the model {name} with {} parameters isn't known", params.len()))
 }
 
-/// Each image has two lines. The second lists its points, and may be empty.
+/// Parses `images.txt`. Each image has two lines; the second lists its points, may be empty, and is skipped.
 fn text_images(bytes: &[u8]) -> Result<Vec<ModelImage>, String> {
     let mut images = Vec::new();
     let mut lines = text(bytes)?.lines().enumerate();
@@ -133,7 +133,7 @@ fn text_image(line: &str) -> Result<ModelImage, String> {
     let rotation_wxyz = [next("QW")?, next("QX")?, next("QY")?, next("QZ")?];
     let translation = [next("TX")?, next("TY")?, next("TZ")?];
     let camera_id = value(fields, "CAMERA_ID")?;
-    // COLMAP ends a name at its first space, but other programs write names with spaces.
+    // COLMAP ends a name at its first space, but other programs write names that contain spaces.
     let name = after_fields(line, IMAGE_FIELDS).to_owned();
     if name.is_empty() {
         return Err("NAME is missing".into());
@@ -180,10 +180,10 @@ fn binary_images(bytes: &[u8]) -> Result<Vec<ModelImage>, String> {
     Ok(images)
 }
 
-/// Texts of COLMAP's model by file name: `cameras.txt`, `images.txt` and an empty `points3D.txt`.
+/// The files of a COLMAP text model by name: `cameras.txt`, `images.txt` and an empty `points3D.txt`.
 ///
-/// Each image has its own camera; both are numbered from 1 in the given order. Cameras are not checked
-/// (see [`CameraFormat::camera`]). Every number reads back as the same double.
+/// Each image has its own camera. Images and cameras are numbered from 1 in the given order. Cameras are not checked
+/// (see [`CameraFormat::camera`]). Every number parses to the same double again.
 pub fn colmap_text(images: &[(String, CameraFormat)]) -> BTreeMap<&'static str, String> {
     let mut camera_lines = String::from("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
     let mut image_lines = String::from(
@@ -206,7 +206,7 @@ fn numbers(values: &[f64]) -> String {
     values.iter().copied().map(number).collect::<Vec<_>>().join(" ")
 }
 
-/// The shortest text that reads back as the same double, with an exponent as in C: `1e-07`.
+/// The shortest text that parses to the same double, with an exponent as in C: `1e-07`.
 fn number(value: f64) -> String {
     let text = format!("{value:?}");
     let Some((digits, exponent)) = text.split_once('e') else { return text };
@@ -214,8 +214,8 @@ fn number(value: f64) -> String {
     format!("{digits}e{sign}{power:0>2}")
 }
 
-/// Writes the files of [`colmap_text`] into a folder, which is created if missing. A name with a space is
-/// an error, because COLMAP splits names at spaces.
+/// Writes the files of [`colmap_text`] into a folder, which is created if it is missing. A name with a space is an
+/// error, because COLMAP splits names at spaces.
 pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     if let Some(spaced) = cameras.iter().find(|c| c.name.contains(char::is_whitespace)) {
         let reason = format!(
@@ -231,8 +231,8 @@ pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), E
         .try_for_each(|(name, text)| write(&folder.join(name), text.as_bytes()))
 }
 
-/// Writes the cameras as a binary COLMAP model: `cameras.bin`, `images.bin` and an empty `points3D.bin`,
-/// numbered as in [`colmap_text`]. The folder is created if missing.
+/// Writes the cameras as a binary COLMAP model: `cameras.bin`, `images.bin` and an empty `points3D.bin`. Numbers are
+/// those of [`colmap_text`]. The folder is created if it is missing.
 pub fn write_colmap_binary(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let (mut lenses, mut images) = (counted(cameras.len()), counted(cameras.len()));
     for (number, NamedCamera { name, camera, .. }) in (1_u32..).zip(cameras) {

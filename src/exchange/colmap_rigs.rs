@@ -1,5 +1,5 @@
-//! What COLMAP's models have beside cameras and images: rigs and frames, which give the poses of images since COLMAP 3.12,
-//! and colmap4d's times of images (specification 1.0).
+//! Optional files of COLMAP models: rigs and frames, which give the poses of images since COLMAP 3.12, and the times
+//! of images in colmap4d's format (specification 1.0).
 
 use super::colmap_values::{Bytes, MAX_MODEL_BYTES, has_values, pose, text, value};
 use super::{ExchangeError, check_count, content, read_bytes};
@@ -8,27 +8,28 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::str::SplitWhitespace;
 
-/// colmap4d's times of images, and their meaning.
+/// Files of colmap4d: the times of images, and their unit and meaning.
 pub(super) const TIME_FILES: [&str; 2] = ["times.bin", "time_meta.json"];
 
-/// A sensor's type and number; only cameras are used.
+/// Type and number of a sensor. Only sensors of the type [`CAMERA`] are used.
 type Sensor = (i32, u32);
 
-/// COLMAP's number of the sensor type of a camera.
+/// COLMAP's code for the sensor type *camera*.
 const CAMERA: i32 = 0;
 
-/// By rig: poses from the rig to its sensors; `None` if a pose is unknown. That of the reference sensor is the identity.
+/// Poses of sensors from their rig, by rig and sensor; `None` if a pose is unknown. The reference sensor's pose is the
+/// identity.
 type Rigs = HashMap<u32, HashMap<Sensor, Option<Isometry3<f64>>>>;
 
-/// An instant of a rig.
+/// A frame in COLMAP's sense: the images of one rig at one instant.
 struct ModelFrame {
     rig: u32,
     rig_from_world: Isometry3<f64>,
-    /// Sensors and the numbers of their images.
+    /// Each image's sensor and number.
     images: Vec<(Sensor, u64)>,
 }
 
-/// The poses of images by their numbers, from the rigs and frames of a model; empty if it has none.
+/// The poses of images by image number, composed from the rigs and frames of a model; empty if it has none.
 pub(super) fn frame_poses(
     folder: &Path,
     is_binary: bool,
@@ -105,7 +106,7 @@ fn binary_pose(bytes: &mut Bytes) -> Result<Isometry3<f64>, String> {
     pose(rotation, [bytes.f64()?, bytes.f64()?, bytes.f64()?])
 }
 
-/// Parses every line with values; the error names the line.
+/// Parses every line that has values. The error names the line.
 fn lines<T>(
     bytes: &[u8],
     mut parse: impl FnMut(&mut SplitWhitespace) -> Result<T, String>,
@@ -162,8 +163,8 @@ fn text_frames(bytes: &[u8]) -> Result<Vec<ModelFrame>, String> {
     })
 }
 
-/// The times of images by their numbers, nanoseconds; empty if the model has none. Of an image's times the last one
-/// counts. The binary file is preferred to the text file.
+/// The times of images by image number, nanoseconds; empty if the model has none. If an image has several times, the
+/// last one is used. The binary file is preferred to the text file.
 pub(super) fn image_times(folder: &Path) -> Result<HashMap<u32, i64>, ExchangeError> {
     let [binary, in_text]: [PathBuf; 2] = ["times.bin", "times.txt"].map(|name| folder.join(name));
     let times = if binary.exists() {

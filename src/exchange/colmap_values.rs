@@ -1,14 +1,14 @@
-//! Values of COLMAP's files, text and binary.
+//! Reading and writing of single values in COLMAP's files, text and binary.
 
 use crate::camera::{Camera, CameraModel, MAX_QUATERNION_ERROR};
 use crate::text::number;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use std::str::{FromStr, SplitWhitespace};
 
-/// Largest file of a model that is read, bytes: thousands of images with their points.
+/// Size limit of a model's file, bytes: enough for thousands of images with their points.
 pub(super) const MAX_MODEL_BYTES: u64 = 768 << 20;
 
-/// A pose from a quaternion and a translation; the error is a reason.
+/// A pose from a quaternion (w, x, y, z) and a translation. The error is a reason, without the file's name.
 pub(super) fn pose(wxyz: [f64; 4], translation: [f64; 3]) -> Result<Isometry3<f64>, String> {
     let [w, x, y, z] = wxyz;
     let rotation = Quaternion::new(w, x, y, z);
@@ -24,19 +24,19 @@ pub(super) fn text(bytes: &[u8]) -> Result<&str, String> {
     std::str::from_utf8(bytes).map_err(|_| "is no text".into())
 }
 
-/// Parses the next value of a line; `what` names it in the error.
+/// Parses the next value of a line. `what` is its name in the error.
 pub(super) fn value<T: FromStr>(fields: &mut SplitWhitespace, what: &str) -> Result<T, String> {
     let field = fields.next().ok_or_else(|| format!("{what} is missing"))?;
     field.parse().map_err(|_| format!("{what} can't be '{field}'"))
 }
 
-/// Whether a line of a text file is neither empty nor a comment.
+/// Whether a line of a text file has values: it is neither empty nor a comment.
 pub(super) fn has_values(line: &str) -> bool {
     let line = line.trim();
     !line.is_empty() && !line.starts_with('#')
 }
 
-/// Reads little-endian values from the front of a file.
+/// Reads little-endian values from the front of a byte slice, which shrinks.
 pub(super) struct Bytes<'a>(pub &'a [u8]);
 
 impl Bytes<'_> {
@@ -77,12 +77,12 @@ impl Bytes<'_> {
     }
 }
 
-/// The number of entries, as it stands ahead of them.
+/// A count of entries as COLMAP writes it before a list.
 pub(super) fn counted(entries: usize) -> Vec<u8> {
     (entries as u64).to_le_bytes().to_vec()
 }
 
-/// A camera as `cameras.bin` has it.
+/// A camera's entry in `cameras.bin`.
 pub(super) fn camera_bytes(number: u32, camera: &Camera) -> Vec<u8> {
     let name = camera.model.name();
     let model = CameraModel::KNOWN.iter().find(|(known, ..)| *known == name);
@@ -95,7 +95,7 @@ pub(super) fn camera_bytes(number: u32, camera: &Camera) -> Vec<u8> {
     bytes
 }
 
-/// An image without points as `images.bin` has it.
+/// The entry in `images.bin` of an image without points.
 pub(super) fn image_bytes(number: u32, camera_number: u32, camera: &Camera, name: &str) -> Vec<u8> {
     let mut bytes = number.to_le_bytes().to_vec();
     bytes.extend(pose_bytes(&camera.cam_from_world));
@@ -106,7 +106,7 @@ pub(super) fn image_bytes(number: u32, camera_number: u32, camera: &Camera, name
     bytes
 }
 
-/// A pose as the binary files have it.
+/// A pose in the form of the binary files: quaternion (w, x, y, z) and translation.
 pub(super) fn pose_bytes(pose: &Isometry3<f64>) -> Vec<u8> {
     let (q, t) = (pose.rotation, pose.translation);
     [q.w, q.i, q.j, q.k, t.x, t.y, t.z].iter().flat_map(|v| v.to_le_bytes()).collect()

@@ -1,18 +1,18 @@
-//! Tables of text whose first line names the columns, separated by commas.
+//! Tables with comma-separated values (CSV). The first line names the columns.
 
 use super::{ExchangeError, content};
 use crate::host::read_text;
 use crate::text::short;
 use std::path::Path;
 
-/// Largest table that is read, bytes: an hour of sixteen cameras at 60 Hz has some 80 MB.
+/// Size limit of a table, bytes. An hour of sixteen cameras at 60 Hz has about 80 MB.
 const MAX_BYTES: u64 = 128 << 20;
 
-/// Reads the wanted columns of a table. Each column is given by the names that it may have; the names that were found
-/// and the number of the row's line are passed with the row's values in the wanted order. Empty lines are skipped.
+/// Reads the wanted columns of a table. `wanted` lists the accepted names of each column. For each line, `row` gets
+/// the names that were found, in lower case, and the values, both in the order of `wanted`. Empty lines are skipped.
 ///
 /// # Errors
-/// A missing column, a row with too few or too many values, a reason of `row`.
+/// A missing column, a line with too few or too many values, or an error of `row`.
 pub(super) fn read_columns<const N: usize>(
     path: &Path,
     wanted: [&[&str]; N],
@@ -50,7 +50,8 @@ fn columns<const N: usize>(
     Ok(())
 }
 
-/// The values of a line, without blanks around them. Quotes hold a comma; two of them are one.
+/// The values of a line, without surrounding blanks. A comma inside quotes belongs to the value; a doubled quote is a
+/// quote.
 fn fields(line: &str) -> Vec<String> {
     let mut fields = vec![String::new()];
     let mut is_quoted = false;
@@ -68,8 +69,8 @@ fn fields(line: &str) -> Vec<String> {
     fields.iter().map(|field| field.trim().to_owned()).collect()
 }
 
-/// A decimal number of some unit in nanoseconds, rounded to the nearest. `unit_digits` is 9 for seconds and 0 for
-/// nanoseconds. Decimal digits are not rounded to a double before. The error is a reason.
+/// Parses a decimal number with a unit, and converts it to nanoseconds, rounded to the nearest. `unit_digits` is 9 for
+/// seconds and 0 for nanoseconds. Digits are exact: they are not rounded to a double first. The error is a reason.
 pub(super) fn nanoseconds(text: &str, unit_digits: usize) -> Result<i64, String> {
     let wrong = || format!("'{}' is no time", short(text));
     let (sign, digits) = match text.strip_prefix('-') {
@@ -81,7 +82,7 @@ pub(super) fn nanoseconds(text: &str, unit_digits: usize) -> Result<i64, String>
         return Err(wrong());
     }
     if !(whole.chars().chain(fraction.chars())).all(|c| c.is_ascii_digit()) {
-        // With an exponent: a double is as precise as such a number is meant.
+        // Numbers with an exponent are not so precise that a double would lose digits.
         let value: f64 = text.parse().map_err(|_| wrong())?;
         let ns = value * 10_f64.powi(unit_digits as i32);
         return if ns.abs() < 9e18 { Ok(ns.round() as i64) } else { Err(wrong()) };

@@ -1,4 +1,4 @@
-//! A folder of images with their calibration and times, as other programs read it.
+//! Datasets for other programs: a folder of images with their calibration and times.
 //!
 //! | format | files |
 //! |---|---|
@@ -6,7 +6,7 @@
 //! | NeRF | `images/cam0/0000.png`, `transforms.json` with a `time` for every image, seconds |
 //! | LLFF | `cam00.mp4` and so on in the order of the rows of `poses_bounds.npy` |
 //!
-//! Images of one instant are a frame of one rig in COLMAP's model.
+//! In COLMAP's model, the images of one instant are a frame of one rig.
 
 use super::colmap::COLMAP_BINARY_FILES;
 use super::colmap_rigs::TIME_FILES;
@@ -20,42 +20,45 @@ use crate::video::{Codec, VideoFormat, VideoWriter};
 use nalgebra::Isometry3;
 use std::path::{Path, PathBuf};
 
-/// A format of a dataset.
+/// Format of a dataset.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DatasetFormat {
-    /// COLMAP's model in binary files. Images of equal time are a frame of a rig if `is_synchronized`.
+    /// COLMAP's binary model. If `is_synchronized`, images of equal time are a frame of a rig.
     Colmap { is_synchronized: bool },
     /// NeRF's `transforms.json`.
     Nerf,
-    /// LLFF's `poses_bounds.npy`, with videos without loss at `rate_hz`. The nearest and the farthest depth are in metres.
+    /// LLFF's `poses_bounds.npy`, with lossless videos at `rate_hz`. `bounds_m` has the nearest and the farthest
+    /// depth, metres.
     Llff { bounds_m: (f64, f64), rate_hz: f64, ffmpeg: PathBuf },
 }
 
 /// An image of a dataset.
 struct DatasetImage {
-    /// Index of its camera.
+    /// Index of the image's camera.
     camera: usize,
     time_ns: i64,
-    /// Its path from the folder of images.
+    /// Path of the image, relative to the folder `images`.
     name: String,
 }
 
-/// A dataset that is being written. It appears at its path when it is finished; dropped before, it leaves nothing.
+/// A dataset that is being written into a temporary folder. [`Self::finish`] moves it to its path. If it is dropped
+/// before, it leaves no files.
 pub struct Dataset {
     target: PathBuf,
     format: DatasetFormat,
     cameras: Vec<(String, Camera)>,
     images: Vec<DatasetImage>,
-    /// Videos by camera, from their first image on. Declared before the folder that they are in.
+    /// The video of each camera; `None` before its first image. Dropped before the temporary folder, because it is
+    /// declared before.
     videos: Vec<Option<VideoWriter>>,
     temporary: Temporary,
 }
 
-/// The dataset in its temporary folder.
+/// Name of the dataset inside its temporary folder.
 const WHOLE: &str = "dataset";
 
 impl Dataset {
-    /// Begins a dataset of cameras with their ids. Errors: a target that is not empty, a lens that the format can't hold.
+    /// Begins a dataset of cameras with ids. An error if the target isn't empty, or the format can't represent a lens.
     pub fn create(
         target: &Path,
         format: DatasetFormat,
@@ -80,13 +83,13 @@ impl Dataset {
         self.temporary.path().join(WHOLE).join(name)
     }
 
-    /// An error names the target, and not the temporary folder.
+    /// An error message with the target's path in place of the temporary folder's.
     fn of_target(&self, message: String) -> ExchangeError {
         let path = format!("{}/", self.temporary.path().join(WHOLE).display());
         content(&self.target, message.strip_prefix(&path).unwrap_or(&message))
     }
 
-    /// Appends an image of a camera. Videos need the images of each camera in the order of their times.
+    /// Appends an image of a camera. For LLFF, the images of each camera must come in the order of their times.
     pub fn push(
         &mut self,
         camera: usize,
@@ -122,7 +125,7 @@ impl Dataset {
         Ok(())
     }
 
-    /// A camera's row in `poses_bounds.npy`: as [`write_llff`] sorts them.
+    /// The row of a camera in `poses_bounds.npy`, in the order of [`write_llff`].
     fn row(&self, camera: usize) -> usize {
         let ids: Vec<String> = self.cameras.iter().map(|(id, _)| id.clone()).collect();
         let order = numbered_order(&ids).unwrap_or_else(|| (0..ids.len()).collect());
@@ -176,7 +179,7 @@ impl Dataset {
         self.cameras.iter().map(named).collect()
     }
 
-    /// Writes COLMAP's binary model and colmap4d's files. Cameras are numbered from 1, images too.
+    /// Writes COLMAP's binary model and colmap4d's files. Cameras and images are numbered from 1.
     fn write_colmap(&self, folder: &Path, is_synchronized: bool) -> Result<(), ExchangeError> {
         let (mut lenses, mut images) = (counted(self.cameras.len()), counted(self.images.len()));
         for (number, (_, camera)) in (1_u32..).zip(&self.cameras) {
@@ -201,7 +204,7 @@ impl Dataset {
         files.iter().try_for_each(|(name, bytes)| write(&folder.join(name), bytes))
     }
 
-    /// One rig of all cameras; the first is its reference.
+    /// COLMAP's rigs file with one rig of all cameras. The first camera is its reference sensor.
     fn rigs(&self) -> Vec<u8> {
         let mut rigs = counted(1);
         rigs.extend(RIG.to_le_bytes());
@@ -221,7 +224,7 @@ impl Dataset {
         rigs
     }
 
-    /// A frame for every instant, with the images of that time.
+    /// COLMAP's frames file: a frame for every instant, with all images of that time.
     fn frames(&self) -> Vec<u8> {
         let mut instants: Vec<i64> = self.images.iter().map(|image| image.time_ns).collect();
         instants.sort_unstable();
@@ -243,7 +246,7 @@ impl Dataset {
         frames
     }
 
-    /// What the times mean.
+    /// The file that says what colmap4d's times mean.
     fn time_meta(&self) -> serde_json::Value {
         let device = |(number, (id, _)): (usize, &(String, Camera))| {
             (id.clone(), serde_json::json!({ "camera_ids": [number + 1] }))
@@ -259,7 +262,7 @@ impl Dataset {
     }
 }
 
-/// The number of the only rig.
+/// The number of the model's only rig.
 const RIG: u32 = 1;
-/// COLMAP's number of the sensor type of a camera.
+/// COLMAP's code for the sensor type *camera*.
 const CAMERA_SENSOR: i32 = 0;

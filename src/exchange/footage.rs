@@ -1,4 +1,4 @@
-//! The frames of each camera: a folder of images, a video, or the images that a calibration lists with their times.
+//! Finds the frames of each camera: a folder of images, a video, or images that a calibration lists with their times.
 
 use super::pairing::{
     Pairs, entries, extension, id_of, is_image, is_same, numbers, one_each, pair, pair_by_table,
@@ -17,11 +17,11 @@ pub(super) struct Footage {
     pub id: String,
     pub camera: NamedCamera,
     pub frames: FootageFrames,
-    /// The frames' times, nanoseconds, if they are known.
+    /// The frames' times, nanoseconds; `None` if they are unknown.
     pub times_ns: Option<Vec<i64>>,
 }
 
-/// Where frames are.
+/// The files of a camera's frames.
 pub(super) enum FootageFrames {
     /// Image files in order.
     Images(Vec<PathBuf>),
@@ -36,7 +36,7 @@ impl FootageFrames {
         }
     }
 
-    /// The first file.
+    /// Path of the first image, or of the video.
     pub fn path(&self) -> &Path {
         match self {
             Self::Images(files) => &files[0],
@@ -45,15 +45,15 @@ impl FootageFrames {
     }
 }
 
-/// The frames of all cameras, what is said about them, and whether their times are of one clock.
+/// The frames of all cameras, sentences for the user about them, and whether all times are of one clock.
 pub(super) struct FoundFootage {
     pub footage: Vec<Footage>,
     pub notes: Vec<String>,
     pub has_one_clock: bool,
 }
 
-/// Finds the frames of all cameras. A calibration with a time for every image lists the frames; else they are found by
-/// [`pair`] or by the request's table. `scratch` is for temporary files.
+/// Finds the frames of all cameras. A calibration that has a time for every image lists the frames. Otherwise the
+/// request's table or [`pair`] assigns recordings to cameras. `scratch` is a folder for temporary files.
 pub(super) fn find(
     cameras: &[NamedCamera],
     request: &ImportRequest,
@@ -85,7 +85,8 @@ pub(super) fn find(
     Ok(FoundFootage { footage, notes, has_one_clock: false })
 }
 
-/// The times that are given, or that lie beside the images, and their file.
+/// The times of the frames, with their file: the request's, or else `timestamps.csv` beside the images. `None` without
+/// a file.
 fn frame_times(
     request: &ImportRequest,
     notes: &mut Vec<String>,
@@ -150,7 +151,7 @@ pub(super) fn image_size(frames: &FootageFrames) -> Result<[usize; 2], ExchangeE
     }
 }
 
-/// Images of a folder, sorted by the numbers in their names, which must be consecutive.
+/// The images of a folder, sorted by the numbers in their names. The numbers must be consecutive.
 fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let mut files = entries(folder)?;
     files.retain(|path| is_image(path));
@@ -175,7 +176,7 @@ fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     Ok(numbered.into_iter().map(|(_, file)| file).collect())
 }
 
-/// The last number in a file's stem, 0 without one; the error is a reason.
+/// The last number in a file's stem; 0 if there is none. The error is a reason.
 fn number(file: &Path) -> Result<u64, String> {
     let stem = file.file_stem().unwrap_or_default().to_string_lossy();
     let is_other = |c: char| !c.is_ascii_digit();
@@ -187,7 +188,7 @@ fn number(file: &Path) -> Result<u64, String> {
     number.ok_or_else(|| format!("the number {digits} in its name is too large to count frames"))
 }
 
-/// The images that a calibration lists, each with its time, in the order of their times.
+/// The frames from the images that a calibration lists, sorted by their times.
 fn listed(images: &[NamedCamera], folder: &Path) -> Result<FoundFootage, ExchangeError> {
     let wrong = |reason: String| content(folder, reason);
     let mut notes = vec!["The frames' times are those of the calibration, as of one clock.".into()];
@@ -211,7 +212,7 @@ fn listed(images: &[NamedCamera], folder: &Path) -> Result<FoundFootage, Exchang
     Ok(FoundFootage { footage, notes, has_one_clock: true })
 }
 
-/// A file that a calibration lists; NeRF's leave its extension out.
+/// The path of a file that a calibration lists. NeRF's files may lack the extension.
 fn listed_file(folder: &Path, name: &str) -> Result<PathBuf, String> {
     let path = folder.join(name);
     let with_png = folder.join(format!("{name}.png"));
@@ -219,7 +220,7 @@ fn listed_file(folder: &Path, name: &str) -> Result<PathBuf, String> {
     found.ok_or_else(|| format!("has no image '{}'", crate::text::short(name)))
 }
 
-/// Images by camera: by their folder, or if all lie in one, by their pose and lens. The error is a reason.
+/// Groups images by camera: by their folders, or by pose and lens if all are in one folder. The error is a reason.
 fn grouped(
     images: &[NamedCamera],
     notes: &mut Vec<String>,
@@ -256,7 +257,7 @@ fn grouped(
     Ok(groups)
 }
 
-/// What the names of a camera's images have in common, without the numbers of the frames.
+/// The common start of the names of a camera's images, without the numbers of the frames.
 fn common_name(group: &[NamedCamera]) -> String {
     let stem = |image: &NamedCamera| id_of(&image.name).unwrap_or_default();
     let mut common = stem(&group[0]);
@@ -266,7 +267,7 @@ fn common_name(group: &[NamedCamera]) -> String {
             common.pop();
         }
     }
-    // The frame's number is the last; what is left of it after the common part is no name.
+    // Digits at the end belong to the frame's number, and are removed.
     if group.len() > 1 || numbers(&common).len() > 1 {
         common.truncate(common.trim_end_matches(|c: char| c.is_ascii_digit()).len());
     }

@@ -1,4 +1,4 @@
-//! Makes a capture from a calibration, and from videos or image sequences.
+//! Imports a calibration with videos or image sequences as a capture.
 
 use super::footage::{Footage, FootageFrames, FoundFootage, find, image_size};
 use super::pairing::{all_entries, extension};
@@ -16,21 +16,22 @@ use std::path::{Path, PathBuf};
 
 /// Name of the capture inside its temporary folder.
 const WHOLE: &str = "capture";
-/// The folder for listings of videos, beside it.
+/// Folder for lists of video frames, beside the capture in the temporary folder.
 const SCRATCH: &str = "scratch";
 
-/// Makes the capture `target` from a calibration. Images are copied, videos linked, or copied where the file system can't
-/// link them. The target appears only once it is complete and can be opened.
+/// Imports a calibration and recordings as the capture `target`. Images are copied. Videos are hard-linked, or copied
+/// where the file system can't link them. The target appears only when it is complete and can be opened.
 ///
-/// A camera's id is the first folder of its name, or its name without extension. Its recording is the sub-folder or
-/// the video with that name in the request's folder. If there is none for any camera, the numbers in the names pair
-/// cameras and recordings. A calibration without names has the recordings' names as ids, in the order of their numbers.
-/// All images of one folder belong to one camera. If the calibration has a time for every image, it lists the frames.
+/// A camera's id is the first folder of its name, or the name without extension. Its recording is the sub-folder or
+/// video of that name in the request's folder. If no camera has a recording of its name, cameras and recordings are
+/// paired by the numbers in their names. If a calibration has no names, the recordings' names become the ids, in the
+/// order of their numbers. All images of one folder belong to one camera. If the calibration has a time for every
+/// image, the frames are those that it lists.
 ///
-/// A frame's time is, of these, the first that there is: by the given rate, of the given table, of `timestamps.csv`
-/// beside the recordings, of the calibration, of the video.
+/// A frame's time comes from the first of these that exists: the given rate, the given table, `timestamps.csv` beside
+/// the recordings, the calibration, the video.
 ///
-/// Returns sentences that say what was found, and what was decided.
+/// Returns sentences for the user that say what was found and decided.
 ///
 /// Errors: a target that is not empty, a moving camera, recordings whose pairing is ambiguous, a sequence of mixed
 /// image types or with a gap, frames without times, images of another shape than the calibration's, a video that is
@@ -71,7 +72,7 @@ pub fn import(
         cameras: filmed,
     };
     write_json(&whole.join(CAPTURE_FILE), &format).map_err(failed)?;
-    // Opened here, so that an invalid capture fails the import and not a later command.
+    // Opened here, so that the import fails if the capture is invalid, and not a later command.
     Capture::open_with(&whole, opening).map_err(|error| {
         let message = error.to_string();
         let path = format!("{}/", whole.display());
@@ -81,8 +82,9 @@ pub fn import(
     Ok(notes)
 }
 
-/// Fits the lens to the size of the images: the same shape is the whole image at another resolution. Returns a sentence
-/// if it changes anything.
+/// Adapts a camera's calibration to the size of its images. For the same aspect ratio, the lens is scaled. If
+/// `is_cropped`, smaller images are the top left part of the calibrated image. Returns a sentence for the user if the
+/// size differs.
 fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, ExchangeError> {
     let [width, height] = image_size(&footage.frames)?;
     let camera = &mut footage.camera.camera;
@@ -110,12 +112,12 @@ fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, Exchan
     Err(content(footage.frames.path(), format!("has images of {sizes}{advice}")))
 }
 
-/// Rounding of the time stamps of containers that count milliseconds, and of others, seconds.
+/// Largest rounding errors of time stamps in whole milliseconds, and in finer units, seconds.
 const MILLISECONDS_S: f64 = 0.51e-3;
 const MICROSECONDS_S: f64 = 1.1e-6;
 
-/// The constant rate of time stamps, hertz: a whole number or 1000/1001 of one, if the stamps agree. `None` if they are
-/// uneven, or fewer than two.
+/// The constant frame rate of time stamps, hertz. A whole number, or 1000/1001 of one, is preferred if the stamps
+/// agree with it. `None` if the stamps are uneven or fewer than two.
 fn steady_rate_hz(times_s: &[f64]) -> Option<f64> {
     let (first, last) = (times_s.first()?, times_s.last()?);
     let mean = (times_s.len() - 1) as f64 / (last - first);
@@ -131,10 +133,11 @@ fn steady_rate_hz(times_s: &[f64]) -> Option<f64> {
     [mean.round(), ntsc, mean].into_iter().find(is_steady)
 }
 
-/// Largest time that is written as it is, nanoseconds: a double resolves a tenth of a nanosecond there.
+/// Largest time that is written unchanged, nanoseconds. A double of that many seconds resolves a tenth of a
+/// nanosecond.
 const MAX_PLAIN_NS: i64 = 1_000_000_000_000_000;
 
-/// The clocks of all cameras.
+/// The clocks of all cameras, from frame times or the given rate.
 fn clocks(
     footage: &[Footage],
     request: &ImportRequest,
@@ -195,7 +198,7 @@ fn clocks(
     Ok(clocks)
 }
 
-/// How many cameras and frames there are.
+/// A sentence with the number of cameras and frames.
 fn summary(filmed: &[FilmedCameraFormat], footage: &[Footage]) -> String {
     let frames = || footage.iter().map(|one| one.frames.len());
     let (min, max) = (frames().min().unwrap_or(0), frames().max().unwrap_or(0));
@@ -208,7 +211,8 @@ fn summary(filmed: &[FilmedCameraFormat], footage: &[Footage]) -> String {
     format!("{} cameras with {frames} frames, {unshared}.", filmed.len())
 }
 
-/// Puts a camera's frames into the capture `whole`, which will be `target`. Returns the name or pattern of its frames.
+/// Puts a camera's frames into the temporary capture `whole`, which will be moved to `target`. Returns the name of the
+/// video or the pattern of the frames.
 fn place(footage: &Footage, whole: &Path, target: &Path) -> Result<String, ExchangeError> {
     let id = &footage.id;
     match &footage.frames {
@@ -236,7 +240,7 @@ fn copy_file(from: &Path, to: &Path) -> std::io::Result<()> {
     to.sync_all()
 }
 
-/// Copies the files of a sequence into a new folder, numbered from 0, for the capture `target`.
+/// Copies the files of a sequence into a new folder, numbered from 0. Errors name paths in the capture `target`.
 fn copy(files: &[PathBuf], folder: &Path, target: &Path) -> Result<(), ExchangeError> {
     let extension = extension(&files[0]).unwrap_or_default();
     for (k, path) in files.iter().enumerate() {
@@ -279,7 +283,7 @@ mod tests {
                 assert!((found / rate - 1.0).abs() < 1e-12, "{rate} {unit}: {found}");
             }
         }
-        // A rate of its own is that of the stamps.
+        // A rate that isn't whole is the mean rate of the stamps.
         let found = steady_rate_hz(&stamps(17.3, 1e-6, 900)).unwrap();
         assert!((found / 17.3 - 1.0).abs() < 1e-7, "{found}");
     }

@@ -1,8 +1,8 @@
-//! LLFF's `poses_bounds.npy`: 17 numbers a camera.
+//! LLFF's `poses_bounds.npy`: an array with 17 numbers per camera.
 //!
-//! First a 3×5 matrix, row by row. Its columns are the camera's axes down, right and back in the
-//! world, its centre, and height, width and focal length in pixels. Then the nearest and the
-//! farthest depth. Cameras have no names, only their order: that of the numbers in the names of their images.
+//! The first 15 numbers are a 3×5 matrix, row by row. Its columns are the camera's axes down, right and back in the
+//! world, its centre, and (height, width, focal length) in pixels. The last two numbers are the nearest and the
+//! farthest depth. Cameras have no names. Their order is that of the numbers in the names of their images.
 
 use super::pairing::numbered_order;
 use super::{ExchangeError, NamedCamera, axes_and_center, checked, content, pose_from_axes};
@@ -12,14 +12,13 @@ use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
 const COLUMNS: usize = 17;
-/// Largest file that is read, bytes: a hundred thousand cameras.
+/// Size limit of the file, bytes: enough for a hundred thousand cameras.
 const MAX_BYTES: u64 = 16 << 20;
-/// Tolerance, in pixels, of two properties that the format assumes: a centred principal point, and
-/// equal focal lengths.
+/// Largest deviation, pixels, from two assumptions of the format: a centred principal point, and equal focal lengths.
 const MAX_OFF_PX: f64 = 1e-6;
 
-/// Reads the cameras in the file's order, named `0`, `1` and so on. Errors: an array of another shape or
-/// type, an invalid pose or lens.
+/// Reads the cameras in the file's order, named `0`, `1` and so on. An error for an array of another shape or type,
+/// and for an invalid pose or lens.
 pub fn read_llff(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let rows = rows(&read_bytes(path, MAX_BYTES)?).map_err(|reason| content(path, reason))?;
     let cameras = rows.iter().enumerate().map(|(k, row)| {
@@ -74,10 +73,10 @@ fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     Ok(rows.to_vec())
 }
 
-/// Writes the cameras, all with the same nearest and farthest depth, in metres. Rows have the order of the numbers in
-/// the names, for the format has no names; names that differ in more than numbers keep the given order.
+/// Writes the cameras. All get the same nearest and farthest depth, metres. The format has no names; rows are sorted
+/// by the numbers in the names. Names that differ in more than numbers keep the given order.
 ///
-/// A lens is an error if it is distorted, off centre, or has two focal lengths: the format can't hold it.
+/// An error for a lens that the format can't represent: distorted, off centre, or with two focal lengths.
 pub fn write_llff(
     path: &Path,
     cameras: &[NamedCamera],

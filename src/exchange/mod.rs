@@ -1,4 +1,4 @@
-//! Calibrations in other programs' files, and captures made of them and of videos or images.
+//! Calibration files of other programs, and the import of recordings as captures.
 //!
 //! | file | camera axes | pose | lens | pixels |
 //! |---|---|---|---|---|
@@ -8,8 +8,8 @@
 //! | `Calib.toml`, `camera_array.toml` | as COLMAP | camera from world | OpenCV, OpenCV fisheye | centre of the first at 0 |
 //! | `.qca.txt` | x right, y up, z back | world from camera, mm | OpenCV | centre of the first at 0 |
 //!
-//! World axes and metres are unchanged. Every count and size that a file states is checked
-//! against the file's length before memory is taken for it.
+//! World axes and metres are unchanged. Every count and size in a file is checked against the file's length before
+//! memory is allocated for it.
 //!
 //! Known limit: points and tracks are neither read nor written.
 
@@ -48,17 +48,17 @@ use crate::text::number;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
 
-/// A camera, and its name in a calibration file.
+/// The camera of an image, with its name in a calibration file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedCamera {
     /// Name of an image, such as `cam0/0000.png`, or a number if the format has no names.
     pub name: String,
-    /// Time of that image, nanoseconds, if the file has times.
+    /// Time of the image, nanoseconds; `None` if the file has no times.
     pub time_ns: Option<i64>,
     pub camera: Camera,
 }
 
-/// An error of a calibration file: one sentence with the file.
+/// An error of a calibration or recording. The message is one sentence with the file.
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
     /// The file can't be read.
@@ -73,14 +73,14 @@ pub enum ExchangeError {
     /// A video can't be read without ffmpeg.
     #[error("{path}: is a video, and reading one needs ffmpeg: install it, or run stlfr setup")]
     NoFfmpeg { path: PathBuf },
-    /// The contents are invalid, or the format can't hold a camera.
+    /// The contents are invalid, or the format can't represent a camera.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
 }
 
-/// Reads a calibration: a folder with a COLMAP model, or a file, whose extension is that of its format. That of a
-/// `capture.json` is that of its cameras. Lengths of all
-/// formats but Qualisys', which has millimetres, are in units of `unit_m` metres.
+/// Reads a calibration: the folder of a COLMAP model, or a file whose format is that of its extension. A
+/// `capture.json` gives the calibration of its cameras. Lengths are in units of `unit_m` metres; Qualisys' are always
+/// millimetres.
 pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, ExchangeError> {
     let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     let mut cameras = match extension.as_deref() {
@@ -95,7 +95,7 @@ pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, Ex
     Ok(cameras)
 }
 
-/// Whether a JSON file says that it describes a capture.
+/// Whether a JSON file is the description of a capture.
 fn is_capture(path: &Path) -> bool {
     #[derive(serde::Deserialize)]
     struct Head {
@@ -105,7 +105,8 @@ fn is_capture(path: &Path) -> bool {
     head.is_ok_and(|head| head.format.as_deref() == Some("stlfr-capture"))
 }
 
-/// Reads the cameras of a `capture.json`, named by their ids: the calibration of another recording of the same array.
+/// Reads the cameras of a `capture.json`, named by their ids. It serves as calibration of another recording by the
+/// same array.
 fn read_capture(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let format: CaptureFormat = json::read(path).map_err(|error| content(path, error))?;
     let named = |(k, camera): (usize, FilmedCameraFormat)| {
@@ -117,9 +118,9 @@ fn read_capture(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     format.cameras.into_iter().enumerate().map(named).collect()
 }
 
-/// Largest number of images, and of cameras, in a calibration.
+/// Largest number of images or cameras in a calibration.
 const MAX_ENTRIES: usize = 100_000;
-/// Largest entry of RᵀR − I for a rotation R; files with few printed digits are off by 1e-4.
+/// Largest entry of |RᵀR − I| for a rotation R. Files with few printed digits are off by 1e-4.
 const MAX_ROTATION_ERROR: f64 = 1e-3;
 
 fn content(path: &Path, reason: impl std::fmt::Display) -> ExchangeError {
@@ -131,7 +132,7 @@ fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>, ExchangeError> {
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })
 }
 
-/// Refuses more than [`MAX_ENTRIES`]; the error is a reason.
+/// An error for more than [`MAX_ENTRIES`] entries. The error is a reason.
 fn check_count(entries: usize, what: &str) -> Result<(), String> {
     if entries <= MAX_ENTRIES {
         return Ok(());
@@ -144,7 +145,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {
         .map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
 }
 
-/// The size of an image in a file that holds it as two floats; the error is a reason.
+/// An image size from a file that holds it as two floats. The error is a reason.
 fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
     for side in [width, height] {
         if !(side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0) {
@@ -155,10 +156,10 @@ fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
     Ok((width as u64, height as u64))
 }
 
-/// Largest time, seconds: that of a double's nanoseconds, a hundred years.
+/// Largest time, seconds: 127 years. Its nanoseconds fit into an `i64`.
 const MAX_TIME_S: f64 = 4e9;
 
-/// Seconds as nanoseconds; the error is a reason.
+/// Converts seconds to nanoseconds. The error is a reason.
 fn seconds_in_ns(time_s: f64) -> Result<i64, String> {
     if !(time_s.abs() <= MAX_TIME_S) {
         return Err(format!("time {} must be within {MAX_TIME_S:e} s of 0", number(time_s)));
@@ -166,7 +167,7 @@ fn seconds_in_ns(time_s: f64) -> Result<i64, String> {
     Ok((time_s * 1e9).round() as i64)
 }
 
-/// The simplest model with these focal lengths and centre (fx, fy, cx, cy), and Brown's distortion.
+/// The simplest model with these intrinsics (fx, fy, cx, cy; pixels) and this distortion of Brown's model.
 fn opencv_model([fx, fy, cx, cy]: [f64; 4], k: [f64; 6], p: [f64; 2]) -> CameraModel {
     let ([k1, k2, rest @ ..], [p1, p2]) = (k, p);
     if k == [0.0; 6] && p == [0.0; 2] {
@@ -178,7 +179,7 @@ fn opencv_model([fx, fy, cx, cy]: [f64; 4], k: [f64; 6], p: [f64; 2]) -> CameraM
     }
 }
 
-/// A camera from the numbers of a file, with the checks of a capture's cameras; the error is a reason.
+/// A camera from the numbers of a file. It is checked like the cameras of a capture. The error is a reason.
 fn checked(
     (width, height): (u64, u64),
     model: &CameraModel,
@@ -199,7 +200,7 @@ fn checked(
     format.camera().map_err(|e| e.to_string())
 }
 
-/// `cam_from_world` of a camera at `center`. Columns of `axes` are its right, down and forward axes in
+/// `cam_from_world` of a camera at `center`. The columns of `axes` are the camera's right, down and forward axes in
 /// the world. The error is a reason.
 fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3<f64>, String> {
     if !axes.iter().chain(center.iter()).all(|v| v.is_finite()) {
@@ -209,7 +210,7 @@ fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3
     if error > MAX_ROTATION_ERROR || axes.determinant() < 0.0 {
         return Err(format!("a pose's rotation is no rotation (off by {error:.1e})"));
     }
-    // The nearest rotation: U Vᵀ of the singular values' decomposition.
+    // The nearest rotation matrix is U Vᵀ of the singular value decomposition.
     let svd = axes.svd(true, true);
     let (Some(u), Some(vt)) = (svd.u, svd.v_t) else {
         return Err("a pose's rotation is no rotation".into());

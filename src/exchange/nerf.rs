@@ -1,5 +1,5 @@
-//! NeRF's `transforms.json`, as instant-ngp and nerfstudio read it. Each frame has a world-from-camera matrix, with
-//! OpenGL's axes (x right, y up, z back). The lens is given once for all frames, or for each frame. A frame's `time` is in
+//! NeRF's `transforms.json`, as instant-ngp and nerfstudio read it. Each frame has a world-from-camera matrix with
+//! OpenGL's axes (x right, y up, z back). The lens is given once for all frames or per frame. A frame's `time` is in
 //! seconds.
 
 use super::{ExchangeError, NamedCamera, axes_and_center, check_count, checked, content};
@@ -13,16 +13,17 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The frames of the file.
+/// The contents of the file: its frames, and a lens for all.
 #[derive(Debug, Deserialize)]
 struct Frames {
     #[serde(deserialize_with = "bounded")]
     frames: Vec<FrameEntry>,
 }
 
-/// The fields of a frame, or those of the whole file, which may also have a lens. Other fields are skipped.
+/// The fields of a frame, and those of the top level that hold the lens for all frames. Other fields are skipped.
 ///
-/// Serde's `flatten` would hold the skipped fields in memory, at 16 times their length in the file.
+/// Serde's `flatten` is avoided, because it would hold the skipped fields in memory, at 16 times their length in the
+/// file.
 #[derive(Debug, Deserialize)]
 struct FrameEntry {
     file_path: Option<String>,
@@ -44,7 +45,7 @@ struct FrameEntry {
     p2: Option<f64>,
 }
 
-/// A frame as it is written, with its own lens.
+/// A frame for writing, with its own lens.
 #[derive(Debug, Serialize)]
 struct WrittenFrame<'a> {
     file_path: &'a str,
@@ -62,7 +63,7 @@ struct WrittenFrame<'a> {
     distortion: BTreeMap<&'static str, f64>,
 }
 
-/// Reads a list, and stops with an error at more than [`MAX_ENTRIES`].
+/// Deserializes a list. An error for more than [`MAX_ENTRIES`] entries.
 fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>, D::Error> {
     struct EntryList;
     impl<'de> Visitor<'de> for EntryList {
@@ -84,8 +85,8 @@ fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>
     deserializer.deserialize_seq(EntryList)
 }
 
-/// Image size in pixels, and lens of a frame. Fields that the frame lacks are taken from the whole file's. The error
-/// is a reason.
+/// Image size (width, height, pixels) and lens of a frame. Fields that the frame lacks are taken from the top level
+/// (`all`). The error is a reason.
 fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel), String> {
     let either = |field: fn(&FrameEntry) -> Option<f64>| field(frame).or(field(all));
     let (Some(w), Some(h)) = (either(|f| f.w), either(|f| f.h)) else {
@@ -111,7 +112,7 @@ fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel
     Ok((size, model))
 }
 
-/// A lens's name and distortion as the format has them; `None` for a lens that the format can't hold.
+/// The format's name and coefficients of a lens; `None` if the format can't represent the lens.
 fn name_and_distortion(model: &CameraModel) -> Option<(&'static str, BTreeMap<&'static str, f64>)> {
     let brown = |k1, k2, p1, p2| {
         Some(("OPENCV", BTreeMap::from([("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)])))
@@ -140,8 +141,8 @@ fn name_and_distortion(model: &CameraModel) -> Option<(&'static str, BTreeMap<&'
     }
 }
 
-/// Reads the frames of the file in order, named by their paths. Errors: no frames, an invalid pose or
-/// lens.
+/// Reads the frames in the order of the file, named by their image paths. An error if there are none, or for an
+/// invalid pose or lens.
 pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let text = read_text(path, json::MAX_BYTES)
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
@@ -170,7 +171,7 @@ fn camera(frame: FrameEntry, all: &FrameEntry) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, time_ns, camera: checked(size, &model, &pose)? })
 }
 
-/// Writes the cameras, each frame with its own lens. `FULL_OPENCV` is an error: the format can't hold it.
+/// Writes the cameras as frames, each with its own lens. An error for `FULL_OPENCV`, which the format can't represent.
 pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let mut frames = Vec::new();
     for NamedCamera { name, time_ns, camera } in cameras {

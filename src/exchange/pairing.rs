@@ -1,5 +1,5 @@
-//! Pairs the cameras of a calibration with their videos or folders of images: by a table, by name, else by the numbers in
-//! the names.
+//! Pairs the cameras of a calibration with recordings (videos or folders of images): by a table, by name, or by the
+//! numbers in the names.
 
 use super::csv::read_columns;
 use super::{ExchangeError, NamedCamera, content};
@@ -8,7 +8,8 @@ use crate::text::{check_id, short};
 use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
-/// Pose difference between two images of a camera above which it counts as moving, metres and radians.
+/// Largest difference between the poses of a camera's images, metres and radians. Above it, the camera counts as
+/// moving.
 const MAX_MOTION: f64 = 1e-6;
 
 /// File extensions of videos.
@@ -17,25 +18,25 @@ const VIDEOS: [&str; 20] = [
     "3g2", "ogv", "wmv", "flv", "y4m", "nut", "ivf",
 ];
 
-/// Cameras, named by their ids, with the folder or video of each camera's frames.
+/// Cameras, named by their ids, each with the folder or the video of its frames.
 pub(super) struct Pairs {
     pub cameras: Vec<NamedCamera>,
     pub recordings: Vec<PathBuf>,
-    /// Sentences that say how they were paired, unless by name, and what was left.
+    /// Sentences for the user: how cameras and recordings were paired, unless by name, and which are left over.
     pub notes: Vec<String>,
 }
 
-/// A folder of images or a video, and its name without the extension.
+/// A recording: a folder of images or a video, with its name without extension.
 struct NamedRecording {
     name: String,
     path: PathBuf,
 }
 
-/// Pairs the cameras of a calibration with the sub-folders and videos of `images`. If the calibration has mere row
-/// numbers, the names of the folders or videos become the ids.
+/// Pairs the cameras of a calibration with the recordings in `images`: its sub-folders and videos. If the calibration
+/// has only row numbers, the recordings' names become the ids.
 ///
-/// # Errors
-/// A moving camera, a name that can't be an id. If some cameras have a recording of their name and others have none, or a
+/// A camera that moves; a name that can't be an id; a camera with two recordings; some cameras with a recording of
+/// their name, and some without. If none has one, numbers in names that leave the pairing ambiguous.
 /// camera has two. Without any, if the numbers in the names leave the order open.
 pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, ExchangeError> {
     let is_nameless = is_nameless(cameras);
@@ -70,11 +71,12 @@ pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, Exch
     Ok(Pairs { cameras, recordings: paths, notes })
 }
 
-/// Pairs cameras with recordings as a table says: columns `camera` and `frames`. A camera is named, or numbered from 0 if
-/// the calibration has no names; then the recordings' names become the ids. `frames` is a folder or a video in `images`.
+/// Pairs cameras with recordings by a CSV table with the columns `camera` and `frames`. A camera is given by its name.
+/// If the calibration has no names, it is given by its row number from 0, and the recordings' names become the ids.
+/// `frames` is a folder or a video in `images`.
 ///
 /// # Errors
-/// A camera that is unknown or listed twice, a recording that is missing.
+/// A camera that is unknown or listed twice, or a recording that is missing.
 pub(super) fn pair_by_table(
     cameras: &[NamedCamera],
     images: &Path,
@@ -115,12 +117,12 @@ pub(super) fn pair_by_table(
     Ok(pairs)
 }
 
-/// Whether cameras are named by mere row numbers.
+/// Whether the calibration has no names, so that cameras are named by their row numbers.
 fn is_nameless(cameras: &[NamedCamera]) -> bool {
     cameras.iter().enumerate().all(|(row, c)| c.name == row.to_string())
 }
 
-/// Sub-folders and videos of a folder, by name.
+/// Sub-folders and videos of a folder, sorted by name.
 fn recordings(images: &Path) -> Result<Vec<NamedRecording>, ExchangeError> {
     let mut paths = entries(images)?;
     paths.sort();
@@ -142,7 +144,7 @@ fn is_video(path: &Path) -> bool {
     extension(path).is_some_and(|e| VIDEOS.contains(&e.as_str())) && path.is_file()
 }
 
-/// Whether a path is a video, or a folder that holds images.
+/// Whether a path is a recording: a video, or a folder with images.
 fn is_footage(path: &Path) -> bool {
     is_video(path) || entries(path).is_ok_and(|files| files.iter().any(|file| is_image(file)))
 }
@@ -193,8 +195,8 @@ fn pair_by_number(
     Ok(Pairs { cameras, recordings, notes: vec![note] })
 }
 
-/// Merges all images of a camera into one entry, named by the camera's id, in the order of the first images. The error
-/// is a reason.
+/// Merges all images of a camera into one entry, named by the camera's id. Cameras are in the order of their first
+/// images. The error is a reason.
 pub(super) fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     let mut distinct: Vec<NamedCamera> = Vec::new();
     for NamedCamera { name, camera, .. } in cameras {
@@ -210,7 +212,7 @@ pub(super) fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, Stri
     Ok(distinct)
 }
 
-/// Whether two images are of one camera that doesn't move.
+/// Whether two images are by one static camera: pose, size and lens are equal.
 pub(super) fn is_same(a: &Camera, b: &Camera) -> bool {
     let (from, to) = (&a.cam_from_world, &b.cam_from_world);
     let moved = (from.translation.vector - to.translation.vector).norm();
@@ -242,8 +244,8 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The order of names by their numbers, `cam2` before `cam10`. `None` if two names differ in more than numbers, or have
-/// the same numbers.
+/// The indices that sort names by their numbers, so that `cam2` is before `cam10`. `None` if two names differ in more
+/// than numbers, or have the same numbers.
 pub(super) fn numbered_order(names: &[String]) -> Option<Vec<usize>> {
     let text = |name: &str| {
         let mark = |c: char| if c.is_ascii_digit() { '0' } else { c };
@@ -260,20 +262,21 @@ pub(super) fn numbered_order(names: &[String]) -> Option<Vec<usize>> {
     (!is_open).then_some(order)
 }
 
-/// The numbers in a name, each as its digits and, ahead of them, their count: of any length, in ascending order.
+/// The numbers in a name, for comparison: of each, the count of its digits and the digits, without leading zeros. They
+/// may have any length.
 pub(super) fn numbers(name: &str) -> Vec<(usize, &str)> {
     let digits = name.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty());
     digits.map(|digits| digits.trim_start_matches('0')).map(|d| (d.len(), d)).collect()
 }
 
-/// Entries of a folder.
+/// All entries of a folder, hidden ones included.
 pub(super) fn all_entries(folder: &Path) -> Result<Vec<DirEntry>, ExchangeError> {
     std::fs::read_dir(folder)
         .and_then(Iterator::collect)
         .map_err(|source| ExchangeError::Read { path: folder.to_owned(), source })
 }
 
-/// Paths of a folder's entries, without hidden files.
+/// Paths of a folder's entries, except hidden ones.
 pub(super) fn entries(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let mut entries = all_entries(folder)?;
     entries.retain(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."));
@@ -288,7 +291,7 @@ pub(super) fn is_image(path: &Path) -> bool {
     extension(path).is_some_and(|e| IMAGES.contains(&e.as_str()))
 }
 
-/// A path's extension in small letters.
+/// The extension of a path, in lower case.
 pub(super) fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }

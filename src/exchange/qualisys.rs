@@ -1,8 +1,8 @@
 //! Qualisys' `.qca.txt`, an XML file.
 //!
-//! Lengths are millimetres, focal lengths and centres 1/64 of a pixel, with the centre of the sensor's first pixel at 0:
-//! half a pixel is added. `transform` has the camera's axes right, up and back in the world, row by row. `fov_video` is the
-//! part of the sensor that is filmed. Distortion coefficients are OpenCV's, without a unit.
+//! Lengths are millimetres. Focal lengths and centres are in 1/64 pixel, with the centre of the sensor's first pixel
+//! at 0, so that half a pixel is added to centres. The rows of `transform` are the camera's axes right, up and back in
+//! the world. `fov_video` is the recorded part of the sensor. Distortion coefficients are OpenCV's.
 
 use super::{
     ExchangeError, NamedCamera, checked, content, opencv_model, pose_from_axes, whole_size,
@@ -12,15 +12,15 @@ use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 use std::path::Path;
 
-/// Largest file that is read, bytes: two thousand cameras.
+/// Size limit of the file, bytes: enough for two thousand cameras.
 const MAX_BYTES: u64 = 4 << 20;
-/// Parts of a pixel in which the file counts.
+/// The file's unit of image coordinates is 1/64 pixel.
 const PARTS: f64 = 64.0;
 const MM_PER_M: f64 = 1000.0;
 
 /// Reads the active cameras in the order of the file, named by their serial numbers.
 ///
-/// Errors: no camera, a field that is missing or no number, an invalid pose or lens.
+/// Errors: no camera, a field that is missing or isn't a number, an invalid pose or lens.
 pub fn read_qualisys(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let text = read_text(path, MAX_BYTES)
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
@@ -86,7 +86,7 @@ fn camera(node: Node) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, time_ns: None, camera: checked(size, &model, &pose)? })
 }
 
-/// A number among a node's attributes; the error is a reason.
+/// The value of a numeric attribute. The error is a reason.
 fn number(node: Node, name: &str) -> Result<f64, String> {
     let text = node.attribute(name).ok_or_else(|| format!("{name} is missing"))?;
     let wrong = || format!("{name} can't be '{}'", crate::text::short(text));

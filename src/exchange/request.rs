@@ -1,29 +1,29 @@
-//! What is imported, and how.
+//! Requests of an [import](super::import()): recordings, and options of the import.
 
 use std::path::Path;
 
-/// The clock of every imported camera, as far as it is given.
+/// The clock of every imported camera, as far as the user gives it.
 #[derive(Clone, Copy, Debug)]
 pub struct ImportClock {
     /// Frame rate, hertz; `None` if the frames' times come from a file or the videos.
     pub rate_hz: Option<f64>,
-    /// Time of the first frame, seconds. It is added to the videos' own times, too.
+    /// Time of the first frame on each camera's own clock, seconds. It is also added to the times of videos.
     pub first_s: f64,
     /// Whether all cameras share one clock.
     pub shared: bool,
 }
 
-/// What is imported.
+/// Recordings to import, and how.
 #[derive(Clone, Copy, Debug)]
 pub struct ImportRequest<'a> {
     /// The folder with a sub-folder of images or a video for each camera.
     pub images: &'a Path,
-    /// A table of cameras and their recordings; without one, they are paired by name or number.
+    /// A CSV table of cameras and their recordings. `None` pairs them by name or number.
     pub table: Option<&'a Path>,
-    /// A table of all frames' times.
+    /// A CSV table of all frames' times.
     pub times: Option<&'a Path>,
     pub clock: ImportClock,
-    /// Whether images smaller than the calibration's are its top left part. Otherwise they are refused, unless they are
-    /// the whole image at another resolution.
+    /// Whether images smaller than the calibration's are cropped from its top left corner. Otherwise images of another
+    /// aspect ratio are an error; those of the same aspect ratio are the whole image at another resolution.
     pub is_cropped: bool,
 }

@@ -1,4 +1,4 @@
-//! Times of the frames, one row a frame: caliscope's `timestamps.csv`, and tables like it.
+//! Tables of frame times, a row per frame: caliscope's `timestamps.csv`, and similar CSV files.
 
 use super::csv::{nanoseconds, read_columns};
 use super::pairing::numbers;
@@ -7,12 +7,12 @@ use crate::text::short;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The file that is read without being named, if it lies beside the images.
+/// File of frame times that is read by default if it lies beside the images.
 pub(super) const TIMES_FILE: &str = "timestamps.csv";
 
-/// Names of the column with the camera.
+/// Accepted names of the column with the camera.
 const CAMERA: &[&str] = &["camera", "cam_id", "camera_id", "cam", "port"];
-/// Names of the column with the time.
+/// Accepted names of the column with the time.
 const TIME: &[&str] = &[
     "time_s",
     "frame_time",
@@ -28,11 +28,11 @@ const TIME: &[&str] = &[
     "timestamp_ns",
 ];
 
-/// Ascending times of each camera's frames by the camera's name in the table, nanoseconds.
+/// Ascending times of each camera's frames, nanoseconds, by the camera's name in the table.
 pub type FrameTimes = BTreeMap<String, Vec<i64>>;
 
-/// Reads the times of all cameras. Rows may have any order. A column's name tells its unit: `time_ms`, `time_us` and
-/// `time_ns`, or else seconds.
+/// Reads the times of all cameras. Rows may have any order. The name of the time's column gives the unit: milliseconds
+/// for `time_ms`, microseconds for `time_us`, nanoseconds for `time_ns`, and otherwise seconds.
 pub fn read_times(path: &Path) -> Result<FrameTimes, ExchangeError> {
     let mut times = FrameTimes::new();
     read_columns(path, [CAMERA, TIME], |[_, name], [camera, time]| {
@@ -56,8 +56,8 @@ pub fn read_times(path: &Path) -> Result<FrameTimes, ExchangeError> {
     Ok(times)
 }
 
-/// The times of one camera: those of its id, else those of the only camera with the id's numbers, as `0` for `cam_0`.
-/// The error is a reason.
+/// The times of a camera: those of its id, or else of the only name with the same numbers as the id, such as `0` for
+/// `cam_0`. The error is a reason.
 pub(super) fn times_of<'a>(times: &'a FrameTimes, id: &str) -> Result<&'a [i64], String> {
     if let Some(times) = times.get(id) {
         return Ok(times);

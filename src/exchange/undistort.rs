@@ -1,21 +1,22 @@
-//! Images of a distorted lens as a pinhole sees them.
+//! Undistortion: images of a distorted lens, resampled for a pinhole camera.
 
 use crate::camera::{Camera, CameraModel};
 use crate::raster::Image;
 use nalgebra::{Point2, Point3};
 
-/// A map from the pixels of a pinhole camera to those of a distorted one in the same place.
+/// Resampling map from a distorted camera's image to that of a pinhole camera with the same pose.
 pub struct Undistortion {
-    /// The pinhole camera, of the same size, focal lengths and centre; or of the mean focal length and centred.
+    /// The pinhole camera. Its size is that of the distorted camera.
     pub camera: Camera,
-    /// Where each pixel lies in the distorted image, row by row; `None` outside of it.
+    /// Pixel position in the distorted image for each pixel of the pinhole camera, row by row; `None` outside of the
+    /// image. Empty if the camera isn't distorted.
     sources: Vec<Option<Point2<f64>>>,
     is_identity: bool,
 }
 
 impl Undistortion {
-    /// The map to the pinhole camera with the same focal lengths and centre; `is_centered` for the mean focal length and
-    /// the image's centre.
+    /// The map to the pinhole camera with the same focal lengths and principal point. If `is_centered`, the pinhole
+    /// has the mean focal length, and the principal point in the image's middle.
     pub fn new(camera: &Camera, is_centered: bool) -> Self {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let (width, height) = (camera.width, camera.height);
@@ -36,8 +37,7 @@ impl Undistortion {
         Self { camera: pinhole, sources, is_identity }
     }
 
-    /// An image of the distorted camera as the pinhole sees it, interpolated bicubically; black where the distorted image
-    /// has nothing.
+    /// Resamples an image of the distorted camera by bicubic interpolation. Pixels outside of it are black.
     pub fn apply(&self, image: &Image) -> Image {
         if self.is_identity {
             return image.clone();
@@ -56,7 +56,7 @@ impl Undistortion {
     }
 }
 
-/// Where the middle of a pinhole's pixel lies in the distorted image; `None` outside of it.
+/// Position in the distorted image of the centre of the pinhole's pixel (x, y); `None` outside of the image.
 fn source(camera: &Camera, pinhole: &Camera, [x, y]: [usize; 2]) -> Option<Point2<f64>> {
     let ray = pinhole.ray(&Point2::new(x as f64 + 0.5, y as f64 + 0.5))?;
     camera.project_cam(&Point3::from(ray)).filter(|pixel| camera.contains(pixel))
@@ -71,7 +71,7 @@ mod tests {
         Camera { width: 64, height: 48, model, cam_from_world: Isometry3::identity() }
     }
 
-    /// A smooth picture on the plane z = 1.
+    /// A smooth test image, the same function of the plane z = 1 for every camera.
     fn picture(camera: &Camera) -> Image {
         let value = |k: usize| {
             let pixel = Point2::new((k % 64) as f64 + 0.5, (k / 64) as f64 + 0.5);
@@ -91,7 +91,7 @@ mod tests {
             let mut seen = 0;
             for (k, source) in map.sources.iter().enumerate() {
                 let Some(source) = source else { continue };
-                // At the border, pixels are repeated.
+                // Pixels near the border are skipped, because interpolation repeats border pixels there.
                 if source.x > 2.0 && source.y > 2.0 && source.x < 62.0 && source.y < 46.0 {
                     assert!((found.data()[k] - expected.data()[k]).abs() < 2e-3, "{k}");
                     seen += 1;

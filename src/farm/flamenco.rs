@@ -1,4 +1,4 @@
-//! A job type for Flamenco, Blender's own farm: a script for the folder `scripts` of its manager.
+//! A job type for Flamenco, Blender's render farm: a script for the folder `scripts` of Flamenco's manager.
 
 use super::{FarmChunks, FarmJob};
 use serde_json::json;
@@ -28,7 +28,7 @@ pub(super) fn job_type(job: &FarmJob) -> String {
     constants.concat() + SCRIPT
 }
 
-/// The key of the setting that is the chunk size.
+/// Name of the job's setting for the chunk size.
 fn setting(chunks: &FarmChunks) -> String {
     format!("{}_chunk", chunks.kind)
 }

@@ -1,7 +1,7 @@
-//! The work on a capture, described for the engines that share work among machines: Open Job Description, Slurm and
-//! Flamenco. All run the same commands. Every one may be run again, and continues or gives the same files.
+//! Jobs for render farms: the work on captures as steps for Open Job Description, Slurm and Flamenco. All engines run
+//! the same commands. Every command may be run again; it then continues, or writes the same files.
 //!
-//! Known limits: the machines see the program, the captures and the job's folder at the same paths.
+//! Known limits: all machines must see the program, the captures and the job's folder at the same paths.
 
 mod flamenco;
 mod openjd;
@@ -10,42 +10,43 @@ mod slurm;
 use crate::host::write_atomically;
 use std::path::Path;
 
-/// The work, in an order in which it can be done.
+/// A job: its steps, in an order in which they can be run.
 #[derive(Clone, Debug)]
 pub struct FarmJob {
-    /// Its name for people.
+    /// The job's name for people.
     pub name: String,
-    /// The program, which the engines' users may replace.
+    /// Path of the program `stlfr`. Users of the engines may replace it.
     pub program: String,
     pub steps: Vec<FarmStep>,
 }
 
-/// A command, run once, or for all chunks of its parts in any order.
+/// A step: one command, run once, or once for every chunk of its parts. Chunks may be run in any order.
 #[derive(Clone, Debug)]
 pub struct FarmStep {
-    /// Lower-case letters, digits and `-`.
+    /// The step's name: lower-case letters, digits and `-`.
     pub name: String,
-    /// Arguments of the program.
+    /// Arguments of the command.
     pub arguments: Vec<String>,
     /// Names of earlier steps that must have succeeded.
     pub after: Vec<String>,
-    /// `None`: the command is run once. Else `--part FIRST-LAST/COUNT` is added.
+    /// The chunks; each run then gets the argument `--part FIRST-LAST/COUNT`. `None` for a command that is run once.
     pub chunks: Option<FarmChunks>,
     pub needs: FarmNeeds,
 }
 
-/// The parts of a step. Steps of one `kind` share the chunk size that the engine's user sets.
+/// Division of a step's work into parts, and of the parts into chunks. All steps of one `kind` have the same chunk
+/// size, which users of the engines can set.
 #[derive(Clone, Debug)]
 pub struct FarmChunks {
-    /// A lower-case word.
+    /// Kind of the work, a lower-case word.
     pub kind: &'static str,
     /// Number of parts.
     pub count: u32,
-    /// Parts that one task does, unless the engine's user changes it.
+    /// Default number of parts in a chunk, which is one task.
     pub size: u32,
 }
 
-/// What a machine must have for a task.
+/// Requirements that a task has of a machine.
 #[derive(Clone, Copy, Debug)]
 pub struct FarmNeeds {
     pub cores: u32,
@@ -53,7 +54,7 @@ pub struct FarmNeeds {
 }
 
 impl FarmJob {
-    /// The files that describe the work, by their names.
+    /// The files of the job, as pairs of name and text.
     pub fn files(&self) -> Vec<(String, String)> {
         let mut files = vec![
             ("openjd.json".to_owned(), openjd::template(self)),
@@ -63,13 +64,13 @@ impl FarmJob {
         files
     }
 
-    /// Writes the files that describe the work into a folder.
+    /// Writes the files of the job into a folder.
     pub fn write(&self, folder: &Path) -> std::io::Result<()> {
         let mut files = self.files().into_iter();
         files.try_for_each(|(name, text)| write_atomically(&folder.join(name), text.as_bytes()))
     }
 
-    /// The first chunks of each kind.
+    /// The first [`FarmChunks`] of each kind.
     fn kinds(&self) -> Vec<&FarmChunks> {
         let mut kinds: Vec<&FarmChunks> = Vec::new();
         for chunks in self.steps.iter().filter_map(|step| step.chunks.as_ref()) {
@@ -85,7 +86,7 @@ impl FarmJob {
 mod tests {
     use super::*;
 
-    /// A name that a shell and a script's string would break.
+    /// A name with characters that are special in shells and in string literals.
     const NAME: &str = "it's a \"$HOME\" `x` \\";
 
     fn job() -> FarmJob {
@@ -113,7 +114,7 @@ mod tests {
         job().files().into_iter().find(|(n, _)| n == name).unwrap().1
     }
 
-    /// The scripts run without Slurm, as Slurm would run them.
+    /// The scripts are run without Slurm, with the variables that Slurm sets.
     #[test]
     fn slurm_scripts_give_the_arguments_as_they_are() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! The template of an Open Job Description, version 2023-09 with the extension `TASK_CHUNKING`: AWS Deadline Cloud runs
-//! it, and the program `openjd` on one machine.
+//! The template of an Open Job Description, version 2023-09 with the extension `TASK_CHUNKING`. AWS Deadline Cloud
+//! runs it; the program `openjd` runs it on one machine.
 
 use super::{FarmChunks, FarmJob, FarmStep};
 use serde_json::{Value, json};
@@ -25,7 +25,7 @@ pub(super) fn template(job: &FarmJob) -> String {
     format!("{template:#}\n")
 }
 
-/// The name of the job's parameter that sets the chunk size.
+/// Name of the job's parameter for the chunk size.
 fn parameter(chunks: &FarmChunks) -> String {
     let (initial, rest) = chunks.kind.split_at(1);
     format!("{}{rest}Chunk", initial.to_uppercase())

@@ -12,17 +12,17 @@ fn file(step: &FarmStep) -> String {
     format!("{}.sh", step.name)
 }
 
-/// The variable that sets the chunk size.
+/// Name of the environment variable for the chunk size.
 fn variable(chunks: &FarmChunks) -> String {
     format!("{}_CHUNK", chunks.kind.to_uppercase())
 }
 
-/// A word that the shell reads as it is.
+/// A word in quotes, so that the shell takes it literally.
 fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-/// What a node does, again on another one if it fails.
+/// The batch script of a step. Slurm requeues it on another node if its node fails.
 fn script(job: &FarmJob, step: &FarmStep) -> String {
     let words: Vec<String> = step.arguments.iter().map(|word| quoted(word)).collect();
     let mut command = format!("\"$program\" {}", words.join(" "));
@@ -91,7 +91,7 @@ fn submit(job: &FarmJob) -> String {
     text
 }
 
-/// The variable that holds a step's number.
+/// Name of the shell variable that holds the Slurm job id of a step.
 fn id(step: &str) -> String {
     step.replace('-', "_")
 }

@@ -1,4 +1,4 @@
-//! Caches in memory with a bound: values that were unused for longest are dropped first.
+//! Bounded caches in memory. The least recently used values are dropped first.
 
 use super::machine::lock;
 use serde::Serialize;
@@ -7,10 +7,10 @@ use std::collections::HashMap;
 use std::hash::Hash;
 use std::sync::{Arc, Mutex};
 
-/// A cache that threads share. It holds the most recently used values whose costs sum to at most a bound, and always the
-/// value that was inserted last.
+/// A cache that threads share. The costs of its values sum to at most a bound; the value that was inserted last is
+/// always cached, even if it exceeds the bound.
 ///
-/// A value must depend on its key alone, so that the bound changes the time of a computation and never its result.
+/// A value must be determined by its key. The bound then changes the time of a computation and never its result.
 pub struct BoundedCache<K, V> {
     max_cost: usize,
     entries: Mutex<CacheEntries<K, V>>,
@@ -19,7 +19,7 @@ pub struct BoundedCache<K, V> {
 struct CacheEntries<K, V> {
     by_key: HashMap<K, CacheEntry<V>>,
     cost: usize,
-    /// Number of uses so far.
+    /// Number of uses so far, a logical clock for the order of use.
     clock: u64,
 }
 
@@ -30,13 +30,13 @@ struct CacheEntry<V> {
 }
 
 impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
-    /// An empty cache with a bound on the sum of the costs, in the unit of [`Self::insert`].
+    /// An empty cache. `max_cost` bounds the sum of the costs that are given to [`Self::insert`].
     pub fn new(max_cost: usize) -> Self {
         let entries = CacheEntries { by_key: HashMap::new(), cost: 0, clock: 0 };
         Self { max_cost, entries: Mutex::new(entries) }
     }
 
-    /// The value of a key, if it is held. It counts as used.
+    /// The value of a key, if it is cached. It becomes the most recently used.
     pub fn get(&self, key: &K) -> Option<V> {
         let mut entries = lock(&self.entries);
         entries.clock += 1;
@@ -46,7 +46,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         Some(entry.value.clone())
     }
 
-    /// Inserts a value, and drops the values that were unused for longest until the bound holds.
+    /// Inserts a value, then drops the least recently used values until the bound holds.
     pub fn insert(&self, key: K, value: V, cost: usize) {
         let mut entries = lock(&self.entries);
         entries.clock += 1;
@@ -64,48 +64,49 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         }
     }
 
-    /// Drops the values whose keys don't pass a test.
+    /// Drops the values whose keys fail the test.
     pub fn retain(&self, passes: impl Fn(&K) -> bool) {
         let mut entries = lock(&self.entries);
         entries.by_key.retain(|key, _| passes(key));
         entries.cost = entries.by_key.values().map(|entry| entry.cost).sum();
     }
 
-    /// The sum of the costs of all values held.
+    /// The sum of the costs of all cached values.
     pub fn cost(&self) -> usize {
         lock(&self.entries).cost
     }
 }
 
-/// A cache of the results of stages, whose costs are their sizes in bytes.
+/// A cache of results of stages. Costs are the results' sizes in bytes.
 ///
-/// A key is derived by serializing a stage's inputs. Inputs that are constant for the life of the memo (the capture, its
-/// clocks) need not be among them.
+/// The key is a hash of a stage's serialized inputs. Inputs that are constant while the memo exists (the capture, its
+/// clocks) may be left out.
 ///
-/// Threads that request the same result at once may all compute it, with equal results. They don't wait for each other,
-/// which could deadlock: a computing thread may, within a parallel loop, run the task that would wait for it.
+/// Threads that request the same result at once may all compute it, with equal results. No thread waits for another,
+/// because this could deadlock: inside a parallel loop, a computing thread may run the very task that would wait for
+/// it.
 pub struct Memo(BoundedCache<MemoKey, Arc<dyn Any + Send + Sync>>);
 
 /// A stage's name, and the BLAKE3 hash of the name and the serialized inputs.
 type MemoKey = (&'static str, [u8; blake3::OUT_LEN]);
 
 impl Memo {
-    /// An empty memo for at most `max_bytes` of results.
+    /// An empty memo. All results together take at most `max_bytes`.
     pub fn new(max_bytes: usize) -> Self {
         Self(BoundedCache::new(max_bytes))
     }
 
-    /// The bound, bytes.
+    /// Largest size of all cached results together, bytes.
     pub fn max_bytes(&self) -> usize {
         self.0.max_cost
     }
 
-    /// The size of all cached results, bytes.
+    /// Size of all cached results together, bytes.
     pub fn bytes(&self) -> usize {
         self.0.cost()
     }
 
-    /// The result of a stage for these inputs, if it is cached.
+    /// The cached result of a stage for these inputs; `None` if it isn't cached.
     pub fn get<T: Any + Send + Sync>(
         &self,
         stage: &'static str,
@@ -114,8 +115,8 @@ impl Memo {
         self.0.get(&memo_key(stage, inputs))?.downcast().ok()
     }
 
-    /// The cached result of a stage for these inputs. Without one, the result is computed and cached; `bytes` gives its
-    /// size.
+    /// The result of a stage for these inputs, from the cache or else computed and then cached. `bytes` gives the size
+    /// of a computed result.
     pub fn get_or<T: Any + Send + Sync, E>(
         &self,
         stage: &'static str,
@@ -131,7 +132,7 @@ impl Memo {
         Ok(value)
     }
 
-    /// Caches a result that was computed together with others.
+    /// Caches a result that was computed outside of [`Self::get_or`].
     pub fn insert<T: Any + Send + Sync>(
         &self,
         stage: &'static str,
@@ -142,7 +143,7 @@ impl Memo {
         self.0.insert(memo_key(stage, inputs), value, bytes);
     }
 
-    /// Drops the results of the stages whose names pass a test.
+    /// Drops the results of the stages for whose names the test is true.
     pub fn forget(&self, passes: impl Fn(&str) -> bool) {
         self.0.retain(|(stage, _)| !passes(stage));
     }
@@ -150,7 +151,7 @@ impl Memo {
 
 fn memo_key(stage: &'static str, inputs: &impl Serialize) -> MemoKey {
     let mut hasher = blake3::Hasher::new();
-    // Neither fails: the hasher takes all bytes, and inputs are plain data.
+    // Serialization can't fail: the hasher accepts all bytes, and inputs are plain data.
     let written = serde_json::to_writer(&mut hasher, &(stage, inputs));
     debug_assert!(written.is_ok());
     (stage, hasher.finalize().into())

@@ -1,9 +1,10 @@
-//! Work that several processes share, each item done once: on one machine, or on several that share a folder with locks.
+//! Work items that several processes divide among themselves, so that each item is done once. The processes may run on
+//! several machines that share a folder with file locks.
 //!
-//! A process holds a lock on the file of an item while it works on it. The file of a finished item says so. The item of
-//! a process that has ended is free again, because its lock is.
+//! A process locks the file of an item while it works on the item. The file of a finished item contains a mark. If a
+//! process ends before it has finished its item, its lock ends, and the item is free again.
 //!
-//! Known limit: where a file system has no locks that hold among machines, several machines do the same items.
+//! Known limit: on file systems whose locks don't hold between machines, several machines do the same items.
 
 use super::files::{ignore_absent, read_text};
 use super::temporary::is_temporary;
@@ -11,46 +12,46 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Result, Write};
 use std::path::{Path, PathBuf};
 
-/// What the file of a finished item holds.
+/// Contents of the file of a finished item.
 const DONE: &str = "done\n";
 
-/// A folder of items that processes share.
+/// A folder with the files of the shared work items.
 #[derive(Clone, Debug)]
 pub struct Claims {
     folder: PathBuf,
 }
 
-/// An item that this process has. Dropped without [`Self::finish`], it is free again.
+/// An item that this process has taken. If it is dropped without [`Self::finish`], the item is free again.
 #[derive(Debug)]
 pub struct Claim {
     file: File,
 }
 
-/// What became of an attempt to take an item.
+/// The result of an attempt to take an item.
 #[derive(Debug)]
 pub enum Taken {
-    /// It is this process's now.
+    /// The item was free, and this process has taken it.
     Mine(Claim),
-    /// Another process works on it.
+    /// Another process works on the item.
     Elsewhere,
-    /// It is finished.
+    /// The item is finished.
     Done,
 }
 
 impl Claims {
-    /// The shared items of a folder, which is created if there is none.
+    /// Opens the shared folder of work items, and creates it if it is missing.
     pub fn join(folder: &Path) -> Result<Self> {
         std::fs::create_dir_all(folder)?;
         Ok(Self { folder: folder.to_owned() })
     }
 
-    /// Takes an item if it is free.
+    /// Takes an item, if it is free.
     pub fn take(&self, item: usize) -> Result<Taken> {
         let path = self.folder.join(item.to_string());
         let opened =
             OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
         let file = match opened {
-            // The folder is removed when all items are done.
+            // The folder is missing if another process has found all items done and removed it.
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Taken::Done),
             opened => opened?,
         };
@@ -63,18 +64,18 @@ impl Claims {
         Ok(if is_done { Taken::Done } else { Taken::Mine(Claim { file }) })
     }
 
-    /// Removes the folder, all items being done.
+    /// Removes the folder. To be called after all items are done.
     pub fn end(&self) -> Result<()> {
         let gone = self.folder.with_extension(format!("{}.tmp", std::process::id()));
         debug_assert!(gone.file_name().is_some_and(is_temporary));
-        // At once: another process finds either all items done, or no folder.
+        // Renamed first: another process then sees either all items done, or no folder.
         ignore_absent(std::fs::rename(&self.folder, &gone))?;
         ignore_absent(std::fs::remove_dir_all(&gone))
     }
 }
 
 impl Claim {
-    /// Says that the item is done.
+    /// Marks the item as done.
     pub fn finish(mut self) -> Result<()> {
         self.file.write_all(DONE.as_bytes())?;
         self.file.sync_all()

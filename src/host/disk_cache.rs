@@ -1,16 +1,17 @@
 //! A capture's cache on disk, in `CAPTURE/.stlfr/cache/`: results that take long to compute.
 //!
-//! An entry is the file `KIND/KEY`. KEY is a BLAKE3 hash of the program's version, the kind and its version, the
-//! capture's content, and the inputs of the computation, serialized. The file holds a checksum, keyed with KEY, and then
-//! the result's bytes. It appears when it is whole. A damaged file counts as absent, with a note.
+//! An entry is a file `KIND/KEY`. KEY is a BLAKE3 hash of the program's version, the kind and its version, the
+//! capture's content, and the serialized inputs of the computation. The file starts with a checksum, keyed with KEY;
+//! the bytes of the result follow. It is written to a temporary file and renamed. A damaged file is noted, and treated
+//! as absent.
 //!
 //! Files that belong to an entry, such as the frames of a decoded video, lie beside it in the folder `KIND/KEY.files`.
 //!
-//! All entries together take at most [`MAX_BYTES`]; the entries that were unused for longest are removed first. The cache
-//! is never reached through a link inside the capture. It may be deleted at any time.
+//! All entries together take at most [`MAX_BYTES`]; the least recently used are removed first. The cache is never
+//! accessed through a link inside of the capture. It may be deleted at any time.
 //!
-//! Known limits: a checksum detects damage, not a forger. Entries that were used within [`RECENT`] are not removed, so
-//! that the cache may exceed its bound for that long.
+//! Known limits: the checksum detects damage, but no forgery. Entries that were used within [`RECENT`] are not
+//! removed, so that the cache may temporarily exceed its bound.
 
 use super::files::{ignore_absent, link_within, read_bytes, remove_special};
 use super::machine::lock;
@@ -27,34 +28,35 @@ use std::time::{Duration, SystemTime};
 /// The cache's folder inside a capture.
 const FOLDER: &str = ".stlfr/cache";
 
-/// Bound on the bytes of all entries of a capture, decoded videos included.
+/// Largest size of all entries of a capture, bytes, decoded videos included.
 const MAX_BYTES: u64 = 32 << 30;
 
-/// Largest entry that is read, bytes.
+/// Size limit of an entry that is read, bytes.
 const MAX_ENTRY_BYTES: u64 = 64 << 20;
 
-/// Bytes of an entry's file besides its content: the checksum.
+/// Size of an entry's file minus the size of its content, bytes: the checksum.
 pub(crate) const ENTRY_OVERHEAD_BYTES: u64 = blake3::OUT_LEN as u64;
 
-/// Entries used more recently than this are in use. The time of use is recorded to this precision.
+/// An entry that was used within this time is not removed. The time of use is recorded with this precision.
 const RECENT: Duration = Duration::from_secs(3600);
 
 /// Number of hexadecimal digits of KEY in file names.
 const KEY_DIGITS: usize = 32;
 
-/// Extension of the folder of files that belong to an entry.
+/// Extension of the folder with the files of an entry.
 const FILES_EXTENSION: &str = "files";
 
 /// A kind of cached results, listed and deleted together.
 #[derive(Clone, Copy, Debug)]
 pub struct CacheKind {
-    /// The name of its folder.
+    /// Name of the kind's folder.
     pub name: &'static str,
-    /// Part of the key: incremented when the same inputs give other results, or when their format changes.
+    /// Version, a part of the key. It is incremented when equal inputs give other results, or when the results' format
+    /// changes.
     pub version: u32,
 }
 
-/// The entries of a kind and their size on disk.
+/// Number of a kind's entries, and their size on disk.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct CacheUse {
     pub kind: String,
@@ -62,7 +64,7 @@ pub struct CacheUse {
     pub bytes: u64,
 }
 
-/// The cache of one capture.
+/// The disk cache of one capture. Clones share their state.
 #[derive(Clone)]
 pub struct DiskCache {
     capture: PathBuf,
@@ -70,7 +72,7 @@ pub struct DiskCache {
     shared: Arc<Shared>,
 }
 
-/// What the clones of a cache share.
+/// State that all clones of a cache share.
 struct Shared {
     max_bytes: u64,
     note: Box<dyn Fn(&str) + Send + Sync>,
@@ -79,19 +81,19 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    /// Kinds from whose folders the temporary files of killed processes were removed.
+    /// Kinds whose folders were cleared of the temporary files of killed processes.
     cleared: BTreeSet<&'static str>,
-    /// The damaged entries that were noted.
+    /// Damaged entries that were noted already.
     noted: BTreeSet<PathBuf>,
-    /// Entries whose files this process uses; they are not removed.
+    /// Entries whose files this process uses. They are not removed.
     pinned: BTreeSet<PathBuf>,
-    /// Bytes of all entries, once they were counted.
+    /// Size of all entries, bytes; `None` before they are counted.
     bytes: Option<u64>,
-    /// Total of bytes beyond which entries are removed next.
+    /// Size of all entries, bytes, above which entries are removed.
     limit: u64,
 }
 
-/// An entry found on disk.
+/// An entry on disk, with its files.
 struct Found {
     path: PathBuf,
     bytes: u64,
@@ -99,8 +101,8 @@ struct Found {
 }
 
 impl DiskCache {
-    /// The cache of the capture in a folder, with keys that don't depend on the capture's content (see
-    /// [`Self::for_content`]). `note` is called with a sentence for each damaged entry.
+    /// Opens the disk cache of the capture in a folder. Keys don't depend on the capture's content; for this, see
+    /// [`Self::for_content`]. `note` receives a sentence for each damaged entry.
     pub fn new(capture: &Path, note: impl Fn(&str) + Send + Sync + 'static) -> Self {
         Self::bounded(capture, MAX_BYTES, note)
     }
@@ -115,7 +117,7 @@ impl DiskCache {
         Self { capture: capture.to_owned(), content: String::new(), shared }
     }
 
-    /// This cache with keys that depend on the capture's content, whose hash is `content`.
+    /// The same cache, with keys that depend on the capture's content. `content` is the content's hash.
     pub fn for_content(&self, content: &str) -> Self {
         Self { content: content.to_owned(), ..self.clone() }
     }
@@ -135,12 +137,13 @@ impl DiskCache {
         self.capture.join(FOLDER)
     }
 
-    /// The symbolic link among the folders of a kind's entries, if there is one. Nothing is read or written through it.
+    /// The symbolic link on the way to a kind's entries, inside of the capture; `None` if there is none. The cache is
+    /// not accessed through it.
     pub fn link(&self, kind: CacheKind) -> Option<PathBuf> {
         link_within(&self.capture, &self.folder().join(kind.name))
     }
 
-    /// The file of an entry, and its key.
+    /// The path and the key of an entry.
     fn entry(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<(PathBuf, blake3::Hash)> {
         if let Some(link) = self.link(kind) {
             return Err(Error::other(format!("{} is a link", link.display())));
@@ -153,16 +156,16 @@ impl DiskCache {
         Ok((folder.join(&key.to_hex()[..KEY_DIGITS]), key))
     }
 
-    /// The file of an entry.
+    /// The path of an entry's file.
     ///
     /// # Errors
-    /// If the cache is reached through a link.
+    /// If a link is on the path to the cache.
     pub fn path(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<PathBuf> {
         Ok(self.entry(kind, inputs)?.0)
     }
 
-    /// The folder of the files that belong to an entry. The caller creates it before the entry is saved, and checks what is
-    /// in it.
+    /// The folder for the files of an entry. The caller creates it before it saves the entry, and checks the files in
+    /// it.
     ///
     /// # Errors
     /// As [`Self::path`].
@@ -170,10 +173,10 @@ impl DiskCache {
         Ok(self.path(kind, inputs)?.with_extension(FILES_EXTENSION))
     }
 
-    /// Removes an entry and its files, if they are there.
+    /// Removes an entry and its files, if they exist.
     ///
     /// # Errors
-    /// If they can't be removed, or the cache is reached through a link.
+    /// If they can't be removed, or a link is on the path to the cache.
     pub fn remove(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<()> {
         remove(&self.path(kind, inputs)?)
     }
@@ -193,7 +196,7 @@ impl DiskCache {
     /// Writes the bytes of an entry; returns the file's size.
     ///
     /// # Errors
-    /// If it can't be written. Callers go on without the entry: a capture may be read-only.
+    /// If the entry can't be written. Callers continue without it, because a capture may be read-only.
     pub fn save(&self, kind: CacheKind, inputs: &impl Serialize, content: &[u8]) -> Result<u64> {
         let (path, key) = self.entry(kind, inputs)?;
         let bytes = [checksum(&key, content).as_bytes(), content].concat();
@@ -232,7 +235,7 @@ impl DiskCache {
         self.save(kind, inputs, &content)
     }
 
-    /// Notes that an entry is damaged, once.
+    /// Notes once that an entry is damaged.
     pub fn note_damage(&self, path: &Path) {
         if lock(&self.shared.state).noted.insert(path.to_owned()) {
             let path = path.display();
@@ -242,37 +245,37 @@ impl DiskCache {
         }
     }
 
-    /// Protects an entry whose files are in use from being removed by this process.
+    /// Marks an entry as in use, so that this process doesn't remove it.
     pub fn pin(&self, path: &Path) {
         lock(&self.shared.state).pinned.insert(path.to_owned());
     }
 
-    /// Records the time of use as the file's modification time.
+    /// Records the time of use, as modification time of the entry's file.
     fn mark_used(&self, path: &Path, found: &Metadata) {
         let now = SystemTime::now();
         let is_recent = |t| now.duration_since(t).is_ok_and(|age| age < RECENT);
         if !found.modified().is_ok_and(is_recent) {
-            // In a read-only capture the time stays.
+            // In a read-only capture, the time can't be changed.
             let _ = File::open(path).and_then(|file| file.set_modified(now));
         }
     }
 
-    /// Adds to the total of bytes, and removes entries if it exceeds the limit.
+    /// Adds to the total size. If the total exceeds the limit, removes entries.
     fn add(&self, bytes: u64) {
         let mut state = lock(&self.shared.state);
         let all = || self.found().values().flatten().map(|entry| entry.bytes).sum();
         let mut total = state.bytes.map_or_else(all, |total| total + bytes);
         if total > state.limit {
             total = self.shrink(&state.pinned);
-            // Entries in use can't be removed. The next attempt waits until the total has grown enough to be worth a
-            // search.
+            // Entries in use can't be removed. The next removal waits until the total has grown enough to make another
+            // search worthwhile.
             let max_bytes = self.shared.max_bytes;
             state.limit = max_bytes.max(total + max_bytes / 16);
         }
         state.bytes = Some(total);
     }
 
-    /// Removes the entries that were unused for longest until the bound holds; returns the bytes that are left.
+    /// Removes the least recently used entries until the bound holds; returns the size of the remaining ones, bytes.
     fn shrink(&self, pinned: &BTreeSet<PathBuf>) -> u64 {
         let mut entries: Vec<Found> = self.found().into_values().flatten().collect();
         entries.sort_by_key(|entry| entry.used);
@@ -290,7 +293,7 @@ impl DiskCache {
         left
     }
 
-    /// Whether there may be entries of a kind.
+    /// Whether the folder of a kind exists, so that there may be entries.
     pub fn has(&self, kind: CacheKind) -> bool {
         self.link(kind).is_none() && self.folder().join(kind.name).is_dir()
     }
@@ -311,7 +314,7 @@ impl DiskCache {
         kinds.filter_map(of_kind).collect()
     }
 
-    /// The entries of each kind and their size on disk.
+    /// Number and size of the entries, by kind.
     pub fn listing(&self) -> Vec<CacheUse> {
         let of_kind = |(kind, found): (String, Vec<Found>)| CacheUse {
             kind,
@@ -321,10 +324,10 @@ impl DiskCache {
         self.found().into_iter().map(of_kind).collect()
     }
 
-    /// Deletes the entries of a kind, or of all kinds; returns their number and bytes.
+    /// Deletes the entries of one kind, or of all kinds; returns their number and size.
     ///
     /// # Errors
-    /// If they can't be deleted, or are reached through a link.
+    /// If they can't be deleted, or a link is on the path to them.
     pub fn delete(&self, kind: Option<&str>) -> Result<CacheUse> {
         let folder = kind.map_or(self.folder(), |kind| self.folder().join(kind));
         if kind.is_some_and(|kind| !is_name(kind)) {
@@ -354,14 +357,14 @@ fn checksum(key: &blake3::Hash, content: &[u8]) -> blake3::Hash {
     blake3::keyed_hash(key.as_bytes(), content)
 }
 
-/// Reads a file's content, if its checksum matches the key.
+/// Reads an entry's file, and returns the content; `None` if its checksum doesn't match the key.
 fn unsealed(path: &Path, key: &blake3::Hash) -> Option<Vec<u8>> {
     let mut bytes = read_bytes(path, MAX_ENTRY_BYTES).ok()?;
     let (found, content) = bytes.split_first_chunk::<{ blake3::OUT_LEN }>()?;
     (*found == *checksum(key, content).as_bytes()).then(|| bytes.split_off(blake3::OUT_LEN))
 }
 
-/// Whether a text is a single file name.
+/// Whether a text is a file name without a path.
 fn is_name(text: &str) -> bool {
     matches!(Path::new(text).components().collect::<Vec<_>>()[..], [Component::Normal(name)] if name == text)
 }
@@ -371,7 +374,7 @@ fn folder_bytes(folder: &Path) -> u64 {
     files.filter_map(|file| file.metadata().ok()).map(|found| found.len()).sum()
 }
 
-/// The entries in a kind's folder, each with its files, also files whose entry is missing.
+/// The entries in a kind's folder, each with its files. Files without an entry are listed too.
 fn entries(folder: &Path) -> Vec<Found> {
     let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
     for item in std::fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -394,7 +397,7 @@ fn entries(folder: &Path) -> Vec<Found> {
     found.into_values().collect()
 }
 
-/// Removes an entry, and then its files.
+/// Removes an entry's file, and then the folder of its files.
 fn remove(path: &Path) -> Result<()> {
     ignore_absent(std::fs::remove_file(path))?;
     let files = path.with_extension(FILES_EXTENSION);

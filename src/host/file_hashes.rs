@@ -1,4 +1,4 @@
-//! Hashes of files' content, read again only after a file has changed.
+//! Hashes of files. They are cached on disk; files are hashed again only after one has changed.
 
 use super::disk_cache::{CacheKind, DiskCache};
 use super::files::{FileRead, FileState, open_file};
@@ -10,11 +10,11 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 const HASHES: CacheKind = CacheKind { name: "hashes", version: 2 };
 
-/// Age from which a file's times are relied on. A younger file may change again without a change of its times, whose
-/// resolution is 2 s on FAT.
+/// Minimum age of a file whose times are reliable. A younger file may change again without a change of its times,
+/// whose resolution is 2 s on FAT.
 const SETTLED: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 3000 });
 
-/// Whether every later change of a file will change its state.
+/// Whether the file is old enough ([`SETTLED`]) that every later change will change its state.
 fn is_settled(state: &FileState) -> bool {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let latest = now.as_nanos() as i128 - SETTLED.as_nanos() as i128;
@@ -22,7 +22,7 @@ fn is_settled(state: &FileState) -> bool {
     1_000_000_000 * i128::from(s) + i128::from(ns) < latest
 }
 
-/// Hashes an open file's bytes from its start. `None` instead of the state if the file changed meanwhile.
+/// Hashes all bytes of an open file. The state is `None` if the file changed while it was read.
 fn hash_open(mut file: &File) -> Result<(blake3::Hash, Option<FileState>)> {
     file.rewind()?;
     let before = FileState::of(&file.metadata()?);
@@ -37,14 +37,14 @@ pub(crate) fn file_hash(path: &Path) -> Result<blake3::Hash> {
     Ok(hash_open(&open_file(path)?)?.0)
 }
 
-/// A file that must stay as it is while another program reads it.
+/// A file that another program reads, and that must not change meanwhile.
 pub(crate) struct HeldFile {
     pub file: File,
     read: FileRead,
 }
 
 impl HeldFile {
-    /// Opens a file; `None` unless its bytes have this hash.
+    /// Opens and hashes a file; `None` if its bytes don't have this hash.
     pub fn open(path: &Path, hash: blake3::Hash) -> Result<Option<Self>> {
         let file = open_file(path)?;
         let (found, state) = hash_open(&file)?;
@@ -52,17 +52,17 @@ impl HeldFile {
         Ok(state.and_then(is_same).map(|read| Self { file, read }))
     }
 
-    /// Whether the open file still has the bytes that it was opened with, and had them all the time.
+    /// Whether the file's bytes are unchanged since it was opened, also in between.
     pub fn is_unchanged(&self) -> Result<bool> {
         let (hash, state) = hash_open(&self.file)?;
         Ok(hash == self.read.hash && state == Some(self.read.state))
     }
 }
 
-/// Every file's hash and state: the hash is from the cache if no file has changed since it was read.
+/// The hash and the state of every file. Hashes come from the cache if no file has changed since they were stored.
 ///
 /// # Errors
-/// The first file that can't be read, by its index.
+/// The first error in the order of `files`, with the file's index.
 pub(crate) fn file_hashes(
     cache: &DiskCache,
     files: &[&Path],
@@ -88,14 +88,14 @@ pub(crate) fn file_hashes(
         });
         read.map_err(|error| (k, error))
     };
-    // In order, so that the error is the first file's.
+    // In the order of the files, so that the first error is that of the first file.
     let found: Vec<_> = files.par_iter().enumerate().map(hash).collect();
     let found = found.into_iter().collect::<std::result::Result<Vec<_>, _>>()?;
     let (found, unchanged): (Vec<FileRead>, Vec<Option<FileState>>) = found.into_iter().unzip();
-    // A file that changed meanwhile, or was another for a while, is not the one whose state is known.
+    // Hashes are stored only if every file had the same state before, while and after it was read.
     if let Some(before) = before.filter(|before| before.iter().copied().map(Some).eq(unchanged)) {
         let bytes: Vec<u8> = found.iter().flat_map(|read| *read.hash.as_bytes()).collect();
-        // A read-only capture is read again next time.
+        // If the capture is read-only, the files are hashed again next time.
         let _ = cache.save(HASHES, &before, &bytes);
     }
     Ok(found)
@@ -123,13 +123,13 @@ mod tests {
         let wait = || std::thread::sleep(2 * SETTLED);
         assert_eq!(found().unwrap_err().0, 0);
         files.iter().for_each(|file| write(file, "1"));
-        // What was just written may be written again at the same time.
+        // Just written, the files may change again within the resolution of their times. They are not cached.
         assert!(found().unwrap() == hashes(["1", "1"]) && cached() == 0);
         wait();
         for _ in 0..2 {
             assert!(found().unwrap() == hashes(["1", "1"]) && cached() == 1);
         }
-        // What the cache says is believed.
+        // A cached hash is returned without reading the file.
         let state = |file: &PathBuf| FileState::of(&file.metadata().unwrap());
         let states: Vec<FileState> = files.iter().map(state).collect();
         let said = hashes(["x", "y"]);
@@ -138,7 +138,7 @@ mod tests {
         assert_eq!(found().unwrap(), said);
         cache.save(HASHES, &states, &bytes[1..]).unwrap();
         assert_eq!(found().unwrap(), hashes(["1", "1"]), "too few");
-        // As many bytes, and the old time put back.
+        // The same size, and the old modification time restored.
         let before = files[1].metadata().unwrap().modified().unwrap();
         write(&files[1], "2");
         let file = File::options().write(true).open(&files[1]).unwrap();

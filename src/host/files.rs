@@ -1,5 +1,5 @@
-//! Files at paths from an untrusted source. Regular files are read up to a stated size, so that a device, a pipe or a
-//! file of gigabytes neither fills the memory nor blocks. Outputs replace nothing but regular files.
+//! Files at untrusted paths. Only regular files up to a size limit are read, so that a device, a pipe or a huge file
+//! neither blocks nor exhausts the memory. Outputs replace only regular files.
 
 use serde::Serialize;
 use std::fs::{File, FileType, Metadata, OpenOptions};
@@ -7,25 +7,25 @@ use std::io::{Error, ErrorKind, Read, Result};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-/// Opens a regular file for reading; links are followed. Anything else is an error that names its kind. Opening never
+/// Opens a regular file for reading. Links are followed. For anything else, the error names its kind. Opening never
 /// blocks.
 pub fn open_file(path: &Path) -> Result<File> {
     must_be_regular(&std::fs::metadata(path)?)?;
-    // Between this check and opening, the file may be replaced by a pipe, where opening would wait for a writer.
+    // After this check, the file may be replaced by a pipe. Opening a pipe without `O_NONBLOCK` waits for a writer.
     let flags = libc::O_NONBLOCK | libc::O_NOCTTY;
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
     must_be_regular(&file.metadata()?)?;
     Ok(file)
 }
 
-/// Opens a regular file of at most `max_bytes`; returns it with its length.
+/// Opens a regular file of at most `max_bytes`; returns the file and its length.
 pub fn open_bounded(path: &Path, max_bytes: u64) -> Result<(File, u64)> {
     let file = open_file(path)?;
     let bytes = file.metadata()?.len();
     if bytes > max_bytes { Err(too_large(max_bytes)) } else { Ok((file, bytes)) }
 }
 
-/// Reads a regular file of at most `max_bytes`. The size is checked before bytes are read.
+/// Reads a regular file of at most `max_bytes`. The size is checked before any byte is read.
 pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
     let (mut file, length) = open_bounded(path, max_bytes)?;
     read_open(&mut file, length, max_bytes)
@@ -33,13 +33,14 @@ pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
 
 fn read_open(file: &mut File, length: u64, max_bytes: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(length as usize);
-    // A file may grow while it is read, and the kernel's files (in /proc) have a length of 0.
+    // The length is checked again, because a file may grow, and files in /proc state a length of 0.
     file.take(max_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > max_bytes { Err(too_large(max_bytes)) } else { Ok(bytes) }
 }
 
-/// The identity of a file and of its content, as in Git's index: device, inode and size, and the times of the last
-/// change of content and of metadata. It changes with the content, unless the clock that stamps files is coarse.
+/// State of a file, by which a change is detected, as in Git's index: device, inode, size, and the times of the last
+/// change of content (mtime) and of metadata (ctime). Every change of content changes the state, unless it is within
+/// the resolution of the times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct FileState([u64; 3], [i64; 2], [i64; 2]);
 
@@ -49,26 +50,26 @@ impl FileState {
         Self(identity, [found.mtime(), found.mtime_nsec()], [found.ctime(), found.ctime_nsec()])
     }
 
-    /// Whether size and time of the last change of content are the same. Permissions may differ, and so may the inode,
-    /// which some network file systems number anew.
+    /// Whether size and modification time are equal. Permissions and inode may differ; some network file systems
+    /// change inode numbers.
     pub fn has_content_of(&self, other: &Self) -> bool {
         (self.0[2], self.1) == (other.0[2], other.1)
     }
 
-    /// The later of the two times: seconds and nanoseconds.
+    /// The later of the modification time and the change time of metadata: seconds and nanoseconds.
     pub fn changed(&self) -> [i64; 2] {
         self.1.max(self.2)
     }
 }
 
-/// The hash of the bytes of a file that were read, and the file's state afterwards.
+/// The hash of a file's bytes, and the file's state after they were read.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FileRead {
     pub hash: blake3::Hash,
     pub state: FileState,
 }
 
-/// Reads a regular file of at most `max_bytes`, with the hash of what was read.
+/// Reads a regular file of at most `max_bytes`; returns its bytes, with their hash and the file's state.
 pub(crate) fn read_hashed(path: &Path, max_bytes: u64) -> Result<(Vec<u8>, FileRead)> {
     let (mut file, length) = open_bounded(path, max_bytes)?;
     let bytes = read_open(&mut file, length, max_bytes)?;
@@ -82,7 +83,7 @@ pub fn read_text(path: &Path, max_bytes: u64) -> Result<String> {
         .map_err(|_| Error::new(ErrorKind::InvalidData, "is no text in UTF-8"))
 }
 
-/// Adds a regular file's length and bytes to a hash, chunk by chunk.
+/// Adds the length and the bytes of a regular file to a hash. The file is read in chunks.
 pub(crate) fn hash_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<()> {
     let file = open_file(path)?;
     hasher.update(&file.metadata()?.len().to_le_bytes());
@@ -107,14 +108,15 @@ fn too_large(max_bytes: u64) -> Error {
     Error::new(ErrorKind::InvalidData, format!("is larger than {limit}, the maximum"))
 }
 
-/// The reason why a file can't be written here: the path exists and is no regular file.
+/// Why no file can be written at a path: something that isn't a regular file exists there. `None` if writing is
+/// possible.
 pub fn obstacle(path: &Path) -> Option<String> {
     let found = path.symlink_metadata().ok()?.file_type();
     let reason = if found.is_dir() { "" } else { ", which is not written over" };
     (!found.is_file()).then(|| format!("is {}{reason}", file_kind(found)))
 }
 
-/// The kind of a file that is not regular, with its article.
+/// The kind of a file that isn't regular, with its article: `a pipe`.
 fn file_kind(found: FileType) -> &'static str {
     if found.is_symlink() {
         "a link"
@@ -129,7 +131,7 @@ fn file_kind(found: FileType) -> &'static str {
     }
 }
 
-/// Removes a link, a pipe, a socket or a device, without following the link. A regular file and a folder stay.
+/// Removes a link, a pipe, a socket or a device. Links are not followed. Regular files and folders are not removed.
 pub(crate) fn remove_special(path: &Path) -> Result<()> {
     match path.symlink_metadata() {
         Ok(found) if !found.is_file() && !found.is_dir() => std::fs::remove_file(path),
@@ -137,7 +139,7 @@ pub(crate) fn remove_special(path: &Path) -> Result<()> {
     }
 }
 
-/// The result of a removal, with nothing to remove as success.
+/// The result of removing a file; a file that doesn't exist counts as removed.
 pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
     match removal {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
@@ -145,15 +147,15 @@ pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
     }
 }
 
-/// The innermost symbolic link among `path` and its folders inside `root`. Writing and deleting through it would reach
-/// files outside `root`.
+/// The innermost symbolic link among `path` and its parent folders inside of `root`; `None` if there is none. Files
+/// outside of `root` would be reached through it.
 pub(crate) fn link_within(root: &Path, path: &Path) -> Option<PathBuf> {
     let is_link = |path: &&Path| path.symlink_metadata().is_ok_and(|m| m.is_symlink());
     path.ancestors().take_while(|p| *p != root).find(is_link).map(Path::to_owned)
 }
 
-/// The path of a file in an output folder. An error if the file, or a folder on the way to it, is a link: writing would
-/// reach files elsewhere. The output folder itself may be one.
+/// The path of a file in an output folder. An error if the file, or a folder between it and `root`, is a link, which
+/// leads to files elsewhere. The output folder `root` itself may be a link.
 pub(crate) fn beneath(root: &Path, name: &str) -> Result<PathBuf> {
     let path = root.join(name);
     match link_within(root, &path) {
@@ -200,7 +202,7 @@ mod tests {
                 format!("is larger than {words}, the maximum")
             );
         }
-        // Of no length by its own account.
+        // A file that states a length of 0.
         assert!(read_bytes(Path::new("/proc/self/status"), 16).is_err());
         assert!(!read_bytes(Path::new("/proc/self/status"), 1 << 20).unwrap().is_empty());
         std::fs::write(&file, [0xff]).unwrap();

@@ -1,18 +1,19 @@
-//! The machine: its worker threads, locks, its clocks, and glibc's allocator.
+//! The machine: worker threads, locks, clocks, and glibc's allocator.
 
 use serde::{Deserialize, Serialize};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Runs `work` on one of rayon's threads.
+/// Runs `work` on a thread of rayon's pool.
 ///
-/// On any other thread, each parallel loop in `work` would wake a thread of rayon's before the calling thread sleeps.
-/// If no core is free, the scheduler lets two threads share one for milliseconds.
+/// On any other thread, each parallel loop in `work` wakes a pool thread before the calling thread sleeps. If no core
+/// is free, both threads then share a core for milliseconds.
 pub fn on_workers<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     rayon::scope(|_| work())
 }
 
-/// Locks a mutex, even if a thread panicked while it held the lock. The value must be consistent at any time.
+/// Locks a mutex, even if a thread has panicked while it held the lock. The value must therefore be consistent at any
+/// time.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -22,11 +23,11 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[serde(deny_unknown_fields)]
 pub struct Elapsed {
     pub wall_s: f64,
-    /// Processor time of all threads of this process: other programs on the machine add little to it.
+    /// Processor time of all threads of this process, seconds. Other programs on the machine hardly change it.
     pub cpu_s: f64,
 }
 
-/// Measures the time since it was started.
+/// Measures wall-clock and processor time from its creation.
 pub struct Stopwatch {
     wall: Instant,
     cpu_s: f64,
@@ -45,25 +46,25 @@ impl Stopwatch {
 /// Processor time that this process has used, over all its threads, seconds.
 pub fn process_cpu_s() -> f64 {
     let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: the structure is there to be written to.
+    // SAFETY: `time` is a valid structure that the call fills in.
     let result = unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &mut time) };
     if result == 0 { time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64 } else { 0.0 }
 }
 
-/// Keeps freed memory for the next image instead of returning it to the kernel, which would clear it again. For programs;
-/// a library leaves the allocator to its process. Does nothing without glibc.
+/// Makes the allocator keep freed memory for the next image. Memory that is returned to the kernel is cleared before
+/// it can be used again. For the main function of programs, not for libraries. No effect without glibc.
 pub fn reuse_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
-        // Blocks of at least 32 MiB are mapped one by one.
+        // Only blocks of at least 32 MiB get memory mappings of their own.
         set_allocator(libc::M_MMAP_THRESHOLD, 32 << 20);
-        // The main arena keeps up to 128 MiB of free memory.
+        // The main arena keeps at most 128 MiB of free memory.
         set_allocator(libc::M_TRIM_THRESHOLD, 128 << 20);
     }
 }
 
-/// Limits the allocator to two arenas: each keeps what its threads have freed, which adds up in a server. Does nothing
-/// without glibc.
+/// Limits the allocator to two arenas. Each arena keeps memory that its threads have freed, so that many arenas take
+/// much memory in a server. No effect without glibc.
 pub fn bound_arenas() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     set_allocator(libc::M_ARENA_MAX, 2);
@@ -71,7 +72,7 @@ pub fn bound_arenas() {
 
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn set_allocator(parameter: i32, value: i32) {
-    // SAFETY: it sets a number of the allocator, which takes effect where memory is next allocated or freed.
+    // SAFETY: the call sets a parameter of the allocator; nothing is allocated or freed by it.
     unsafe {
         libc::mallopt(parameter, value);
     }

@@ -1,5 +1,5 @@
-//! Access to the machine: files read within bounds and written whole, child processes, signals, time, memory, caches in
-//! memory and on disk, work that processes share.
+//! Access to the machine: bounded reading and atomic writing of files, child processes, signals, clocks, the
+//! allocator, caches in memory and on disk, and work items that processes share.
 
 mod cache;
 mod claims;

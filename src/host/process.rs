@@ -1,5 +1,5 @@
-//! Child processes, each with a process group of its own. A group is ended when its [`Process`] is dropped, or when a
-//! signal ends the program: by SIGTERM, and after a grace period by SIGKILL.
+//! Child processes. Each has its own process group. The group is ended by SIGTERM, and after a grace period by
+//! SIGKILL, when its [`Process`] is dropped or when a signal ends the program.
 
 use super::machine::lock;
 use std::collections::BTreeSet;
@@ -10,21 +10,21 @@ use std::sync::Mutex;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Time that a child has to end after SIGTERM.
+/// Time between SIGTERM and SIGKILL.
 const GRACE: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 5 });
 
-/// The children that run, whose ids are those of their groups.
+/// Ids of the running children, which are also the ids of their groups.
 static RUNNING: Mutex<BTreeSet<i32>> = Mutex::new(BTreeSet::new());
 
-/// A running child process. Dropping it ends its group, and waits for its end. If this process is killed,
-/// the child gets a SIGTERM too (Linux only).
+/// A running child process. Dropping it ends the child's group and waits for the end. If this process is killed, the
+/// child receives SIGTERM too (Linux only).
 pub(crate) struct Process {
     child: Child,
     id: i32,
     stderr: Option<JoinHandle<String>>,
 }
 
-/// A child's exit status and error output.
+/// Exit status of a child, and its error output.
 pub(crate) struct Ended {
     pub status: ExitStatus,
     pub stderr: String,
@@ -35,7 +35,7 @@ impl Process {
     pub fn start(command: &mut Command, stdin: Stdio) -> Result<Self> {
         end_with_parent(command);
         command.process_group(0).stdin(stdin).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // Under the mutex, so that a signal finds either no child or one that is listed.
+        // The mutex is held, so that a signal handler finds no child that isn't listed.
         let mut running = lock(&RUNNING);
         let mut child = command.spawn()?;
         let id = child.id().cast_signed();
@@ -44,7 +44,7 @@ impl Process {
         let stderr = child.stderr.take().map(|mut pipe| {
             std::thread::spawn(move || {
                 let mut bytes = Vec::new();
-                // What can't be read any more can't be reported either.
+                // An error means that no more output can be read.
                 let _ = pipe.read_to_end(&mut bytes);
                 String::from_utf8_lossy(&bytes).into_owned()
             })
@@ -69,24 +69,24 @@ impl Drop for Process {
     fn drop(&mut self) {
         if matches!(self.child.try_wait(), Ok(None)) {
             end_groups([self.id]);
-            // It ended or can't be reached; in neither case is there anything left to do.
+            // If waiting fails, the child is gone, and nothing remains to be done.
             let _ = self.child.wait();
         }
         lock(&RUNNING).remove(&self.id);
     }
 }
 
-/// Ends all children of this process. No child starts afterwards: the caller ends the process.
+/// Ends all children of this process. No child can be started afterwards, because the caller ends the process.
 pub(super) fn end_all() {
     let running = lock(&RUNNING);
     end_groups(running.iter().copied());
     std::mem::forget(running);
 }
 
-/// Ends the groups of children that haven't been waited for: by SIGTERM, then by SIGKILL.
+/// Ends the groups of children that haven't been waited for, first by SIGTERM, then by SIGKILL.
 fn end_groups(ids: impl IntoIterator<Item = i32> + Clone) {
     let signal = |id: i32, signal| {
-        // SAFETY: plain numbers; a group that is gone is an error without effect.
+        // SAFETY: the arguments are plain numbers. A group that doesn't exist is an error without effect.
         unsafe { libc::kill(-id, signal) };
     };
     ids.clone().into_iter().for_each(|id| signal(id, libc::SIGTERM));
@@ -97,17 +97,17 @@ fn end_groups(ids: impl IntoIterator<Item = i32> + Clone) {
     ids.into_iter().for_each(|id| signal(id, libc::SIGKILL));
 }
 
-/// Whether a child of this process runs. Its exit status stays for the one who waits for it.
+/// Whether a child of this process is running. Its exit status remains available to `wait`.
 fn is_running(id: i32) -> bool {
     let flags = libc::WEXITED | libc::WNOHANG | libc::WNOWAIT;
-    // SAFETY: zeros are a valid value, which the call fills in.
+    // SAFETY: a structure of zeros is valid, and the call fills it in.
     unsafe {
         let mut state: libc::siginfo_t = std::mem::zeroed();
         libc::waitid(libc::P_PID, id.cast_unsigned(), &mut state, flags) == 0 && state.si_pid() == 0
     }
 }
 
-/// Runs a command to its end, with nothing on stdin; calls `on_line` with every line of its stdout.
+/// Runs a command to its end, with an empty stdin. `on_line` is called with every line of its stdout.
 pub(crate) fn run(command: &mut Command, mut on_line: impl FnMut(&str)) -> Result<Ended> {
     let mut process = Process::start(command, Stdio::null())?;
     if let Some(stdout) = process.child.stdout.take() {
@@ -121,7 +121,8 @@ pub(crate) fn run(command: &mut Command, mut on_line: impl FnMut(&str)) -> Resul
     process.wait()
 }
 
-/// Lets the kernel end the child when the thread that starts it ends. In all uses, this thread waits for the child.
+/// Asks the kernel to end the child when the thread that starts it ends. All callers wait for the child on this
+/// thread.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
     // SAFETY: between fork and exec only async-signal-safe functions may run; prctl is one.
@@ -173,7 +174,7 @@ mod tests {
         let start = Instant::now();
         drop(process);
         assert!(start.elapsed() < Duration::from_secs(10));
-        // It is gone, or waits for its new parent to take notice.
+        // The child is gone, or is a zombie that its new parent hasn't waited for yet.
         let lives = || {
             let state = std::fs::read_to_string(format!("/proc/{}/stat", grandchild.trim()));
             state.is_ok_and(|state| !state.contains(") Z "))

@@ -1,10 +1,10 @@
-//! Files and folders that are written whole or not at all: into a temporary folder beside their place, then renamed.
+//! Atomic writing of files and folders: they are written into a temporary folder beside their target, then renamed.
 //!
-//! A process holds a lock on its temporary folders. Those of a killed process are not locked, whatever container or
-//! machine it ran on: the next process that writes into the same folder removes them. If a signal ends the program, it
-//! removes its own first ([`remove_unfinished_on_signals`]).
+//! A process holds a lock on each of its temporary folders. The lock of a killed process ends, on whatever container
+//! or machine it ran. The next process that writes into the same folder removes the unlocked temporary folders. If a
+//! signal ends the program, the program removes its own first ([`remove_unfinished_on_signals`]).
 //!
-//! Known limit: where the file system has no locks, folders of killed processes stay.
+//! Known limit: on file systems without locks, the folders of killed processes remain.
 
 use super::files::obstacle;
 use super::machine::lock;
@@ -24,13 +24,13 @@ use std::sync::Mutex;
 const PREFIX: &str = ".stlfr-";
 const SUFFIX: &str = ".tmp";
 
-/// Maximum number of attempts to remove a folder that a child process still writes into.
+/// Maximum number of attempts to remove a folder into which a child process still writes.
 const REMOVALS: usize = 100;
 
 /// The temporary folders of this process.
 struct Begun {
     folders: BTreeSet<PathBuf>,
-    /// Number of folders created so far, which tells their names apart.
+    /// Number of folders created so far. It makes their names unique.
     count: u64,
     /// Folders from which the temporary folders of killed processes were removed.
     cleared: BTreeSet<PathBuf>,
@@ -42,13 +42,13 @@ static BEGUN: Mutex<Begun> =
 /// A temporary folder. It is removed with its contents when it is dropped, or when a signal ends the program.
 pub(crate) struct Temporary {
     path: PathBuf,
-    /// Holds the lock.
+    /// The open folder, which holds the lock.
     _lock: File,
 }
 
 impl Temporary {
-    /// Creates a temporary folder beside `target`, on the same disk, and missing folders on the way. An error if `target`
-    /// exists and is no regular file.
+    /// Creates a temporary folder beside `target`, on the same disk. Missing parent folders are created. An error if
+    /// `target` exists and isn't a regular file.
     pub fn for_file(target: &Path) -> Result<Self> {
         if let Some(obstacle) = obstacle(target) {
             return Err(Error::new(ErrorKind::InvalidInput, obstacle));
@@ -63,19 +63,19 @@ impl Temporary {
     /// Creates a temporary folder inside `folder`, which is created if it is missing.
     pub fn inside(folder: &Path) -> Result<Self> {
         std::fs::create_dir_all(folder)?;
-        // An absolute path, which stays valid for the removal by a signal if the working directory changes.
+        // The path is absolute, so that the removal after a signal doesn't depend on the working directory.
         let folder = folder.canonicalize()?;
         if lock(&BEGUN).cleared.insert(folder.clone()) {
             remove_abandoned(&folder);
         }
-        // Under the mutex, so that a signal finds either no folder or one that is listed.
+        // The mutex is held, so that a signal handler finds no folder that isn't listed.
         let mut begun = lock(&BEGUN);
         loop {
             let name = format!("{PREFIX}{}-{}{SUFFIX}", std::process::id(), begun.count);
             begun.count += 1;
             let path = folder.join(name);
             match std::fs::create_dir(&path) {
-                // The folder of a process with the same id in another container, or of one that was killed.
+                // The name is that of a process with the same id in another container, or of a killed one.
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
                 created => created?,
             }
@@ -84,7 +84,7 @@ impl Temporary {
                     begun.folders.insert(path.clone());
                     return Ok(Self { path, _lock: lock });
                 }
-                // Another process has taken it for abandoned before it was locked.
+                // Before this process had locked the new folder, another one took it for abandoned.
                 Ok(None) => {}
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
                 Err(error) => {
@@ -99,8 +99,8 @@ impl Temporary {
         &self.path
     }
 
-    /// Flushes a file or folder of the temporary folder to the disk and moves it to `target`. A file replaces a file, a
-    /// folder an empty folder.
+    /// Flushes a file or folder of the temporary folder to the disk, and moves it to `target`. A file may replace a
+    /// file, and a folder an empty folder.
     pub fn place(&self, name: &str, target: &Path) -> Result<()> {
         let whole = self.path.join(name);
         File::open(&whole)?.sync_all()?;
@@ -116,7 +116,7 @@ impl Drop for Temporary {
     }
 }
 
-/// Locks a new folder; `None` if another process has locked or replaced it.
+/// Locks a new folder. `None` if another process has locked or replaced it before.
 fn locked(path: &Path) -> Result<Option<File>> {
     let folder = File::open(path)?;
     if matches!(folder.try_lock(), Err(TryLockError::WouldBlock)) {
@@ -126,28 +126,28 @@ fn locked(path: &Path) -> Result<Option<File>> {
     Ok(is_own.then_some(folder))
 }
 
-/// Removes a folder with its contents, also while a child process writes into it.
+/// Removes a folder with its contents. It tries again if a child process writes into it meanwhile.
 fn remove(path: &Path) {
     for _ in 0..REMOVALS {
         match std::fs::remove_dir_all(path) {
             Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
-            // Gone, or out of reach: then the next process that writes here removes it.
+            // The folder is gone or can't be accessed. In the latter case, a later process removes it.
             _ => return,
         }
     }
 }
 
-/// Whether a name is that of a temporary folder.
+/// Whether a file name has the form of a temporary folder's name.
 pub(crate) fn is_temporary(name: &OsStr) -> bool {
     let name = name.as_encoded_bytes();
     name.starts_with(PREFIX.as_bytes()) && name.ends_with(SUFFIX.as_bytes())
 }
 
-/// Removes the temporary folders that killed processes left in a folder.
+/// Removes the temporary folders in `folder` whose processes were killed.
 pub(crate) fn remove_abandoned(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten().filter(|e| is_temporary(&e.file_name())) {
-        // Opening a pipe would wait for a writer.
+        // Only folders are opened. Opening a pipe would wait for a writer.
         if entry.file_type().is_ok_and(|found| found.is_dir())
             && let Ok(folder) = File::open(entry.path())
             && folder.try_lock().is_ok()
@@ -157,31 +157,31 @@ pub(crate) fn remove_abandoned(folder: &Path) {
     }
 }
 
-/// Lets Ctrl-C, SIGTERM and SIGHUP end child processes and remove unfinished files before they end the program. Signals
-/// that the process was started to ignore stay ignored.
+/// Installs a handler for Ctrl-C, SIGTERM and SIGHUP: it ends child processes and removes unfinished files before the
+/// signal ends the program. Signals that were ignored at the start of the process remain ignored.
 ///
-/// For a program's main function: a library leaves signals to its program.
+/// For the main function of programs, not for libraries.
 pub fn remove_unfinished_on_signals() -> Result<()> {
     let handled = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| !is_ignored(signal));
     let mut signals = Signals::new(handled)?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         if let Some(signal) = signals.forever().next() {
-            // First, because they write into the folders.
+            // Children end first, because they write into the folders.
             process::end_all();
-            // No temporary folder is created or removed while the mutex is locked.
+            // While the mutex is locked, no temporary folder is created or removed.
             let begun = lock(&BEGUN);
             begun.folders.iter().for_each(|path| remove(path));
-            // The signal's default action ends the process, so that the shell sees which signal it was.
+            // The signal's default action ends the process, so that the shell reports the signal.
             let _ = emulate_default_handler(signal);
         }
     })?;
     Ok(())
 }
 
-/// Whether the process was started to ignore a signal, as `nohup` does.
+/// Whether a signal was ignored at the start of the process, as under `nohup`.
 fn is_ignored(signal: i32) -> bool {
     let mut action = std::mem::MaybeUninit::<libc::sigaction>::uninit();
-    // SAFETY: without a new action the present one is written, in full where 0 is returned.
+    // SAFETY: without a new action, the call writes the current one; all of it, if it returns 0.
     unsafe {
         libc::sigaction(signal, std::ptr::null(), action.as_mut_ptr()) == 0
             && action.assume_init().sa_sigaction == libc::SIG_IGN
@@ -190,7 +190,7 @@ fn is_ignored(signal: i32) -> bool {
 
 const FILE: &str = "file";
 
-/// Writes a file whole or not at all, and creates missing folders. Only a regular file is replaced: a link, a folder or
+/// Writes a file atomically, and creates missing parent folders. Only a regular file is replaced; a link, a folder or
 /// a device at `path` is an error.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     let temporary = Temporary::for_file(path)?;
@@ -198,14 +198,14 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     temporary.place(FILE, path)
 }
 
-/// Writes a value as an indented JSON file that ends with a line break, whole or not at all.
+/// Writes a value atomically as indented JSON with a final line break.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     let mut text = serde_json::to_string_pretty(value)?;
     text.push('\n');
     write_atomically(path, text.as_bytes())
 }
 
-/// Creates a folder if it is missing, and tries to write into it. An error if it can't be written into.
+/// Creates a folder if it is missing, and tests by writing that files can be created in it.
 pub fn try_folder(folder: &Path) -> Result<()> {
     Temporary::inside(folder).map(drop)
 }

@@ -1,4 +1,4 @@
-//! Change between two frames, by blocks of pixels.
+//! Detects change between two frames of a camera, in blocks of pixels.
 
 use super::warp::difference;
 use crate::raster::Image;
@@ -6,8 +6,8 @@ use crate::raster::Image;
 /// Side of a block, pixels.
 const BLOCK: usize = 8;
 
-/// Minimum ratio of a changed block's difference to the lower quartile of all blocks' differences. (Noise varies by 2
-/// to 4 times between light and dark, flat and textured parts.)
+/// Minimum ratio of a changed block's difference to the noise, which is the lower quartile of all blocks'
+/// differences. (Noise varies by 2 to 4 times between light and dark, flat and textured parts.)
 const MIN_NOISE_RATIO: f32 = 6.0;
 
 /// Minimum mean difference of a changed block, values 0..=1: 1.5 steps of 8 bits.
@@ -22,7 +22,8 @@ pub fn largest_change(a: &Image, b: &Image) -> f32 {
     block_means(a, b).into_iter().flatten().fold(0.0, f32::max)
 }
 
-/// The fraction, 0..=1, of whole blocks that change by more than noise; 0 if the images have none.
+/// The fraction, 0..=1, of blocks that change by more than noise; blocks that the image's border cuts are
+/// left out. 0 if no whole block fits.
 ///
 /// # Panics
 /// If the images differ in size or in channels.
@@ -45,7 +46,7 @@ pub(crate) fn changed_pixels(a: &Image, b: &Image) -> Vec<bool> {
     (0..w * a.height()).map(|k| block(k).is_some_and(|changed| *changed)).collect()
 }
 
-/// The mean difference of every block, by rows of blocks.
+/// The mean absolute difference of every block: one vector for each row of blocks.
 fn block_means(a: &Image, b: &Image) -> Vec<Vec<f32>> {
     let shape = |i: &Image| (i.width(), i.height(), i.channels());
     assert_eq!(shape(a), shape(b), "width, height and channels of both images");
@@ -62,7 +63,7 @@ fn block_means(a: &Image, b: &Image) -> Vec<Vec<f32>> {
     difference(a, b).chunks(BLOCK * w).map(means_of).collect()
 }
 
-/// Whether each whole block's luma changes by more than noise, by rows of blocks.
+/// For each whole block, whether its luma changes by more than noise: one vector for each row of blocks.
 fn changed_blocks(a: &Image, b: &Image) -> Vec<Vec<bool>> {
     let (across, down) = (a.width() / BLOCK, a.height() / BLOCK);
     let mut means = block_means(&a.to_gray(), &b.to_gray());

@@ -11,16 +11,17 @@ use std::collections::{HashMap, HashSet};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
     pub ends: [EdgeFeature; 2],
-    /// f̄ of a real edge, eq. (8); `None` for a virtual one.
+    /// f̄ of a real edge, eq. (8); `None` for a virtual edge.
     pub mean_fitness: Option<f64>,
 }
 
 /// The edge set (§5.2) of a frame of `width`×`height` pixels: the pieces of the real edges between their
-/// crossings, then the virtual edges of their constrained Delaunay triangulation in the source frame.
+/// crossings, then the virtual edges, which are the other edges of the constrained Delaunay triangulation in
+/// the source frame.
 ///
-/// The triangulation's vertices are all features (in the paper, the real edges' ends alone), the crossings and
-/// the image's corners. Of coincident features the first is a vertex. Without features the edges are the
-/// image's border and a diagonal.
+/// The triangulation's vertices are all features (in the paper, only the ends of real edges), the crossings
+/// and the image's corners. Of coincident features only the first is a vertex. Without features the edges are
+/// the image's border and a diagonal.
 pub fn edge_set(
     features: &[EdgeFeature],
     real: &[RealEdge],
@@ -48,13 +49,13 @@ pub fn edge_set(
     edges
 }
 
-/// The Delaunay triangles of these positions, by index.
+/// The Delaunay triangles of these positions; each triangle is three indices into `positions`.
 pub(super) fn delaunay(positions: &[Point2<f64>]) -> Vec<[usize; 3]> {
     let mesh = triangulation(positions, std::iter::empty());
     mesh.inner_faces().map(|f| f.vertices().map(|v| v.data().index)).collect()
 }
 
-/// A vertex of the triangulation.
+/// A vertex of the triangulation, with its index in the caller's list.
 struct Site {
     position: spade::Point2<f64>,
     index: usize,
@@ -84,7 +85,7 @@ fn triangulation(
     };
     let vertices = (0..positions.len()).filter(is_vertex);
     let sites = vertices.map(|index| Site { position: position(index).into(), index }).collect();
-    // Only invalid coordinates are refused, and there are none.
+    // `bulk_load` fails only on invalid coordinates, and there are none.
     let mut cdt = ConstrainedDelaunayTriangulation::bulk_load(sites).unwrap_or_default();
     let handles: HashMap<[u64; 2], FixedVertexHandle> =
         cdt.vertices().map(|v| (position(v.data().index).map(f64::to_bits), v.fix())).collect();
@@ -93,7 +94,7 @@ fn triangulation(
         if let (Some(a), Some(b)) = (a, b)
             && a != b
         {
-            // A constraint that still crosses another, by rounding, is not added; its edge guides the
+            // A constraint that still crosses another, by rounding, is not added. Its edge takes part in the
             // morph nevertheless.
             let _ = cdt.try_add_constraint(*a, *b);
         }
@@ -101,21 +102,21 @@ fn triangulation(
     cdt
 }
 
-/// A coordinate that spade accepts: 0, or a magnitude of at least 2⁻¹⁴².
+/// Rounds a coordinate to 0 if its magnitude is below 2⁻¹⁴², since spade refuses such values.
 fn accepted(v: f64) -> f64 {
     if v.abs() < 1e-30 { 0.0 } else { v }
 }
 
-/// Splits real edges where they cross (§5.2), and returns the pieces. The vertex of a crossing is appended to
-/// `vertices`. It lies on the edge with the larger fitness in both frames and at the instant, so that this edge stays
-/// straight.
+/// Splits real edges where they cross (§5.2), and returns the pieces. Each crossing becomes a vertex that is
+/// appended to `vertices`. In both frames and at the instant, this vertex lies on the edge of larger fitness,
+/// which therefore stays straight.
 fn without_crossings(vertices: &mut Vec<EdgeFeature>, real: &[RealEdge]) -> Vec<RealEdge> {
     let mut order: Vec<usize> = (0..real.len()).collect();
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));
     let segments: Vec<Segment> =
         order.iter().map(|&k| real[k].ends.map(|v| vertices[v].source)).collect();
     let near = NearSegments::new(&segments);
-    // Where each edge is split: fractions along it, and the vertex there.
+    // For each edge its splits: the fraction along the edge, and the vertex there.
     let mut splits: Vec<Vec<(f64, usize)>> = vec![Vec::new(); order.len()];
     for k in 0..order.len() {
         for fitter in near.before(k, 0.0) {

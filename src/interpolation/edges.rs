@@ -4,9 +4,10 @@ use crate::registration::{Neighbors, PyramidLevel};
 use nalgebra::{Point2, Vector2, center};
 use rayon::prelude::*;
 
-/// β of eq. (6): weight of the agreement of gradient and normal, in values (0..=1) per pixel.
+/// β of eq. (6): weight of the alignment of the gradient with the edge's normal, in image values (0..=1) per
+/// pixel.
 const BETA: f64 = 0.05;
-/// Minimum fitness of a real edge, eq. (6), in values per pixel.
+/// Minimum fitness of a real edge, eq. (6), in image values per pixel.
 const MIN_FITNESS: f64 = 0.08;
 /// Distance between the samples s_k of eq. (6), pixels.
 const SAMPLE_STEP_PX: f64 = 2.0;
@@ -20,7 +21,7 @@ const DUPLICATE_ANGLE_DEG: f64 = 10.0;
 /// Maximum distance of a duplicate's ends from the longer edge, pixels.
 const DUPLICATE_DISTANCE_PX: f64 = 2.0;
 
-/// A feature's positions, pixels, in the two frames and at the instant: a vertex of the morph's edges.
+/// A feature's positions in the two frames and at the instant, pixels: an end of the morph's edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeFeature {
     /// Position in the frame that is warped.
@@ -32,7 +33,7 @@ pub struct EdgeFeature {
 }
 
 impl EdgeFeature {
-    /// The point at a fraction (0..=1) of the segment to another feature, in all three images.
+    /// Linear interpolation to another feature's positions by `fraction`, 0..=1, in all three images.
     pub fn lerp(&self, to: &Self, fraction: f64) -> Self {
         let interpolate = |a: Point2<f64>, b: Point2<f64>| a + (b - a) * fraction;
         Self {
@@ -48,16 +49,16 @@ impl EdgeFeature {
 pub struct RealEdge {
     /// Indices of the two features.
     pub ends: [usize; 2],
-    /// f̄ of eq. (8): the mean fitness of its samples in the source frame, in values (0..=1) per pixel.
+    /// f̄ of eq. (8): the mean fitness of its samples in the source frame, in image values (0..=1) per pixel.
     pub mean_fitness: f64,
 }
 
-/// The real edges among features (§5.1): segments of at most `max_length_px` whose fitness, eq. (6), exceeds a
-/// threshold in both frames, and whose length hardly changes between them. Near-parallel edges on one image
-/// edge are reduced to the longest (§5.2).
+/// The real edges among features (§5.1): segments of at most `max_length_px` whose fitness, eq. (6), exceeds
+/// a threshold in both frames, and whose length hardly changes between them. Of near-parallel edges on one
+/// image edge only the longest is returned (§5.2).
 ///
-/// `source` and `other` are the full-sized pyramid levels of the two frames. The order does not depend on
-/// the number of threads. Coincident features make no edge.
+/// `source` and `other` are the full-sized pyramid levels of the two frames. The order does not depend on the
+/// number of threads. Features at the same position make no edge.
 pub fn real_edges(
     features: &[EdgeFeature],
     source: &PyramidLevel,
@@ -97,8 +98,8 @@ fn real_edge(
     Some(RealEdge { ends, mean_fitness })
 }
 
-/// f̄, the mean of the samples of eq. (6). `None` where the minimum of the samples is not above the
-/// threshold, and for edges shorter than a pixel, whose direction is noise.
+/// f̄, the mean of the samples of eq. (6) along the segment from `a` to `b`. `None` if some sample is at most
+/// [`MIN_FITNESS`], and for segments shorter than a pixel, whose direction is noise.
 fn mean_fitness(level: &PyramidLevel, a: Point2<f64>, b: Point2<f64>) -> Option<f64> {
     let along = b - a;
     let length = along.norm();
@@ -114,7 +115,7 @@ fn mean_fitness(level: &PyramidLevel, a: Point2<f64>, b: Point2<f64>) -> Option<
         let (gx, gy) = level.gradient(clamp(p.x, level.width), clamp(p.y, level.height));
         let gradient = Vector2::new(f64::from(gx), f64::from(gy));
         let magnitude = gradient.norm();
-        // Without a gradient there is no direction to agree with: the second term is 0.
+        // Where the gradient is 0, its direction is undefined: the second term is 0.
         let agreement =
             if magnitude > 0.0 { (gradient.dot(&normal) / magnitude).abs() } else { 0.0 };
         let f = magnitude + BETA * agreement;
@@ -126,7 +127,7 @@ fn mean_fitness(level: &PyramidLevel, a: Point2<f64>, b: Point2<f64>) -> Option<
     Some(sum / (steps + 1) as f64)
 }
 
-/// Removes edges that lie near-parallel on a longer one (§5.2, Fig. 8).
+/// Removes edges that are near-parallel to a longer edge and close to it (§5.2, Fig. 8).
 fn without_duplicates(mut edges: Vec<RealEdge>, features: &[EdgeFeature]) -> Vec<RealEdge> {
     let ends = |e: &RealEdge| e.ends.map(|k| features[k].source);
     let length = |e: &RealEdge| {
@@ -158,7 +159,7 @@ fn without_duplicates(mut edges: Vec<RealEdge>, features: &[EdgeFeature]) -> Vec
     edges
 }
 
-/// The ends of a segment, pixels.
+/// The two ends of a segment, pixels.
 pub(super) type Segment = [Point2<f64>; 2];
 
 /// Spatial index of segments, by their midpoints.
@@ -176,8 +177,8 @@ impl<'a> NearSegments<'a> {
         Self { segments, midpoints, longest_px }
     }
 
-    /// Candidates for the segments within `distance_px` of segment `k`, among the segments before `k`: their indices,
-    /// ascending. No segment within the distance is missing; some may be farther.
+    /// The indices, ascending, of segments before segment `k` that may lie within `distance_px` of it. All
+    /// that do are included; some of those returned may be farther.
     pub fn before(&self, k: usize, distance_px: f64) -> Vec<usize> {
         let [a, b] = &self.segments[k];
         let reach = 0.5 * ((b - a).norm() + self.longest_px) + distance_px;
@@ -198,7 +199,7 @@ mod tests {
     use crate::raster::Image;
     use crate::registration::Pyramid;
 
-    /// Dark left of x = 30, bright right of it.
+    /// A step edge: dark left of x = 30, bright right of it.
     fn step() -> Pyramid {
         let data = (0..60 * 50).map(|k| if k % 60 < 30 { 0.2 } else { 0.9 }).collect();
         Pyramid::new(&Image::from_data(60, 50, 1, data), 1, 4)

@@ -11,17 +11,19 @@ use super::warp::{Warp, cross_dissolve, cross_fade, difference, warped};
 use crate::raster::{Image, Tiles, box_filter, max_filter};
 use crate::registration::Frame;
 
-/// Half-width of the outline neighbourhood, pixels: a pixel may belong to any surface within it.
+/// Half-width of the neighbourhood of an outline, pixels: outlines may be wrong by this much, so that a pixel
+/// may show any surface within it.
 const OUTLINE_PX: usize = 4;
-/// Motion, pixels, that a difference of 1 between the warped frames counts as.
+/// Interpolation error that is added per unit of the warped frames' difference above [`MIN_DISAGREEMENT`],
+/// pixels.
 const DISAGREEMENT_PX: f32 = 200.0;
-/// Mean difference of the warped frames, 0..=1, up to which they agree.
+/// Mean absolute difference of the warped frames, 0..=1, up to which they agree.
 const MIN_DISAGREEMENT: f32 = 0.03;
-/// Half-width of the window over which the warped frames' difference is averaged, pixels. Refined images use
-/// [`InterpolationOptions::window_radius_px`] instead.
+/// Half-width of the window over which the warped frames' difference is averaged, pixels. The refined method
+/// uses [`InterpolationOptions::window_radius_px`] instead.
 const DISAGREEMENT_RADIUS_PX: usize = 2;
-/// Weight of the motion's change per frame in the interpolation error; the motion itself has weight 1. Bodies that
-/// rotate or bounce leave the interpolated trajectory.
+/// Weight of the motion's change per frame in the interpolation error, relative to that of the motion. Bodies
+/// that rotate or bounce deviate from the interpolated trajectory.
 const CHANGE_WEIGHT: f32 = 4.0;
 
 /// A camera's image at an instant between its frames.
@@ -29,33 +31,35 @@ const CHANGE_WEIGHT: f32 = 4.0;
 pub struct Synchronized {
     /// The image.
     pub image: Image,
-    /// Expected error of interpolation per pixel, pixels of motion, row by row. `None` for images that are not
-    /// interpolated along motion, and if [`FramePair::with_interpolation_error`] is false.
+    /// Expected error of each pixel's position due to interpolation, pixels, row by row. `None` for images
+    /// that are not interpolated along motion, and if [`FramePair::with_interpolation_error`] is false.
     ///
-    /// It is 4s(1 − s) times the motion between the two frames, with s the instant's fraction of the
-    /// interval. The motion counts for more where it changes or where the warped frames differ.
+    /// The error is 4s(1 − s)(m + 4c + d), with s the instant's fraction of the interval, m the motion
+    /// between the two frames, c its change per frame, and d a term for disagreement of the warped frames;
+    /// then the maximum over a neighbourhood.
     pub interpolation_error_px: Option<Vec<f32>>,
 }
 
 impl Synchronized {
-    /// An image that is not interpolated along motion: a frame as filmed, or a cross-fade of two.
+    /// An image without interpolation along motion, and so without an error: a frame as filmed, or a
+    /// cross-fade of two.
     pub fn filmed(image: Image) -> Self {
         Self { image, interpolation_error_px: None }
     }
 }
 
-/// A method of interpolation, with the inputs that are the same at all instants of a frame pair.
+/// A method of interpolation, with those inputs that are the same at all instants between two frames.
 #[derive(Clone, Copy)]
 pub enum PairMethod<'a> {
     /// The frame nearest in time.
     Nearest,
-    /// The two frames, cross-faded.
+    /// The cross-fade of the two frames.
     Crossfade,
     /// Direct triangulation (Fig. 10 (b)), by the triangles of the pair's tracks.
     Triangulation(&'a Triangles),
     /// The morph of §5.3. If `boosted`, real edges have the weights of eq. (8).
     Morph { boosted: bool },
-    /// Triangulation, refined at moving outlines.
+    /// Triangulation, with motion and visibility estimated per pixel at moving outlines.
     Refined {
         triangles: &'a Triangles,
         costs: &'a PairCosts,
@@ -72,7 +76,7 @@ pub struct FramePair<'a> {
     pub later: &'a Frame,
     /// The tracks between the two.
     pub tracked: TrackedPair<'a>,
-    /// The tiles of the image that are needed, `None` for all. Other tiles may be black.
+    /// The tiles of the image that are needed; `None` for all. The others may be black.
     pub parts: Option<&'a Tiles>,
     /// Whether [`Synchronized::interpolation_error_px`] is wanted. Computing it takes as long as a warp, except for
     /// refined images.
@@ -80,9 +84,9 @@ pub struct FramePair<'a> {
 }
 
 impl FramePair<'_> {
-    /// The camera's image at a time, seconds, which is clamped to the interval of the two frames. At a frame's
-    /// time it is the frame, up to resampling. Values are clamped to 0..=1, except by
-    /// [`PairMethod::Nearest`] and [`PairMethod::Crossfade`].
+    /// The camera's image at `time_s`, seconds, clamped to the interval between the two frames. At a frame's
+    /// time it is the frame, up to resampling. Values are clamped to 0..=1, except by [`PairMethod::Nearest`]
+    /// and [`PairMethod::Crossfade`].
     ///
     /// # Panics
     /// If [`TrackedPair::times_s`] has no entry for the later frame.
@@ -122,7 +126,7 @@ impl FramePair<'_> {
             let interpolation_error_px = self.with_interpolation_error.then(error_px);
             return Synchronized { image, interpolation_error_px };
         };
-        // The error is a maximum within OUTLINE_PX.
+        // The error is a maximum within OUTLINE_PX, so that it needs pixels around the needed tiles.
         let grown =
             self.parts.filter(|_| self.with_interpolation_error).map(|p| p.grown(OUTLINE_PX));
         let frames = FourFrames {
@@ -140,8 +144,8 @@ impl FramePair<'_> {
         Synchronized { image, interpolation_error_px }
     }
 
-    /// The warps of the earlier and the later frame to an instant. `warp` computes one from the frame's number
-    /// (0 or 1), its features, and its width and height.
+    /// The warps of the earlier and the later frame to an instant. `warp(n, features, size)` computes the
+    /// warp of frame `n`, 0 earlier or 1 later, from its features and its width and height.
     fn warps(
         &self,
         time_s: f64,
@@ -153,7 +157,8 @@ impl FramePair<'_> {
     }
 }
 
-/// Each pixel's motion between two frames by their warps. Its cost is the mean difference of the warped frames.
+/// The motion of each pixel between the two frames, by their warps, as [`warp_motions`]. The cost is the
+/// local mean difference of the warped frames.
 fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     let (w, h) = (warps[0].width, warps[0].height);
     let differences =
@@ -161,7 +166,7 @@ fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     warp_motions(warps, &box_filter(&differences, w, h, DISAGREEMENT_RADIUS_PX))
 }
 
-/// [`Synchronized::interpolation_error_px`] from an image of the pixels' motions ([`MOTION_CHANNELS`]).
+/// [`Synchronized::interpolation_error_px`] from the pixels' motions ([`MOTION_CHANNELS`]).
 fn error_px(motions: &Image, fraction: f64) -> Vec<f32> {
     let weight = (4.0 * fraction * (1.0 - fraction)) as f32;
     let of_pixel = |&[motion_px, change_px, cost]: &[f32; MOTION_CHANNELS]| {
@@ -180,7 +185,8 @@ mod tests {
     fn what_moves_may_be_wrong_as_far_as_its_outline() {
         let (w, h) = (30, 20);
         let mut warps = [Warp::identity(w, h), Warp::identity(w, h)];
-        // One pixel comes from 3 px to the left, and 5 px to the right.
+        // The source of one pixel is 3 px to its left in the first frame, and 5 px to its right in the
+        // second.
         let at = 10 * w + 15;
         warps[0].source[at][0] -= 3.0;
         warps[1].source[at][0] += 5.0;

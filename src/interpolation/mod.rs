@@ -10,13 +10,14 @@
 //! | beyond: motion and visibility at outlines | [`PairMethod::Refined`] |
 //! | every method | [`FramePair::interpolate`] |
 //!
-//! `crossfade` has no warp. `triangulation`, `morph` and `edge-morph` differ in the warp alone; `morph` is
-//! `edge-morph` with equal weights of all edges. `refined` starts from `triangulation` (from `edge-morph` it
-//! is slower and differs by 0.02 dB on ten recordings). `all-cameras` starts from `refined`, in
-//! [`crate::light_field`], which knows the other cameras.
+//! The methods are those of [`SyncMethod`]. `crossfade` has no warp. `triangulation`, `morph` and
+//! `edge-morph` differ only in the warp; `morph` is `edge-morph` with equal weights of all edges. `refined`
+//! starts from the warps of `triangulation` (starting from `edge-morph` is slower and differs by 0.02 dB on
+//! ten recordings). `all-cameras` starts from `refined` and is in [`crate::light_field`], where the other
+//! cameras are known.
 //!
-//! Known limits: in the paper's methods, a surface that only one frame shows is cross-faded. Motion blur
-//! stays as filmed.
+//! Known limits: in the paper's methods, a surface that only one frame shows is cross-faded with what the
+//! other frame shows there. Motion blur stays as filmed.
 
 mod block_change;
 mod edge_set;

@@ -7,21 +7,21 @@ use nalgebra::{Matrix2, Point2, Vector2};
 /// The tracks between two consecutive frames of a camera.
 #[derive(Clone, Copy)]
 pub struct TrackedPair<'a> {
-    /// The pair's tracks. Without any, interpolation is a cross-fade.
+    /// The pair's tracks. If there are none, interpolation is a cross-fade.
     pub tracks: &'a [Track],
     /// The times of all frames of the camera, seconds, strictly ascending.
     pub times_s: &'a [f64],
-    /// Index of the earlier frame.
+    /// Index of the earlier frame; the later frame is the next.
     pub index: usize,
 }
 
-/// The tracks of the forward or the backward flow.
+/// The tracks of the forward flow, or with `forward` false those of the backward flow.
 pub(super) fn flow_tracks(tracks: &[Track], forward: bool) -> impl Iterator<Item = &Track> {
     tracks.iter().filter(move |t| if forward { t.in_forward_set() } else { t.in_backward_set() })
 }
 
 impl TrackedPair<'_> {
-    /// (t' − t)/Δt of an instant, 0 at the earlier frame and 1 at the later one; clamped to 0..=1.
+    /// (t' − t)/Δt of the instant t': 0 at the earlier frame and 1 at the later one, clamped to 0..=1.
     ///
     /// # Panics
     /// If `times_s` has no entry for the later frame.
@@ -30,7 +30,7 @@ impl TrackedPair<'_> {
         ((time_s - start) / (end - start)).clamp(0.0, 1.0)
     }
 
-    /// The track's trajectory, on the straight line of eq. (2) unless `curved`.
+    /// The track's trajectory: a curve if `curved`, else the straight line of eq. (2).
     fn trajectory(&self, track: &Track, curved: bool) -> Option<Trajectory> {
         if curved {
             track.trajectory(self.times_s, self.index)
@@ -40,7 +40,7 @@ impl TrackedPair<'_> {
         }
     }
 
-    /// The features of the forward or the backward flow, with their positions at an instant.
+    /// The features of the tracks of the forward or the backward flow, with their positions at an instant.
     pub(super) fn features(&self, time_s: f64, forward: bool, curved: bool) -> Vec<EdgeFeature> {
         let feature = |t: &Track| {
             let (source, other) = if forward { (t.earlier, t.later) } else { (t.later, t.earlier) };
@@ -51,8 +51,8 @@ impl TrackedPair<'_> {
         flow_tracks(self.tracks, forward).map(feature).collect()
     }
 
-    /// The displacements of all tracks to the frames before, earlier, later and after, from the tracks' positions at
-    /// some instant. `at` gives a track's position at this instant.
+    /// The displacements of all tracks to the frames before, earlier, later and after, each from the track's
+    /// position at some instant. `at` returns that position.
     pub(super) fn motions(
         &self,
         curved: bool,
@@ -80,21 +80,23 @@ impl TrackedPair<'_> {
     }
 }
 
-/// A track's position at an instant and its displacements to the four frames around it. Pixels.
+/// A track's position at an instant, and its displacements from there to the four frames around the instant.
+/// Pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TrackMotion {
     /// Position at the instant.
     pub at: Point2<f64>,
-    /// Displacements from there to the positions in the frames before, earlier, later and after; 0 to
-    /// a frame that does not exist.
+    /// Displacements to the positions in the frames before, earlier, later and after; 0 to a frame that does
+    /// not exist.
     pub to: [Vector2<f64>; 4],
     /// Linear part of the motion from the earlier to the later frame: the identity for a translation.
     pub deformation: Matrix2<f64>,
 }
 
 impl TrackMotion {
-    /// Difference, pixels, of two tracks' motions between the middle frames, after one motion is extrapolated
-    /// affinely to the other track's position: the smaller difference of the two ways to do so.
+    /// Difference between two tracks' motions from the earlier to the later frame, pixels. One motion is
+    /// extrapolated affinely to the other track's position; of the two ways to do this, the smaller
+    /// difference is returned.
     pub fn difference_px(&self, other: &Self) -> f64 {
         let [own, other] = [self, other].map(|m| Moved {
             at: m.at + m.to[1],

@@ -7,8 +7,9 @@ use super::tracked_pair::flow_tracks;
 use crate::registration::Track;
 use nalgebra::{Matrix3, Point2, RowVector3, Vector2};
 
-/// The Delaunay triangles of a pair's tracks in the earlier and in the later frame, which are the same at all
-/// instants. Vertices are the tracks of one flow by index, then the image's corners row by row.
+/// The Delaunay triangles of a pair's tracks in the earlier and in the later frame; they are the same at all
+/// instants. A triangle is three vertex indices. Vertices are the tracks of one flow in their order, then the
+/// image's corners row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Triangles(pub [Vec<[usize; 3]>; 2]);
 
@@ -22,7 +23,8 @@ impl Triangles {
     }
 }
 
-/// The Delaunay triangles of these positions and the image's corners, by index. The corners follow the positions.
+/// The Delaunay triangles of these positions and the image's four corners. Each is three indices; the corners
+/// come after the positions.
 pub fn triangulated(
     positions: impl Iterator<Item = Point2<f64>>,
     width: usize,
@@ -69,13 +71,13 @@ fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
         return;
     }
     let Some(barycentric) = target.try_inverse() else { return };
-    // From (x, y, 1) to the source.
+    // Rows of the affine map from (x, y, 1) at the instant to a source coordinate.
     let [to_x, to_y] = [0, 1].map(|axis| {
         RowVector3::from_iterator(corners.iter().map(|f| f.source[axis])) * barycentric
     });
     let [a, b, c] = corners.map(|f| f.target);
     let (low, high) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
-    // The pixels whose centres are inside.
+    // The range of pixels along an axis whose centres are inside the bounding box.
     let bounds = |axis: usize, size: usize| {
         let first = (low[axis] - 0.5).ceil().max(0.0) as usize;
         let end = ((high[axis] - 0.5).floor() + 1.0).max(0.0) as usize;
@@ -100,8 +102,8 @@ fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
     }
 }
 
-/// The interval of x inside a triangle at this y, given the matrix from (x, y, 1) to barycentric coordinates. `None` if
-/// the row misses the triangle.
+/// The interval of x that is inside a triangle at height `y`, pixels. `barycentric` maps (x, y, 1) to
+/// barycentric coordinates. `None` if the row misses the triangle.
 fn span(barycentric: &Matrix3<f64>, y: f64) -> Option<[f64; 2]> {
     let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
     for corner in barycentric.row_iter() {

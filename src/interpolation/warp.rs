@@ -15,7 +15,7 @@ pub struct Warp {
 }
 
 impl Warp {
-    /// The warp whose source positions are the pixels' centres.
+    /// The identity warp: each pixel's source position is its own centre.
     pub fn identity(width: usize, height: usize) -> Self {
         let source = (0..width * height)
             .map(|k| [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5])
@@ -24,7 +24,8 @@ impl Warp {
     }
 }
 
-/// Warps a frame by cubic convolution; values may leave 0..=1. Black outside `parts`, if given.
+/// Warps a frame by cubic convolution; values may leave 0..=1. Pixels outside the tiles `parts`, if given,
+/// are black.
 pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image {
     let channels = image.channels();
     let mut data = vec![0.0; warp.source.len() * channels];
@@ -44,7 +45,7 @@ pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image
 }
 
 /// The cross dissolve of two warped frames, eq. (9), clamped to 0..=1. `fraction` is (t' − t)/Δt, 0 at the
-/// earlier frame. Black outside `parts`, if given.
+/// earlier frame. Pixels outside the tiles `parts`, if given, are black.
 ///
 /// Both frames must have the same channels, and both warps the same size.
 pub fn cross_dissolve(
@@ -60,13 +61,14 @@ pub fn cross_dissolve(
     image
 }
 
-/// The cross-fade of two images of one shape: `a` at a fraction of 0, `b` at 1.
+/// The cross-fade of two images of the same shape: `a` at a fraction of 0, `b` at 1.
 pub(super) fn cross_fade(a: &Image, b: &Image, fraction: f32) -> Image {
     let data = (a.data().iter().zip(b.data())).map(|(a, b)| a + (b - a) * fraction).collect();
     Image::from_data(a.width(), a.height(), a.channels(), data)
 }
 
-/// The absolute difference of two images of one shape, averaged over the channels, row by row.
+/// The absolute difference of two images of the same shape, averaged over the channels; one value per pixel,
+/// row by row.
 pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
     #[inline(always)]
     fn of_pixel(a: &[f32], b: &[f32]) -> f32 {
@@ -74,7 +76,7 @@ pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
     }
     let (a_data, b_data) = (a.data(), b.data());
     match a.channels() {
-        // The compiler knows the number of channels, and vectorizes.
+        // With the number of channels known at compile time, the loop vectorizes.
         3 => (a_data.as_chunks::<3>().0.iter().zip(b_data.as_chunks::<3>().0))
             .map(|(a, b)| of_pixel(a, b))
             .collect(),

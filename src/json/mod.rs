@@ -1,4 +1,4 @@
-//! Reads JSON files. An error is one sentence that names the wrong field.
+//! Reading of JSON files. An error is one sentence that names the wrong field.
 
 mod objects;
 
@@ -7,16 +7,16 @@ use objects::Objects;
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
-/// Largest file that is read, bytes: it holds the time stamps of a hundred cameras over twenty minutes. Parsed, it
+/// Default size limit of a file, bytes: the time stamps of a hundred cameras over twenty minutes. Parsing such a file
 /// takes up to a gigabyte of memory.
 pub const MAX_BYTES: u64 = 64 << 20;
 
-/// Why a file could not be read as JSON. The caller's message names the file.
+/// Why a file can't be read as JSON. The caller's message adds the file's name.
 #[derive(Debug, thiserror::Error)]
 pub enum JsonError {
     #[error(transparent)]
     Read(#[from] std::io::Error),
-    /// A sentence that starts with the field, if it is known.
+    /// The contents are wrong. The sentence starts with the field, if it is known.
     #[error("{0}")]
     Content(String),
 }
@@ -31,7 +31,8 @@ pub fn read_within<T: DeserializeOwned>(path: &Path, max_bytes: u64) -> Result<T
     parse(&read_text(path, max_bytes)?).map_err(JsonError::Content)
 }
 
-/// Parses a value. The error is a sentence that starts with the field. Structs must be objects, not lists.
+/// Parses a value. The error is a sentence that starts with the field. A list in place of a struct's object is an
+/// error.
 pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let value = serde_path_to_error::deserialize(Objects(&mut deserializer));

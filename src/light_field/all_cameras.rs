@@ -12,13 +12,14 @@ use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
 use crate::lumigraph::BlendMethod;
 use crate::options::{ProxyMethod, RenderOptions};
 
-/// Factor on [`crate::lumigraph::BlendOptions::error_angle_rad`], smaller than 1 since the camera's own image is among
-/// the blended ones and has no depth error. Smaller: its own interpolated image dominates. Larger: other cameras' do.
+/// Factor on [`crate::lumigraph::BlendOptions::error_angle_rad`] when a camera's own image is among the
+/// blended images. It is below 1 because that image has no depth error. Smaller: the camera's own
+/// interpolated image dominates. Larger: other cameras' images do.
 const OWN_FRACTION: f64 = 0.25;
 
 impl LightField {
-    /// A camera's image between its frames, blended from all cameras' images with the options `all`. Pixels that the
-    /// blend doesn't cover are interpolated from the camera's own frames.
+    /// A camera's image between two of its frames, blended from all cameras' images with the options `all`.
+    /// Pixels that the blend doesn't cover are interpolated from the camera's own frames.
     pub(super) fn image_from_all_cameras(
         &self,
         image: &CameraImage,
@@ -43,7 +44,8 @@ impl LightField {
         let filmed = &self.capture().cameras[camera].camera;
         let request = Request::new(Viewpoint::View(filmed), time_s, &options);
         let geometry = match geometry(self, filmed, &request, context) {
-            // Without depth, other cameras' images can't be warped.
+            // Without depth, other cameras' images can't be warped: the camera's own interpolated image is
+            // the result.
             Err(RenderError::NoPoints | RenderError::NothingSeen) => return Ok((*own).clone()),
             geometry => geometry?,
         };

@@ -1,4 +1,4 @@
-//! §5: a camera's image at an instant at which it took none.
+//! §5: a camera's image at an instant between its frames.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, Stage};
@@ -65,7 +65,7 @@ impl Stage for RefinementCosts<'_> {
     }
 }
 
-/// A camera's image, as bright as the reference camera records it.
+/// A camera's image, gain-corrected to the reference camera's exposure.
 pub(super) fn corrected(
     field: &LightField,
     image: CameraImage,
@@ -78,7 +78,8 @@ pub(super) fn corrected(
     field.get(&CorrectedImage { image, registration }, context)
 }
 
-/// Computes a camera's image at an instant. If `parts` are given, pixels outside these tiles may be wrong or black.
+/// Computes a camera's image at an instant. If the tiles `parts` are given, pixels outside them may be wrong
+/// or black.
 pub(super) fn image_in(
     field: &LightField,
     image: &CameraImage,
@@ -141,7 +142,8 @@ pub(super) fn image_in(
 }
 
 impl LightField {
-    /// A camera's synchronized image at a time: its own frame if one has exactly this time, else interpolated.
+    /// A camera's synchronized image at a time, seconds from the capture's start: its own frame if one has
+    /// exactly this time, else interpolated.
     ///
     /// # Errors
     /// [`RenderError::CameraTime`] outside the camera's frames, [`RenderError::CameraClock`] if its clock is
@@ -157,7 +159,8 @@ impl LightField {
         on_workers(|| self.get(&image, &Context::unattended()))
     }
 
-    /// The images of all cameras at a time, in the capture's order; `None` for cameras that can't give one.
+    /// The synchronized images of all cameras at a time, seconds from the capture's start, in the capture's
+    /// order; `None` for cameras that can't give one.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read, [`RenderError::Stopped`].
@@ -174,10 +177,11 @@ impl LightField {
         on_workers(|| side_by_side(self, &usable, method.all_cameras.is_some(), context, get))
     }
 
-    /// The images of all cameras at a time, as bright as the reference camera records them.
+    /// [`Self::synchronized_all`], with images gain-corrected to the reference camera's exposure.
     ///
     /// # Errors
-    /// Those of [`Self::synchronized_all`], and the error of [`super::render()`] if no camera has an image at that time.
+    /// Those of [`Self::synchronized_all`], and the error of [`super::render()`] if no camera has an image at
+    /// that time.
     pub fn corrected_all(
         &self,
         time_s: f64,
@@ -189,13 +193,15 @@ impl LightField {
         }
         let source = ImageSource::new(Images::By(options.sync), options);
         let (usable, instant) = (self.usable(time_s), Instant::new(time_s, options));
-        // Twice: frames of the last cameras may have displaced images of the first ones from the memo.
+        // Requested twice: frames of the last cameras may have evicted images of the first ones from the
+        // memo.
         on_workers(|| images_of(self, &source, &usable, instant, context))?;
         let images = on_workers(|| images_of(self, &source, &usable, instant, context))?;
         Ok(GivenImages::corrected(images))
     }
 
-    /// The images of [`Self::corrected_all`], if the synchronized images of all usable cameras are cached.
+    /// The result of [`Self::corrected_all`] if the synchronized images of all usable cameras are cached,
+    /// else `None`.
     pub(crate) fn cached_instant(
         &self,
         time_s: f64,
@@ -212,7 +218,7 @@ impl LightField {
     }
 }
 
-/// The images of these cameras at an instant, as bright as the reference records them.
+/// The images of `cameras` at an instant, gain-corrected to the reference camera's exposure.
 pub(super) fn images_of(
     field: &LightField,
     source: &ImageSource,
@@ -235,8 +241,8 @@ pub(super) fn images_of(
     }
 }
 
-/// Gets the images of these cameras in parallel. If they share inputs, the first image is computed alone, so that the
-/// shared inputs are computed once.
+/// Calls `get` for these cameras in parallel. If `share_inputs`, the first image is computed alone, so that
+/// inputs that all images share are computed once.
 fn side_by_side(
     field: &LightField,
     cameras: &[usize],

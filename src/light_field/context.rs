@@ -2,7 +2,7 @@
 
 use super::RenderError;
 
-/// The callback that rendering reports its progress to, and that may stop it.
+/// The progress callback of rendering, which can also stop it.
 #[derive(Clone, Copy)]
 pub struct Context<'a> {
     proceed: &'a (dyn Fn(usize, usize) -> bool + Sync),
@@ -18,12 +18,12 @@ impl<'a> Context<'a> {
         Self { proceed, done: 0, total: 1 }
     }
 
-    /// A context that reports to nobody and never stops rendering.
+    /// A context without progress reports, which never stops rendering.
     pub fn unattended() -> Self {
         Self::new(&|_, _| true)
     }
 
-    /// The context of instant `done` of `total`.
+    /// The context for the instant after `done` of `total` instants.
     pub(super) fn at(self, done: usize, total: usize) -> Self {
         Self { done, total, ..self }
     }

@@ -1,5 +1,5 @@
-//! §6: spatial correspondences, features of several cameras that show the same point. They are computed once for all
-//! instants between the same frames.
+//! §6: spatial correspondences, which are features of several cameras that show the same point. They are
+//! computed once for all instants between the same frames.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, Stage};
@@ -11,24 +11,25 @@ use crate::registration::{Frame, Match, Trajectory, flow};
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 
-/// Longest predicted motion to the other frame, pixels; a longer one comes from a wrong disparity.
+/// Maximum motion to the other frame that is predicted from a disparity, pixels; longer ones are due to a
+/// wrong disparity.
 const MAX_PREDICTED_MOTION_PX: f64 = 30.0;
 
-/// Smallest distance of the instant from a frame, as a fraction of the frame interval, at which motion is predicted
-/// from the disparity. The prediction divides the disparity's error by this fraction.
+/// Minimum distance in time of the instant from a frame, as a fraction of the frame interval, for motion to
+/// be predicted from the disparity. The prediction divides the disparity's error by this fraction.
 const MIN_PREDICTED_FRACTION: f64 = 0.25;
 
 /// Largest distance of a match from its epipolar line at the instant, pixels.
 const MAX_EPIPOLAR_PX: f64 = 1.0;
 
-/// A feature's positions in another camera's nearer and farther frame, pixels.
+/// A feature's positions in another camera's nearer and farther frame (in time), pixels.
 type Matched = [Point2<f64>; 2];
 
-/// A feature of a camera's nearer frame.
+/// A feature of a camera's nearer frame, with its trajectory.
 #[derive(Clone, Copy, Debug)]
 struct Feature {
     in_frame: Point2<f64>,
-    /// `None` for a still pair of frames.
+    /// `None` if the two frames show no motion.
     trajectory: Option<Trajectory>,
 }
 
@@ -42,14 +43,14 @@ impl Feature {
 pub(super) struct MatchedFeatures {
     own: FramesAround,
     features: Vec<Feature>,
-    /// Each partner's frames, and one match for each feature; `None` if the feature isn't found there.
+    /// Each partner's frames, and for each feature its match there; `None` if it isn't found.
     partners: Vec<(FramesAround, Vec<Option<Matched>>)>,
 }
 
 /// The cameras that see a point, each with the point's position in its image, pixels.
 pub(super) type Observations<'a> = Vec<(&'a Camera, Point2<f64>)>;
 
-/// Features of a frame that are to be found in another camera.
+/// Features of a frame that are to be found in another camera's frames.
 struct Query<'a> {
     frame: &'a Frame,
     features: &'a [Feature],
@@ -84,7 +85,7 @@ impl Stage for Correspondences<'_> {
             if EpipolarGeometry::new(own, other).is_none() {
                 continue;
             }
-            // The search starts at the point that is triangulated from nearer partners.
+            // The search starts at the projection of the point that is triangulated from nearer partners.
             let disparity = |seen: &Observations| -> Vector2<f64> {
                 triangulate(seen)
                     .and_then(|t| Some(other.project(&t.point)? - own.project(&t.point)?))
@@ -101,7 +102,8 @@ impl Stage for Correspondences<'_> {
     }
 }
 
-/// The observations of each feature at a time. The first is the camera's own; partners that see the feature follow.
+/// For each feature its observations at `time_s`, seconds. The first is the camera's own; those of partners
+/// that see the feature follow.
 pub(super) fn observations<'a>(
     field: &'a LightField,
     matched: &MatchedFeatures,
@@ -116,7 +118,8 @@ pub(super) fn observations<'a>(
     seen
 }
 
-/// Adds a partner's observations at a time, without those further than [`MAX_EPIPOLAR_PX`] from their epipolar lines.
+/// Adds a partner's observations at `time_s`, except those farther than [`MAX_EPIPOLAR_PX`] from their
+/// epipolar lines.
 fn observe<'a>(
     field: &'a LightField,
     around: FramesAround,
@@ -147,7 +150,8 @@ fn observe<'a>(
     }
 }
 
-/// The middle of the times at which these are every camera's nearer and farther frames. 0 if nothing moves.
+/// The middle of the time interval, seconds, in which `around` holds for every camera. 0 if no camera has
+/// motion.
 fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     let moving = around.iter().filter(|a| a.near != a.far);
     let span = moving.map(|a| {
@@ -159,7 +163,8 @@ fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     both.map_or(0.0, |[from, to]| 0.5 * (from + to))
 }
 
-/// The frames of a camera around an instant: the nearer one in time, and the farther one.
+/// The frames of a camera around an instant, the nearer and the farther in time. If nothing moves between
+/// them, both are the nearer.
 pub(super) fn frames_around(
     field: &LightField,
     camera: usize,
@@ -207,7 +212,8 @@ impl Correspondences<'_> {
         Ok((frame, features))
     }
 
-    /// Finds the query's features in this camera's nearer frame, and tracks them from there to its farther frame.
+    /// Finds the query's features in a camera's nearer frame, and tracks them from there to its farther
+    /// frame.
     fn matched(
         &self,
         field: &LightField,
@@ -234,7 +240,7 @@ impl Correspondences<'_> {
         let found: Vec<(usize, Point2<f64>)> = (matches.iter().enumerate())
             .filter_map(|(n, m)| Some((n, m.as_ref().map(target)?)))
             .collect();
-        // The motion to the farther frame is predicted from the feature's motion in the query's camera.
+        // The feature's motion to the farther frame is predicted from its motion in the query's camera.
         let starts: Vec<_> = found
             .iter()
             .map(|&(n, p)| {

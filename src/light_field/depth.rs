@@ -1,4 +1,4 @@
-//! Depth per pixel of cameras at an instant, from their images.
+//! Depth per pixel of the cameras at an instant, by stereo matching of their images.
 
 use super::camera_image::images_of;
 use super::graph::{LightField, Stage};
@@ -13,25 +13,27 @@ use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Fraction of the range of inverse depths that is added at both ends, for what is nearer or farther than all features.
+/// Fraction of the range of inverse depths that is added at both ends, for surfaces nearer or farther than
+/// all features.
 const RANGE_MARGIN: f64 = 0.1;
-/// Step between the pixels of the proxy's depth map that the range of depths is computed from.
+/// Step between the sampled pixels of the mesh's depth map, from which the range of depths is computed.
 const RANGE_STEP_PX: usize = 8;
-/// Smallest inverse depth, 1/m.
+/// Lower bound of the inverse depths that are searched, 1/m.
 const MIN_INVERSE_DEPTH: f64 = 1e-5;
-/// Size of a matcher, bytes per pixel of its cameras' images.
+/// Memory of a matcher, bytes per pixel of its cameras' images.
 const MATCHER_BYTES: usize = 16;
 
-/// A stereo matcher with its prepared images, and the range of depths of each camera.
+/// A stereo matcher with its prepared images, and the search range of each camera.
 pub(super) struct PreparedStereo {
     matcher: Matcher,
-    /// The range of inverse depths in each camera of the stereo, 1/m; `None` if no scene point is in front of it.
+    /// For each of the stereo's cameras, the minimum and maximum inverse depth, 1/m; `None` if no scene point
+    /// is in front of it.
     ranges: Vec<Option<[f64; 2]>>,
     bytes: usize,
 }
 
 impl Stage for Stereo<'_> {
-    /// `None` if nothing is known of the scene's depths.
+    /// `None` if the range of the scene's depths is unknown.
     type Output = Option<PreparedStereo>;
     const NAME: &'static str = "stereo";
 
@@ -72,15 +74,15 @@ impl Stage for Stereo<'_> {
 }
 
 impl Stereo<'_> {
-    /// Estimates the depths of `cameras`, a subset of the stereo's. Cameras whose depths can't be estimated are not in
-    /// the result.
+    /// Estimates the depths of `cameras`, a subset of the stereo's cameras. Cameras whose depths can't be
+    /// estimated are left out.
     pub fn surfaces(
         &self,
         field: &LightField,
         cameras: &[usize],
         context: &Context,
     ) -> Result<Vec<EstimatedDepth>, RenderError> {
-        // Once, before threads ask for it in parallel.
+        // The matcher is computed once here, before threads request it in parallel.
         field.get(self, context)?;
         let depth = |&camera: &usize| {
             Ok((camera, field.get(&CameraDepth { stereo: *self, camera }, context)?))
@@ -96,7 +98,7 @@ impl Stereo<'_> {
 pub(super) type EstimatedDepth = (usize, Arc<Option<InverseDepths>>);
 
 impl Stage for CameraDepth<'_> {
-    /// `None` if no other camera stands at another place, or if the range of depths is unknown.
+    /// `None` if all cameras stand at one place, or if the range of depths is unknown.
     type Output = Option<InverseDepths>;
     const NAME: &'static str = "depth";
 
@@ -121,7 +123,8 @@ impl Stage for CameraDepth<'_> {
 }
 
 impl Stage for OcclusionDepths<'_> {
-    /// One depth map a camera, in the capture's order; `None` for cameras that don't take part in the stereo.
+    /// One depth map for each camera, in the capture's order; `None` for cameras that don't take part in the
+    /// stereo.
     type Output = Vec<Option<Arc<DepthMap>>>;
     const NAME: &'static str = "occlusion depths";
 
@@ -145,7 +148,7 @@ impl Stage for OcclusionDepths<'_> {
     }
 }
 
-/// Depths of cameras as surfaces.
+/// The estimated depths of some cameras, as surfaces to be fused.
 pub(super) fn surfaces<'a>(
     field: &'a LightField,
     depths: &'a [EstimatedDepth],
@@ -157,7 +160,8 @@ pub(super) fn surfaces<'a>(
     depths.iter().filter_map(surface).collect()
 }
 
-/// Points of the scene at an instant, world, metres: samples of the mesh that `middle` sees. `None` without features.
+/// Points of the scene at an instant, world, metres: samples of the mesh as the camera `middle` sees it.
+/// `None` without features.
 pub(super) fn scene_points(
     field: &LightField,
     middle: &Camera,
@@ -177,7 +181,7 @@ pub(super) fn scene_points(
     }
 }
 
-/// Points of a depth map, world, metres.
+/// The points of a depth map at every [`RANGE_STEP_PX`]-th pixel, world, metres.
 fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
     let mut points = Vec::new();
     for y in (0..camera.height).step_by(RANGE_STEP_PX) {
@@ -192,7 +196,8 @@ fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
     points
 }
 
-/// The range of the points' inverse depths in a camera, 1/m, with a margin. `None` if none is in front.
+/// Minimum and maximum inverse depth of the points in a camera, 1/m, with a margin. `None` if none is in
+/// front of it.
 pub(super) fn range(points: &[Point3<f64>], camera: &Camera) -> Option<[f64; 2]> {
     let depths = points.iter().map(|p| (camera.cam_from_world * p).z).filter(|z| *z > 0.0);
     let [low, high] = depths

@@ -1,4 +1,4 @@
-//! Why there is no image.
+//! The errors of rendering.
 
 use crate::capture::CaptureError;
 
@@ -33,7 +33,8 @@ pub enum RenderError {
 /// Decimals of seconds in messages.
 const DECIMALS: usize = 4;
 
-/// Formats `0.2 s: they cover 0 to 0.15 s`, with more decimals if rounding would put the time inside the span.
+/// Formats a time outside a span, as in `0.2 s: they cover 0 to 0.15 s`; with more decimals if rounding would
+/// put the time inside the span.
 fn outside(time_s: f64, first_s: f64, last_s: f64, covered: &str) -> String {
     let rounded = |t: f64, decimals: usize| format!("{t:.decimals$}").parse().unwrap_or(t);
     let is_within = |decimals: &usize| {

@@ -1,4 +1,4 @@
-//! Frames with their depth and motion, for whoever shows the light field by other means.
+//! Frames with their depth and motion by scene flow, for callers that render views by themselves.
 
 use super::graph::LightField;
 use super::points::nearest;
@@ -14,20 +14,21 @@ use std::collections::BTreeSet;
 const MAX_CAMERAS: usize = 8;
 
 impl LightField {
-    /// The frames from which a view by scene flow is blended, as camera and index: those nearest in time, one of each of the
-    /// nearest cameras.
+    /// The frames, as (camera, index), from which a view by scene flow is blended: of each of the nearest
+    /// cameras the frame nearest in time. `time_s` is seconds from the capture's start.
     pub fn frames_of_view(&self, target: &Camera, time_s: f64) -> Vec<(usize, usize)> {
         let mut cameras = nearest(self.capture(), &self.usable(time_s), target.center());
         cameras.truncate(MAX_CAMERAS);
         let frame = |c: usize| self.nearest_frame(c, time_s).map(|k| (c, k));
         let mut frames: Vec<FrameId> = cameras.into_iter().filter_map(frame).collect();
-        // Sorted, so that views from other places share them.
+        // Sorted, so that views from other places with the same frames share cached results.
         frames.sort_unstable();
         frames
     }
 
-    /// The frames, as camera and index, that views by scene flow use in a span of time, seconds from the capture's start:
-    /// of every camera, those that are its nearest at some instant of the span. In order of time.
+    /// The frames, as (camera, index), that views by scene flow use within a span of time, seconds from the
+    /// capture's start: of every camera the frames that are nearest to some instant of the span. Ordered by
+    /// time.
     pub fn frames_within(&self, (first_s, last_s): (f64, f64)) -> Vec<(usize, usize)> {
         let of = |camera: usize| {
             let ends = [first_s, last_s].map(|t| self.nearest_frame(camera, t));
@@ -40,11 +41,13 @@ impl LightField {
         frames
     }
 
-    /// Stores depth and motion of these frames on disk, as [`Self::prepare`] does. `progress` is called with the number of
-    /// finished frames, which may exceed those of the list: frames are prepared in groups.
+    /// Stores depth and motion of these frames on disk, as [`Self::prepare`] does for all frames. Frames are
+    /// estimated in groups, so that others may be stored too. `progress` is called with the number of stored
+    /// frames, which may exceed the length of the list.
     ///
     /// # Errors
-    /// [`RenderError::NoPoints`] if nothing is known of the scene's depths, else those of [`Self::prepare`].
+    /// [`RenderError::NoPoints`] if the range of the scene's depths is unknown, else those of
+    /// [`Self::prepare`].
     pub fn prepare_frames(
         &self,
         frames: &[(usize, usize)],
@@ -65,10 +68,11 @@ impl LightField {
         Ok(())
     }
 
-    /// Frames with their depth and motion, from memory or disk, else computed.
+    /// These frames with their depth and motion, from memory or disk, else computed.
     ///
     /// # Errors
-    /// [`RenderError::NoPoints`] if nothing is known of the scene's depths, and [`RenderError::Capture`].
+    /// [`RenderError::NoPoints`] if the range of the scene's depths is unknown, and [`RenderError::Capture`]
+    /// if a frame can't be read.
     pub fn frames_with_flow(
         &self,
         frames: &[(usize, usize)],

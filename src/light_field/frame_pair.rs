@@ -67,7 +67,8 @@ impl Stage for PairTriangles<'_> {
 }
 
 impl LightField {
-    /// The tracks between the frames `frame` and `frame + 1` of a camera that pass the epipolar test.
+    /// The tracks between the frames `frame` and `frame + 1` of a camera, without those that fail the
+    /// epipolar test.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.
@@ -80,7 +81,8 @@ impl LightField {
         self.get_stored(&PairTracks { camera, frame, registration }, &Context::unattended())
     }
 
-    /// Registers the frames around a time, of all cameras that have some.
+    /// Registers, in every camera, the pair of frames around a time, seconds from the capture's start, and
+    /// caches the tracks. Cameras without such frames are skipped.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.
@@ -96,7 +98,7 @@ impl LightField {
     }
 }
 
-/// Whether the pair of `frame` and `frame + 1` goes without registration, because none of its blocks changes by more
+/// Whether the pair of `frame` and `frame + 1` is static and needs no registration: no block changes by more
 /// than `still_change` ([`crate::interpolation::InterpolationOptions`]).
 pub(super) fn is_still(
     field: &LightField,

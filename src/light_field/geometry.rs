@@ -1,5 +1,5 @@
-//! The scene's shape at an instant, for one view: the depth map of the view, and those of the cameras that it is
-//! blended from, for occlusion.
+//! The scene's geometry at an instant for one view: the view's depth map, and for occlusion those of the
+//! cameras from which it is blended.
 
 use super::depth::surfaces;
 use super::graph::LightField;
@@ -13,17 +13,17 @@ use crate::options::{ProxyMethod, RenderOptions};
 use crate::stereo::{FURTHER_CAMERAS, fuse};
 use std::sync::Arc;
 
-/// The depth maps of a view, and of the cameras that it is blended from.
+/// The depth maps of a view and of the cameras from which it is blended.
 #[derive(Clone, Debug)]
 pub struct Geometry {
     /// The view's depth map.
     pub view: DepthMap,
-    /// Every camera's depth map, in the capture's order. `None`: no occlusion in the camera is assumed.
+    /// Every camera's depth map, in the capture's order. `None`: no point counts as occluded in that camera.
     pub sources: Vec<Option<Arc<DepthMap>>>,
 }
 
-/// The cameras whose images decide a view's depths or the weights of time, nearest first. Empty if the proxy is built
-/// from features and time has no weight.
+/// The cameras nearest to a view, ordered by distance, whose images its depths or its space-time weights
+/// depend on. Empty if the proxy is built from features and time has no weight.
 pub(super) fn nearest_cameras(
     field: &LightField,
     target: &Camera,
@@ -43,7 +43,7 @@ fn has_pixel_depths(options: &RenderOptions) -> bool {
     matches!(options.proxy.method, ProxyMethod::Depth | ProxyMethod::SceneFlow)
 }
 
-/// The geometry of a view from `target`.
+/// The geometry of a view from the camera `target`.
 pub(super) fn geometry(
     field: &LightField,
     target: &Camera,
@@ -66,8 +66,8 @@ pub(super) fn geometry(
     Ok(Geometry { view: proxy.depth_map(target), sources: vec![None; cameras] })
 }
 
-/// The geometry from depth per pixel of the cameras nearest to the view. `None` with fewer than two cameras, or if no
-/// camera's depths can be estimated.
+/// The geometry by stereo: depth per pixel of the cameras nearest to the view. `None` with fewer than two
+/// cameras, or if no camera's depths can be estimated.
 fn by_stereo(
     field: &LightField,
     target: &Camera,
@@ -94,7 +94,8 @@ fn by_stereo(
     Ok(Some(Geometry { view, sources: sources.to_vec() }))
 }
 
-/// The cameras of a view's stereo, and those of them whose depths are estimated, ascending. `None` with fewer than two.
+/// The cameras of a view's stereo, and the subset whose depths are estimated, both ascending. `None` with
+/// fewer than two cameras.
 fn stereo_cameras(
     field: &LightField,
     target: &Camera,
@@ -109,14 +110,15 @@ fn stereo_cameras(
     }
     let mut estimated = cameras.clone();
     estimated.truncate(options.proxy.depth.cameras.max(1));
-    // Sorted, so that all views with these nearest cameras share the cached depths.
+    // Sorted, so that all views with the same nearest cameras share the cached depths.
     cameras.sort_unstable();
     estimated.sort_unstable();
     Some([cameras, estimated])
 }
 
 impl LightField {
-    /// Whether a view's geometry takes no estimation: it is from features, or its depths are cached.
+    /// Whether a view's geometry needs no stereo matching: its proxy is built from features, or its depths
+    /// are cached.
     pub(crate) fn has_cached_geometry(&self, target: &Camera, request: &Request) -> bool {
         let &Request { time_s, options, shape, .. } = request;
         match options.proxy.method {

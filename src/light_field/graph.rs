@@ -1,4 +1,4 @@
-//! The render graph: a capture with its clocks, and the results of its stages.
+//! The graph of stages: a capture with its clocks, and the results that are computed from it.
 
 use super::context::Context;
 use super::error::RenderError;
@@ -12,7 +12,7 @@ use serde::de::DeserializeOwned;
 use std::any::Any;
 use std::sync::Arc;
 
-/// A stage of the graph, with its inputs.
+/// A stage of the graph. A value holds the stage's inputs; they are the key of its result.
 pub(super) trait Stage: Serialize {
     type Output: Any + Send + Sync;
     /// The stage's name, by which the cache separates its results from those of other stages.
@@ -31,15 +31,15 @@ pub(super) trait StoredStage: Stage<Output: Serialize + DeserializeOwned> {
 
 /// A capture with known clocks, from which views are rendered.
 ///
-/// It doesn't change, and may be used by several threads. Results of stages are cached in memory within a bound; no
-/// result depends on the views before it.
+/// It is immutable, and may be used by several threads. Results of stages are cached in memory of bounded
+/// size; no result depends on the views rendered before.
 ///
-/// Times are seconds on the reference camera's clock, from the capture's start
-/// ([`Capture::time_origin_s`]).
+/// Times are seconds on the reference camera's clock, from the capture's start ([`Capture::time_origin_s`]).
 pub struct LightField {
     capture: Arc<Capture>,
     offsets: Offsets,
-    /// Every camera's frame times, seconds on the reference's clock from the capture's start; `None` if they are unknown.
+    /// Every camera's frame times, seconds on the reference camera's clock from the capture's start; `None`
+    /// if its clock is unknown.
     pub(super) all_times_s: Vec<Option<Vec<f64>>>,
     times_hash: String,
     pub(super) memo: Arc<Memo>,
@@ -51,7 +51,7 @@ impl LightField {
         Self::with_frames(&FrameStore::new(capture, &RegistrationOptions::default()), offsets)
     }
 
-    /// The light field of a store's capture, which shares the store's cached frames.
+    /// The light field of a frame store's capture. It shares the store's cached frames.
     pub fn with_frames(frames: &FrameStore, offsets: Offsets) -> Self {
         let capture = frames.capture().clone();
         let all_times_s = offsets.common_times_s(&capture);
@@ -71,17 +71,17 @@ impl LightField {
         &self.offsets
     }
 
-    /// The decoded frames, prepared for registration with these options.
+    /// The store of decoded frames, prepared for registration with these options.
     pub fn frames(&self, registration: &RegistrationOptions) -> FrameStore {
         FrameStore::with_memo(self.capture.clone(), registration, self.memo.clone())
     }
 
-    /// How much more light each camera records than the reference.
+    /// The exposure gains of the cameras relative to the reference camera.
     pub fn gains(&self, registration: &RegistrationOptions) -> Arc<Gains> {
         self.frames(registration).gains()
     }
 
-    /// The result of a stage: cached, else computed.
+    /// The result of a stage: from memory, else computed.
     pub(super) fn get<S: Stage>(
         &self,
         stage: &S,
@@ -99,13 +99,13 @@ impl LightField {
         self.found(stage).map_or_else(|| self.get(stage, context), Ok)
     }
 
-    /// The result of a stage from memory, else from disk.
+    /// The result of a stage from memory, else from disk. `None` if it is in neither.
     pub(super) fn found<S: StoredStage>(&self, stage: &S) -> Option<Arc<S::Output>> {
         let stored = || self.capture.load_stored(S::KIND, &self.stored_inputs(stage)).ok_or(());
         self.memo.get_or(S::NAME, stage, S::bytes, stored).ok()
     }
 
-    /// Caches the result of a stage in memory that was computed together with others.
+    /// Caches a result in memory that was computed together with those of other inputs.
     pub(super) fn insert<S: Stage>(&self, stage: &S, value: Arc<S::Output>) {
         let bytes = S::bytes(&value);
         self.memo.insert(S::NAME, stage, value, bytes);
@@ -125,18 +125,19 @@ impl LightField {
         self.capture.store(S::KIND, &self.stored_inputs(stage), || self.get(stage, context))
     }
 
-    /// The key of a stage's result on disk: its inputs and a hash of the clocks, since a capture's cache may hold
-    /// results for several offsets.
+    /// The key of a stage's result on disk: the stage's inputs and a hash of the clocks. A capture's cache
+    /// may hold results for several estimates of the offsets.
     fn stored_inputs<'a, S: StoredStage>(&'a self, stage: &'a S) -> (&'a S, &'a str) {
         (stage, &self.times_hash)
     }
 
-    /// The result of a stage, if it is cached.
+    /// The result of a stage if it is in memory.
     pub(super) fn cached<S: Stage>(&self, stage: &S) -> Option<Arc<S::Output>> {
         self.memo.get(S::NAME, stage)
     }
 
-    /// The median distance of a camera from its nearest neighbour at another place, metres; 0 without one.
+    /// The median distance between a camera and its nearest neighbour, metres. Cameras at the same place are
+    /// not neighbours; 0 without neighbours.
     pub(crate) fn spacing_m(&self) -> f64 {
         let centers: Vec<_> = self.capture.cameras.iter().map(|c| c.camera.center()).collect();
         let nearest = |a: &Point3<f64>| {

@@ -2,13 +2,13 @@
 //!
 //! ```text
 //! frames ── tracks of a frame pair ── a camera's image at an instant ── geometry at an instant ── view
-//!   §4             §4                            §5                            §6                  §6
+//! §4             §4                            §5                            §6                  §6
 //! ```
 //!
-//! [`render`] is the only entry point. It requests results of stages, and stages request results of earlier stages. A
-//! result depends on the stage's inputs (`stages.rs`) and on the capture's frames and clocks, and on nothing else. One
-//! cache in memory, the memo, holds results by their serialized inputs. So views of one instant share all results that
-//! don't depend on the viewpoint.
+//! [`render`] is the only entry point. It requests results of stages, and stages request results of earlier
+//! stages. A result depends only on the stage's inputs (`stages.rs`) and on the capture's frames and clocks.
+//! One cache in memory, the memo, holds results by their serialized inputs. So views of one instant share all
+//! results that don't depend on the viewpoint.
 //!
 //! | file | what |
 //! |---|---|
@@ -19,12 +19,12 @@
 //! | `camera_image.rs` | §5: a camera's image at an instant |
 //! | `correspondences.rs` | §6: features that show the same point |
 //! | `points.rs` | §6: points of the scene, and the proxy through them |
-//! | `depth.rs` | depth per pixel, for the cameras |
-//! | `geometry.rs` | the depths of a view, and what is occluded in the cameras |
+//! | `depth.rs` | depth per pixel of the cameras |
+//! | `geometry.rs` | the depths of a view, and occlusion in the cameras |
 //! | `view.rs` | §6: the blended view |
-//! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, which are found together, and views from them |
-//! | `flow_frames.rs` | frames with depth and motion, to be shown by other means |
-//! | `all_cameras.rs` | a camera's image from all cameras |
+//! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, estimated together, and views from them |
+//! | `flow_frames.rs` | frames with depth and motion, for callers that render views by themselves |
+//! | `all_cameras.rs` | a camera's image, blended from all cameras |
 //! | `request.rs` | the request of a view |
 //! | `render.rs`, `trail.rs` | a view, and Fig. 1: temporal integration |
 //! | `prepare.rs` | tracks and gains, stored on disk for later views |

@@ -1,5 +1,5 @@
-//! §6: points of the scene at one instant, from spatial correspondences that are "interpolated to the same instant"
-//! and triangulated, and the proxy through them.
+//! §6: points of the scene at one instant, triangulated from spatial correspondences that are "interpolated
+//! to the same instant", and the proxy through them.
 
 use super::correspondences::{frames_around, observations};
 use super::graph::{LightField, Stage};
@@ -13,7 +13,7 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Largest reprojection error of a point (root mean square), pixels.
+/// Maximum root mean square reprojection error of a point, pixels.
 const MAX_ERROR_PX: f64 = 0.7;
 
 impl Stage for CameraPoints<'_> {
@@ -45,7 +45,8 @@ impl Stage for CameraPoints<'_> {
 }
 
 impl LightField {
-    /// Points of the scene at a time, as the cameras nearest to the view see them; metres, world.
+    /// Points of the scene at `time_s`, seconds from the capture's start, triangulated from the cameras
+    /// nearest to the view; world, metres.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.
@@ -69,11 +70,12 @@ impl LightField {
         Ok(all.iter().flat_map(|points| points.iter().copied()).collect())
     }
 
-    /// The proxy of a view at a time; a mesh for the proxies that have a depth per pixel.
+    /// The proxy of a view at `time_s`, seconds from the capture's start. For the methods with depth per
+    /// pixel it is the mesh.
     ///
     /// # Errors
-    /// [`RenderError::NoPoints`] if there are no points around the view, [`RenderError::NothingSeen`] if there are
-    /// points outside of the view only.
+    /// [`RenderError::NoPoints`] if there are no points around the view, [`RenderError::NothingSeen`] if all
+    /// points are outside the view.
     pub fn proxy(
         &self,
         target: &Camera,
@@ -93,7 +95,7 @@ impl LightField {
                 Mesh::build(points, target, options.proxy.depth_edges).map(Proxy::Mesh)
             }
         };
-        // A view without features, such as of a textureless spot or of one pixel, gets the depth of the points around.
+        // If the view shows no features, as of a textureless spot, its depth is that of the points around it.
         let around = || Plane::amid(points, target).map(Proxy::Plane);
         let is_seen = |p| target.project(p).is_some_and(|pixel| target.contains(&pixel));
         proxy.or_else(around).ok_or_else(|| {
@@ -106,8 +108,8 @@ impl LightField {
     }
 }
 
-/// Decodes the frames around an instant that these stages need, in parallel and each once. Does nothing if the cache
-/// can't hold all of them together.
+/// Decodes the frames that these stages need, in parallel and each once. Does nothing if the cache can't hold
+/// all of them together.
 fn load_frames<'a>(
     field: &LightField,
     stages: impl Iterator<Item = &'a CameraPoints<'a>>,
@@ -115,7 +117,7 @@ fn load_frames<'a>(
     let stages: Vec<&CameraPoints> = stages.collect();
     let Some(first) = stages.first() else { return Ok(()) };
     let frames = field.frames(first.instant.registration);
-    // Estimated once, before threads ask for them in parallel.
+    // Gains are computed once here, before threads request them in parallel.
     frames.gains();
     let cameras: BTreeSet<usize> =
         stages.iter().flat_map(|s| s.partners.iter().chain([&s.camera])).copied().collect();
@@ -134,7 +136,8 @@ fn load_frames<'a>(
     })
 }
 
-/// The cameras nearest to a view, each with its partners: the cameras that its features are matched with.
+/// The cameras nearest to a view, each with its partners, which are the cameras in which its features are
+/// searched.
 fn with_partners(
     field: &LightField,
     target: &Camera,
@@ -152,7 +155,7 @@ fn with_partners(
     nearest(capture, &usable, target.center()).into_iter().take(options.cameras).map(with).collect()
 }
 
-/// Cameras by the distance of their centres from a point; ties by index.
+/// The cameras `among`, ordered by the distance of their centres from a point of the world; ties by index.
 pub(super) fn nearest(capture: &Capture, among: &[usize], from: Point3<f64>) -> Vec<usize> {
     let mut order = among.to_vec();
     let distance = |c: usize| (capture.cameras[c].camera.center() - from).norm();

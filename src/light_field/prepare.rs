@@ -1,5 +1,6 @@
-//! Computes what depends on frames alone beforehand, and stores it on disk for later views: the tracks of all frame pairs
-//! and the cameras' gains; for views by scene flow, also depth and motion of all frames.
+//! Preparation: results that depend only on frames are computed beforehand, and stored on disk for later
+//! views. These are the tracks of all frame pairs and the cameras' gains; for views by scene flow, also depth
+//! and motion of all frames.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, StoredStage};
@@ -13,7 +14,7 @@ use crate::scene_flow::FlowMap;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
-/// Largest overhead of a stored result, bytes.
+/// Upper bound on the overhead of a stored result, bytes.
 const ENTRY_BYTES: usize = 64;
 
 /// The kinds of entries in a capture's cache that [`LightField::prepare`] stores.
@@ -22,21 +23,21 @@ pub const PREPARED: [&str; 3] = [PairTracks::KIND.name, Gains::KIND.name, FrameF
 /// Result of [`LightField::prepare`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Preparation {
-    /// Number of frame pairs in which something moves.
+    /// Number of frame pairs with motion.
     pub pairs: usize,
-    /// Number of these frame pairs whose tracks had been stored before.
+    /// Number of these pairs whose tracks were on disk already.
     pub found: usize,
-    /// Number of frames whose depth and motion are stored, if the options render by them.
+    /// Number of frames whose depth and motion are stored; 0 unless the options render by scene flow.
     pub maps: usize,
-    /// Number of these frames whose depth and motion had been stored before.
+    /// Number of these frames whose depth and motion were on disk already.
     pub maps_found: usize,
-    /// Size of all that is stored, bytes.
+    /// Size of all stored results, bytes.
     pub bytes: u64,
 }
 
 impl LightField {
-    /// The number of frame pairs, and of frames with depth and motion, and an upper bound on the size that
-    /// [`Self::prepare`] takes on disk, bytes.
+    /// The number of results that [`Self::prepare`] stores, frame pairs plus frames with depth and motion,
+    /// and an upper bound on their size on disk, bytes.
     pub fn preparation_size(&self, options: &RenderOptions) -> (usize, u64) {
         let cameras = self.capture().cameras.len();
         let pairs: usize = (0..cameras).map(|c| self.times_s(c).len().saturating_sub(1)).sum();
@@ -54,12 +55,12 @@ impl LightField {
         (steps, bytes as u64)
     }
 
-    /// Registers all frame pairs in which something moves, and stores their tracks on disk; likewise depth and motion of
-    /// all frames, if the options render by them. What is stored already is skipped. `progress` is called with the number
-    /// of finished pairs and frames.
+    /// Registers all frame pairs with motion, and stores their tracks on disk; if the options render by scene
+    /// flow, also depth and motion of all frames. Results that are on disk already are not computed again.
+    /// `progress` is called with the number of finished pairs and frames.
     ///
     /// # Errors
-    /// [`RenderError::Capture`] if a frame can't be read, or nothing can be written.
+    /// [`RenderError::Capture`] if a frame can't be read or a result can't be written.
     pub fn prepare(
         &self,
         options: &RenderOptions,

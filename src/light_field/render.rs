@@ -11,15 +11,16 @@ use crate::host::on_workers;
 use crate::lumigraph::Rendered;
 use crate::options::RenderOptions;
 
-/// Renders a view, or a filming camera's image. If the options have a motion trail, integrates over its instants.
+/// Renders a view, or a filming camera's image. If the options ask for a motion trail, the views at its
+/// instants are overlaid.
 ///
-/// Instants of a trail are skipped before the recording starts, where no camera sees anything, and where the proxy
-/// can't be triangulated. The request's own instant is never skipped: its error is returned. A pixel integrates over
-/// the instants that cover it, and is covered if any does.
+/// Instants of a trail are skipped before the recording starts, where no camera sees anything, and where the
+/// proxy can't be triangulated. The request's own instant is never skipped: its error is returned. A pixel
+/// integrates over the instants that cover it, and is covered if any does.
 ///
 /// # Errors
-/// [`RenderError::Time`], [`RenderError::CameraTime`] or [`RenderError::NoClock`] if there is no image at that time,
-/// those of [`LightField::proxy`], [`RenderError::NothingSeen`] if no pixel is covered, and
+/// [`RenderError::Time`], [`RenderError::CameraTime`] or [`RenderError::NoClock`] if there is no image at
+/// that time, those of [`LightField::proxy`], [`RenderError::NothingSeen`] if no pixel is covered, and
 /// [`RenderError::Stopped`].
 pub fn render(
     field: &LightField,
@@ -74,7 +75,7 @@ fn instant(
 }
 
 impl LightField {
-    /// The view from anywhere at a time: [`render`] without a trail.
+    /// The view of any camera at `time_s`, seconds from the capture's start: [`render`] without a trail.
     ///
     /// # Errors
     /// Those of [`render`].
@@ -96,8 +97,8 @@ impl LightField {
         on_workers(|| super::geometry::geometry(self, target, request, &Context::unattended()))
     }
 
-    /// Depths of the scene in a view, metres: near, middle and far, which are the 5th, 50th and 95th percentile of its
-    /// pixels.
+    /// Depths of the scene in a view along the camera's axis, metres: near, middle and far, which are the
+    /// 5th, 50th and 95th percentile of its pixels.
     ///
     /// # Errors
     /// Those of [`Self::proxy`]; [`RenderError::NoPoints`] if no pixel has a finite depth.

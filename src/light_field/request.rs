@@ -9,9 +9,9 @@ use crate::options::{ProxyMethod, RenderOptions};
 /// The viewpoint of a request.
 #[derive(Clone, Copy, Debug)]
 pub enum Viewpoint<'a> {
-    /// Any camera, also one that doesn't film.
+    /// Any camera, including one of a place from which nothing was filmed.
     View(&'a Camera),
-    /// A filming camera, by its index: its own image at the instant.
+    /// A filming camera, by its index: the result is its own image at the instant.
     Like(usize),
 }
 
@@ -19,18 +19,18 @@ pub enum Viewpoint<'a> {
 #[derive(Clone, Copy, Debug)]
 pub struct Request<'a> {
     pub from: Viewpoint<'a>,
-    /// Seconds on the reference's clock, from the capture's start.
+    /// Seconds on the reference camera's clock, from the capture's start.
     pub time_s: f64,
     /// Options of all stages; every `auto` is already replaced by a method.
     pub options: &'a RenderOptions,
-    /// The images that are blended.
+    /// The images from which the view is blended.
     pub images: Images<'a>,
-    /// The images that depth per pixel is estimated from.
+    /// The images from which depth per pixel is estimated.
     pub shape: Images<'a>,
 }
 
 impl<'a> Request<'a> {
-    /// A view whose images are synchronized by the method of the options.
+    /// A request in which all images are synchronized by the options' method.
     pub fn new(from: Viewpoint<'a>, time_s: f64, options: &'a RenderOptions) -> Self {
         let images = Images::By(options.sync);
         Self { from, time_s, options, images, shape: images }
@@ -38,8 +38,8 @@ impl<'a> Request<'a> {
 }
 
 impl Request<'_> {
-    /// Whether the view is made of the points of frames, which needs no synchronized images. Images by another method than
-    /// the options', or given ones, are blended over depths of their own.
+    /// Whether the view is rendered by scene flow, from the frames' depth and motion. This needs the options'
+    /// own images: given images, or those of another method, are blended by estimated depths instead.
     pub(super) fn uses_scene_flow(&self) -> bool {
         self.options.proxy.method == ProxyMethod::SceneFlow
             && [self.images, self.shape]
@@ -49,7 +49,7 @@ impl Request<'_> {
 }
 
 impl LightField {
-    /// Checks that there are images from a viewpoint at all of these times.
+    /// Checks that images exist at all of these times, seconds from the capture's start.
     ///
     /// # Errors
     /// The error of [`super::render()`] for the first of the times that lies outside the recordings.

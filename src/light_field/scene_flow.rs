@@ -1,4 +1,5 @@
-//! Beyond the paper: views from the depth and motion of frames, each at its own time.
+//! Beyond the paper: views by scene flow, from the depth and motion of frames that were filmed at different
+//! times.
 
 use super::depth::{range, scene_points};
 use super::graph::{LightField, Stage, StoredStage};
@@ -19,11 +20,11 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Maximum number of other cameras with whose frames a frame is matched.
+/// Maximum number of other cameras that a frame is matched with.
 const MAX_PARTNERS: usize = 7;
-/// Maximum motion a frame of the search, as a fraction of the image's longer side.
+/// Maximum motion per frame in the search, as a fraction of the image's longer side.
 const MAX_SPEED: f64 = 0.125;
-/// Factor by which the search extends the range of the features' inverse depths, at both ends.
+/// Factor by which the search range extends beyond the features' inverse depths, at both ends.
 const DEPTH_MARGIN: f64 = 1.5;
 
 impl Stage for Undistorted<'_> {
@@ -47,7 +48,7 @@ impl Stage for Undistorted<'_> {
 /// The maps of a slot's frames.
 type SlotMaps = Vec<(FrameId, Arc<FlowMap>)>;
 
-/// Depth and motion of the frames of a slot. `None` if nothing is known of the scene's depths.
+/// The maps of a slot's frames, estimated together. `None` if the range of the scene's depths is unknown.
 fn slot_maps(
     slots: &Slots,
     slot: Slot,
@@ -63,7 +64,8 @@ fn slot_maps(
         context.check()?;
         let undistorted = Undistorted { camera, frame, registration: options.registration };
         let flow_frame = field.get(&undistorted, context)?;
-        // Each is used in two or three slots: computing it takes less than caching it would displace.
+        // Each pyramid is used in two or three slots. Caching it would evict results that take longer to
+        // compute.
         let pyramid = flow_frame.pyramid();
         Ok(((camera, frame), (flow_frame, pyramid)))
     };
@@ -107,7 +109,7 @@ impl StoredStage for FrameFlow<'_> {
 }
 
 impl Stage for FlowConfidences<'_> {
-    /// One list a frame, of one value a pixel.
+    /// For each frame, one value for each of its pixels.
     type Output = Vec<Vec<u8>>;
     const NAME: &'static str = "confidences";
 
@@ -121,7 +123,8 @@ impl Stage for FlowConfidences<'_> {
     }
 }
 
-/// Stores the maps of a slot's frames on disk, unless they are there.
+/// Stores the maps of a slot's frames on disk, unless they are there. Empty if the range of the scene's
+/// depths is unknown.
 pub(super) fn store_slot(
     slots: &Slots,
     slot: Slot,
@@ -131,7 +134,7 @@ pub(super) fn store_slot(
     let (field, frames) = (slots.field, slots.frames(slot));
     let flow = |frame: FrameId| FrameFlow { frame, options };
     if !frames.iter().all(|&frame| field.is_stored(&flow(frame))) {
-        // Views are rendered by other means where nothing is known of the depths.
+        // Without a range of depths there are no maps, and views are rendered by other methods.
         let Some(maps) = slot_maps(slots, slot, options, context)? else { return Ok(Vec::new()) };
         for (frame, map) in maps {
             field.insert(&flow(frame), map);
@@ -140,7 +143,7 @@ pub(super) fn store_slot(
     frames.into_par_iter().map(|frame| field.store(&flow(frame), context)).collect()
 }
 
-/// A frame and its map.
+/// A frame and its map of depth and motion.
 pub struct LoadedFrame {
     pub frame: Arc<FlowFrame>,
     pub map: Arc<FlowMap>,
@@ -152,7 +155,8 @@ impl LoadedFrame {
     }
 }
 
-/// Frames with their maps, from memory or disk, else computed. `None` if nothing is known of the scene's depths.
+/// Frames with their maps, from memory or disk, else computed. `None` if the range of the scene's depths is
+/// unknown.
 pub(super) fn load(
     field: &LightField,
     frames: &[FrameId],
@@ -175,7 +179,7 @@ pub(super) fn load(
         }
         all.extend(stored.or_else(|| computed.get(&id).cloned()).map(|map| (id, map)));
     }
-    // After all slots are computed, since each displaces much of what is cached.
+    // Inserted after all slots are computed, since each slot evicts much of the cache.
     for (frame, map) in computed {
         field.insert(&FrameFlow { frame, options }, map);
     }
@@ -186,8 +190,8 @@ pub(super) fn load(
     Ok(Some(all.into_par_iter().map(load).collect::<Result<_, RenderError>>()?))
 }
 
-/// The ranges of the search, from the features at the time of one of the frames. `None` if there are none, or if all
-/// cameras stand at one place.
+/// The search range for these frames, from features at the time of the frame in their middle. `None` without
+/// features, or if all cameras stand at one place.
 fn limits(
     field: &LightField,
     frames: &[FrameId],
@@ -213,8 +217,8 @@ fn limits(
         max_speed,
     }))
 }
-/// The frames that a frame is matched with: its own camera's before and after, and of the nearest other cameras the one
-/// nearest in time.
+/// The frames that a frame is matched with: the previous and the next one of its camera, and of each of the
+/// nearest other cameras the frame nearest in time.
 fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     let count = field.times_s(camera).len();
     let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];
@@ -232,8 +236,8 @@ fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     matched
 }
 
-/// The view from `target` by the maps of the frames nearest in time, one of each of the nearest cameras. `None` if nothing
-/// is known of the scene's depths.
+/// The view of the camera `target`, blended by scene flow ([`LightField::frames_of_view`]). `None` if the
+/// range of the scene's depths is unknown.
 pub(super) fn flow_view(
     field: &LightField,
     target: &Camera,
@@ -251,8 +255,9 @@ pub(super) fn flow_view(
     Ok(Some(blend(&mapped, &confidences, target, field.in_frames(time_s))))
 }
 
-/// A filming camera's image: its own frame where it has one at that very time, else the view from its place. Pixels that no
-/// camera sees are those of its nearest frame. `None` if nothing is known of the scene's depths.
+/// A filming camera's image: its own frame if one has exactly this time, else the view by scene flow from its
+/// place. Pixels that the view doesn't cover are taken from its nearest frame. `None` if the range of the
+/// scene's depths is unknown.
 pub(super) fn flow_image(
     field: &LightField,
     camera: usize,
@@ -284,7 +289,7 @@ pub(super) fn flow_image(
     Ok(Some(image))
 }
 
-/// The depths of [`flow_view`].
+/// The depth map of [`flow_view`].
 pub(super) fn flow_depths(
     field: &LightField,
     target: &Camera,

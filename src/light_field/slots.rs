@@ -1,27 +1,29 @@
-//! Frames whose depth and motion are found together.
+//! Slots: groups of frames whose depth and motion are estimated together.
 
 use super::LightField;
 
-/// A frame of the capture: camera and index.
+/// A frame of the capture: index of the camera, index of the frame.
 pub(super) type FrameId = (usize, usize);
 
-/// Maximum number of cameras of a group.
+/// Maximum number of cameras in a group.
 const MAX_GROUP: usize = 12;
 
-/// The frames of a group of neighbouring cameras within an interval of time. Every frame is in one slot.
+/// A slot: the frames of a group of neighbouring cameras within one interval of time. Every frame is in
+/// exactly one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Slot {
-    /// Intervals since the capture's start.
+    /// Number of the interval, counted from the capture's start.
     interval: i64,
     group: usize,
 }
 
-/// The slots of a light field.
+/// The division of a light field's frames into slots.
 pub(super) struct Slots<'a> {
     pub field: &'a LightField,
-    /// The median of the cameras' frame intervals; infinite for a static light field, whose frames are in one slot.
+    /// Length of the intervals: the median of the cameras' frame intervals. Infinite for a static light
+    /// field, so that all frames of a group are in one slot.
     interval_s: f64,
-    /// Each camera's group.
+    /// For each camera, the number of its group.
     groups: Vec<usize>,
 }
 
@@ -35,13 +37,13 @@ impl<'a> Slots<'a> {
         Self { field, interval_s, groups: groups(field) }
     }
 
-    /// The slot of a frame. Its camera's times are known.
+    /// The slot of a frame, whose camera's clock must be known.
     pub fn of(&self, (camera, frame): FrameId) -> Slot {
         let interval = self.interval(self.field.times_s(camera)[frame]);
         Slot { interval, group: self.groups[camera] }
     }
 
-    /// A slot's frames, ascending.
+    /// The frames of a slot, ascending.
     pub fn frames(&self, slot: Slot) -> Vec<FrameId> {
         let mut frames = self.all_frames();
         frames.retain(|id| self.of(*id) == slot);
@@ -66,8 +68,8 @@ impl<'a> Slots<'a> {
     }
 }
 
-/// Each camera's group: as few as [`MAX_GROUP`] allows, of equal size. The first camera without a group forms one with
-/// those nearest to it that have none either.
+/// For each camera, the number of its group. There are as few groups as [`MAX_GROUP`] allows, of about equal
+/// size. They are formed greedily: the first camera without a group, with the nearest cameras without one.
 fn groups(field: &LightField) -> Vec<usize> {
     let cameras = &field.capture().cameras;
     let size = cameras.len().div_ceil(cameras.len().div_ceil(MAX_GROUP).max(1)).max(1);

@@ -1,5 +1,5 @@
-//! The inputs of every stage. A stage's result depends on its inputs, the capture's frames and clocks, and nothing
-//! else. The memo's keys are these inputs, serialized.
+//! The inputs of every stage. A stage's result depends only on its inputs and on the capture's frames and
+//! clocks. The keys of the memo, the cache in memory, are the serialized inputs.
 
 use super::graph::{LightField, Stage};
 use super::slots::FrameId;
@@ -12,7 +12,8 @@ use crate::scene_flow::MappedFrame;
 use serde::{Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
 
-/// The tracks between the frames `frame` and `frame + 1` of a camera that pass the epipolar test.
+/// The tracks between the frames `frame` and `frame + 1` of a camera, without those that fail the epipolar
+/// test.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct PairTracks<'a> {
     pub camera: usize,
@@ -20,7 +21,7 @@ pub(super) struct PairTracks<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// The largest change of a block between the frames of a pair.
+/// The largest mean difference of any 8×8 block between the two frames of a pair, values 0..=1.
 #[derive(Serialize)]
 pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 
@@ -28,7 +29,7 @@ pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 #[derive(Serialize)]
 pub(super) struct PairTriangles<'a>(pub PairTracks<'a>);
 
-/// The refinement's costs that depend on a frame pair alone, not on the instant.
+/// The costs of refinement that depend only on a frame pair, not on the instant.
 #[derive(Serialize)]
 pub(super) struct RefinementCosts<'a> {
     pub tracks: PairTracks<'a>,
@@ -43,7 +44,7 @@ pub(super) struct CameraImage<'a> {
     pub method: &'a ImageMethod,
 }
 
-/// A camera's image at an instant, as bright as the reference camera records it.
+/// A camera's image at an instant, gain-corrected to the reference camera's exposure.
 #[derive(Serialize)]
 pub(super) struct CorrectedImage<'a> {
     pub image: CameraImage<'a>,
@@ -55,22 +56,22 @@ pub(super) struct CorrectedImage<'a> {
 pub(super) struct ImageMethod {
     pub sync: SyncMethod,
     pub registration: RegistrationOptions,
-    /// `None` for methods that follow no motion.
+    /// `None` for the methods without motion.
     pub interpolation: Option<InterpolationOptions>,
-    /// Whether the error of interpolation is wanted beside the image.
+    /// Whether the interpolation error is computed too.
     pub with_error: bool,
     /// Options of [`SyncMethod::AllCameras`]; `None` for other methods.
     pub all_cameras: Option<AllCamerasOptions>,
 }
 
-/// Options of views from which [`SyncMethod::AllCameras`] takes a camera's image.
+/// Options of the views that [`SyncMethod::AllCameras`] blends a camera's image with.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct AllCamerasOptions {
     pub proxy: ProxyOptions,
     pub blend: BlendOptions,
 }
 
-/// An instant, and the options by which the frames around it are registered or recognized as still.
+/// An instant, with the options by which the frames around it are registered or recognized as static.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Instant<'a> {
     pub time_s: f64,
@@ -89,7 +90,8 @@ impl ImageMethod {
     pub fn new(sync: SyncMethod, options: &RenderOptions) -> Self {
         let RenderOptions { registration, interpolation, proxy, blend, .. } = options.clone();
         let follows_motion = sync.needs_tracks();
-        // Refinement computes the error in any case. So views with and without weights of time share images.
+        // Refinement computes the error in any case. With this flag always set, views with and without
+        // weights of time share images.
         let with_error =
             sync == SyncMethod::Refined || follows_motion && blend.method == BlendMethod::SpaceTime;
         let all_cameras =
@@ -99,34 +101,37 @@ impl ImageMethod {
     }
 }
 
-/// Where the cameras' images at an instant come from.
+/// The source of the cameras' images at an instant.
 #[derive(Clone, Copy, Debug)]
 pub enum Images<'a> {
-    /// Synchronized from the capture's frames, by this method.
+    /// Synchronized by this method from the capture's frames.
     By(SyncMethod),
-    /// The images themselves, such as the truth's.
+    /// Given images, such as true ones.
     Given(&'a GivenImages),
 }
 
-/// One image a camera, in the capture's order. `None`: the camera has none.
+/// One image for each camera, in the capture's order; `None` if the camera has none.
 pub(super) type CameraImages = Vec<Option<Arc<Synchronized>>>;
 
-/// Images of the cameras that are not synchronized from the capture, such as the truth's.
+/// Images of the cameras that are given by the caller and not synchronized from the capture, such as true
+/// images.
 #[derive(Debug)]
 pub struct GivenImages {
     images: CameraImages,
-    /// Whether the images are as bright as the reference camera records them; else as their own camera does.
+    /// Whether the images are gain-corrected to the reference camera's exposure.
     are_corrected: bool,
     hash: OnceLock<String>,
 }
 
 impl GivenImages {
-    /// One image a camera, in the capture's order, as bright as the camera records it. `None`: the camera has none.
+    /// Images with each camera's own exposure: one for each camera, in the capture's order; `None` if the
+    /// camera has none.
     pub fn filmed(images: Vec<Option<Arc<Synchronized>>>) -> Self {
         Self { images, are_corrected: false, hash: OnceLock::new() }
     }
 
-    /// One image a camera, in the capture's order, as bright as the reference camera records it.
+    /// Images that are gain-corrected to the reference camera's exposure: one for each camera, in the
+    /// capture's order.
     pub fn corrected(images: Vec<Option<Arc<Synchronized>>>) -> Self {
         Self { images, are_corrected: true, hash: OnceLock::new() }
     }
@@ -147,12 +152,12 @@ impl GivenImages {
         Self::corrected(self.images.iter().zip(colors).map(tinted).collect())
     }
 
-    /// One image a camera, in the capture's order.
+    /// One image for each camera, in the capture's order.
     pub fn all(&self) -> &[Option<Arc<Synchronized>>] {
         &self.images
     }
 
-    /// A camera's image, as bright as the reference records it.
+    /// A camera's image, gain-corrected to the reference camera's exposure.
     pub(super) fn corrected_of(&self, camera: usize, gains: &Gains) -> Option<Arc<Synchronized>> {
         let given = self.images.get(camera)?.as_ref()?;
         let image = gains.corrected(camera, &given.image).filter(|_| !self.are_corrected);
@@ -179,12 +184,12 @@ impl Serialize for GivenImages {
     }
 }
 
-/// `image` with the interpolation error of `of`.
+/// `image` with the interpolation errors of `of`.
 pub(super) fn with_image(of: &Synchronized, image: Image) -> Synchronized {
     Synchronized { image, interpolation_error_px: of.interpolation_error_px.clone() }
 }
 
-/// Where the cameras' images come from, with the options that they depend on.
+/// The source of the cameras' images, with the options that the images depend on.
 #[derive(Clone, Debug, Serialize)]
 pub(super) enum ImageSource<'a> {
     Synchronized(Box<ImageMethod>),
@@ -204,20 +209,20 @@ impl<'a> ImageSource<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct FramesAround {
     pub camera: usize,
-    /// The frame that is nearer in time.
+    /// The frame nearer to the instant.
     pub near: usize,
-    /// The frame on the instant's other side; `near` where nothing moves between them.
+    /// The frame on the other side of the instant; equal to `near` if nothing moves between the two.
     pub far: usize,
 }
 
-/// Features of the first camera, matched in the others, for all instants between the same frames.
+/// Features of the first camera, matched in the others. They hold for all instants between the same frames.
 #[derive(Serialize)]
 pub(super) struct Correspondences<'a> {
     pub around: Vec<FramesAround>,
     pub registration: &'a RegistrationOptions,
 }
 
-/// Points of the scene at an instant that a camera and its partners see.
+/// Points of the scene at an instant, seen by a camera and its partners.
 #[derive(Serialize)]
 pub(super) struct CameraPoints<'a> {
     pub camera: usize,
@@ -225,7 +230,7 @@ pub(super) struct CameraPoints<'a> {
     pub instant: Instant<'a>,
 }
 
-/// The images of cameras at an instant, prepared for stereo, and the ranges of their depths.
+/// A stereo matcher for the images of some cameras at an instant, with their search ranges.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Stereo<'a> {
     /// Camera indices, ascending.
@@ -235,15 +240,15 @@ pub(super) struct Stereo<'a> {
     pub proxy: &'a ProxyOptions,
 }
 
-/// A camera's depths at an instant.
+/// A camera's depth per pixel at an instant.
 #[derive(Serialize)]
 pub(super) struct CameraDepth<'a> {
     pub stereo: Stereo<'a>,
     pub camera: usize,
 }
 
-/// Depth maps of all cameras of a stereo, for occlusion. Those of `estimated` are estimated by matching; the others are
-/// fused from these.
+/// Depth maps of all cameras of a stereo, for occlusion. The depths of the cameras `estimated` come from
+/// matching, and those of the others are fused from these.
 #[derive(Serialize)]
 pub(super) struct OcclusionDepths<'a> {
     pub stereo: Stereo<'a>,
@@ -251,7 +256,7 @@ pub(super) struct OcclusionDepths<'a> {
     pub estimated: &'a [usize],
 }
 
-/// A frame without lens distortion, as bright as the reference camera records it.
+/// A frame resampled without lens distortion, and gain-corrected to the reference camera's exposure.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Undistorted<'a> {
     pub camera: usize,
@@ -259,25 +264,25 @@ pub(super) struct Undistorted<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// Depth and motion of one frame, which are found together with those of the other frames of its slot.
+/// Depth and motion of one frame. It is estimated together with the other frames of its slot.
 #[derive(Serialize)]
 pub(super) struct FrameFlow<'a> {
     pub frame: FrameId,
     pub options: FlowOptions<'a>,
 }
 
-/// How far the maps of a view's frames agree.
+/// The confidences of the maps from which a view is blended.
 #[derive(Serialize)]
 pub(super) struct FlowConfidences<'a> {
-    /// Cameras and frames, ascending.
+    /// The frames as (camera, index), ascending.
     pub frames: &'a [FrameId],
     pub options: FlowOptions<'a>,
-    /// These frames, with their maps.
+    /// The same frames, with their maps.
     #[serde(skip)]
     pub mapped: &'a [MappedFrame<'a>],
 }
 
-/// The options that depth and motion of frames depend on.
+/// The options that the depth and motion of frames depend on.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct FlowOptions<'a> {
     pub registration: &'a RegistrationOptions,
@@ -292,7 +297,7 @@ impl<'a> FlowOptions<'a> {
     }
 }
 
-/// Stages whose results belong to an instant.
+/// The names of stages whose results belong to an instant.
 const OF_INSTANTS: [&str; 7] = [
     Correspondences::NAME,
     CameraPoints::NAME,
@@ -304,8 +309,8 @@ const OF_INSTANTS: [&str; 7] = [
 ];
 
 impl LightField {
-    /// Drops the cached results of all instants. The next view then takes as long as the first view of a new instant
-    /// between registered frames.
+    /// Evicts the results of all instants from memory. The next view then takes as long as the first view at
+    /// a new instant between registered frames.
     pub(crate) fn forget_instants(&self) {
         self.memo.forget(|stage| OF_INSTANTS.contains(&stage));
     }

@@ -1,14 +1,16 @@
-//! When each camera filmed, on one clock: which frames lie around an instant, and which instants there are.
+//! The cameras' frame times on one clock: the frames around an instant, and the instants at which there are
+//! images.
 
 use super::{LightField, RenderError};
 use crate::capture::Capture;
 use crate::offset::clocks;
 
-/// Checks times, seconds from the capture's start, before the offsets are estimated, which may take long.
+/// Checks times, seconds from the capture's start, before the offsets are known, since their estimation may
+/// take long.
 ///
 /// # Errors
-/// For the first time that lies outside the recording of the camera, or for `None` of all cameras, whatever the
-/// offsets.
+/// For the first time that is outside the recording of `camera`, or with `None` outside those of all cameras,
+/// for any offsets.
 pub fn check_times_before_offsets(
     capture: &Capture,
     camera: Option<usize>,
@@ -37,15 +39,16 @@ impl LightField {
         self.all_times_s[camera].as_deref().unwrap_or_default()
     }
 
-    /// A time in frames of the reference. All times of a static light field are 0.
+    /// Converts a time in seconds to frames of the reference camera. All times of a static light field are 0.
     pub(crate) fn in_frames(&self, time_s: f64) -> f64 {
         let frame_s = self.capture().frame_s();
-        // A reference with one frame has no interval: seconds do then.
+        // A reference with one frame has no frame interval: 1 s stands for it.
         let frame_s = if frame_s > 0.0 { frame_s } else { 1.0 };
         if self.capture().is_static() { 0.0 } else { time_s / frame_s }
     }
 
-    /// The time nearest to `time_s` at which all cameras with known times film; `time_s` if there is none.
+    /// The time nearest to `time_s` at which all cameras with a known clock have images; `time_s` itself if
+    /// there is none.
     pub(super) fn while_all_film(&self, time_s: f64) -> f64 {
         let spans = || self.all_times_s.iter().flatten().filter_map(|t| t.first().zip(t.last()));
         let first_s = spans().map(|span| *span.0).fold(f64::NEG_INFINITY, f64::max);
@@ -53,7 +56,8 @@ impl LightField {
         if first_s <= last_s { time_s.clamp(first_s, last_s) } else { time_s }
     }
 
-    /// The camera's frame nearest to a time, the earlier of two. `None` if its times are unknown.
+    /// The camera's frame nearest to a time; of two equally near frames the earlier. `None` if its clock is
+    /// unknown.
     pub(super) fn nearest_frame(&self, camera: usize, time_s: f64) -> Option<usize> {
         let times_s = self.times_s(camera);
         let distance = |k: &usize| (times_s[*k] - time_s).abs();
@@ -72,8 +76,8 @@ impl LightField {
         Some((*times_s.first()?, *times_s.last()?))
     }
 
-    /// The first and the last time at which every camera with a known clock can give an image, seconds; `None` if
-    /// there is none.
+    /// The first and the last time at which all cameras with a known clock can give an image, seconds; `None`
+    /// if there is no such time.
     pub fn common_span_s(&self) -> Option<(f64, f64)> {
         let first = self.spans_s().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
         let last = self.spans_s().map(|s| s.1).fold(f64::INFINITY, f64::min);
@@ -84,8 +88,8 @@ impl LightField {
         (0..self.capture().cameras.len()).filter_map(|c| self.span_s(c))
     }
 
-    /// The number of cameras for which a time lies between two frames, at least this fraction of the frame interval
-    /// from both.
+    /// The number of cameras in which a time is between two frames, and at least `fraction` of the frame
+    /// interval away from both.
     pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
         let is_between = |&camera: &usize| {
             let times = self.times_s(camera);
@@ -97,8 +101,8 @@ impl LightField {
         (0..self.capture().cameras.len()).filter(is_between).count()
     }
 
-    /// The indices of the frames before and after a time; one index twice if a frame has exactly this time. In a static
-    /// light field, every camera's only frame is valid at any time, whatever its clock.
+    /// The indices of the frames before and after a time; both are the same if a frame has exactly this time.
+    /// In a static light field, every camera's only frame is valid at any time, whatever its clock.
     pub(super) fn bracket(
         &self,
         camera: usize,
@@ -120,7 +124,7 @@ impl LightField {
         })
     }
 
-    /// The error for a time at which no camera has an image.
+    /// The error of a time at which no camera has an image.
     pub(super) fn no_camera_at(&self, time_s: f64) -> RenderError {
         let first_s = self.spans_s().map(|s| s.0).fold(f64::INFINITY, f64::min);
         let last_s = self.spans_s().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);

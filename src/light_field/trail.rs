@@ -1,8 +1,8 @@
 //! Temporal integration (Fig. 1): a motion trail, which shows the paths of moving objects in one picture.
 //!
-//! The paper overlays the images of every camera's sequence and blends the overlays. Here the finished views of the
-//! instants are overlaid, each rendered with the proxy of its own instant. With a static plane as proxy the results are
-//! equal. With a proxy that changes over time, only the overlay of views is right.
+//! The paper overlays the images of every camera's sequence and then blends the overlays. Here the finished
+//! views at the instants are overlaid, each rendered with the proxy of its own instant. With a static plane
+//! as proxy the results are equal. With a proxy that changes over time, only this order is correct.
 
 use crate::lumigraph::Rendered;
 use crate::options::TrailMode;
@@ -75,7 +75,7 @@ mod tests {
         overlay.finish()
     }
 
-    /// Black and white in turn are half the light, which is 0.735 in sRGB, not 0.5.
+    /// Alternating black and white has the mean of half the light, which is 0.735 in sRGB, not 0.5.
     #[test]
     fn the_mean_is_of_light() {
         let all = [rendered(&[0.0, 0.25], &[true; 2]), rendered(&[1.0, 0.25], &[true; 2])];

@@ -1,4 +1,4 @@
-//! A view (Fig. 2): the images that it is blended from, the scene's shape, the blend.
+//! A view (Fig. 2): the images from which it is blended, the scene's geometry, the blend.
 
 use super::camera_image::{image_in, images_of};
 use super::geometry::{Geometry, geometry, nearest_cameras};
@@ -42,7 +42,7 @@ pub(super) fn view(
     if is_seen { Ok(rendered) } else { Err(RenderError::NothingSeen) }
 }
 
-/// The images that a view is blended from, as bright as the reference records them.
+/// The images from which a view is blended, gain-corrected to the reference camera's exposure.
 fn images(
     field: &LightField,
     target: &Camera,
@@ -67,8 +67,8 @@ fn images(
             return images_of(field, &source, &candidates, instant, context);
         }
     };
-    // Whole images are needed of the nearest cameras, and cost nothing where they are cached. Of other cameras, only
-    // tiles that contribute are computed.
+    // The nearest cameras' whole images are needed, and cached images cost nothing. Of other cameras, only
+    // the tiles that contribute are computed.
     let mut whole = near;
     let is_cached = |&c: &usize| field.cached(&CameraImage { camera: c, time_s, method }).is_some();
     whole.extend(candidates.iter().copied().filter(is_cached));
@@ -102,8 +102,8 @@ fn images(
     Ok(all)
 }
 
-/// The cameras that contribute to a view, and the tiles of their images that do. In a large rig, most cameras have no
-/// weight anywhere.
+/// The cameras that contribute to a view, with the contributing tiles of their images. In a large rig, most
+/// cameras have no weight anywhere.
 fn needed(
     field: &LightField,
     images: &CameraImages,
@@ -118,8 +118,8 @@ fn needed(
 }
 
 impl LightField {
-    /// Blends one image a camera, in the capture's order, as bright as the reference records it. `None`: the camera
-    /// has none.
+    /// Blends a view from one image per camera, in the capture's order, gain-corrected to the reference
+    /// camera's exposure. `None`: the camera has no image.
     pub fn blend(
         &self,
         images: &[Option<Arc<Synchronized>>],
@@ -137,7 +137,7 @@ fn blank(filmed: &FilmedCamera) -> Image {
     Image::filled(filmed.camera.width, filmed.camera.height, channels, 0.0)
 }
 
-/// The sources of a blend: all cameras with an image. They have interpolation errors only for
+/// The sources of a blend: all cameras with an image. Interpolation errors are passed on only for
 /// [`BlendMethod::SpaceTime`].
 fn sources<'a>(
     field: &'a LightField,

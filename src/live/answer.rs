@@ -1,4 +1,4 @@
-//! Responses, all with the same headers.
+//! HTTP responses, all with the same headers.
 
 use super::{LiveError, Picture};
 use crate::light_field::RenderError;
@@ -19,7 +19,7 @@ const HEADERS: [(header::HeaderName, &str); 8] = [
     (header::CACHE_CONTROL, "no-store"),
     (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
     (header::X_FRAME_OPTIONS, "DENY"),
-    // The address holds the token.
+    // The page's address contains the token, and must not be sent to other sites.
     (header::REFERRER_POLICY, "no-referrer"),
     (header::HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
     (header::HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
@@ -29,7 +29,7 @@ const HEADERS: [(header::HeaderName, &str); 8] = [
     ),
 ];
 
-/// Name of the header that tells by which methods a picture was rendered.
+/// Name of the header that states the methods by which a picture was rendered.
 const MADE_BY: header::HeaderName = header::HeaderName::from_static("x-made-by");
 
 pub(super) fn respond(media_type: &'static str, body: impl Into<Bytes>) -> Reply {
@@ -42,7 +42,7 @@ pub(super) fn respond(media_type: &'static str, body: impl Into<Bytes>) -> Reply
     response
 }
 
-/// A response of the error's sentence.
+/// A response with the error's sentence.
 pub(super) fn failed(error: &LiveError) -> Reply {
     let mut response = respond("text/plain; charset=utf-8", error.to_string());
     *response.status_mut() = match error {
@@ -58,7 +58,8 @@ pub(super) fn failed(error: &LiveError) -> Reply {
     response
 }
 
-/// Name of the header with the depths of the first and the last colour, metres.
+/// Name of the header with the depths that the first and the last colour of a depth picture stand for,
+/// metres.
 const DEPTHS: header::HeaderName = header::HeaderName::from_static("x-depths");
 
 pub(super) fn picture(Picture { bytes, made_by, depths_m }: Picture) -> Reply {
@@ -66,7 +67,7 @@ pub(super) fn picture(Picture { bytes, made_by, depths_m }: Picture) -> Reply {
     if let Ok(made_by) = HeaderValue::from_str(&made_by) {
         response.headers_mut().insert(MADE_BY, made_by);
     }
-    // As JavaScript reads numbers.
+    // In the form that JavaScript parses as a number.
     let depth = |m: f32| if m.is_finite() { m.to_string() } else { "Infinity".to_owned() };
     let depths = depths_m.map(|m| HeaderValue::from_str(&m.map(depth).join(",")));
     if let Some(Ok(depths)) = depths {

@@ -1,4 +1,4 @@
-//! Pictures as files, and the colours that stand for cameras.
+//! Encodes pictures as files, and assigns colours to cameras.
 
 use crate::lumigraph::Rendered;
 use crate::raster::{BitDepth, encode_png, encode_png_8};
@@ -9,7 +9,8 @@ const UNKNOWN: f32 = 0.11;
 
 /// Encodes a view as an 8-bit PNG with the fastest compression. Pixels that no camera sees are dark grey.
 ///
-/// PNG encodes in an eighth of the time of JPEG (`cargo bench --bench view`). The error is a reason.
+/// PNG takes an eighth of JPEG's encoding time (`cargo bench --bench view`). The error is a sentence with the
+/// reason.
 pub(super) fn encode(view: &Rendered) -> Result<Vec<u8>, String> {
     let mut image = view.image.to_rgb();
     let pixels = image.data_mut().chunks_exact_mut(3);
@@ -29,19 +30,20 @@ pub(super) fn encode_saved(view: &Rendered, depth: BitDepth) -> Result<Vec<u8>, 
     encode_png(&view.image, coverage, depth).map_err(failed)
 }
 
-/// Colours of cameras: neighbours differ most.
+/// The colours that stand for cameras, RGB in 0..=1. Neighbouring cameras have clearly different colours.
 pub(super) struct Colors(Vec<[f32; 3]>);
 
-/// Step of the hue from a camera to the next, as a fraction of the colour circle: the golden section, so that no two
-/// cameras have the same.
+/// Difference in hue between successive cameras, as a fraction of the colour circle. It is the golden
+/// section, so that no two cameras have the same hue.
 const HUE_STEP: f64 = 0.381_966;
 /// The hue of the first camera.
 const FIRST_HUE: f64 = 0.58;
-/// Lightness of successive cameras.
+/// Lightness of successive cameras, repeated in turn.
 const LIGHTNESS: [f64; 3] = [0.5, 0.66, 0.38];
 
 impl Colors {
-    /// Colours of cameras at these positions in the rig's axes, in order from left to right.
+    /// The colours of cameras, assigned in order from left to right. `places` are the cameras' positions in
+    /// the rig's axes.
     pub fn of(places: &[[f64; 3]]) -> Self {
         let mut order: Vec<usize> = (0..places.len()).collect();
         order.sort_by(|&a, &b| {
@@ -69,7 +71,7 @@ impl Colors {
 /// Saturation of the colours, in 0..=1.
 const SATURATION: f64 = 0.75;
 
-/// The saturated colour of a hue in 0..=1.
+/// The saturated colour, RGB, of a hue in 0..=1.
 fn vivid(hue: f64, lightness: f64) -> [f32; 3] {
     let chroma = SATURATION * (1.0 - (2.0 * lightness - 1.0).abs());
     [0.0, 2.0 / 3.0, 1.0 / 3.0].map(|shift| {

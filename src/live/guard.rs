@@ -1,4 +1,4 @@
-//! Checks whether a request may be answered.
+//! Access control: whether a request may be answered.
 
 use super::LiveError;
 use hyper::http::request::Parts;
@@ -6,25 +6,26 @@ use hyper::{Method, StatusCode, header};
 use std::fs::File;
 use std::io::Read;
 
-/// Length of the random token, bytes.
+/// Length of the random token in the page's address, bytes.
 const TOKEN_BYTES: usize = 24;
 
-/// Longest accepted address, bytes.
+/// Maximum length of an accepted address, bytes.
 const MAX_ADDRESS: usize = 1024;
 
-/// The host names and the token that a request must have.
+/// The host names and the token that a request must contain.
 pub(super) struct Guard {
-    /// Random, in hexadecimal digits.
+    /// Random bytes in hexadecimal digits.
     token: String,
-    /// `127.0.0.1:PORT` and `localhost:PORT`; at HTTP's own port also the names alone, as browsers send them.
+    /// `127.0.0.1:PORT` and `localhost:PORT`. For HTTP's default port also the names without port, as
+    /// browsers send them.
     hosts: Vec<String>,
 }
 
-/// The port that browsers leave out.
+/// HTTP's default port, which browsers leave out of `Host`.
 const HTTP_PORT: u16 = 80;
 
 impl Guard {
-    /// A guard with a new token from the operating system's random generator.
+    /// A guard with a new token, from the operating system's random generator.
     pub fn new(port: u16) -> std::io::Result<Self> {
         let mut bytes = [0; TOKEN_BYTES];
         File::open("/dev/urandom")?.read_exact(&mut bytes)?;
@@ -37,18 +38,18 @@ impl Guard {
         Ok(Self { token, hosts })
     }
 
-    /// The page's address, which holds the token.
+    /// The page's address, including the token.
     pub fn address(&self) -> String {
         format!("http://{}/{}/", self.hosts[0], self.token)
     }
 
-    /// Compares with the token in constant time.
+    /// Compares a string with the token in constant time.
     fn is_token(&self, given: &str) -> bool {
         let pairs = self.token.bytes().zip(given.bytes());
         given.len() == self.token.len() && pairs.fold(0, |wrong, (a, b)| wrong | (a ^ b)) == 0
     }
 
-    /// Checks a request, and returns the part of its address after the token: `""` for the page.
+    /// Checks a request, and returns the part of its path after the token: `""` for the page.
     pub fn admit<'a>(&self, request: &'a Parts) -> Result<&'a str, LiveError> {
         let refused = |status, reason| Err(LiveError::Refused(status, reason));
         let field = |name: header::HeaderName| -> Result<Option<&str>, LiveError> {
@@ -85,7 +86,7 @@ impl Guard {
         };
         let site = request.headers.get("sec-fetch-site").map(|v| v.as_bytes());
         let is_own = matches!(site, None | Some(b"same-origin" | b"none"));
-        // Any site may link to the page, but only the page itself may request its contents.
+        // Any site may link to the page, but only the page itself may request the rest.
         if !is_own && !rest.is_empty() {
             return refused(StatusCode::FORBIDDEN, "another page may not ask");
         }
@@ -93,7 +94,7 @@ impl Guard {
     }
 }
 
-/// Refusal of both wrong tokens and wrong names, so that an answer reveals neither.
+/// The refusal for wrong tokens and unknown paths alike, so that an answer does not reveal which is wrong.
 pub(super) const NOT_FOUND: LiveError =
     LiveError::Refused(StatusCode::NOT_FOUND, "there is nothing at this address");
 

@@ -1,13 +1,13 @@
-//! A light field in a browser: one page that looks around in space and time, served on this machine alone.
+//! A light field in a browser: one page for looking around in space and time, served only to this machine.
 //!
 //! ```text
 //! browser ── server ── queue ── workers ── Studio ── LightField
-//!            (HTTP)   (latest)  (threads)  (pictures)
+//! (HTTP)   (latest)  (threads)  (pictures)
 //! ```
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod.rs` | what is served, and what refuses a request |
+//! | `mod.rs` | the parts of the server, and its errors |
 //! | `rig_frame.rs` | viewpoints, and the rig's own axes |
 //! | `request.rs` | the picture that an address requests |
 //! | `studio.rs` | pictures of the light field and of traditional LFR |
@@ -16,18 +16,19 @@
 //! | `encode.rs` | pictures as files |
 //! | `queue.rs`, `workers.rs` | each viewer's latest request, and the threads that answer it |
 //! | `scene.rs` | the description of the capture for the page |
-//! | `guard.rs` | the check whether a request may be answered |
-//! | `server.rs`, `answer.rs` | HTTP, within bounds of size, number and time |
+//! | `guard.rs` | access control |
+//! | `server.rs`, `answer.rs` | HTTP, with bounded sizes, numbers and times |
 //! | `page/` | the page |
 //!
-//! # Who may ask
+//! # Access
 //!
-//! The server listens on 127.0.0.1. An address holds a random token, without which nothing is found. `Host` and
-//! `Origin` must be the server's own, so that no other page, and no name that leads here, can ask. Only `GET` is
-//! answered, and nothing but the page and pictures of this capture.
+//! The server listens on 127.0.0.1. An address contains a random token, without which every path is "not
+//! found". `Host` and `Origin` must be the server's own, so that neither another page nor another name for
+//! this machine gets an answer. Only `GET` is answered, and only the page and pictures of this capture are
+//! served.
 //!
-//! Known limit: whoever has the address may look, also another user of this machine, who may find it among the
-//! arguments of the program that opens the browser. `--no-open` gives it to the terminal alone.
+//! Known limit: anyone who has the address gets the pictures. Another user of this machine may find it among
+//! the arguments of the program that opens the browser. With `--no-open`, it is only printed in the terminal.
 
 mod answer;
 mod encode;
@@ -53,7 +54,7 @@ use request::{Level, PictureMethod, PictureRequest, Place, ViewDirection};
 use rig_frame::RigFrame;
 use studio::Picture;
 
-/// Why a picture can't be made: one sentence, which the page shows.
+/// Why a picture can't be served: one sentence, which the page shows.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
     /// The address is invalid.
@@ -63,7 +64,7 @@ pub enum LiveError {
     Render(#[from] RenderError),
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
-    /// A newer request of the same viewer replaced this one.
+    /// A newer request of the same viewer has replaced this one.
     #[error("a newer request took its place")]
     Superseded,
     /// Too many requests are waiting.
@@ -72,7 +73,7 @@ pub enum LiveError {
     /// The program failed unexpectedly.
     #[error("rendering failed by an error of the program; its output in the terminal says more")]
     Panicked,
-    /// The request is not allowed: the HTTP status, and why.
+    /// The request is not allowed: the HTTP status, and the reason.
     #[error("{1}")]
     Refused(StatusCode, &'static str),
 }

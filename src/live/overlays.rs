@@ -5,19 +5,19 @@ use crate::light_field::{Geometry, GivenImages, LightField};
 use crate::lumigraph::{BlendOptions, DepthMap, Rendered};
 use crate::raster::{Image, luma};
 
-/// Largest number of cameras whose weights are computed, those nearest to the view.
+/// Maximum number of cameras whose weights are computed; the nearest to the view are taken.
 const MAX_CAMERAS: usize = 24;
-/// Width of the stripes' pattern, as a fraction of the picture's. Larger: it hides the scene; smaller: thin stripes of
-/// small weights vanish.
+/// Period of the stripes, as a fraction of the picture's width. Larger: the stripes hide the scene. Smaller:
+/// the thin stripes of small weights vanish.
 const PATTERN: f32 = 1.0 / 24.0;
-/// Smallest width of the stripes' pattern, pixels.
+/// Minimum period of the stripes, pixels.
 const MIN_PATTERN_PX: f32 = 8.0;
 /// Opacity of the stripes over the picture, in 0..=1.
 const TINT: f32 = 0.6;
-/// Fraction of a picture's depths at either end that are outside of the range of its colours.
+/// Fraction of a picture's depths, at either end, that are outside the range of colours.
 const OUTSIDE: f64 = 0.01;
 
-/// Colours of depths from far to near, with equal steps of lightness (matplotlib's viridis).
+/// Colours of depths from far to near, in equal steps of lightness (matplotlib's viridis).
 pub(super) const DEPTH_COLORS: [[u8; 3]; 9] = [
     [68, 1, 84],
     [71, 44, 122],
@@ -32,9 +32,10 @@ pub(super) const DEPTH_COLORS: [[u8; 3]; 9] = [
 
 /// The blending weights of cameras at every pixel of a view.
 pub(super) struct Weights {
-    /// One value a pixel for each camera, in the capture's order; `None` for a camera without weight.
+    /// For each camera, in the capture's order, its weight at every pixel, row by row; `None` for a camera
+    /// without weight.
     by_camera: Vec<Option<Vec<f32>>>,
-    /// The view, without colours.
+    /// The view converted to grey.
     gray: Rendered,
 }
 
@@ -55,7 +56,8 @@ impl Weights {
         near.truncate(MAX_CAMERAS);
         let mut by_camera = vec![None; filmed.len()];
         for cameras in near.chunks(3) {
-            // A blend of one camera's red, another's green and a third one's blue shows the weights of the three.
+            // If one camera's image is pure red, another's green and a third one's blue, the blend's channels
+            // are the three cameras' weights.
             let mut colors = vec![[0.0; 3]; filmed.len()];
             cameras.iter().enumerate().for_each(|(channel, &c)| colors[c][channel] = 1.0);
             let blended = field.blend(images.with_colors(&colors).all(), geometry, target, options);
@@ -67,7 +69,8 @@ impl Weights {
         Self { by_camera, gray: field.blend(images.all(), geometry, target, options) }
     }
 
-    /// The weights as a picture: the three channels of its first rows are those of the cameras 0, 1 and 2, and so on.
+    /// The weights as one tall picture, the size of the view for every three cameras: the channels of the
+    /// first part are the weights of the cameras 0, 1 and 2, and so on.
     pub fn picture(&self) -> Rendered {
         let (width, height) = (self.gray.image.width(), self.gray.image.height());
         let mut data =
@@ -83,7 +86,8 @@ impl Weights {
         Rendered { image, coverage: vec![true; width * height] }
     }
 
-    /// The grey view with diagonal stripes in the cameras' colours, as wide as their weights.
+    /// The grey view, overlaid with diagonal stripes in the cameras' colours. A stripe's width is
+    /// proportional to the camera's weight.
     pub fn striped(self, colors: &[[f32; 3]]) -> Rendered {
         let Rendered { image, coverage } = self.gray;
         let (width, shown) = (image.width(), image.to_rgb());
@@ -99,7 +103,7 @@ impl Weights {
     }
 }
 
-/// The camera whose part of the weights holds a phase in 0..1; `None` where there are no weights.
+/// The camera whose stripe contains a phase in 0..1 of the period; `None` if all weights are 0.
 fn stripe(by_camera: &[Option<Vec<f32>>], pixel: usize, phase: f32) -> Option<usize> {
     let weights =
         || by_camera.iter().enumerate().filter_map(|(c, w)| Some((c, w.as_ref()?[pixel])));
@@ -111,8 +115,8 @@ fn stripe(by_camera: &[Option<Vec<f32>>], pixel: usize, phase: f32) -> Option<us
     found.map(|(camera, _)| camera)
 }
 
-/// Colours of a view's depths by inverse depth, and the depths of the first and the last colour, metres. `None` if no
-/// pixel has a depth.
+/// A view's depths as colours, on a scale of inverse depth, and the depths of the first and the last colour,
+/// metres. `None` if no pixel has a depth.
 pub(super) fn depth_picture(depths: &DepthMap) -> Option<(Rendered, [f32; 2])> {
     let inverse = |depth: &f32| 1.0 / depth;
     let mut sorted: Vec<f32> = depths.data().iter().map(inverse).filter(|v| !v.is_nan()).collect();
@@ -129,7 +133,7 @@ pub(super) fn depth_picture(depths: &DepthMap) -> Option<(Rendered, [f32; 2])> {
     Some((Rendered { image, coverage }, [inverse(&low), inverse(&high)]))
 }
 
-/// The colour at a place in [`DEPTH_COLORS`], 0 to 1.
+/// The colour at a fraction, 0 to 1, of the scale [`DEPTH_COLORS`], interpolated.
 fn depth_color(share: f32) -> [f32; 3] {
     let at = share * (DEPTH_COLORS.len() - 1) as f32;
     let first = (at as usize).min(DEPTH_COLORS.len() - 2);

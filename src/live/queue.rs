@@ -1,4 +1,4 @@
-//! The queue of requests, which keeps only the latest of each viewer.
+//! The queue of requests. Of each viewer, it holds only the latest.
 
 use super::{Level, LiveError, Picture, PictureRequest};
 use std::collections::VecDeque;
@@ -6,39 +6,39 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use tokio::sync::oneshot;
 
-/// Largest number of waiting requests.
+/// Maximum number of waiting requests.
 const MAX_WAITING: usize = 32;
 
 /// A picture, or why it can't be made.
 pub(super) type Answer = Result<Picture, LiveError>;
 
-/// A request, and which parts of it are outdated by a later request of its viewer.
+/// A request, with flags that tell whether a later request of its viewer has outdated it.
 pub(super) struct Asked {
     pub request: PictureRequest,
     is_outdated: AtomicBool,
-    /// Whether the time or the method is outdated, not only the viewpoint.
+    /// Whether its time or method is outdated too, and not only its viewpoint.
     is_instant_outdated: AtomicBool,
 }
 
-/// A request that waits for an answer.
+/// A request with the channel to which its answer is sent.
 pub(super) struct Job {
     pub asked: Arc<Asked>,
     reply: oneshot::Sender<Answer>,
 }
 
 impl Asked {
-    /// Whether the viewer still looks at this instant by this method, from whatever viewpoint.
+    /// Whether the viewer still looks at this instant by this method, from any viewpoint.
     pub fn is_instant_wanted(&self) -> bool {
         !self.is_instant_outdated.load(Ordering::Relaxed)
     }
 
-    /// Whether another request has another instant or other methods.
+    /// Whether another request is for another instant or other methods.
     fn differs(&self, other: &PictureRequest) -> bool {
         let of = |r: &PictureRequest| (r.time_s, r.method, r.sync, r.proxy);
         of(&self.request) != of(other)
     }
 
-    /// Whether a later request of this viewer replaces this one.
+    /// Whether a later request of `viewer` replaces this one.
     fn is_replaceable_by(&self, viewer: &str) -> bool {
         self.request.level != Level::Saved && self.request.viewer == viewer
     }
@@ -50,15 +50,16 @@ impl Job {
         !self.asked.is_outdated.load(Ordering::Relaxed) && !self.reply.is_closed()
     }
 
-    /// Sends the answer. Until the returned value is dropped, the request counts as running, and may become outdated.
+    /// Sends the answer. Until the returned value is dropped, the request counts as running, and can become
+    /// outdated.
     pub fn answer(self, answer: Answer) -> Arc<Asked> {
-        // The viewer may have gone.
+        // An error means that the viewer has disconnected.
         let _ = self.reply.send(answer);
         self.asked
     }
 }
 
-/// Waiting requests in order of arrival, and running ones.
+/// The requests that wait, in order of arrival, and those that are running.
 #[derive(Default)]
 pub(super) struct Queue {
     state: Mutex<QueueState>,
@@ -73,18 +74,19 @@ struct QueueState {
 }
 
 impl Queue {
-    /// Adds a request, which replaces the viewer's earlier one: the receiver of a waiting one is closed, a running one
-    /// is stopped. A request to save replaces none.
+    /// Adds a request, which replaces the viewer's earlier one. If that is waiting, its receiver is closed;
+    /// if it is running, it is stopped. A request to save replaces none.
     ///
     /// # Errors
-    /// [`LiveError::Busy`] if too many wait.
+    /// [`LiveError::Busy`] if too many requests are waiting.
     pub fn submit(&self, request: PictureRequest) -> Result<oneshot::Receiver<Answer>, LiveError> {
         let (reply, receiver) = oneshot::channel();
         let mut state = self.lock();
         let replaces = request.level != Level::Saved && !request.viewer.is_empty();
         let is_replaced = |asked: &Asked| replaces && asked.is_replaceable_by(&request.viewer);
         state.waiting.retain(Job::is_wanted);
-        // Before anything is replaced, so that a refused viewer still gets the picture that is being rendered.
+        // Checked before anything is replaced, so that a refused viewer still gets the picture that is being
+        // rendered.
         if state.waiting.iter().filter(|job| !is_replaced(&job.asked)).count() >= MAX_WAITING {
             return Err(LiveError::Busy);
         }
@@ -103,8 +105,8 @@ impl Queue {
         Ok(receiver)
     }
 
-    /// Waits for the next request that is quick, or for the next that is not. Each kind has its own workers, so that
-    /// quick requests never wait for slow ones. `None` once the queue is closed.
+    /// Waits for the next quick request, or with `is_quick` false for the next of full quality. Each kind has
+    /// its own workers, so that quick requests never wait for slow ones. `None` after the queue is closed.
     pub fn take(&self, is_quick: bool) -> Option<Job> {
         let mut state = self.lock();
         loop {
@@ -121,7 +123,8 @@ impl Queue {
         }
     }
 
-    /// Whether a request of full quality for another instant or method is waiting.
+    /// Whether a request of full quality is waiting that is for another instant or other methods than
+    /// `asked`.
     pub fn has_apart(&self, asked: &Asked) -> bool {
         let mut state = self.lock();
         state.waiting.retain(Job::is_wanted);
@@ -136,7 +139,7 @@ impl Queue {
     }
 
     fn lock(&self) -> MutexGuard<'_, QueueState> {
-        // No operation panics half-way.
+        // A poisoned lock is used: no operation can panic halfway.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -7,13 +7,13 @@
 //! | `t` | seconds on the reference's clock, as in the capture's file |
 //! | `x`, `y`, `z` | to the right, up, ahead, metres: see [`super::RigFrame`] |
 //! | `at` | instead of `x`, `y` and `z`: `cN` for the place of camera N, `tN` for that of the truth's image N |
-//! | `yaw`, `pitch` | turn to the right and up, degrees |
-//! | `zoom` | focal length over the reference's |
+//! | `yaw`, `pitch` | rotation to the right and up, degrees |
+//! | `zoom` | focal length as a multiple of the reference's |
 //! | `w`, `h` | pixels |
 //! | `sync`, `proxy` | methods other than the chosen options', by name, except at the level `quick`. Optional |
 //! | `viewer`, `slot` | viewer, and part of the page: a request replaces the last one with the same two. Optional |
 //!
-//! Names and values are letters, digits and `.+-`: nothing is escaped.
+//! Names and values consist of letters, digits and `.+-`, so that nothing is escaped.
 
 use super::LiveError;
 use crate::interpolation::SyncMethod;
@@ -25,24 +25,24 @@ use crate::options::ProxyMethod;
 pub enum PictureMethod {
     /// The light field, with the chosen options.
     SpaceTime,
-    /// Each camera's nearest frame.
+    /// Traditional light field rendering, from each camera's nearest frame.
     Traditional,
     /// The true image, if there is one.
     Truth,
-    /// Which cameras each pixel comes from, as stripes of their colours.
+    /// The cameras from which each pixel is blended, as stripes of their colours.
     Sources,
-    /// The weights that [`Self::Sources`] shows, as numbers: see [`super::overlays::Weights::picture`].
+    /// The weights of [`Self::Sources`] as numbers: see [`super::overlays::Weights::picture`].
     Weights,
-    /// The depths, as colours.
+    /// The depths as colours.
     Depth,
 }
 
 /// The quality of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Level {
-    /// Fast, for a moving viewpoint.
+    /// Fast, for a moving viewpoint: the options of `draft` unless the chosen ones take no estimation.
     Quick,
-    /// The chosen options.
+    /// By the chosen options.
     Full,
     /// Like [`Self::Full`], encoded as `stlfr render` writes it.
     Saved,
@@ -53,7 +53,7 @@ pub enum Level {
 pub enum Place {
     /// A position in the rig's axes, metres.
     Free([f64; 3]),
-    /// A camera's, by its index.
+    /// The viewpoint of a camera, by its index.
     Camera(usize),
     /// The viewpoint of a true image, by its index.
     Truth(usize),
@@ -64,7 +64,7 @@ pub enum Place {
 pub struct ViewDirection {
     /// Rotation to the right and up, degrees.
     pub turn_deg: [f64; 2],
-    /// Focal length over the reference's.
+    /// Focal length as a multiple of the reference's.
     pub zoom: f64,
     /// Width and height of the picture, pixels.
     pub size: [u32; 2],
@@ -79,23 +79,24 @@ pub struct PictureRequest {
     pub time_s: f64,
     pub place: Place,
     pub view: ViewDirection,
-    /// Methods other than those of the chosen options.
+    /// A method other than that of the chosen options.
     pub sync: Option<SyncMethod>,
     pub proxy: Option<ProxyMethod>,
-    /// Viewer and slot of the page. A request replaces an earlier one with the same name, unless it is empty.
+    /// Names the viewer and the part of the page. A request replaces the earlier one with the same name,
+    /// unless the name is empty.
     pub viewer: String,
 }
 
-/// Longest name of a viewer with its slot, bytes.
+/// Maximum length of a viewer's name with its slot, bytes.
 const MAX_VIEWER_LENGTH: usize = 40;
 
 impl PictureRequest {
-    /// Whether its level is [`Level::Quick`].
+    /// Whether the level is [`Level::Quick`].
     pub fn is_quick(&self) -> bool {
         self.level == Level::Quick
     }
 
-    /// Parses the part of an address after `?`. Repeated and unknown names are errors.
+    /// Parses the query, the part of an address after `?`. Repeated and unknown names are errors.
     pub fn parse(query: &str) -> Result<Self, LiveError> {
         let mut fields = Fields::new(query)?;
         let method = fields.choice(
@@ -136,7 +137,7 @@ impl PictureRequest {
     }
 }
 
-/// `c3` or `t12`.
+/// Parses a place such as `c3` or `t12`.
 fn named_place(at: &str) -> Result<Place, LiveError> {
     let number = |digits: &str| digits.parse().ok();
     let place = match at.split_at_checked(1) {
@@ -151,7 +152,7 @@ fn wrong(name: &str, reason: &str) -> LiveError {
     LiveError::Request(format!("{name}: {reason}"))
 }
 
-/// Names and values of an address that are not read yet.
+/// The names and values of a query that have not been read yet.
 struct Fields<'a>(Vec<(&'a str, &'a str)>);
 
 impl<'a> Fields<'a> {
@@ -176,7 +177,7 @@ impl<'a> Fields<'a> {
         Some(self.0.swap_remove(at).1)
     }
 
-    /// Reads one of several values; the first is the default.
+    /// Reads one of several named values; if the name is missing, the first of them.
     fn choice<T: Copy>(&mut self, name: &str, all: &[(&str, T)]) -> Result<T, LiveError> {
         let Some(value) = self.take(name) else { return Ok(all[0].1) };
         let found = all.iter().find(|(n, _)| *n == value);

@@ -1,5 +1,5 @@
-//! Viewpoints of pictures: at cameras, at true images, and in the rig's own axes, x to the right, y up, z ahead, metres
-//! from the mean of the cameras.
+//! The viewpoints of pictures: those of cameras, those of true images, and positions in the rig's own axes.
+//! These are x to the right, y up, z ahead, in metres from the mean of the cameras' centres.
 
 use super::{LiveError, PictureRequest, Place, ViewDirection};
 use crate::camera::{Camera, CameraModel};
@@ -7,27 +7,28 @@ use crate::capture::Capture;
 use crate::text::number;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-/// Margin of viewpoints beyond the outermost cameras, as a fraction of the rig's extent.
+/// Distance by which viewpoints may be beyond the outermost cameras, as a fraction of the rig's extent.
 const MARGIN_SHARE: f64 = 0.5;
-/// Smallest margin of viewpoints, in distances between neighbouring cameras.
+/// Minimum of this distance, as a multiple of the spacing of neighbouring cameras.
 const MARGIN_SPACINGS: f64 = 2.0;
-/// Margin of viewpoints around a single camera, metres.
+/// This distance for a single camera, metres.
 const LONE_MARGIN_M: f64 = 0.1;
-/// Distance at which a camera's viewing direction has half its weight, in distances between cameras.
+/// Distance from a camera at which its viewing direction has half its weight, as a multiple of the spacing of
+/// neighbouring cameras.
 const SOFT_SPACINGS: f64 = 0.5;
-/// Allowed zooms: focal lengths relative to the reference's.
+/// Range of zooms: focal lengths as multiples of the reference's.
 pub(super) const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
-/// Largest rotation away from the rig's viewing direction, degrees.
+/// Maximum rotation away from the rig's viewing direction, degrees.
 pub(super) const MAX_TURN_DEG: f64 = 20.0;
-/// Smallest width and height of a picture, pixels.
+/// Minimum width and height of a picture, pixels.
 const MIN_SIZE_PX: u32 = 16;
 
 /// The axes of a rig, its cameras, and the viewpoints of true images.
 #[derive(Clone, Debug)]
 pub struct RigFrame {
-    /// From the rig's axes (x right, y down, z ahead) to the world.
+    /// Rotation and translation from the rig's axes, here x right, y down, z ahead, to the world.
     world_from_rig: Isometry3<f64>,
-    /// In the capture's order.
+    /// The cameras in the capture's order.
     cameras: Vec<Camera>,
     reference: usize,
     truths: Vec<Camera>,
@@ -35,7 +36,7 @@ pub struct RigFrame {
     pub(super) spacing_m: f64,
 }
 
-/// The weighted sums of the cameras' viewing directions and of their downward axes.
+/// The weighted sums of the cameras' viewing directions and of their downward axes, in the world.
 fn axis_sums(cameras: &[Camera], weight: impl Fn(&Camera) -> f64) -> [Vector3<f64>; 2] {
     let mut sums = [Vector3::zeros(); 2];
     for camera in cameras {
@@ -46,8 +47,8 @@ fn axis_sums(cameras: &[Camera], weight: impl Fn(&Camera) -> f64) -> [Vector3<f6
     sums
 }
 
-/// The rotation to the world from axes whose z axis is `ahead` and whose y axis is as near to `down` as possible.
-/// `None` if the two are parallel or almost 0.
+/// The rotation to the world from axes whose z axis is `ahead`, and whose y axis is as close to `down` as
+/// possible. `None` if the two are parallel or almost 0.
 fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64>> {
     let ahead = ahead.try_normalize(1e-6)?;
     let right = down.cross(&ahead).try_normalize(1e-6)?;
@@ -57,7 +58,8 @@ fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64
 }
 
 impl RigFrame {
-    /// The frame of a capture's cameras. If their mean direction is undefined, the axes are the reference's.
+    /// The frame of a capture's cameras. If their mean direction is undefined, it has the reference camera's
+    /// axes.
     pub fn new(capture: &Capture, spacing_m: f64, truths: Vec<Camera>) -> Self {
         let cameras: Vec<Camera> = capture.cameras.iter().map(|c| c.camera.clone()).collect();
         let count = cameras.len() as f64;
@@ -70,16 +72,17 @@ impl RigFrame {
         Self { world_from_rig, cameras, reference, truths, spacing_m }
     }
 
-    /// Largest width and height of a picture, pixels: those of the reference camera's images.
+    /// Maximum width and height of a picture, pixels: those of the reference camera's images.
     pub fn largest_size(&self) -> [usize; 2] {
         let reference = &self.cameras[self.reference];
         [reference.width, reference.height]
     }
 
-    /// The camera of a picture.
+    /// The camera with which a requested picture is rendered.
     ///
     /// # Errors
-    /// If the viewpoint or the size is out of bounds, or if there is no camera or true image with the given index.
+    /// If the viewpoint or the size is out of bounds, or if there is no camera or true image with the given
+    /// index.
     pub fn camera(&self, request: &PictureRequest) -> Result<Camera, LiveError> {
         let found = |all: &[Camera], index: usize, what: &str| match all.get(index) {
             Some(camera) => self.at_camera(camera, &request.view),
@@ -98,12 +101,13 @@ impl RigFrame {
         [p.x, -p.y, p.z]
     }
 
-    /// The cameras' places, in the capture's order.
+    /// The cameras' places in the rig's axes (right, up, ahead, metres), in the capture's order.
     pub fn places(&self) -> Vec<[f64; 3]> {
         self.cameras.iter().map(|c| self.place(&c.center())).collect()
     }
 
-    /// The cameras' places, and those halfway to the nearest other place of a camera.
+    /// The cameras' places, and then the middles between each camera and its nearest neighbour at another
+    /// place.
     pub fn places_and_middles(&self) -> Vec<[f64; 3]> {
         let own = self.places();
         let distance =
@@ -116,7 +120,7 @@ impl RigFrame {
         own.iter().copied().chain(own.iter().filter_map(middle)).collect()
     }
 
-    /// Bounds of viewpoints, by axis.
+    /// The minimum and the maximum of viewpoints along each axis, metres.
     pub fn bounds(&self) -> [[f64; 3]; 2] {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for place in self.places() {
@@ -131,13 +135,13 @@ impl RigFrame {
         [low.map(|v| v - margin), high.map(|v| v + margin)]
     }
 
-    /// The view from a position in the rig's axes, in the mean direction of the cameras nearby.
+    /// The view from a position in the rig's axes, in the mean direction of the nearby cameras.
     ///
     /// # Errors
-    /// If the place is out of bounds, or as [`Self::at_camera`].
+    /// If the position is out of bounds, or as in [`Self::at_camera`].
     fn at_place(&self, place: [f64; 3], view: &ViewDirection) -> Result<Camera, LiveError> {
         let [low, high] = self.bounds();
-        // The tolerance covers the rounding of bounds and coordinates by the page.
+        // The tolerance allows for rounding of bounds and coordinates by the page.
         let is_inside = (0..3).all(|k| {
             let slack = 1e-6 * (high[k] - low[k]);
             (low[k] - slack..=high[k] + slack).contains(&place[k])
@@ -160,7 +164,7 @@ impl RigFrame {
         self.pinhole(camera.center(), camera.cam_from_world.rotation.inverse(), view)
     }
 
-    /// The mean viewing direction of the cameras, weighted by proximity.
+    /// The mean viewing direction of the cameras, weighted by their proximity to a point.
     fn direction(&self, center: &Point3<f64>) -> UnitQuaternion<f64> {
         let soft_m = (SOFT_SPACINGS * self.spacing_m).max(1e-9);
         let [ahead, down] = axis_sums(&self.cameras, |camera| {
@@ -169,7 +173,8 @@ impl RigFrame {
         looking(ahead, down).unwrap_or(self.world_from_rig.rotation)
     }
 
-    /// A pinhole that shows the middle of the reference's field of view, filling the picture at zoom 1.
+    /// A pinhole camera. At zoom 1, the picture is filled by the middle of the reference camera's field of
+    /// view.
     fn pinhole(
         &self,
         center: Point3<f64>,

@@ -34,7 +34,7 @@ pub(super) fn scene(studio: &Studio) -> Value {
     json!({
         "name": capture.name,
         "folder": capture.folder.display().to_string(),
-        // The command-line arguments that give these options.
+        // The command-line arguments that are equivalent to these options.
         "options": studio.words,
         "cameras": cameras,
         // The focal length is a fraction of the width.
@@ -44,22 +44,22 @@ pub(super) fn scene(studio: &Studio) -> Value {
         "spacing_m": rig.spacing_m,
         "zooms": [ZOOMS.start(), ZOOMS.end()],
         "max_turn_deg": MAX_TURN_DEG,
-        // The range of the slider; null for a capture that is the same at any time.
+        // The range of the time slider; null for a static capture.
         "span_s": span_s.filter(|_| !capture.is_static()),
         "frames_s": capture.times_in_file_s(capture.reference),
         "truths": truths.collect::<Vec<_>>(),
         "methods": {
             "sync": choices::<SyncMethod>(|m| m != TRADITIONAL),
-            // Scene flow takes half a minute an instant, unless it is prepared.
+            // Scene flow takes half a minute for each instant that is not prepared.
             "proxy": choices::<ProxyMethod>(|m| m != ProxyMethod::SceneFlow || m == chosen.proxy.method),
         },
         "chosen": { "sync": chosen.sync.name(), "proxy": chosen.proxy.method.name() },
-        // From far to near.
+        // Colours from far to near.
         "depth_colors": DEPTH_COLORS,
     })
 }
 
-/// Methods that the page offers, with their help.
+/// The methods that the page offers, with their help.
 fn choices<M: Method>(is_offered: impl Fn(M) -> bool) -> Vec<Value> {
     let offered = M::ALL.iter().copied().filter(|m| is_offered(*m));
     offered.map(|m| json!({ "name": m.name(), "help": m.help() })).collect()

@@ -1,4 +1,4 @@
-//! The server: connections, and responses by address.
+//! The HTTP server: connections, and the response to each address.
 
 use super::answer::{Reply, failed, picture, respond};
 use super::guard::{Guard, NOT_FOUND};
@@ -19,17 +19,17 @@ use tokio::net::TcpStream;
 use tokio::sync::Semaphore;
 use tokio_io_timeout::TimeoutStream;
 
-/// Largest number of open connections; a browser opens six.
+/// Maximum number of open connections; a browser opens six.
 const MAX_CONNECTIONS: usize = 48;
-/// Timeout of a request's arrival, and of an idle connection.
+/// Timeout for the arrival of a request, and of an idle connection.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
-/// Timeout of a response of which nothing is read.
+/// Timeout of a response that the browser does not read.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(20);
-/// Largest request, bytes.
+/// Maximum size of a request, bytes.
 const MAX_REQUEST_BYTES: usize = 16 << 10;
-/// Largest number of headers of a request.
+/// Maximum number of headers of a request.
 const MAX_HEADERS: usize = 64;
-/// Pause after a failed accept.
+/// Pause after a connection could not be accepted.
 const RETRY: Duration = Duration::from_millis(50);
 
 const HTML: &str = "text/html; charset=utf-8";
@@ -52,7 +52,7 @@ const PAGE: [(&str, &str, &str); 11] = [
     ("save.js", SCRIPT, include_str!("page/save.js")),
 ];
 
-/// A server with its port, before it serves a light field.
+/// A server that has its port but does not serve a light field yet.
 pub struct Server {
     listener: TcpListener,
     guard: Guard,
@@ -67,17 +67,17 @@ struct ServedSite {
 }
 
 impl Server {
-    /// Binds a port of this machine; 0 chooses a free one.
+    /// Binds a port of this machine; for 0, the system chooses a free one.
     ///
     /// # Errors
-    /// If another program has it, or the system gives no randomness.
+    /// If another program uses the port, or the system's random generator fails.
     pub fn bind(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
         let guard = Guard::new(listener.local_addr()?.port())?;
         Ok(Self { listener, guard })
     }
 
-    /// The page's address, which holds the secret.
+    /// The page's address, including the secret token.
     pub fn address(&self) -> String {
         self.guard.address()
     }
@@ -85,7 +85,7 @@ impl Server {
     /// Serves pictures of a light field until the process ends.
     ///
     /// # Errors
-    /// If the system gives no threads, or takes the port away.
+    /// If a thread can't be started, or the port fails.
     pub fn serve(self, studio: &Studio) -> io::Result<()> {
         let queue = Arc::new(Queue::default());
         let site = ServedSite {
@@ -112,7 +112,7 @@ async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> io::Result<()> 
     let free = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // The browser has disconnected already, or there are too many open files for now.
+            // Either the browser has disconnected already, or too many files are open for now.
             tokio::time::sleep(RETRY).await;
             continue;
         };
@@ -128,7 +128,7 @@ async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> io::Result<()> 
 
 /// Answers the requests of a connection until it ends.
 async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
-    // Without this, the last part of a picture may be held back until the browser acknowledges the others.
+    // Without this, the last part of a picture may be delayed until the browser acknowledges the others.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIMEOUT));
@@ -146,7 +146,7 @@ async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
         .max_headers(MAX_HEADERS)
         .serve_connection(TokioIo::new(Box::pin(stream)), service)
         .await;
-    // Errors need no handling: the browser opens another connection.
+    // Errors need no handling, since the browser opens another connection.
     drop(served);
 }
 

@@ -16,31 +16,32 @@ use crate::options::{Preset, ProxyMethod, RenderOptions, TrailOptions};
 use crate::progress::Reporter;
 use std::sync::Arc;
 
-/// Size of a view whose geometry is estimated beforehand, pixels: only the cameras' depths are kept.
+/// Size of the view with which geometry is computed beforehand, pixels. It is small, since only the cameras'
+/// depths are cached.
 const SMALL_PX: [u32; 2] = [32, 24];
 
-/// Returns whether to continue: a viewer may have sent a newer request.
+/// Called during rendering; rendering stops if it returns false, as when the viewer has sent a newer request.
 pub(super) type Proceed<'p> = &'p (dyn Fn() -> bool + Sync);
 
 /// An encoded picture.
 pub struct Picture {
     /// A PNG file.
     pub bytes: Vec<u8>,
-    /// The methods that made it, such as `refined, mesh`; empty for the truth.
+    /// The methods by which it was rendered, such as `refined, mesh`; empty for the truth.
     pub made_by: String,
-    /// Of a picture of depths: those of the first and the last colour, metres.
+    /// For a picture of depths: the depths of the first and the last colour, metres.
     pub depths_m: Option<[f32; 2]>,
 }
 
 /// A picture before it is encoded.
 struct Made {
     rendered: Rendered,
-    /// The methods, but of the truth.
+    /// The methods by which it was rendered; `None` for the truth.
     by: Option<(SyncMethod, ProxyMethod)>,
     depths_m: Option<[f32; 2]>,
 }
 
-/// What a view is rendered from.
+/// The options and images from which a view is rendered.
 struct ViewInputs<'a> {
     options: &'a RenderOptions,
     /// The synchronized images of the instant, if they are cached.
@@ -53,16 +54,16 @@ pub struct Studio<'a> {
     pub(super) rig: Arc<RigFrame>,
     pub(super) truth: TrueViews,
     pub(super) colors: Colors,
-    /// The command-line arguments that give the options, which the page shows.
+    /// The command-line arguments that are equivalent to the options; the page shows them.
     pub(super) words: Vec<String>,
     full: RenderOptions,
     quick: RenderOptions,
 }
 
 impl<'a> Studio<'a> {
-    /// A studio for a light field. `options` are for pictures at rest; every `auto` is already replaced by a method.
-    /// `words` are the command-line arguments that give these options. If the truth can't be read, a note is shown, and
-    /// there are no true pictures. Trails are not shown.
+    /// A studio for a light field. `options` are for pictures at rest; every `auto` in them is already
+    /// replaced by a method, and a motion trail is ignored. `words` are the equivalent command-line
+    /// arguments. If the truth can't be read, a note is shown, and there are no true pictures.
     pub fn new(
         field: &'a LightField,
         options: &RenderOptions,
@@ -87,7 +88,7 @@ impl<'a> Studio<'a> {
         &self.full
     }
 
-    /// The options of full quality, with the request's methods.
+    /// The options of full quality, with the methods that the request chooses.
     fn chosen(&self, request: &PictureRequest) -> RenderOptions {
         let mut options = self.full.clone();
         options.sync = request.sync.unwrap_or(options.sync);
@@ -95,15 +96,15 @@ impl<'a> Studio<'a> {
         options
     }
 
-    /// The time of a request, seconds from the capture's start.
+    /// The time of a request, converted to seconds from the capture's start.
     fn time_s(&self, request: &PictureRequest) -> f64 {
         request.time_s - self.field.capture().time_origin_s
     }
 
-    /// Renders and encodes a picture, as long as `proceed` returns true.
+    /// Renders and encodes a picture. Stops as soon as `proceed` returns false.
     ///
     /// # Errors
-    /// The errors of [`RigFrame::camera`] and of rendering, and [`LiveError::Superseded`].
+    /// The errors of [`RigFrame::camera`] and of rendering, and [`LiveError::Superseded`] if it was stopped.
     pub(super) fn picture(
         &self,
         request: &PictureRequest,
@@ -130,8 +131,8 @@ impl<'a> Studio<'a> {
         })
     }
 
-    /// The options and images of a view. A quick picture has the chosen options where nothing is left to estimate for
-    /// them, so that it looks the same in motion and at rest.
+    /// The options and images of a view. A quick picture has the chosen options if they need no further
+    /// estimation, so that it looks the same in motion and at rest.
     fn inputs<'o>(
         &'o self,
         request: &PictureRequest,
@@ -163,8 +164,9 @@ impl<'a> Studio<'a> {
         let made = |rendered, by| Made { rendered, by, depths_m: None };
         match request.method {
             PictureMethod::Traditional => {
-                // No depth can be estimated from frames of different instants, so that the depth is that of ST-LFR. A
-                // saved picture is as `stlfr render --sync nearest` renders it.
+                // Depth can't be estimated from frames of different instants, so that traditional LFR gets
+                // the depth of ST-LFR. A saved picture is an exception, since it equals that of `stlfr render
+                // --sync nearest`.
                 let is_saved = request.level == Level::Saved;
                 let shape = Images::By(if is_saved { TRADITIONAL } else { options.sync });
                 let nearest = RenderOptions { sync: TRADITIONAL, ..options.clone() };
@@ -193,20 +195,21 @@ impl<'a> Studio<'a> {
         }
     }
 
-    /// The cameras' images of an instant, and their method.
+    /// The cameras' images at the request's instant, and the method by which they are synchronized.
     fn images(
         &self,
         request: &PictureRequest,
         options: &RenderOptions,
         context: &Context,
     ) -> Result<(GivenImages, SyncMethod), RenderError> {
-        // Weights hardly depend on the images, so that the nearest frames will do beneath the colours.
+        // Weights hardly depend on the images, so that for a quick picture the nearest frames suffice below
+        // the colours.
         let sync = if request.is_quick() { TRADITIONAL } else { options.sync };
         let options = RenderOptions { sync, ..options.clone() };
         Ok((self.field.corrected_all(self.time_s(request), &options, context)?, sync))
     }
 
-    /// The cameras that a view is blended from: as stripes, or as numbers.
+    /// The cameras from which a view is blended, as stripes or as numbers.
     fn explained(
         &self,
         request: &PictureRequest,
@@ -223,8 +226,9 @@ impl<'a> Studio<'a> {
         })
     }
 
-    /// Computes the cameras' images and depths at the instant of a picture beforehand, so that views of this instant are
-    /// quick. Stops when `proceed` returns false. Errors are ignored: they show when a picture is requested.
+    /// Computes the cameras' images and depths at a picture's instant beforehand, so that views at this
+    /// instant are quick. Stops when `proceed` returns false. Errors are ignored here; they are reported when
+    /// a picture is requested.
     pub(super) fn prepare(&self, request: &PictureRequest, proceed: Proceed) {
         let chosen = self.chosen(request);
         let sync = match request.method {

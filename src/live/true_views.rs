@@ -1,4 +1,4 @@
-//! Pictures of the truth, rotated and zoomed from its images.
+//! Pictures of the truth: its images, rotated and zoomed.
 
 use super::{LiveError, PictureRequest, Place};
 use crate::camera::Camera;
@@ -11,12 +11,12 @@ use nalgebra::{Isometry3, Translation3};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Size of the cache of true images, bytes.
+/// Maximum size of the cache of true images, bytes.
 const MAX_BYTES: usize = 64 << 20;
-/// Largest difference between a requested time and a true image's, seconds; addresses round times.
+/// Maximum difference between a requested time and a true image's, seconds. Times in addresses are rounded.
 const SAME_INSTANT_S: f64 = 1e-6;
 
-/// An image of the truth.
+/// A true image, read when it is first needed.
 #[derive(Clone, Debug)]
 pub(super) struct LiveTruth {
     pub id: String,
@@ -26,13 +26,13 @@ pub(super) struct LiveTruth {
     file: PathBuf,
 }
 
-/// All images of a capture's truth; none without one.
+/// All true images of a capture; empty for a capture without truth.
 pub(super) struct TrueViews {
     pub views: Vec<LiveTruth>,
     images: Memo,
 }
 
-/// The camera with its orientation, moved to the origin.
+/// The camera moved to the origin, with its orientation.
 fn at_origin(camera: &Camera) -> Camera {
     let cam_from_world =
         Isometry3::from_parts(Translation3::identity(), camera.cam_from_world.rotation);
@@ -75,7 +75,7 @@ impl TrueViews {
             )));
         }
         let image = self.image(index, view)?;
-        // Views from one place are related by a homography, whatever the depths.
+        // Views from the same place are related by a homography, independent of depths.
         let [own, target] = [&view.camera, target].map(at_origin);
         let no_depth = DepthMap::empty(target.width, target.height);
         let options = BlendOptions { cameras: 1, ..BlendOptions::default() };

@@ -10,19 +10,19 @@ use std::thread::Scope;
 
 /// Number of threads for quick requests.
 const QUICK_WORKERS: usize = 2;
-/// Niceness of threads for full quality, so that quick pictures have priority.
+/// Increase of the niceness of threads for full quality, so that quick pictures have priority.
 const FULL_NICENESS: i32 = 5;
-/// Largest number of instants that wait to be prepared.
+/// Maximum number of instants that wait to be prepared.
 const MAX_AHEAD: usize = 8;
 
-/// Answered requests, whose instants are still to be prepared for other viewpoints.
+/// Requests that are answered, and whose instants are still to be prepared for other viewpoints.
 type Ahead = VecDeque<Arc<Asked>>;
 
-/// Starts the threads, which end when the queue is closed. Quick and full pictures have separate threads, so that a
-/// quick picture never waits for a full one.
+/// Starts the threads, which end when the queue is closed. Quick and full pictures have separate threads, so
+/// that a quick picture never waits for a full one.
 ///
 /// # Errors
-/// If the system gives no threads.
+/// If a thread can't be started.
 pub(super) fn start<'scope, 'env>(
     scope: &'scope Scope<'scope, 'env>,
     studio: &'env Studio<'_>,
@@ -47,8 +47,8 @@ pub(super) fn start<'scope, 'env>(
 /// Lowers the priority of the calling thread.
 #[cfg(target_os = "linux")]
 fn stand_back() {
-    // SAFETY: on Linux, process 0 is the calling thread; no memory is involved. If it is refused, the thread
-    // keeps its priority.
+    // SAFETY: on Linux, process 0 is the calling thread, and no memory is accessed. If the change is refused,
+    // the thread keeps its priority.
     unsafe {
         let own = libc::getpriority(libc::PRIO_PROCESS, 0);
         libc::setpriority(libc::PRIO_PROCESS, 0, own + FULL_NICENESS);
@@ -70,13 +70,13 @@ fn work(studio: &Studio, queue: &Queue, is_quick: bool, pool: &ThreadPool) {
         let asked = job.answer(answer);
         let request = &asked.request;
         if is_shown && request.level == Level::Full && !request.viewer.is_empty() {
-            // The viewer looks at the picture now, and may look around from there.
+            // The viewer sees the picture now, and may look around from there.
             plan(&mut ahead, asked);
         }
     }
 }
 
-/// Appends a request; the oldest is dropped beyond [`MAX_AHEAD`].
+/// Appends a request; beyond [`MAX_AHEAD`] requests, the oldest is removed.
 fn plan(ahead: &mut Ahead, shown: Arc<Asked>) {
     ahead.push_back(shown);
     if ahead.len() > MAX_AHEAD {
@@ -105,7 +105,8 @@ fn answer(studio: &Studio, job: &Job, pool: &ThreadPool) -> Answer {
     unwound(picture).unwrap_or(Err(LiveError::Panicked))
 }
 
-/// Calls a function; `None` if it panics. Caches hold complete values only, so that a panic can't damage them.
+/// Calls a function; `None` if it panics. Caches hold only complete values, so that a panic can't damage
+/// them.
 fn unwound<T>(of: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(of)).ok()
 }

@@ -1,21 +1,22 @@
-//! Unstructured lumigraph rendering (Buehler, Bosse, McMillan, Gortler, Cohen, SIGGRAPH 2001): every pixel of the view
-//! is a weighted mean of the cameras' images of its point of the proxy.
+//! Unstructured lumigraph rendering (Buehler, Bosse, McMillan, Gortler, Cohen, SIGGRAPH 2001): every pixel of
+//! the view shows a point of the proxy, and is the weighted mean of the cameras' images at that point.
 //!
 //! The penalty of camera i at the pixel's point X, seen from the view's centre C, is
 //!
 //! `p_i = 2 tan(θ_i / 2) · (1 + coarseness_i) / (border_i · visible_i)`
 //!
-//! with θ_i the angle at X between C and C_i, and coarseness_i the loss of resolution. border_i falls from 1 to 0 at
-//! the image's border, and visible_i from 1 to 1e-3 behind the surface that the camera sees. Buehler adds the parts
-//! for angle, resolution and field of view. In the product, the penalty is 0 where the camera stands at the view's
-//! centre, so that its image is reproduced exactly; it is infinite outside the image. [`super::weights`] turns
-//! penalties into weights.
+//! with θ_i the angle at X between C and the camera's centre C_i, and coarseness_i the loss of resolution.
+//! border_i falls from 1 to 0 at the image's border, and visible_i from 1 to 1e-3 behind the surface that the
+//! camera sees. Buehler et al. add the terms for angle, resolution and field of view. With the product, the
+//! penalty is 0 where the camera stands at the view's centre, so that its image is reproduced exactly; it is
+//! infinite outside the image. [`super::weights`] turns penalties into weights.
 //!
-//! With [`BlendMethod::SpaceTime`] the penalty is `√(p_i² + (λ·m_i)²)`, with m_i the expected interpolation error of the
-//! camera's pixel and λ [`BlendOptions::error_angle_rad`]: the errors of the proxy and of interpolation are independent.
+//! With [`BlendMethod::SpaceTime`] the penalty is `√(p_i² + (λ·m_i)²)`, with m_i the expected interpolation
+//! error of the camera's pixel and λ [`BlendOptions::error_angle_rad`]: the errors of the proxy and of
+//! interpolation are independent.
 //!
-//! Where grey and coloured cameras are mixed, luminance is blended from all cameras, and chrominance from the coloured
-//! ones, with weights of their own; it fades to grey where no coloured camera sees the point.
+//! If some cameras are grey and others coloured, luminance is blended from all cameras, and chrominance from
+//! the coloured ones with separate weights. Chrominance fades out where no coloured camera sees the point.
 //!
 //! Known limit: without [`Source::depth`], a camera contributes to points that are occluded in it.
 
@@ -31,13 +32,14 @@ use rayon::prelude::*;
 /// Number of rows that one task blends.
 const BAND_ROWS: usize = 16;
 
-/// Renders the view `target` from the sources' images, over the view's depths.
+/// Renders the view `target` from the sources' images, with the depths `depth` of the view's pixels.
 ///
-/// Only cameras at the view's centre contribute to pixels without depth. The image has 3 channels if any source has,
-/// else 1.
+/// To pixels without depth, only cameras at the view's centre contribute. The image has 3 channels if any
+/// source has 3, else 1.
 ///
 /// # Panics
-/// If the size of the depth map is not the view's, or that of an image or of a source's depths not its camera's.
+/// If the size of the depth map is not the view's, or that of an image or of a source's depths not its
+/// camera's.
 pub fn blend(
     sources: &[Source],
     depth: &DepthMap,
@@ -76,7 +78,7 @@ pub fn blend(
                 }
             },
         );
-    // Without depths, no point is occluded.
+    // Without sources' depths, no point counts as occluded.
     if sources.iter().any(|s| s.depth.is_some()) {
         inpaint(&mut image, &visibility, depth, OCCLUSION_FRACTION);
     }
@@ -84,11 +86,11 @@ pub fn blend(
     Rendered { image, coverage }
 }
 
-/// The tiles of each source's image that [`blend`] reads, in the sources' order. The poses of sources without tiles
+/// The tiles of each source's image that [`blend`] reads, in the sources' order. Sources without such tiles
 /// still affect the weights of the others.
 ///
 /// # Panics
-/// Where [`blend`] does.
+/// If a size is wrong, as in [`blend`].
 pub fn contributing(
     sources: &[Source],
     depth: &DepthMap,
@@ -117,7 +119,7 @@ pub fn contributing(
     })
 }
 
-/// Panics if a size is wrong.
+/// Panics if the size of a depth map or an image is wrong.
 fn check(sources: &[Source], depth: &DepthMap, target: &Camera) {
     let size = (target.width, target.height);
     assert_eq!((depth.width(), depth.height()), size, "size of the view's depths");

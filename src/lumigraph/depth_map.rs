@@ -42,8 +42,8 @@ impl DepthMap {
         Self::from_data(width, height, vec![f32::NAN; width * height])
     }
 
-    /// Smallest depth of the 3×3 pixels around a position in pixels, which is clamped to the image. NaN if none of
-    /// them has a depth.
+    /// Smallest depth, metres, of the 3×3 pixels around a position, pixels. The position is clamped to the
+    /// image. NaN if none of the pixels has a depth.
     pub(super) fn nearest_around(&self, x: f32, y: f32) -> f32 {
         let span = |v: f32, size: usize| {
             let at = v.max(0.0).min((size - 1) as f32) as usize;
@@ -59,8 +59,8 @@ impl DepthMap {
         nearest
     }
 
-    /// Largest depth of the 2×2 pixels around a position in pixels, which is clamped to the image. NaN if any of
-    /// them has no depth.
+    /// Largest depth, metres, of the 2×2 pixels around a position, pixels. The position is clamped to the
+    /// image. NaN if any of the pixels has no depth.
     pub(super) fn farthest_around(&self, x: f32, y: f32) -> f32 {
         let cell = |v: f32, size: usize| {
             let floor = (v - 0.5).max(0.0).min((size - 1) as f32) as usize;
@@ -70,7 +70,7 @@ impl DepthMap {
         let (y0, y1) = cell(y, self.height());
         let at = |x: usize, y: usize| self.data()[y * self.width() + x];
         let (a, b, c, d) = (at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1));
-        // The sum is NaN exactly if one of four positive depths is.
+        // The sum is NaN exactly if one of the four depths is, since the others are positive.
         if (a + b + c + d).is_nan() { f32::NAN } else { a.max(b).max(c).max(d) }
     }
 }

@@ -1,4 +1,4 @@
-//! Colours of points that are occluded in every camera, from the background around them.
+//! Inpainting of points that are occluded in every camera, with colours of the background around them.
 
 use super::depth_map::DepthMap;
 use crate::raster::Image;
@@ -9,7 +9,8 @@ use std::f32::consts::TAU;
 const DIRECTIONS: usize = 16;
 /// Largest distance of the search, pixels.
 const REACH_PX: usize = 128;
-/// Number of consecutive pixels that are averaged in each direction: a single one at an outline has mixed colours.
+/// Number of consecutive pixels that are averaged in each direction. At an outline, a single pixel would have
+/// mixed colours.
 const AVERAGED_PX: usize = 6;
 
 /// Visibility of a pixel's point in the cameras.
@@ -17,16 +18,17 @@ const AVERAGED_PX: usize = 6;
 pub(super) enum PointVisibility {
     /// Some camera sees the point.
     Visible,
-    /// All cameras that have it in their image see a nearer surface.
+    /// A nearer surface occludes the point in all cameras whose image contains it.
     Occluded,
-    /// No camera has it in its image.
+    /// The point is outside all cameras' images.
     OutOfView,
 }
 
-/// Fills the occluded pixels of an image with the mean of the visible pixels around them, weighted by inverse distance.
+/// Fills the occluded pixels of an image with the mean of the visible pixels around them, weighted by inverse
+/// distance.
 ///
-/// The search in a direction ends at a surface that is nearer than the occluded point by more than `fraction` of the
-/// point's depth: it is the occluder. Pixels without visible surroundings stay as they are.
+/// The search in a direction ends at a surface that is nearer than the occluded point by more than `fraction`
+/// of the point's depth: this is the occluder. Pixels without visible surroundings stay as they are.
 pub(super) fn inpaint(
     image: &mut Image,
     visibility: &[PointVisibility],
@@ -46,7 +48,7 @@ pub(super) fn inpaint(
     }
 }
 
-/// The view that occluded pixels are filled from.
+/// A view, with the visible pixels from which occluded ones are filled.
 struct Surroundings<'a> {
     image: &'a Image,
     visibility: &'a [PointVisibility],
@@ -70,7 +72,8 @@ impl Surroundings<'_> {
         (weights > 0.0).then(|| sum.map(|v| v / weights))
     }
 
-    /// The mean of the first visible pixels in a direction, and the distance of the first.
+    /// The mean colour of the first visible pixels in a direction, and the distance of the first of them,
+    /// pixels.
     fn towards(&self, occluded: usize, direction: [f32; 2]) -> Option<([f32; 3], f32)> {
         let (w, h, channels) = (self.image.width(), self.image.height(), self.image.channels());
         let at = [occluded % w, occluded / w].map(|v| v as f32 + 0.5);
@@ -88,7 +91,7 @@ impl Surroundings<'_> {
                 }
                 continue;
             }
-            // Also where one of the two pixels has no depth.
+            // Written so that the search also ends at a NaN: one of the two pixels has no depth.
             if !(self.depth.data()[k] >= min_depth) {
                 break;
             }
@@ -110,7 +113,7 @@ impl Surroundings<'_> {
 mod tests {
     use super::*;
 
-    /// A body at 1 m before a wall at 2 m; right of it, a band of the wall that no camera sees.
+    /// A body at 1 m in front of a wall at 2 m; right of it, a band of the wall that no camera sees.
     #[test]
     fn what_is_occluded_is_filled_from_behind() {
         let (w, h) = (12, 5);
@@ -147,7 +150,7 @@ mod tests {
         assert_eq!(image.data(), [0.1, 0.5, 0.3]);
     }
 
-    /// A pixel that no camera shows is black, whatever its depth.
+    /// A pixel outside all cameras' images is black at any depth.
     #[test]
     fn nothing_comes_from_pixels_that_no_camera_shows() {
         let depth = DepthMap::from_data(4, 1, vec![2.0; 4]);

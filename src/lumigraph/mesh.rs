@@ -1,11 +1,11 @@
-//! The mesh proxy of §6: "a backplane based on the reconstructed 3D vertices. The plane is positioned
-//! and oriented so that all the vertices are in the front. Finally, all the vertices (including
-//! the four corners of the plane) are triangulated to create a 3D mesh."
+//! The mesh proxy of §6: "a backplane based on the reconstructed 3D vertices. The plane is positioned and
+//! oriented so that all the vertices are in the front. Finally, all the vertices (including the four corners
+//! of the plane) are triangulated to create a 3D mesh."
 //!
-//! Beyond the paper: mismatched points are dropped, and triangles across depth edges are treated apart
+//! Beyond the paper: mismatched points are removed, and triangles across depth edges are replaced
 //! ([`DepthEdges`]).
 //!
-//! Known limit: a mesh is built for one view. In other views, it has gaps where it was cut.
+//! Known limit: a mesh is built for one view. In other views, it has gaps at depth edges.
 
 use super::plane::{PlaneLoss, ProjectedPoint, fit_plane};
 use super::rays::ViewBounds;
@@ -47,26 +47,29 @@ methods!(DepthEdges {
     Cut = "cut": "The triangle is cut in the middle between the two surfaces",
 });
 
-/// A triangle spans a depth edge if its inverse depths differ by more than this fraction of the largest one.
+/// A triangle spans a depth edge if its vertices' inverse depths differ by more than this fraction of the
+/// largest of them.
 const EDGE_FRACTION: f64 = 0.1;
-/// Longest side of a triangle that [`DepthEdges`] applies to, pixels: in longer ones, the outline may be anywhere.
+/// Maximum side of a triangle to which [`DepthEdges`] applies, pixels. In a longer one, the outline may be
+/// anywhere.
 const MAX_EDGE_PX: f64 = 24.0;
-/// Largest difference of the inverse depths of two points that support each other, as a fraction.
+/// Maximum difference of the inverse depths of two points that support each other, relative to the larger.
 const SUPPORT_FRACTION: f64 = 0.05;
-/// Smallest number of vertices that must support a point, at most two edges of the triangulation away.
+/// Minimum number of vertices that must support a point. They are at most two edges of the triangulation
+/// away.
 const MIN_SUPPORT: usize = 2;
 /// Distance of the mesh's corners outside the image, as a fraction of its size.
 const MARGIN: f64 = 0.05;
-/// Side of a square cell, pixels: only the nearest point of a cell becomes a vertex.
+/// Side of the square cells in which only the nearest point becomes a vertex, pixels.
 const CELL_PX: f64 = 0.5;
-/// Weight of vertices in front of the back plane, over that of vertices behind it.
+/// Weight, in the fit of the back plane, of vertices in front of the plane, relative to vertices behind it.
 const FRONT_WEIGHT: f64 = 0.02;
 /// Number of corners of the back plane.
 const CORNERS: usize = 4;
-/// Factor of the back plane's inverse depth that puts the plane behind all vertices.
+/// Factor on the back plane's inverse depth that moves the plane slightly behind all vertices.
 const BACK_FACTOR: f64 = 0.999;
 
-/// A vertex of the triangulation.
+/// A vertex of the Delaunay triangulation in the view.
 struct MeshSite {
     position: spade::Point2<f64>,
     index: u32,
@@ -82,10 +85,10 @@ impl HasPosition for MeshSite {
 type MeshSites = DelaunayTriangulation<MeshSite>;
 
 impl Mesh {
-    /// Builds a mesh of points of the world, metres, that covers a view.
+    /// Builds a mesh from points of the world, metres, that covers the view of `target`.
     ///
-    /// Points behind the view, outside it, or not finite are ignored, and so are those without support by their
-    /// neighbours. Any number of points may be duplicate or on a line. `None` if no point remains, or no ray of
+    /// Points behind the view, outside it, or not finite are ignored, and so are those without support by
+    /// their neighbours. Duplicate and collinear points are allowed. `None` if no point remains, or no ray of
     /// the view can be computed.
     pub fn build(points: &[Point3<f64>], target: &Camera, depth_edges: DepthEdges) -> Option<Self> {
         let bounds = ViewBounds::of(target)?.enlarged(MARGIN);
@@ -114,7 +117,8 @@ impl Mesh {
     }
 }
 
-/// Projects the points within the bounds, sorted by position; of the points of a cell, only the nearest remains.
+/// Projects the points that lie within the bounds, sorted by position. Of several points in a cell, only the
+/// nearest is returned.
 fn projected(
     points: &[Point3<f64>],
     target: &Camera,
@@ -129,7 +133,7 @@ fn projected(
         .iter()
         .filter_map(|point| {
             let projection = ProjectedPoint::new(point, target, bounds)?;
-            // At a corner, the corner itself is the vertex.
+            // A point at a corner is dropped: the corner itself is a vertex.
             let is_corner = bounds.corners().contains(&projection.at);
             (!is_corner).then(|| (cell(&projection.at), projection))
         })
@@ -143,10 +147,11 @@ fn projected(
     projections.into_iter().map(|(_, s)| s).collect()
 }
 
-/// Delaunay triangulation of the points, followed by the corners, in pixels. Of several points at one position,
-/// only one is a vertex.
+/// The Delaunay triangulation, in pixels, of the points and then the corners. Of several points at one
+/// position, only one is a vertex.
 fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: f64) -> MeshSites {
-    // spade takes coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; a millionth of a pixel is 0.
+    // spade accepts coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; below a millionth of a pixel they are rounded
+    // to 0.
     let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
     let positions = projections.iter().map(|s| &s.at).chain(corners).enumerate();
     let sites = positions.map(|(index, at)| {
@@ -156,8 +161,8 @@ fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: 
     MeshSites::bulk_load(sites.collect()).unwrap_or_default()
 }
 
-/// Drops points with too few supporting neighbours, also from the triangulation. Drops none if there are fewer than
-/// four points, or no point has support.
+/// Removes points with too few supporting neighbours, also from the triangulation. Removes none if there are
+/// fewer than four points, or if no point has support.
 fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut MeshSites) {
     let count = projections.len();
     if count < 4 {
@@ -169,11 +174,11 @@ fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut MeshSites
     if unsupported.len() == points().count() {
         return;
     }
-    // The last first: a removed site's handle goes to the last one.
+    // In descending order: when a site is removed, the last one gets its handle.
     for site in unsupported.into_iter().rev() {
         sites.remove(site);
     }
-    // Points at the position of another are not in the triangulation.
+    // Of points at one position, only one is in the triangulation; the others are removed too.
     let mut is_kept = vec![false; count];
     for site in sites.vertices() {
         if let Some(is_kept) = is_kept.get_mut(site.data().index as usize) {
@@ -181,7 +186,7 @@ fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut MeshSites
         }
     }
     let mut kept = Vec::with_capacity(count);
-    // Corners come after the last point.
+    // The corners' indices follow those of the points.
     let mut renumbered: Vec<u32> = is_kept
         .iter()
         .zip(&*projections)
@@ -225,11 +230,11 @@ fn has_support(projections: &[ProjectedPoint], site: &Handle<MeshSite>) -> bool 
     all.len() >= MIN_SUPPORT
 }
 
-/// The g ([`super::plane`]) of the back plane: along the farthest points, and behind all points. `None` without
-/// points.
+/// The back plane as a vector g (see [`super::plane`]): fitted to the farthest points, and behind all points.
+/// `None` without points.
 fn back_plane(projections: &[ProjectedPoint], bounds: &ViewBounds) -> Option<Vector3<f64>> {
     let g = fit_plane(projections, PlaneLoss::Behind(FRONT_WEIGHT), bounds)?;
-    // The plane's inverse depth is positive in all the bounds, and so is the ratio.
+    // In the whole view the plane's inverse depth is positive, and so is the ratio.
     let behind = projections.iter().map(|s| s.inverse_depth / g.dot(&s.ray())).fold(1.0, f64::min);
     Some(g * (behind * BACK_FACTOR))
 }
@@ -247,7 +252,7 @@ impl MeshBuilder {
         (self.vertices.len() - 1) as u32
     }
 
-    /// Adds a triangle, treated as `depth_edges` says where its vertices lie on two surfaces.
+    /// Adds a triangle. If its vertices lie on two surfaces, it is replaced as `depth_edges` says.
     fn add(&mut self, triangle: [u32; 3], focal: f64, depth_edges: DepthEdges) {
         // Nearest first.
         let mut v = triangle.map(|k| (k, self.vertices[k as usize]));
@@ -265,7 +270,7 @@ impl MeshBuilder {
             self.triangles.push(triangle);
             return;
         }
-        // One vertex is in front of two, or two are in front of one.
+        // Either one vertex is in front of the other two, or two are in front of the third.
         let one_in_front = a - b > b - c;
         let (front, back) = if one_in_front { (a, 0.5 * (b + c)) } else { (0.5 * (a + b), c) };
         match depth_edges {
@@ -283,7 +288,7 @@ impl MeshBuilder {
         }
     }
 
-    /// Adds a triangle at one depth.
+    /// Adds a triangle whose vertices have the same inverse depth, 1/m.
     fn flat(&mut self, at: [Point2<f64>; 3], inverse_depth: f64) {
         let triangle = at.map(|at| self.vertex(at, inverse_depth));
         self.triangles.push(triangle);
@@ -334,7 +339,7 @@ mod tests {
         }
         points.push(on_ray(&camera, 500.0, 100.5, 0.4));
         points.push(on_ray(&camera, 100.0, 400.0, 20.0));
-        // Halfway between 292 and 308, the last vertex in front and the first behind, 1/z is halfway too.
+        // Halfway between x = 292, the last vertex in front, and 308, the first behind, 1/z is halfway too.
         let expected = [
             (DepthEdges::Stretch, 1.5, 1.5),
             (DepthEdges::Back, 3.0, 3.0),
@@ -403,7 +408,7 @@ mod tests {
                 .map(|_| {
                     let mut pick = || odd[(random.unit() * odd.len() as f64) as usize];
                     let (x, y, z) = (pick(), pick(), pick());
-                    // A third on a coarse grid: many collinear and cocircular.
+                    // A third of the points are on a coarse grid, so that many are collinear and cocircular.
                     match (random.unit() * 3.0) as usize {
                         0 => Point3::new(x, y, z),
                         1 => Point3::new(x, y, 2.0),

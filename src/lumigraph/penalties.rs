@@ -1,8 +1,9 @@
 //! Reprojection of a row of the view into each source, and the penalties of [`super::blend`].
 //!
-//! Points are `r / ρ`, with r = (x, y, 1) the pixel's ray and ρ its inverse depth; all is computed times ρ, which is
-//! finite at infinity too. What is constant over the view is computed in f64. Rows are f32, whose rounding moves
-//! positions by less than 1e-3 px in images up to 4000 px wide.
+//! A pixel with the ray r = (x, y, 1) and the inverse depth ρ shows the point `r / ρ`. All vectors are
+//! multiplied by ρ, so that they are finite for points at infinity too. Quantities that are constant over the
+//! view are computed in f64. Rows are f32, whose rounding moves positions by less than 1e-3 px in images up
+//! to 4000 px wide.
 
 use super::depth_map::DepthMap;
 use super::rays::ViewBounds;
@@ -12,26 +13,28 @@ use crate::camera::{Camera, CameraModel};
 use crate::simd::multiversion;
 use nalgebra::{Matrix3, Point2, Vector3};
 
-/// Width over which a camera fades out towards its image's border, pixels.
+/// Width of the zone along an image's border in which a camera's weight falls to 0, pixels.
 const FEATHER_PX: f32 = 4.0;
-/// Smallest distance in depth of an occluded point from the surface in front of it, as a fraction of the surface's
-/// depth.
+/// Minimum distance in depth between an occluded point and the surface in front of it, as a fraction of the
+/// surface's depth.
 pub(super) const OCCLUSION_FRACTION: f32 = 0.03;
-/// Cameras nearer to the view's centre than this fraction of the farthest camera's distance count as at the centre.
+/// Cameras whose distance from the view's centre is below this fraction of the farthest camera's count as
+/// standing at the centre.
 const SAME_CENTER_FRACTION: f64 = 1e-6;
-/// Factor of the confidence in an occluded point: it contributes only if it is occluded in all sources.
+/// Factor on the confidence in an occluded point. It is so small that the point contributes only if it is
+/// occluded in all sources.
 const OCCLUDED_CONFIDENCE: f32 = 1e-3;
-/// Factor of the confidence in a point beside a nearer surface, where pixels are mixtures of both.
+/// Factor on the confidence in a point beside a nearer surface, where pixels are mixtures of both.
 const OUTLINE_CONFIDENCE: f32 = 0.25;
-/// Margin around the cone of a camera's border rays, as a fraction of its radius. Points outside have no pixel: the
-/// lens polynomial might fold back into the image.
+/// Margin around the cone of a camera's border rays, as a fraction of its radius. Points outside count as
+/// outside the image, since the lens polynomial might map them into it.
 const CONE_MARGIN: f64 = 0.02;
-/// Factor of a lower bound that makes up for f32 rounding.
+/// Factor on a lower bound that allows for f32 rounding.
 const ROUNDING: f32 = 0.999;
-/// Decrease of a difference of sines that makes up for f32 rounding.
+/// Amount that is subtracted from a difference of sines to allow for f32 rounding.
 const SINE_ROUNDING: f32 = 1e-6;
 
-/// Some neighbouring pixels of a row of the view.
+/// A range of pixels of a row of the view, in the view's camera frame.
 pub(super) struct TargetRow<'a> {
     /// The x of the rays (x, y, 1).
     pub x: &'a [f32],
@@ -39,11 +42,11 @@ pub(super) struct TargetRow<'a> {
     pub y: &'a [f32],
     /// Lengths of the rays.
     pub length: &'a [f32],
-    /// Inverse depths, 1/m; 0 without proxy.
+    /// Inverse depths, 1/m; 0 where there is no proxy.
     pub inverse_depth: &'a [f32],
 }
 
-/// A cone around the rays of some pixels of a row.
+/// A cone that contains the rays of a range of pixels.
 pub(super) struct RayCone {
     axis: Vector3<f32>,
     /// Sine of the largest angle between a ray and the axis.
@@ -52,13 +55,13 @@ pub(super) struct RayCone {
     cosine: f32,
     /// Length of the longest ray.
     longest: f32,
-    /// Smallest inverse depth of the pixels.
+    /// Smallest inverse depth of the pixels, 1/m.
     farthest: f32,
 }
 
 impl RayCone {
-    /// The cone around the rays of at least one pixel. For a pinhole, the first and the last ray are the longest and
-    /// the farthest from the one in the middle.
+    /// The cone of the rays of at least one pixel, around the ray in the middle. For a pinhole, only the
+    /// first and the last ray are tested: they are the longest and at the largest angle from the middle.
     pub fn around(row: &TargetRow, is_pinhole: bool) -> Self {
         let n = row.x.len();
         let unit = |k: usize| Vector3::new(row.x[k], row.y[k], 1.0) / row.length[k];
@@ -66,7 +69,7 @@ impl RayCone {
         let (mut sine, mut longest) = (0.0_f32, 0.0_f32);
         for k in (0..n).step_by(if is_pinhole { (n - 1).max(1) } else { 1 }) {
             let ray = unit(k);
-            // Beyond a right angle there is no bound.
+            // For angles over 90° there is no bound.
             sine = if ray.dot(&axis) > 0.0 { sine.max(ray.cross(&axis).norm()) } else { 1.0 };
             longest = longest.max(row.length[k]);
         }
@@ -76,7 +79,7 @@ impl RayCone {
 }
 
 multiversion! {
-    /// Computes positions, penalties and confidences; `pixel` projects a point of the plane z = 1.
+    /// Computes positions, penalties and confidences. `pixel` projects a point of the plane z = 1.
     fn measure_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
         row: &TargetRow,
@@ -93,7 +96,7 @@ fn measure_row_by(
     pixel: impl Fn(f32, f32) -> (f32, f32),
 ) {
     let n = row.x.len();
-    // One length for all slices lets the loop run without bounds checks.
+    // Slices of one length let the loop run without bounds checks.
     let (xs, ys, lengths, inverse) =
         (&row.x[..n], &row.y[..n], &row.length[..n], &row.inverse_depth[..n]);
     let (out_x, out_y) = (&mut span.x[..n], &mut span.y[..n]);
@@ -105,14 +108,14 @@ fn measure_row_by(
         let q = reprojection.direction(x, y, inverse);
         let (px, py, border) = reprojection.project(q, &pixel);
 
-        // tan(θ/2) = |a × b| / (|a||b| + a · b) of the directions a and b from the view's
-        // and the source's centre; b = a + shift, so a × b = a × shift: no cancellation.
+        // tan(θ/2) = |a × b| / (|a||b| + a · b), with a and b the directions from the view's and the source's
+        // centre. Since b = a + shift, a × b = a × shift, which avoids cancellation.
         let cross = Vector3::new(y * d.z - d.y, d.x - x * d.z, x * d.y - y * d.x);
         let cross = (cross.x * cross.x + cross.y * cross.y + cross.z * cross.z).sqrt();
         let dot = length * length + inverse * (x * d.x + y * d.y + d.z);
         let q_length = (q.x * q.x + q.y * q.y + q.z * q.z).sqrt();
-        // The denominator is 0 only where θ is 180° or the point is the source's centre. Then the
-        // angle is ∞ or NaN, and the camera doesn't count.
+        // The denominator is 0 only where θ is 180° or the point is the source's centre. Then the angle is ∞
+        // or NaN, and the camera has no weight.
         let angle = 2.0 * inverse * cross / (length * q_length + dot);
         let coarseness = (q_length * reprojection.focal_ratio / length - 1.0).max(0.0);
 
@@ -155,9 +158,9 @@ fn place_row_by(
     }
 }
 
-/// The pose of one source relative to the view, and its lens.
+/// One source's pose relative to the view, and its lens.
 pub(super) struct Reprojection {
-    /// Source axes from the view's.
+    /// Rotation from the view's to the source's axes.
     rotation: Matrix3<f32>,
     /// The view's centre minus the source's, in the source's axes.
     shift: Vector3<f32>,
@@ -166,16 +169,17 @@ pub(super) struct Reprojection {
     model: CameraModel,
     width: f32,
     height: f32,
-    /// Focal length of the view over the source's.
+    /// Ratio of the view's focal length to the source's.
     focal_ratio: f32,
-    /// Largest squared distance of an image point from the axis, on the plane z = 1.
+    /// Largest squared distance from the optical axis at which a point can be in the image, on the plane z =
+    /// 1.
     max_radius2: f32,
-    /// Angle that one pixel of interpolation error counts as; 0 if time has no weight.
+    /// Penalty angle per pixel of interpolation error; 0 if time has no weight.
     error_angle_rad: f32,
 }
 
 impl Reprojection {
-    /// Reprojections into all sources, in their order.
+    /// The reprojections into all sources, in their order.
     pub fn of_all(sources: &[Source], target: &Camera, options: &BlendOptions) -> Vec<Self> {
         let center = target.center();
         let extent =
@@ -208,48 +212,50 @@ impl Reprojection {
         }
     }
 
-    /// Whether the source stands at the view's centre. If so, the positions of points in the source don't depend on
-    /// depth.
+    /// Whether the source stands at the view's centre. Then the positions of points in the source don't
+    /// depend on depth.
     pub fn at_center(&self) -> bool {
         self.shift_target == Vector3::zeros()
     }
 
-    /// Whether a source's penalties change smoothly on a surface, so that weights may be interpolated.
+    /// Whether a source's penalties change smoothly over a surface, so that weights may be interpolated
+    /// between nodes.
     pub fn is_smooth(&self, source: &Source) -> bool {
         source.depth.is_none()
             && (self.error_angle_rad == 0.0 || source.interpolation_error_px.is_none())
     }
 
-    /// Lower bound of the penalties over a cone, by the angle alone. NaN if the cone's axis is.
+    /// Lower bound of the penalties at the pixels of a cone, from the angle alone. NaN if the cone's axis is
+    /// NaN.
     ///
-    /// With r the ray, ρ the inverse depth, d the shift and q = r + ρd, the penalty `2ρ|r × d| / (|r||q| + r·q)` is
-    /// at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, which increases with ρ. The angle between r and d is smaller than
-    /// that between the axis and d by at most the cone's angle.
+    /// With r the ray, ρ the inverse depth, d the view's centre minus the source's and q = r + ρd, the
+    /// penalty `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, which increases with
+    /// ρ. The angle between r and d differs from that between the axis and d by at most the cone's angle.
     pub fn min_angle(&self, cone: &RayCone) -> f32 {
         let (d, axis) = (self.shift_target, cone.axis);
         let length = d.norm();
         let sine = (axis.cross(&d).norm() * cone.cosine - axis.dot(&d).abs() * cone.sine)
             - SINE_ROUNDING * length;
-        // Lengths are at least 1. `max` would ignore NaN.
+        // Lengths of rays are at least 1. `max` would drop a NaN.
         let sine = if sine < 0.0 { 0.0 } else { sine };
         ROUNDING * sine * cone.farthest / (cone.longest + cone.farthest * length)
     }
 
-    /// Projects points of the plane z = 1 by a pinhole.
+    /// The projection of points of the plane z = 1 by a pinhole, to pixels.
     fn pinhole(&self) -> impl Fn(f32, f32) -> (f32, f32) + use<> {
         let (fx, fy, cx, cy) = self.model.intrinsics();
         let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
         move |nx, ny| (fx * nx + cx, fy * ny + cy)
     }
 
-    /// Projects a point of the plane z = 1 by any lens.
+    /// Projects a point of the plane z = 1 by any lens, to pixels.
     fn distorted(&self, nx: f32, ny: f32) -> (f32, f32) {
         let normalized = Point2::new(f64::from(nx), f64::from(ny));
         let pixel = self.model.pixel_from_normalized(&normalized);
         (pixel.x as f32, pixel.y as f32)
     }
 
-    /// Computes positions in the source, and confidences without regard to occlusion.
+    /// Computes the points' positions in the source, and their confidences without occlusion.
     pub fn place(&self, row: &TargetRow, span: &mut SourceSpan) {
         if self.model.is_pinhole() {
             place_row(self, row, span, self.pinhole());
@@ -258,8 +264,9 @@ impl Reprojection {
         }
     }
 
-    /// Computes the positions, penalties and confidences of a row's points in `source`, whose reprojection this is.
-    /// Sets `visible` at points that the source sees, and leaves it at the others.
+    /// Computes the positions, penalties and confidences of a row's points in `source`, to which this
+    /// reprojection belongs. Sets `visible` to true at points that the source sees, and leaves the others
+    /// unchanged.
     pub fn measure(
         &self,
         row: &TargetRow,
@@ -275,7 +282,7 @@ impl Reprojection {
         if self.error_angle_rad > 0.0 {
             self.add_interpolation_error(source, row.x.len(), span);
         }
-        // A source at the view's centre looks along the same rays: nothing is occluded in it.
+        // A source at the view's centre has the same rays as the view: no visible point is occluded in it.
         match source.depth {
             Some(map) if !self.at_center() => self.occlude(row, map, span, visible),
             _ => {
@@ -285,8 +292,8 @@ impl Reprojection {
         }
     }
 
-    /// Projects a direction in the source's axes: the pixel, and `border`, which falls to 0 at the image's border and is
-    /// 0 outside the image and behind the source.
+    /// Projects a direction in the source's axes to its pixel, x and y, and `border`. `border` is 1 inside
+    /// the image, falls to 0 at its border, and is 0 outside the image and behind the source.
     #[inline(always)]
     fn project(&self, q: Vector3<f32>, pixel: impl Fn(f32, f32) -> (f32, f32)) -> (f32, f32, f32) {
         // Behind the source q.z is not positive, and the results are discarded below.
@@ -300,7 +307,8 @@ impl Reprojection {
         (px, py, if is_visible { border } else { 0.0 })
     }
 
-    /// The pixel's point times its inverse depth, in the source's axes.
+    /// The vector from the source to the pixel's point, times the point's inverse depth, in the source's
+    /// axes.
     #[inline(always)]
     fn direction(&self, x: f32, y: f32, inverse_depth: f32) -> Vector3<f32> {
         let (m, s) = (&self.rotation, &self.shift);
@@ -311,14 +319,14 @@ impl Reprojection {
         )
     }
 
-    /// Adds the expected error of interpolation to that of the proxy. The two are independent, so that
-    /// their squares add.
+    /// Adds the expected interpolation error to the penalties. It is independent of the proxy's error, so
+    /// that their squares add.
     fn add_interpolation_error(&self, source: &Source, count: usize, span: &mut SourceSpan) {
         let Some(error_px) = source.interpolation_error_px else { return };
         let (w, h) = (source.camera.width, source.camera.height);
         for k in 0..count {
             if span.confidence[k] > 0.0 {
-                // Where there is confidence, the position is inside the image.
+                // Where the confidence is positive, the position is inside the image.
                 let (x, y) = (span.x[k] as usize, span.y[k] as usize);
                 let angle = self.error_angle_rad * error_px[y.min(h - 1) * w + x.min(w - 1)];
                 span.penalty[k] = span.penalty[k].hypot(angle / span.confidence[k]);
@@ -326,8 +334,8 @@ impl Reprojection {
         }
     }
 
-    /// Lowers the confidence in points behind the source's surface: from 1 at [`OCCLUSION_FRACTION`] to
-    /// [`OCCLUDED_CONFIDENCE`] at twice that.
+    /// Lowers the confidence in points behind the surface that the source sees: from 1 at the distance
+    /// [`OCCLUSION_FRACTION`] to [`OCCLUDED_CONFIDENCE`] at twice that.
     fn occlude(
         &self,
         row: &TargetRow,
@@ -340,7 +348,7 @@ impl Reprojection {
                 let inverse = row.inverse_depth[k];
                 let depth = self.direction(row.x[k], row.y[k], inverse).z / inverse;
                 let beyond = |surface: f32| (depth / surface - 1.0) / OCCLUSION_FRACTION - 1.0;
-                // NaN, where the source has no depth, occludes nothing.
+                // If the source has no depth there, this is NaN, and the point is not occluded.
                 let behind = beyond(map.farthest_around(span.x[k], span.y[k]));
                 if behind > 0.0 {
                     let factor = (1.0 - behind).max(OCCLUDED_CONFIDENCE);
@@ -367,7 +375,7 @@ mod tests {
     use crate::camera::tests::pinhole_at;
     use nalgebra::UnitQuaternion;
 
-    /// Part of a row: rays, their lengths, and inverse depths.
+    /// A range of a row's pixels: x and y of the rays, their lengths, and inverse depths.
     type RowPart = [Vec<f32>; 4];
 
     fn row(part: &RowPart) -> TargetRow<'_> {
@@ -375,7 +383,7 @@ mod tests {
         TargetRow { x, y, length, inverse_depth }
     }
 
-    /// The positions of a part's points in a source (x and y), their penalties, and their confidences.
+    /// The positions of the points in a source (x and y), their penalties, and their confidences.
     fn measured(
         reprojection: &Reprojection,
         part: &RowPart,
@@ -393,7 +401,7 @@ mod tests {
         camera
     }
 
-    /// Random parts of a view's rows, with the reprojections of random sources.
+    /// Calls `each` with random parts of a view's rows and the reprojection of a random source.
     fn problems(mut each: impl FnMut(&Camera, &RowPart, &Reprojection)) {
         let mut random = Random::new(51);
         let mut number = |low, high| random.in_range(low, high);

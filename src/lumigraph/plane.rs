@@ -1,21 +1,21 @@
-//! The plane proxy of §6: the paper's "3D planar proxy in which the plane's depth can be interactively controlled by
-//! the user. Its placement determines which region of the scene is in focus."
+//! The plane proxy of §6: the paper's "3D planar proxy in which the plane's depth can be interactively
+//! controlled by the user. Its placement determines which region of the scene is in focus."
 //!
-//! In a view, a plane's inverse depth is linear: `1/z = g · (x, y, 1)` at (x, y) of the plane z = 1, where
-//! `g · p_cam = 1` for the plane's points. Disparity is proportional to inverse depth, so that least squares of
-//! inverse depths are least squares of pixels.
+//! In a view, a plane's inverse depth is linear: `1/z = g · (x, y, 1)` at (x, y) of the plane z = 1, where `g
+//! · p_cam = 1` for the plane's points. Disparity is proportional to inverse depth, so that a least-squares
+//! fit of inverse depths is one of disparities in pixels.
 
 use super::rays::ViewBounds;
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
-/// Margin around the camera's image, as a fraction of its size, in which points still count.
+/// Margin around the camera's image, as a fraction of its size, within which points are used for the fit.
 const MARGIN: f64 = 0.5;
-/// Weight of a prior of no tilt, as a fraction of the points' weights.
+/// Weight of the prior of zero tilt, as a fraction of the points' weights.
 const TILT_PRIOR: f64 = 1e-6;
-/// Largest number of reweightings; about ten are needed.
+/// Maximum number of reweighting iterations; about ten are needed.
 const ROUNDS: usize = 20;
-/// Smallest inverse depth of the plane anywhere in the view, over that at the points' mean.
+/// Minimum inverse depth of the plane anywhere in the view, as a fraction of that at the points' mean.
 const MIN_FRACTION: f64 = 0.1;
 
 /// The plane `normal · x = d` in the world.
@@ -28,7 +28,7 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The plane perpendicular to the camera's axis at a depth.
+    /// The plane perpendicular to the camera's axis at this depth.
     pub fn fronto_parallel(camera: &Camera, depth_m: f64) -> Self {
         let normal = camera.axis();
         Self { normal, d: normal.dot(&camera.center().coords) + depth_m }
@@ -36,16 +36,17 @@ impl Plane {
 
     /// Fits a plane to points by robust least squares of inverse depths in a camera.
     ///
-    /// Points behind the camera, far outside its image, or not finite are ignored. One point, or points on a line,
-    /// give the plane through them that faces the camera most. Every ray of the view meets the plane. `None` if no
-    /// point remains.
+    /// Points behind the camera, far outside its image, or not finite are ignored. For one point, or
+    /// collinear points, it is the plane through them that is closest to perpendicular to the axis. Every ray
+    /// of the view meets the plane. `None` if no point remains.
     pub fn fit(points: &[Point3<f64>], camera: &Camera) -> Option<Self> {
         let bounds = ViewBounds::of(camera)?;
         let counted = bounds.enlarged(MARGIN);
         let project = |point| ProjectedPoint::new(point, camera, &counted);
         let projections: Vec<ProjectedPoint> = points.iter().filter_map(project).collect();
         let g = fit_plane(&projections, PlaneLoss::Robust, &bounds)?;
-        // g · (R x + t) = 1. |g| is at least the plane's inverse depth amid the view, which is positive.
+        // From g · (R x + t) = 1. |g| is positive, since the plane's inverse depth in the middle of the view
+        // is.
         let length = g.norm();
         let normal = camera.cam_from_world.rotation.inverse_transform_vector(&g) / length;
         let d = (1.0 - g.dot(&camera.cam_from_world.translation.vector)) / length;
@@ -62,8 +63,8 @@ impl Plane {
         Some(Self::fronto_parallel(camera, 1.0 / inverse.get(inverse.len() / 2)?))
     }
 
-    /// The vector g = normal / distance in the camera's axes: the plane's inverse depth at the normalized point (x, y) is
-    /// g · (x, y, 1). `None` if the plane passes through the camera's centre.
+    /// The plane as the vector g = normal / distance in the camera's axes: its inverse depth at the
+    /// normalized point (x, y) is g · (x, y, 1). `None` if the plane passes through the camera's centre.
     pub(super) fn inverse_depth(&self, camera: &Camera) -> Option<Vector3<f64>> {
         let distance = self.d - self.normal.dot(&camera.center().coords);
         let g = camera.cam_from_world.rotation * self.normal / distance;
@@ -71,17 +72,17 @@ impl Plane {
     }
 }
 
-/// A point in a view.
+/// A point as a view sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ProjectedPoint {
     /// Position on the plane z = 1.
     pub at: Point2<f64>,
-    /// 1/m, positive.
+    /// Inverse depth, 1/m, positive.
     pub inverse_depth: f64,
 }
 
 impl ProjectedPoint {
-    /// Projects a point. `None` if it is behind the camera, outside the bounds, or not finite.
+    /// Projects a point of the world. `None` if it is behind the camera, outside the bounds, or not finite.
     pub fn new(point: &Point3<f64>, camera: &Camera, bounds: &ViewBounds) -> Option<Self> {
         let p = camera.cam_from_world * point;
         let at = Point2::new(p.x / p.z, p.y / p.z);
@@ -95,17 +96,18 @@ impl ProjectedPoint {
     }
 }
 
-/// The loss of a plane fit.
+/// The loss function of a plane fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum PlaneLoss {
-    /// Cauchy's, at the scale of the median residual: the plane passes amid the points.
+    /// The Cauchy loss at the scale of the median residual: the plane passes through the middle of the
+    /// points.
     Robust,
-    /// Asymmetric: points in front of the plane have this weight, those behind it 1.
+    /// An asymmetric squared loss: points in front of the plane have this weight, those behind it 1.
     Behind(f64),
 }
 
-/// Fits a plane's g to points by iteratively reweighted least squares. The plane lies in front of the camera in the
-/// whole view. `None` without points.
+/// Fits the vector g of a plane to points by iteratively reweighted least squares. The plane lies in front of
+/// the camera in the whole view. `None` without points.
 pub(super) fn fit_plane(
     points: &[ProjectedPoint],
     loss: PlaneLoss,
@@ -133,12 +135,12 @@ pub(super) fn fit_plane(
     Some(flattened(g, points, bounds))
 }
 
-/// Inverse depth of a point minus the plane's on the same ray; positive in front of the plane.
+/// Inverse depth of a point minus the plane's on the same ray, 1/m; positive in front of the plane.
 fn residual(p: &ProjectedPoint, g: &Vector3<f64>) -> f64 {
     p.inverse_depth - g.dot(&p.ray())
 }
 
-/// A plane's g by least squares of inverse depths, with these weights and a prior of no tilt.
+/// The vector g of a plane, by weighted least squares of inverse depths with a prior of zero tilt.
 fn least_squares(
     points: &[ProjectedPoint],
     weight: impl Fn(&ProjectedPoint) -> f64,
@@ -155,12 +157,12 @@ fn least_squares(
     normal.cholesky().map(|c| c.solve(&right))
 }
 
-/// Reduces a plane's tilt about the points' mean until the plane lies in front of the camera in the whole view.
+/// Reduces a plane's tilt about the points' mean until the plane is in front of the camera in the whole view.
 fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) -> Vector3<f64> {
     let mean = |axis: usize| points.iter().map(|p| p.at[axis]).sum::<f64>() / points.len() as f64;
     let ray = Vector3::new(mean(0), mean(1), 1.0);
     let nearest = points.iter().map(|p| p.inverse_depth).fold(f64::INFINITY, f64::min);
-    // A fit to positive inverse depths is positive at their middle but for rounding.
+    // A fit to positive inverse depths is positive at their mean, except for rounding.
     let middle = g.dot(&ray).max(nearest);
     let mut fraction: f64 = 1.0;
     for corner in bounds.corners() {
@@ -173,7 +175,7 @@ fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) ->
     Vector3::new(tilt.x, tilt.y, middle - tilt.dot(&ray.xy()))
 }
 
-/// The lower median. `None` without points.
+/// The lower median of `value`. `None` without points.
 fn median(points: &[ProjectedPoint], value: impl Fn(&ProjectedPoint) -> f64) -> Option<f64> {
     let mut values: Vec<f64> = points.iter().map(value).collect();
     values.sort_by(f64::total_cmp);

@@ -11,9 +11,9 @@ use rayon::prelude::*;
 /// An approximation of the scene's geometry.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Proxy {
-    /// One plane of the world.
+    /// A plane in the world.
     Plane(Plane),
-    /// A triangle mesh of the world.
+    /// A triangle mesh in the world.
     Mesh(Mesh),
 }
 
@@ -44,7 +44,8 @@ fn plane_depth(plane: &Plane, target: &Camera) -> DepthMap {
         |rays, (row, depths)| {
             rays.set(row);
             for ((depth, &x), &y) in depths.iter_mut().zip(&rays.x).zip(&rays.y) {
-                // Negative behind the view, which `from_data` makes NaN; ∞ along the plane.
+                // Negative behind the view, which `from_data` turns into NaN; ∞ for rays parallel to the
+                // plane.
                 *depth = (1.0 / (g.x * x + g.y * y + g.z)) as f32;
             }
         },

@@ -1,11 +1,12 @@
-//! Rasterization of triangles to depths, for every lens (homogeneous rasterization, Olano and Greer 1997).
+//! Rasterization of triangles to depths, for every lens model (homogeneous rasterization, Olano and Greer
+//! 1997).
 //!
-//! A pixel's ray r = (x, y, 1) meets the triangle (a, b, c) of the camera's frame where r · (b × c), r · (c × a) and
-//! r · (a × b) have the same sign, at `1/z = g · r`. Nothing is divided by a vertex's depth, so that vertices behind
-//! the camera need no clipping.
+//! A pixel's ray r = (x, y, 1) meets the triangle (a, b, c) of the camera's frame if r · (b × c), r · (c × a)
+//! and r · (a × b) have the same sign. The depth is given by `1/z = g · r`. Nothing is divided by a vertex's
+//! depth, so that vertices behind the camera need no clipping.
 //!
-//! The products of an edge that two triangles share are equal but for the sign, and a ray through an edge hits both
-//! triangles, so that a mesh has no cracks. The nearest triangle wins.
+//! For an edge that two triangles share, the products are equal except for the sign, and a ray through the
+//! edge hits both triangles. So a mesh has no cracks. The nearest triangle wins.
 
 use super::depth_map::DepthMap;
 use super::rays::RayRow;
@@ -17,22 +18,23 @@ use std::ops::Range;
 
 /// Number of rows that one task renders.
 const BAND_ROWS: usize = 16;
-/// Largest distance from a triangle at which a ray still hits it, in units of the products: about 1e-8 px.
+/// Tolerance of the sign test, in units of the products: a ray this far outside an edge still hits. It is
+/// about 1e-8 px.
 const ON_EDGE: f64 = 1e-11;
-/// Smallest solid angle of a triangle, sr: below it, depths are rounding noise.
+/// Minimum solid angle of a triangle, sr. Below it, depths are rounding noise.
 const MIN_VOLUME: f64 = 1e-15;
-/// Depth of the near plane, over that of a triangle's nearest vertex in front of the camera.
+/// Depth of the near plane, as a fraction of the depth of a triangle's nearest vertex in front of the camera.
 const NEAR_FRACTION: f64 = 1e-4;
-/// Number of pixels that are tested at a time.
+/// Number of pixels that are tested at once.
 const WORD_PX: usize = 4;
-/// Number of points along each edge that bound a triangle's image by a distorted lens.
+/// Number of samples along each edge, from which a triangle's bounding box is computed for a distorting lens.
 const BEND_STEPS: usize = 8;
 
-/// A triangle in the camera's view.
+/// A triangle as the camera sees it.
 struct ProjectedTriangle {
     /// Normals of the planes through the camera's centre and each edge.
     edges: [Vector3<f64>; 3],
-    /// Inverse depth by the ray: 1/z = g · r.
+    /// The triangle's plane: 1/z = g · r on the ray r.
     g: Vector3<f64>,
     /// Columns of the bounding box.
     columns: Range<usize>,
@@ -40,9 +42,10 @@ struct ProjectedTriangle {
     rows: Range<usize>,
 }
 
-/// Depths of the nearest triangle at each pixel's centre. `points` are in the camera's frame.
+/// The depth, metres, of the nearest triangle at each pixel's centre. `points` are in the camera's frame.
 ///
-/// Triangles that are seen edge-on, have no area, or have a vertex that is not finite or not in `points` are skipped.
+/// Triangles that are seen edge-on, have no area, or have a vertex that is not finite or not in `points` are
+/// skipped.
 pub(super) fn rasterize(
     points: &[Vector3<f64>],
     triangles: &[[u32; 3]],
@@ -69,7 +72,7 @@ pub(super) fn rasterize(
 }
 
 multiversion! {
-    /// Inverts inverse depths; 0 becomes NaN.
+    /// Converts inverse depths to depths; 0 becomes NaN.
     fn invert(inverse: &[f64], depths: &mut [f32]) = invert_by
 }
 
@@ -81,7 +84,7 @@ fn invert_by(inverse: &[f64], depths: &mut [f32]) {
     }
 }
 
-/// Projects a triangle. `None` if it is skipped, or outside the image.
+/// Prepares a triangle for drawing. `None` if it is degenerate or outside the image.
 fn project(
     points: &[Vector3<f64>],
     triangle: &[u32; 3],
@@ -94,12 +97,12 @@ fn project(
             return None;
         }
     }
-    // Unit vectors decide on hits, so that near vertices aren't lost in the rounding of far ones.
+    // The hit test uses unit vectors, so that near vertices aren't lost in the rounding of far ones.
     let lengths = v.map(|p| p.norm());
     let unit = [v[0] / lengths[0], v[1] / lengths[1], v[2] / lengths[2]];
     let mut edges = [unit[1].cross(&unit[2]), unit[2].cross(&unit[0]), unit[0].cross(&unit[1])];
     let mut volume = unit[0].dot(&edges[0]);
-    // Also false for a vertex at the camera's centre.
+    // The negation also rejects NaN, from a vertex at the camera's centre.
     if !(volume.abs() > MIN_VOLUME) {
         return None;
     }
@@ -116,7 +119,7 @@ fn project(
 struct DepthBand<'a> {
     first_row: usize,
     rays: Vec<RayRow<'a>>,
-    /// Largest inverse depth at each pixel, row by row; 0 without triangle.
+    /// Inverse depth of the nearest triangle at each pixel, row by row; 0 without a triangle.
     nearest: Vec<f64>,
 }
 
@@ -160,7 +163,8 @@ impl ProjectedTriangle {
         let columns = self.columns.clone();
         let (xs, ys) = (&rays.x[columns.clone()], &rays.y[columns.clone()]);
         let nearest = &mut nearest[columns];
-        // Whole words first. The last may overlap the one before: drawing twice is drawing once.
+        // Whole words first. The last word may overlap the one before, since drawing a pixel twice has no
+        // effect.
         let mut left = xs.len();
         while left >= WORD_PX {
             let k = xs.len() - left;
@@ -181,7 +185,7 @@ impl ProjectedTriangle {
             let inverse = at(&self.g);
             let edge = |n: &Vector3<f64>| at(n) >= -ON_EDGE;
             let own = if edge(a) & edge(b) & edge(c) { inverse } else { 0.0 };
-            // Every pixel is written: a masked store would hold up the next word's load.
+            // Every pixel is written, since a masked store would delay the next word's load.
             nearest[k] = if own > nearest[k] { own } else { nearest[k] };
         }
     }
@@ -197,7 +201,8 @@ fn word_mut<const N: usize>(values: &mut [f64], at: usize) -> &mut [f64; N] {
     values[at..].first_chunk_mut().expect("the row goes on")
 }
 
-/// Columns and rows in which the triangle may be visible. `None` if it lies behind the camera or outside the image.
+/// The columns and rows of a triangle's bounding box. `None` if it lies behind the camera or outside the
+/// image.
 fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Range<usize>)> {
     let in_front = v.iter().map(|p| p.z).filter(|z| *z > 0.0);
     let near = in_front.fold(f64::INFINITY, f64::min) * NEAR_FRACTION;
@@ -214,7 +219,7 @@ fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Ra
     let pinhole = camera.model.is_pinhole();
     let mut longest: f64 = 0.0;
     if pinhole && v.iter().all(|p| p.z > 0.0) {
-        // The corners of a straight triangle that needs no clipping.
+        // A pinhole's triangle without clipping has straight sides: its vertices suffice.
         v.iter().for_each(|p| add(projected(p)));
     } else {
         let steps = if pinhole { 1 } else { BEND_STEPS };
@@ -231,7 +236,7 @@ fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Ra
             }
         }
     }
-    // The image of a bent edge leaves the polygon through its samples by far less than a step.
+    // A distorted edge deviates from the polygon through its samples by far less than one step.
     let margin = if pinhole { 1e-6 } else { 1.0 + 0.25 * longest };
     let range = |low: f64, high: f64, size: usize| {
         let last = size as f64;
@@ -246,7 +251,7 @@ fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Ra
     Some((range(low.x, high.x, camera.width)?, range(low.y, high.y, camera.height)?))
 }
 
-/// Clips a segment to z of at least `near`.
+/// Clips a segment to depths z of at least `near`. `None` if the whole segment is nearer.
 fn clip(a: Vector3<f64>, b: Vector3<f64>, near: f64) -> Option<(Vector3<f64>, Vector3<f64>)> {
     match (a.z >= near, b.z >= near) {
         (true, true) => Some((a, b)),
@@ -321,7 +326,7 @@ mod tests {
                 let triangles = [[0, 1, 2], [3, 4, 5], [6, 7, 8]];
                 let got = rasterize(&points, &triangles, &camera);
                 for (a, b) in got.data().iter().zip(naive(&points, &triangles, &camera)) {
-                    // Points nearer than NEAR_FRACTION of the triangle's far end are clipped.
+                    // Depths below 1e-3 aren't compared, since the near plane may clip them.
                     let same = (a - b).abs() <= 1e-4 * b || (a.is_nan() && b.is_nan());
                     assert!(same || !(b > 1e-3), "{a} {b}");
                 }
@@ -333,7 +338,7 @@ mod tests {
     fn a_mesh_has_no_cracks_even_where_vertices_are_pixel_centres() {
         let camera = small();
         let mut random = Random::new(8);
-        // A grid of vertices on pixel centres, with random depths, to beyond the image.
+        // A grid of vertices on pixel centres, with random depths; it extends beyond the image.
         let (columns, rows) = (19, 15);
         let points: Vec<_> = (0..columns * rows)
             .map(|k| {

@@ -1,9 +1,10 @@
-//! The rays of a view's pixel centres, a row at a time.
+//! The rays through the centres of a view's pixels, row by row.
 
 use crate::camera::Camera;
 use nalgebra::Point2;
 
-/// Rays (x, y, 1) of one row's pixel centres, in the camera's frame. NaN where the lens can't be inverted.
+/// The rays (x, y, 1) through the centres of one row's pixels, in the camera's frame. NaN where the lens
+/// model can't be inverted.
 pub(crate) struct RayRow<'a> {
     camera: &'a Camera,
     pub x: Vec<f64>,
@@ -14,7 +15,7 @@ impl<'a> RayRow<'a> {
     /// Allocates a row; [`Self::set`] computes the rays.
     pub fn new(camera: &'a Camera) -> Self {
         let (fx, _, cx, _) = camera.model.intrinsics();
-        // Every row of a pinhole has the same x.
+        // For a pinhole, x is the same in every row.
         let x = (0..camera.width).map(|column| (column as f64 + 0.5 - cx) / fx).collect();
         Self { camera, x, y: vec![0.0; camera.width] }
     }
@@ -36,14 +37,14 @@ impl<'a> RayRow<'a> {
     }
 }
 
-/// Bounding box of a view's border on the plane z = 1.
+/// Bounding box, on the plane z = 1, of a view's border.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ViewBounds {
     pub min: Point2<f64>,
     pub max: Point2<f64>,
 }
 
-/// Number of steps in which each side of the border is sampled.
+/// Number of samples along each side of the border.
 const STEPS: usize = 32;
 
 impl ViewBounds {

@@ -13,9 +13,9 @@ pub struct Source<'a> {
     pub camera: &'a Camera,
     /// Image of the camera's size, with 1 or 3 channels.
     pub image: &'a Image,
-    /// Depths of the camera's pixels; points behind them are occluded. `None`: no point is.
+    /// Depths of the camera's pixels; points behind them are occluded. `None`: no point counts as occluded.
     pub depth: Option<&'a DepthMap>,
-    /// Expected error of each pixel's temporal interpolation, pixels. `None`: 0 everywhere.
+    /// Expected error of temporal interpolation at each pixel, pixels of motion. `None`: 0 everywhere.
     pub interpolation_error_px: Option<&'a [f32]>,
 }
 
@@ -45,6 +45,6 @@ options! {
 pub struct Rendered {
     /// The view; pixels without coverage are 0.
     pub image: Image,
-    /// Whether any camera sees the pixel's point, row by row.
+    /// For each pixel, row by row, whether any camera sees its point.
     pub coverage: Vec<bool>,
 }

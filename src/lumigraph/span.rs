@@ -1,4 +1,5 @@
-//! Blending of a span of neighbouring pixels: their points in the sources, the sources' weights, and the colours.
+//! Blending of a span, a range of neighbouring pixels of a row: reprojection into the sources, weights, and
+//! colours.
 
 use super::depth_map::DepthMap;
 use super::inpaint::PointVisibility;
@@ -14,10 +15,11 @@ use std::ops::Range;
 
 /// Number of neighbouring pixels whose tiles are marked together.
 const MARKED_PX: usize = 8;
-/// Largest side, pixels, of the box in a source image that holds the positions of neighbouring pixels of the view, up to
-/// which all tiles of the box are marked as needed at once. Above it, the tiles of each pixel are marked alone.
+/// Maximum side, pixels, of the bounding box in a source image of several pixels' positions, for which all
+/// tiles of the box are marked as needed. For a larger box, the tiles of each pixel are marked separately.
 const MARKED_SIDE_PX: f32 = 12.0;
-/// Smallest inverse depth, 1/m: the sky's. At 0, the angles to all cameras would be 0, and all would tie.
+/// Minimum inverse depth, 1/m, which also stands for the sky. At 0, the angles to all cameras would be 0, and
+/// all penalties equal.
 const MIN_INVERSE_DEPTH: f32 = 1e-8;
 
 /// Ranges of `width` that cover `count` pixels.
@@ -31,12 +33,12 @@ pub(super) struct SpanBlender<'a> {
     reprojections: &'a [Reprojection],
     options: &'a BlendOptions,
     row: RowRays<'a>,
-    /// Nodes between which weights are interpolated. `None`: every pixel is weighed.
+    /// The nodes between which weights are interpolated. `None`: the weights of every pixel are computed.
     grid: Option<WeightGrid>,
     span: WeighedSpan,
-    /// Whether the span's points are visible in any source.
+    /// For each pixel of the span, whether its point is visible in any source.
     visible: [bool; SPAN_PX],
-    /// All sources, nearest to the view first.
+    /// Indices of all sources, by distance from the view.
     order: Vec<usize>,
     /// Whether some sources are grey and others coloured.
     is_mixed: bool,
@@ -44,7 +46,7 @@ pub(super) struct SpanBlender<'a> {
     is_pinhole: bool,
 }
 
-/// Rays of a row of the view, their lengths, and the inverse depths along them.
+/// A row of the view: the rays (x, y, 1), their lengths, and the inverse depths along them.
 struct RowRays<'a> {
     rays: RayRow<'a>,
     x: Vec<f32>,
@@ -60,13 +62,13 @@ impl<'a> RowRays<'a> {
         Self { rays, x: row(), y: row(), length: row(), inverse_depth: row() }
     }
 
-    /// Moves to row `y`.
+    /// Computes the rays and inverse depths of row `y`.
     fn set(&mut self, y: usize, depths: &[f32]) {
         self.rays.set(y);
         set_rays(self, depths);
     }
 
-    /// Moves the values of some columns, given in ascending order, to the front.
+    /// Moves the values of these columns, in ascending order, to the front of the vectors.
     fn keep(&mut self, columns: &[usize]) {
         for (k, &column) in columns.iter().enumerate() {
             for values in [&mut self.x, &mut self.y, &mut self.length, &mut self.inverse_depth] {
@@ -75,7 +77,7 @@ impl<'a> RowRays<'a> {
         }
     }
 
-    /// The values of some columns.
+    /// The values of a range of columns.
     fn of(&self, columns: Range<usize>) -> TargetRow<'_> {
         TargetRow {
             x: &self.x[columns.clone()],
@@ -94,7 +96,7 @@ multiversion! {
 #[inline(always)]
 fn set_rays_by(row: &mut RowRays, depths: &[f32]) {
     let n = depths.len();
-    // One length for all slices lets the loop run without bounds checks.
+    // Slices of one length let the loop run without bounds checks.
     let (from_x, from_y) = (&row.rays.x[..n], &row.rays.y[..n]);
     let (to_x, to_y) = (&mut row.x[..n], &mut row.y[..n]);
     let (length, inverse_depth) = (&mut row.length[..n], &mut row.inverse_depth[..n]);
@@ -120,7 +122,7 @@ impl<'a> SpanBlender<'a> {
         let distance = |i: &usize| (sources[*i].camera.center() - target.center()).norm();
         order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
         let is_mixed = gray > 0 && gray < sources.len();
-        // Occlusion, interpolation errors and grey cameras change weights from pixel to pixel.
+        // With occlusion, interpolation errors or grey cameras, weights change abruptly between pixels.
         let is_smooth = !is_mixed && reprojections.iter().zip(sources).all(|(r, s)| r.is_smooth(s));
         let grid = WeightGrid::new(target, sources.len(), options.weight_step_px.clamp(1, SPAN_PX));
         Self {
@@ -137,12 +139,12 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Moves to a row of the view.
+    /// Prepares row `y` of the view.
     pub fn set_row(&mut self, y: usize, depth: &DepthMap) {
         if let Some(mut grid) = self.grid.take() {
             let step = grid.step;
             grid.set_row(y, |row, columns, weights| {
-                // The last row of nodes is the view's last row.
+                // The last row of nodes lies on the view's last row.
                 let y = (row * step).min(depth.height() - 1);
                 self.row.set(y, depth.row(y));
                 self.weigh_nodes(columns, weights);
@@ -152,7 +154,7 @@ impl<'a> SpanBlender<'a> {
         self.row.set(y, depth.row(y));
     }
 
-    /// Computes the weights at some of the row's columns, source by source.
+    /// Computes the weights at these columns of the row, source by source.
     fn weigh_nodes(&mut self, columns: &[usize], weights: &mut [f32]) {
         self.row.keep(columns);
         for nodes in ranges(columns.len(), SPAN_PX) {
@@ -170,12 +172,12 @@ impl<'a> SpanBlender<'a> {
 
     /// The columns of the row's spans.
     pub fn columns(&self) -> impl Iterator<Item = Range<usize>> + use<> {
-        // A span is a whole number of cells between nodes.
+        // A span contains whole cells of the grid of nodes.
         let step = self.grid.as_ref().map_or(1, |grid| grid.step);
         ranges(self.row.x.len(), SPAN_PX / step * step)
     }
 
-    /// Computes the weights of all sources at some of the row's pixels.
+    /// Computes the weights of all sources at a range of the row's pixels.
     pub fn weigh(&mut self, columns: Range<usize>) {
         if !self.weigh_between_nodes(columns.clone()) {
             self.measure(columns);
@@ -183,8 +185,8 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Interpolates weights between nodes, and multiplies them by the confidences. False if a pixel has no weight: a
-    /// source may see the pixel's point, but not those of the nodes around it.
+    /// Interpolates weights between nodes, and multiplies them by the confidences. False if a pixel's weights
+    /// are all 0: a source may see the pixel's point, but none of the points at the nodes around it.
     fn weigh_between_nodes(&mut self, columns: Range<usize>) -> bool {
         let Some(grid) = &self.grid else { return false };
         self.span.count = columns.len();
@@ -201,8 +203,9 @@ impl<'a> SpanBlender<'a> {
         normalize(&mut self.span)
     }
 
-    /// Reprojects the points of some of the row's pixels, first into the nearest sources. A further source is culled if
-    /// the lower bound of its penalties is not below the largest threshold of the weights.
+    /// Reprojects the points of a range of the row's pixels, in order of the sources' distance from the view.
+    /// After the nearest k+1 sources, a source is culled if the lower bound of its penalties reaches the
+    /// largest threshold of the weights.
     fn measure(&mut self, columns: Range<usize>) {
         self.span.count = columns.len();
         self.span.active.clear();
@@ -216,7 +219,8 @@ impl<'a> SpanBlender<'a> {
         for (rank, &i) in self.order.iter().enumerate() {
             if rank == first && !self.is_mixed {
                 let limit = self.span.max_threshold(&self.order[..first]);
-                // At a threshold of 0, sources at the view's own centre tie.
+                // A threshold of 0 means that several sources stand at the view's centre, and all of them
+                // count.
                 let may_cull = limit > 0.0 && limit < f32::INFINITY;
                 cone_and_limit = may_cull.then(|| (RayCone::around(&row, self.is_pinhole), limit));
             }
@@ -231,7 +235,7 @@ impl<'a> SpanBlender<'a> {
             let own = &mut self.span.of_source[i];
             reprojection.measure(&row, &self.sources[i], own, &mut self.visible);
         }
-        // Sums over sources don't depend on which were culled.
+        // In ascending order, rounding in sums over sources doesn't depend on which were culled.
         self.span.active.sort_unstable();
     }
 
@@ -245,7 +249,7 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Computes weights of the coloured sources alone.
+    /// Computes the weights again for the coloured sources alone.
     fn weigh_colored(&mut self) {
         for (source, own) in self.sources.iter().zip(&mut self.span.of_source) {
             if source.image.channels() == 1 {
@@ -256,7 +260,7 @@ impl<'a> SpanBlender<'a> {
         self.weigh_measured();
     }
 
-    /// Marks the tiles that the span is blended from, source by source.
+    /// Marks the tiles of each source's image from which the span is blended.
     pub fn mark(&mut self, tiles: &mut [Tiles]) {
         self.mark_weighed(tiles);
         if self.is_mixed {
@@ -265,7 +269,7 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Marks the tiles that sources are sampled from at pixels in which they have weight.
+    /// Marks the tiles of each source's image that are sampled at pixels in which the source has weight.
     fn mark_weighed(&self, tiles: &mut [Tiles]) {
         for &i in &self.span.active {
             let own = &self.span.of_source[i];
@@ -278,7 +282,7 @@ impl<'a> SpanBlender<'a> {
                         (*low, *high) = (low.min(v), high.max(v));
                     }
                 }
-                // At a depth edge, a common bounding box would hold tiles that no sample needs.
+                // At a depth edge, the bounding box would contain tiles that no sample needs.
                 if high[0] - low[0] < MARKED_SIDE_PX && high[1] - low[1] < MARKED_SIDE_PX {
                     if low[0] <= high[0] {
                         tiles[i].mark_samples(low, high);
@@ -290,7 +294,7 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Blends the span from sources that all have C channels.
+    /// Blends the span from sources that all have C channels into `pixels`, interleaved.
     pub fn blend<const C: usize>(&mut self, pixels: &mut [f32]) {
         for &i in &self.span.active {
             let own = &self.span.of_source[i];
@@ -305,12 +309,12 @@ impl<'a> SpanBlender<'a> {
                 }
             });
         }
-        // Cubic lobes overshoot.
+        // Cubic interpolation overshoots.
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
-    /// Blends the span where some sources are grey: luminance from all sources, chrominance from the coloured ones.
-    /// Afterwards, grey sources have no confidence.
+    /// Blends the span from grey and coloured sources: luminance from all sources, chrominance from the
+    /// coloured ones. Sets the confidence of grey sources to 0.
     pub fn blend_mixed(&mut self, pixels: &mut [f32]) {
         let sources = self.sources;
         let is_colored = |i: usize| sources[i].image.channels() == 3;
@@ -330,8 +334,9 @@ impl<'a> SpanBlender<'a> {
         let best_of_colored = self.best_confidence();
         for &i in self.span.active.iter().filter(|&&i| is_colored(i)) {
             for (x, pixel) in pixels.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-                // Chrominance fades as the last coloured camera loses a point that others see, unless
-                // the luminance is that camera's too. Where a weight is positive, a confidence is positive.
+                // Chrominance fades out where coloured cameras lose a point that others see, unless the
+                // luminance is from the coloured camera too. Where a weight is positive, a confidence is
+                // positive.
                 let fade = colored_weight[x].max(best_of_colored[x] / best_of_any[x]);
                 let weight = self.span.of_source[i].weight[x];
                 if weight > 0.0 {
@@ -346,7 +351,7 @@ impl<'a> SpanBlender<'a> {
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
-    /// The largest confidence of any source, pixel by pixel.
+    /// The largest confidence of any source at each pixel.
     fn best_confidence(&self) -> [f32; SPAN_PX] {
         let mut best = [0.0_f32; SPAN_PX];
         for &i in &self.span.active {
@@ -357,7 +362,7 @@ impl<'a> SpanBlender<'a> {
         best
     }
 
-    /// Samples a source, grey or coloured, at a pixel of the span.
+    /// The RGB colour of a source, grey or coloured, at a pixel of the span.
     fn sample_rgb(&self, source: usize, pixel: usize) -> [f32; 3] {
         let (image, own) = (self.sources[source].image, &self.span.of_source[source]);
         let (x, y) = (own.x[pixel], own.y[pixel]);
@@ -368,7 +373,7 @@ impl<'a> SpanBlender<'a> {
         [gray; 3]
     }
 
-    /// Sets the visibility of the span's points. It must be called before [`Self::blend_mixed`], which changes
+    /// Sets the visibility of the span's points. Must be called before [`Self::blend_mixed`], which changes
     /// confidences.
     pub fn set_visibility(&self, visibility: &mut [PointVisibility]) {
         let best = self.best_confidence();

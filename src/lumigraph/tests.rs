@@ -1,4 +1,4 @@
-//! The stage as a whole, on scenes known in closed form.
+//! Tests of view synthesis as a whole, on scenes known in closed form.
 
 use super::*;
 use crate::camera::tests::pinhole_at;
@@ -65,7 +65,8 @@ pub(super) fn turned(mut camera: Camera, angles: [f64; 3]) -> Camera {
     camera
 }
 
-/// Reference implementation: Buehler's rules, pixel by pixel, from the camera's own functions.
+/// Reference implementation: the formulas of [`super::blend`] with the rule of Buehler et al., pixel by
+/// pixel.
 fn naive(sources: &[Source], depth: &DepthMap, target: &Camera, o: &BlendOptions) -> Vec<[f32; 3]> {
     let mut out = Vec::new();
     for y in 0..target.height {
@@ -152,7 +153,7 @@ fn a_plane_scene_over_its_plane_is_exact_to_the_sampling() {
     let rendered = blend(&sources(&cameras, &images), &depth, &target, &BlendOptions::default());
     let covered = rendered.coverage.iter().filter(|c| **c).count();
     assert!(covered > 96 * 72 * 9 / 10, "{covered}");
-    // The outermost pixels may be read at an image's border, where the filter has no neighbours.
+    // The outermost pixels may be sampled at an image's border, where the filter lacks neighbours.
     for y in 12..60 {
         for x in 12..84 {
             for (a, b) in rendered.image.pixel(x, y).iter().zip(truth.pixel(x, y)) {
@@ -188,7 +189,7 @@ fn the_view_changes_continuously_as_it_moves() {
     let plane = Plane { normal: Vector3::z(), d: 1.5 };
     let mut random = Random::new(33);
     let cameras = rig();
-    // Images that differ all over, so that any jump of a weight shows.
+    // Images of different colours, so that any jump of a weight shows.
     let images: Vec<Image> =
         cameras.iter().map(|c| Image::filled(c.width, c.height, 3, random.unit() as f32)).collect();
     let sources = sources(&cameras, &images);
@@ -219,7 +220,7 @@ fn the_order_of_the_cameras_does_not_matter() {
     let mut random = Random::new(34);
     let mut cameras = rig();
     let mut images: Vec<Image> = cameras.iter().map(|c| noise(c, 3, &mut random)).collect();
-    // The middle of the rig, where cameras tie in pairs.
+    // The middle of the rig, where cameras on both sides are equally far.
     let target = camera_at([0.0; 3]);
     let depth = Proxy::Plane(tilted()).depth_map(&target);
     let options = BlendOptions::default();
@@ -232,7 +233,7 @@ fn the_order_of_the_cameras_does_not_matter() {
     }
 }
 
-/// Parts of images that no pixel is blended from are never looked at; the others all are.
+/// Tiles that no pixel is blended from are never read; all others are.
 #[test]
 fn tiles_that_do_not_contribute_may_show_anything() {
     let mut random = Random::new(36);
@@ -295,7 +296,7 @@ fn gray_cameras_give_luminance_and_colored_ones_color() {
         .collect();
     let sources = sources(&cameras, &images);
     let options = BlendOptions::default();
-    // Between cameras, at a coloured one and at a grey one.
+    // Viewpoints between cameras, at a coloured one and at a grey one.
     for x in [0.013, cameras[3].center().x, cameras[4].center().x] {
         let target = camera_at([x, 0.0, 0.0]);
         let depth = Proxy::Plane(plane).depth_map(&target);
@@ -413,7 +414,7 @@ fn interpolated<'a>(
 
 #[test]
 fn what_was_interpolated_far_gives_way_to_what_was_filmed_then() {
-    // As far to the left of the view as to the right.
+    // One camera is as far to the left of the view as the other to the right.
     let cameras = [camera_at([-0.03, 0.0, 0.0]), camera_at([0.03, 0.0, 0.0])];
     let target = camera_at([0.0; 3]);
     let images = [0.0, 1.0].map(|v| Image::filled(96, 72, 1, v));
@@ -430,7 +431,7 @@ fn what_was_interpolated_far_gives_way_to_what_was_filmed_then() {
     assert!((middle([20.0, 20.0], &by_both) - 0.5).abs() < 0.01);
     assert!(middle([0.0, 40.0], &by_both) < 0.2);
     assert!(middle([40.0, 0.0], &by_both) > 0.8);
-    // Continuous in time too: no jump where nothing is interpolated any more.
+    // Weights are continuous in time too: no jump where the interpolation error becomes 0.
     let (near, at) = (middle([0.0, 1e-4], &by_both), middle([0.0, 0.0], &by_both));
     assert!((near - at).abs() < 1e-3, "{near} {at}");
 }
@@ -447,7 +448,7 @@ fn a_frame_comes_back_at_its_place_and_time() {
         let found = blend(&interpolated(&cameras, &images, &px), &depth, &cameras[k], &options);
         let apart = found.image.data().iter().zip(images[k].data()).map(|(a, b)| (a - b).abs());
         assert!(apart.fold(0.0, f32::max) < 1e-4, "camera {k}");
-        // At another time its neighbours help.
+        // With an interpolation error, the neighbours contribute.
         px[k] = vec![30.0; 96 * 72];
         let found = blend(&interpolated(&cameras, &images, &px), &depth, &cameras[k], &options);
         assert!(found.image != images[k]);

@@ -1,10 +1,11 @@
-//! A 3D point from its images in several cameras at one instant.
+//! Triangulation of a 3D point from its images in several cameras at one instant.
 //!
-//! The unknowns are a direction (u, v) from the first camera and an inverse distance ρ:
-//! `X = C_0 + s (r + u e_1 + v e_2) / ρ`. Here C_i are the cameras' centres, r is the first camera's unit ray, e_1 and
-//! e_2 complete r to an orthonormal basis, and s is the farthest camera's distance from the first. Camera i, of
-//! rotation R_i, sees X along `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`, which is linear in (u, v, ρ) and finite at
-//! infinity, ρ = 0. The linear solution is well conditioned, and independent of the world's origin and scale.
+//! The unknowns are a direction (u, v) from the first camera and an inverse distance ρ: `X = C_0 + s (r + u
+//! e_1 + v e_2) / ρ`. Here C_i are the cameras' centres, r is the unit ray of the first camera, e_1 and e_2
+//! complete r to an orthonormal basis, and s is the largest distance of a camera from the first. Camera i, of
+//! rotation R_i, sees X along `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`. This is linear in (u, v, ρ), and
+//! finite at infinity, ρ = 0. The linear solution is well conditioned, and independent of the world's origin
+//! and scale.
 
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
@@ -14,39 +15,39 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 pub struct Triangulated {
     /// Position in the world, metres.
     pub point: Point3<f64>,
-    /// Root mean square distance of the observations from the point's projections, pixels.
+    /// Root mean square reprojection error, pixels.
     pub rms_px: f64,
     /// Largest angle between two of the observations' rays.
     pub max_angle_rad: f64,
 }
 
-/// Smallest parallax of two rays, pixels at the longest of the cameras' focal lengths: about the resolution of
-/// trackers.
+/// Minimum parallax between two rays, pixels at the longest of the cameras' focal lengths: about the
+/// resolution of trackers.
 const MIN_PARALLAX_PX: f64 = 0.07;
-/// Largest number of Levenberg–Marquardt steps; 2 to 5 are needed.
+/// Maximum number of Levenberg–Marquardt steps; 2 to 5 are needed.
 const MAX_ITERATIONS: usize = 20;
-/// Length of a step that ends the minimization, in radians and fractions of the inverse distance.
+/// Length of a step at which the minimization ends; its components are (u, v, ρ).
 const MIN_STEP: f64 = 1e-14;
 
-/// One observation, in the coordinates of the module head.
+/// An observation as an equation in (u, v, ρ), in the notation of the module's documentation.
 struct ObservationEquation {
-    /// Camera axes from the axes (e_1, e_2, r).
+    /// R_i times the basis (e_1, e_2, r): from that basis to the camera's axes.
     rotation: Matrix3<f64>,
-    /// (C_0 − C_i) / s in camera axes.
+    /// (C_0 − C_i) / s in the camera's axes.
     shift: Vector3<f64>,
-    /// Observed point of the plane z = 1.
+    /// The observed point on the plane z = 1.
     observed: Point2<f64>,
     /// Focal lengths in x and y: pixels per unit of the plane z = 1.
     focal: (f64, f64),
 }
 
 impl ObservationEquation {
-    /// The point times its inverse distance, in camera axes.
+    /// The direction to the point p = (u, v, ρ), scaled by its inverse distance, in the camera's axes.
     fn direction(&self, p: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * Vector3::new(p.x, p.y, 1.0) + self.shift * p.z
     }
 
-    /// d direction / d (u, v, ρ).
+    /// The derivative of [`Self::direction`] by (u, v, ρ).
     fn derivative(&self) -> Matrix3<f64> {
         Matrix3::from_columns(&[
             self.rotation.column(0).into_owned(),
@@ -56,11 +57,11 @@ impl ObservationEquation {
     }
 }
 
-/// Triangulates a point of the world from its pixels in several cameras: least squares of reprojection errors,
-/// pixels without distortion.
+/// Triangulates a point of the world from its pixels in several cameras, by least squares of reprojection
+/// errors in pixels without distortion.
 ///
-/// `None` for fewer than two observations or distinct centres, pixels without a ray, rays that are parallel to
-/// within 0.07 px, and a point at infinity or behind a camera.
+/// `None` for fewer than two observations or distinct centres, pixels without a ray, rays that are parallel
+/// to within 0.07 px, and a point at infinity or behind a camera.
 pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulated> {
     let rays: Vec<Vector3<f64>> = observations
         .iter()
@@ -73,7 +74,7 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
         .map(|(camera, _)| (camera.center() - center).norm())
         .fold(0.0, f64::max);
     let focal_px = observations.iter().map(|(camera, _)| camera.focal_px()).fold(0.0, f64::max);
-    // Also false if any coordinate is NaN. Focal lengths are positive.
+    // Also rejects NaN coordinates. Focal lengths are positive.
     if !(max_angle_rad * focal_px >= MIN_PARALLAX_PX && scale > 0.0 && scale.is_finite()) {
         return None;
     }
@@ -95,8 +96,8 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
 
     let start = linear(&equations)?;
     let p = refine(&equations, start);
-    // Bounds 1/ρ: a point farther than s over the square of the smallest angle fails the test of the
-    // angle by more than the noise.
+    // A lower bound of ρ. Beyond it, the distance exceeds s over the square of the smallest angle, and the
+    // parallax is far below its minimum.
     if !(p.z > (MIN_PARALLAX_PX / focal_px).powi(2))
         || equations.iter().any(|e| !(e.direction(&p).z > 0.0))
     {
@@ -124,13 +125,13 @@ fn max_angle(rays: &[Vector3<f64>]) -> f64 {
 
 /// Orthonormal columns (e_1, e_2, r) for a unit vector r.
 fn axes_along(r: &Vector3<f64>) -> Matrix3<f64> {
-    // The axis least along r: their cross product is at least sqrt(2/3) long.
+    // The axis with the smallest component along r: the cross product is at least sqrt(2/3) long.
     let e1 = r.cross(&Vector3::ith_axis(r.iamin())).normalize();
     Matrix3::from_columns(&[e1, r.cross(&e1), *r])
 }
 
-/// Solves `x · q_z − q_x = 0` for the observed x, and alike for y, with q linear in (u, v, ρ). `None` if the system
-/// is singular.
+/// Linear least-squares solution (u, v, ρ) of `x · q_z − q_x = 0` for the observed x, and likewise for y,
+/// where the direction q is linear in (u, v, ρ). `None` if the system is singular.
 fn linear(equations: &[ObservationEquation]) -> Option<Vector3<f64>> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for e in equations {
@@ -145,8 +146,8 @@ fn linear(equations: &[ObservationEquation]) -> Option<Vector3<f64>> {
     normal.cholesky().map(|c| c.solve(&right))
 }
 
-/// Squared reprojection error (pixels without distortion), its gradient and Gauss–Newton matrix. The error is
-/// infinite if the point is behind a camera.
+/// The sum of squared reprojection errors (pixels without distortion), its gradient, and its Gauss–Newton
+/// matrix. Infinite if the point is behind a camera.
 fn cost(equations: &[ObservationEquation], p: &Vector3<f64>) -> (f64, Vector3<f64>, Matrix3<f64>) {
     let (mut sum, mut gradient, mut normal) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for e in equations {
@@ -166,7 +167,7 @@ fn cost(equations: &[ObservationEquation], p: &Vector3<f64>) -> (f64, Vector3<f6
     (sum, gradient, normal)
 }
 
-/// Minimizes [`cost`] by Levenberg–Marquardt. A start behind a camera is returned as it is.
+/// Minimizes [`cost`] by Levenberg–Marquardt. A start behind a camera is returned unchanged.
 fn refine(equations: &[ObservationEquation], start: Vector3<f64>) -> Vector3<f64> {
     let mut p = start;
     let (mut error, mut gradient, mut normal) = cost(equations, &p);

@@ -4,22 +4,23 @@
 use crate::camera::Camera;
 use std::ops::Range;
 
-/// The two rows of nodes around a row of the view. Weights are stored source by source.
+/// The two rows of nodes above and below a row of the view. Weights are stored source by source.
 pub(super) struct WeightGrid {
-    /// Distance of the nodes, pixels.
+    /// Distance of neighbouring nodes, pixels.
     pub step: usize,
     /// Columns of the view that have nodes; the last is the view's last column.
     pub columns: Vec<usize>,
     /// Index of the upper of the two rows of nodes; `None` before the rows are filled.
     above: Option<usize>,
-    /// Weights of both rows.
+    /// The weights at the nodes of both rows.
     rows: [Vec<f32>; 2],
-    /// Weights at the nodes' columns, interpolated to the row of the view.
+    /// The weights at the nodes' columns, interpolated to the current row of the view.
     between: Vec<f32>,
 }
 
 impl WeightGrid {
-    /// Nodes every `step` pixels of a view. `None` if each pixel would be a node, or the view has a single column.
+    /// A grid with nodes every `step` pixels of a view. `None` if each pixel would be a node, or the view has
+    /// a single column.
     pub fn new(target: &Camera, sources: usize, step: usize) -> Option<Self> {
         let column = |k: usize| (k * step).min(target.width - 1);
         let columns: Vec<usize> = (0..=target.width.div_ceil(step)).map(column).collect();
@@ -47,8 +48,8 @@ impl WeightGrid {
         }
     }
 
-    /// Weights of a source at the nodes that enclose these columns of the view, of which the first must have a node.
-    /// `None` if all of them are 0.
+    /// A source's weights at the nodes that enclose these columns of the view; the first column must have a
+    /// node. `None` if all of them are 0.
     pub fn around(&self, source: usize, columns: Range<usize>) -> Option<&[f32]> {
         let (from, last) = (columns.start / self.step, columns.end.div_ceil(self.step));
         let first = source * self.columns.len();
@@ -68,7 +69,7 @@ mod tests {
     fn interpolated_weights_are_near_computed_ones_and_cover_the_same_pixels() {
         let mut random = Random::new(37);
         let cameras = rig();
-        // Images that differ all over, so that every change of a weight shows.
+        // Images of different colours, so that every change of a weight shows.
         let images: Vec<Image> = cameras
             .iter()
             .map(|c| Image::filled(c.width, c.height, 3, random.unit() as f32))
@@ -84,7 +85,7 @@ mod tests {
             p1: 0.0,
             p2: 0.0,
         };
-        // Among the cameras, at one of them, beside them all, turned, and by another lens.
+        // Viewpoints among the cameras, at one of them, beside them all, rotated, and with another lens.
         let targets = [
             camera_at([0.013, 0.02, 0.1]),
             cameras[2].clone(),
@@ -95,7 +96,7 @@ mod tests {
         for target in &targets {
             let pixels = (target.width * target.height) as f64;
             let mut depth = Proxy::Plane(tilted()).depth_map(target).data().to_vec();
-            // Single pixels without depth, and at the sky.
+            // Single pixels without depth, and of the sky.
             for depth_m in [f32::NAN, f32::INFINITY] {
                 (0..20).for_each(|_| depth[random.in_range(0.0, pixels) as usize] = depth_m);
             }

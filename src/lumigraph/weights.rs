@@ -1,7 +1,8 @@
 //! The weight of each camera in a pixel.
 //!
-//! Buehler et al. weigh the k best cameras by `(1 − p / p_{k+1}) / p`, normalized, which is discontinuous where the
-//! k+1 best penalties are equal (0/0). Here the threshold in place of p_{k+1} is at least a little above the best
+//! Buehler et al. weight the k best cameras by `(1 − p / p_{k+1}) / p`, normalized, with p the penalty and
+//! p_{k+1} the penalty of the next camera. This is discontinuous where the k+1 smallest penalties are equal
+//! (0/0). Here p_{k+1} is replaced by a threshold that is at least [`THRESHOLD_MARGIN`] above the smallest
 //! penalty, so that weights are continuous functions of the penalties.
 
 use crate::method::methods;
@@ -27,24 +28,24 @@ methods!(BlendMethod {
     SpaceTime = "space-time": "By angle, resolution, and the expected error of interpolation in time",
 });
 
-/// Smallest distance of the threshold above the best penalty, as a fraction of it.
+/// Minimum of the threshold above the smallest penalty, as a fraction of that penalty.
 const THRESHOLD_MARGIN: f32 = 0.05;
 
-/// Largest number of neighbouring pixels that are weighed together.
+/// Maximum number of neighbouring pixels whose weights are computed together.
 pub(super) const SPAN_PX: usize = 64;
 
-/// The points of a span of neighbouring pixels in one source.
+/// The points of a span of neighbouring pixels, as one source sees them.
 pub(super) struct SourceSpan {
     /// The x of the points' positions in the source's image, pixels.
     pub x: [f32; SPAN_PX],
     /// The y of the points' positions in the source's image, pixels.
     pub y: [f32; SPAN_PX],
-    /// Penalties: infinite where the source has no pixel of the point, and 0 if the source stands at the view's centre.
-    /// Where any penalty is 0, only sources of penalty 0 count, in proportion to their confidence.
+    /// Penalties: infinite where the source doesn't see the point, and 0 if the source stands at the view's
+    /// centre. Where some penalties are 0, only these sources count, in proportion to their confidence.
     pub penalty: [f32; SPAN_PX],
-    /// 1 inside the image, 0 outside, less at its border and for occluded points.
+    /// Confidence: 1 inside the image, 0 outside, less at its border and for occluded points.
     pub confidence: [f32; SPAN_PX],
-    /// Weights. Those of all sources sum to 1, or to 0 where no source sees the point.
+    /// Weights. Over all sources, they sum to 1 at each pixel, or to 0 where no source sees the point.
     pub weight: [f32; SPAN_PX],
 }
 
@@ -58,14 +59,14 @@ impl SourceSpan {
     };
 }
 
-/// A span in all sources. Values beyond its last pixel are undefined.
+/// A span of pixels with its weights in all sources. Values beyond the last pixel are undefined.
 pub(super) struct WeighedSpan {
     /// Number of pixels, at most [`SPAN_PX`].
     pub count: usize,
-    /// Sources that may have weight, ascending; the values of the others are undefined.
+    /// Indices of the sources that may have weight, ascending; the values of other sources are undefined.
     pub active: Vec<usize>,
     pub of_source: Vec<SourceSpan>,
-    /// The k+1 smallest penalties of every pixel, ascending.
+    /// The k+1 smallest penalties of each pixel, ascending.
     ranks: Vec<[f32; SPAN_PX]>,
 }
 
@@ -75,12 +76,12 @@ impl WeighedSpan {
         Self { count: 0, active: Vec::new(), of_source, ranks: Vec::new() }
     }
 
-    /// Computes the weights of the k best cameras; `k` = 0 counts as 1.
+    /// Computes the weights of the k cameras of smallest penalty; `k` = 0 counts as 1.
     pub fn weigh_best(&mut self, k: usize) {
         lumigraph(self, k.clamp(1, self.active.len().max(1)));
     }
 
-    /// Computes weights in proportion to the confidences.
+    /// Computes equal weights, multiplied by the confidences.
     pub fn weigh_uniformly(&mut self) {
         for &i in &self.active {
             let own = &mut self.of_source[i];
@@ -89,12 +90,12 @@ impl WeighedSpan {
         normalize(self);
     }
 
-    /// Sorts the `count` smallest penalties of every pixel into `ranks`.
+    /// Writes the `count` smallest penalties of each pixel to `ranks`.
     #[inline(always)]
     fn rank(&mut self, count: usize) {
         self.ranks.clear();
         self.ranks.resize(count, [f32::INFINITY; SPAN_PX]);
-        // Insertion by exchanges, side by side for all pixels.
+        // Insertion sort by exchanges, vectorized over the pixels.
         for &i in &self.active {
             let mut inserted = self.of_source[i].penalty;
             for rank in &mut self.ranks {
@@ -107,7 +108,8 @@ impl WeighedSpan {
         }
     }
 
-    /// The largest threshold of the weights at any pixel of the span, from the penalties of these k+1 sources alone.
+    /// The largest threshold of any pixel of the span, if these k+1 sources were all. It is an upper bound
+    /// for all sources.
     pub fn max_threshold(&self, sources: &[usize]) -> f32 {
         let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
         for &i in sources {
@@ -123,14 +125,14 @@ impl WeighedSpan {
     }
 }
 
-/// The threshold of a pixel's weights, from the penalties of the camera k+1 and of the best.
+/// The threshold of a pixel's weights, from its smallest penalty `best` and its (k+1)-th smallest `next`.
 #[inline(always)]
 fn threshold(next: f32, best: f32) -> f32 {
     next.max(best * (1.0 + THRESHOLD_MARGIN))
 }
 
 multiversion! {
-    /// Divides each pixel's weights by their sum over the sources. False if a pixel's sum is 0.
+    /// Divides each pixel's weights by their sum over the sources. False if the sum is 0 at some pixel.
     pub(super) fn normalize(span: &mut WeighedSpan) -> bool = normalize_by
 }
 
@@ -152,7 +154,8 @@ fn normalize_by(span: &mut WeighedSpan) -> bool {
 }
 
 multiversion! {
-    /// Weights of the k best cameras (module head).
+    /// Computes the weights of the k cameras of smallest penalty, by the formula of the module's
+    /// documentation.
     fn lumigraph(span: &mut WeighedSpan, k: usize) = lumigraph_by
 }
 
@@ -161,7 +164,7 @@ fn lumigraph_by(span: &mut WeighedSpan, k: usize) {
     span.rank(k + 1);
     let (best, mut limit) = (span.ranks[0], span.ranks[k]);
     for (limit, &best) in limit.iter_mut().zip(&best) {
-        // Infinite where k cameras or fewer see the point: none has to fade out.
+        // Infinite where at most k cameras see the point: then none has to fade out.
         *limit = threshold(*limit, best);
     }
     // Subtracted from best / p, so that weights are 0 at the threshold.
@@ -171,8 +174,8 @@ fn lumigraph_by(span: &mut WeighedSpan, k: usize) {
         let own = &mut span.of_source[i];
         for x in 0..SPAN_PX {
             let p = own.penalty[x];
-            // (1 − p / threshold) / p, times the best p: at most 1, and never an overflow.
-            // Where no camera sees the point it is NaN, which is below no threshold.
+            // (1 − p / threshold) / p, multiplied by the smallest p: at most 1, so that it can't overflow.
+            // Where no camera sees the point it is NaN, and p is not below the threshold.
             let blended = best[x] / p - fall[x];
             let alone = if p == 0.0 { own.confidence[x] } else { 0.0 };
             let counted = if p < limit[x] { blended } else { 0.0 };
@@ -183,8 +186,8 @@ fn lumigraph_by(span: &mut WeighedSpan, k: usize) {
 }
 
 multiversion! {
-    /// Interpolates weights between nodes every `step` pixels, from the first pixel on, and multiplies them by the
-    /// confidence.
+    /// Interpolates a source's weights between nodes every `step` pixels, from the span's first pixel on, and
+    /// multiplies them by the confidences.
     pub(super) fn weigh_between(nodes: &[f32], step: usize, span: &mut SourceSpan) = weigh_between_by
 }
 
@@ -235,7 +238,7 @@ mod tests {
         weights_of(&span)
     }
 
-    /// Reference implementation: the formula of the module head for one pixel, with a sort.
+    /// Reference implementation: the formula of the module's documentation for one pixel, with a sort.
     fn naive(penalties: &[f32], k: usize) -> Vec<f32> {
         let mut sorted = penalties.to_vec();
         sorted.sort_by(f32::total_cmp);
@@ -326,7 +329,7 @@ mod tests {
         for _ in 0..3000 {
             let n = 1 + (random.unit() * 8.0) as usize;
             let k = 1 + (random.unit() * 5.0) as usize;
-            // Many ties, and cameras that leave the image.
+            // Many equal penalties, and cameras that don't see the point.
             let level = |r: &mut Random| (r.unit() * 4.0).ceil() as f32 * 0.1;
             let p: Vec<f32> = (0..n)
                 .map(|_| if random.unit() < 0.1 { 1e6 } else { level(&mut random) })

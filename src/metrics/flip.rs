@@ -9,21 +9,21 @@ use super::filter::{gaussian, normalized, separable, single};
 use crate::raster::{Image, linear_from_encoded};
 use rayon::prelude::*;
 
-/// Pixels per degree of visual angle, the authors' default: a 0.7 m wide 4K monitor seen from 0.7 m.
+/// Pixels per degree of visual angle. This is the authors' default: a 0.7 m wide 4K monitor seen from 0.7 m.
 pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_25;
 
 /// q_c: exponent of the colour difference.
 const COLOR_EXPONENT: f32 = 0.7;
 /// q_f: exponent of the feature difference.
 const FEATURE_EXPONENT: f32 = 0.5;
-/// p_c: colour differences up to this fraction of the largest are mapped to 0..[`PIVOT_VALUE`].
+/// p_c: fraction of the largest colour difference, up to which differences are mapped to 0..[`PIVOT_VALUE`].
 const PIVOT: f32 = 0.4;
-/// p_t: the value that a colour difference of [`PIVOT`] of the largest is mapped to.
+/// p_t: the value to which a colour difference of [`PIVOT`] times the largest is mapped.
 const PIVOT_VALUE: f32 = 0.95;
 /// Peak-to-trough width of the edge detector w, degrees.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
-/// The contrast sensitivity functions, achromatic, red-green, and blue-yellow: sums of Gaussians of these amplitudes and
-/// spreads.
+/// The contrast sensitivity functions, achromatic, red-green, and blue-yellow: each a sum of Gaussians, given
+/// by amplitude and spread.
 const CSF: [&[(f64, f64)]; 3] =
     [&[(1.0, 0.0047)], &[(1.0, 0.0053)], &[(34.1, CSF_LARGEST_SPREAD), (13.5, 0.025)]];
 const CSF_LARGEST_SPREAD: f64 = 0.04;
@@ -54,7 +54,7 @@ pub struct FlipImage {
 }
 
 impl FlipImage {
-    /// Filters an image of display-encoded (sRGB) values. Grey counts as RGB with equal channels.
+    /// Filters an image of display-encoded (sRGB) values. A grey image is treated as RGB with equal channels.
     pub fn new(image: &Image, pixels_per_degree: f64) -> Self {
         let rgb = image.to_rgb();
         let opponent: Vec<[f32; 3]> = rgb
@@ -97,8 +97,8 @@ pub fn flip_map(reference: &FlipImage, test: &FlipImage) -> Vec<f32> {
         .collect()
 }
 
-/// Filters a channel by its contrast sensitivity, a sum of Gaussians normalized to 1. `ppd` is pixels per
-/// degree.
+/// Filters a channel by its contrast sensitivity function, a sum of Gaussians that is normalized to 1. `ppd`
+/// is pixels per degree.
 fn sensitivity(plane: &[f32], width: usize, csf: &[(f64, f64)], ppd: f64) -> Vec<f32> {
     use std::f64::consts::PI;
     let radius = (3.0 * (CSF_LARGEST_SPREAD / (2.0 * PI * PI)).sqrt() * ppd).ceil() as usize;
@@ -153,7 +153,7 @@ fn hyab(a: [f32; 3], b: [f32; 3]) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).hypot(a[2] - b[2])
 }
 
-/// Maps a colour difference to 0..=1; `most` is the largest difference of two colours.
+/// Maps a colour difference to 0..=1; `most` is the largest difference between two colours.
 fn redistributed(difference: f32, most: f32) -> f32 {
     let pivot = PIVOT * most;
     if difference < pivot {
@@ -222,7 +222,8 @@ mod tests {
 
     #[test]
     fn black_against_white_is_the_lightness_alone() {
-        // HyAB is 100; green against blue is cmax^(1/0.7).
+        // The HyAB distance of black and white is 100, the largest is that of green and blue. Both are raised
+        // to the power 0.7.
         let most = hyab(hunt_lab([0.0, 1.0, 0.0]), hunt_lab([0.0, 0.0, 1.0])).powf(0.7);
         let expected = redistributed(100f32.powf(0.7), most);
         let values = map(&Image::filled(4, 4, 1, 0.0), &Image::filled(4, 4, 1, 1.0));

@@ -1,4 +1,4 @@
-//! The moving part: pixels at which an unsynchronized camera differs from the truth.
+//! The moving part of an image: the pixels whose surface point moves.
 
 use crate::raster::max_filter;
 

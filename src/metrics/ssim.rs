@@ -29,7 +29,7 @@ pub fn ssim_map(a: &Image, b: &Image) -> Vec<f32> {
     assert_eq!((a.width(), a.height(), a.channels()), (b.width(), b.height(), 1));
     assert_eq!(a.channels(), 1);
     let window = normalized(&gaussian(WINDOW_SIGMA_PX, WINDOW_RADIUS_PX));
-    // In f64: a variance is a small difference of large means, and C₂ is as small.
+    // Computed in f64: a variance is a small difference of large means, of the size of C₂.
     let mean = |plane: &[f64]| separable(plane, a.width(), &window, &window);
     let product =
         |p: &[f64], q: &[f64]| mean(&p.iter().zip(q).map(|(p, q)| p * q).collect::<Vec<_>>());

@@ -10,7 +10,7 @@ use crate::capture::{Capture, Clock};
 pub struct ClockModel {
     /// Target time minus own time at `reference_s`, seconds.
     pub offset_s: f64,
-    /// The change of the offset, seconds a second.
+    /// The change of the offset, seconds per second.
     pub rate: f64,
     /// The time at which the offset is `offset_s`, seconds.
     pub reference_s: f64,
@@ -24,7 +24,7 @@ pub struct ClockEstimate {
     pub clock: ClockModel,
     /// The standard error of the offset, seconds.
     pub std_err_s: f64,
-    /// The standard error of the rate, seconds a second; 0 for a clock that does not drift.
+    /// The standard error of the rate, seconds per second; 0 for a clock that does not drift.
     pub rate_std_err: f64,
 }
 
@@ -55,7 +55,7 @@ impl<'a> NominalClock<'a> {
 }
 
 impl ClockModel {
-    /// A clock with an offset that does not change.
+    /// The model with this offset, and without drift or lost frames.
     pub fn constant(offset_s: f64) -> Self {
         Self { offset_s, ..Self::default() }
     }
@@ -70,8 +70,8 @@ impl ClockModel {
         time_s + (time_s - self.reference_s) * self.rate + self.offset_s
     }
 
-    /// The offset relative to another clock with the same target, by time on the other clock, to first
-    /// order in the rates.
+    /// This clock's model relative to another clock, given the models of both with the same target. It is a
+    /// function of the time on the other clock, to first order in the rates.
     pub fn relative_to(&self, other: &Self) -> Self {
         Self {
             offset_s: self.offset_at(other.reference_s) - other.offset_s,
@@ -105,7 +105,7 @@ impl ClockModel {
     }
 }
 
-/// A camera's clock with frame times that account for its lost frames.
+/// A camera's clock with frame times that are corrected for its lost frames.
 pub fn with_lost_frames(capture: &Capture, camera: usize, lost_before: &[usize]) -> Clock {
     let model = ClockModel { lost_before: lost_before.into(), ..ClockModel::default() };
     let times_s = model.own_times_s(&NominalClock::of_camera(capture, camera));
@@ -114,8 +114,8 @@ pub fn with_lost_frames(capture: &Capture, camera: usize, lost_before: &[usize])
 
 /// The index of each camera's clock, and the number of clocks.
 ///
-/// The reference camera has clock 0. All cameras whose clock is marked as shared have the same one,
-/// that of the reference if its clock is shared too; every other camera has a clock of its own.
+/// The reference camera has clock 0. All cameras whose clock is marked as shared have the same clock, which
+/// is clock 0 if the reference's is shared too. Every other camera has a clock of its own.
 pub fn clocks(capture: &Capture) -> (Vec<usize>, usize) {
     let reference_shares = capture.cameras[capture.reference].clock.shared;
     let mut next = 1;

@@ -1,4 +1,4 @@
-//! Offsets from recordings: the stages of the estimation in their order.
+//! Estimation of offsets from recordings: the order of its stages.
 
 use super::alignment::{activities, rough_offset};
 use super::clock::{ClockEstimate, ClockModel, clocks, with_lost_frames};
@@ -27,15 +27,15 @@ const AMBIGUOUS_REFERENCE: &str =
 #[derive(Clone, Debug)]
 pub struct Estimate {
     pub offsets: Offsets,
-    /// The pairs that were used: their estimates are certain enough and not contradicted.
+    /// The pairs that the solution uses: those that are certain enough and not contradicted.
     pub pairs: Vec<PairEstimate>,
 }
 
 /// Estimates the offsets of all cameras of the store's capture from its images (§7).
 ///
 /// The stages are: rough alignment, lost frames if the capture allows for them, pairs, and all clocks
-/// together. A camera of which the offset is not determined has none, and a reason. Nothing is read if
-/// all cameras share one clock. The error is that of a frame that cannot be read.
+/// together. A camera whose offset can't be determined has a reason instead. No frame is read if all cameras
+/// share one clock. The error is that of a frame that cannot be read.
 pub fn estimate(
     frames: &FrameStore,
     options: &OffsetOptions,
@@ -78,8 +78,8 @@ pub fn estimate(
     Ok(solution.into_estimate())
 }
 
-/// Every pair's offset to about a frame, or the failure of its alignment. A camera with a single frame
-/// shows no motion.
+/// Every pair's offset to about a frame, or the failure of its alignment. A camera with a single frame shows
+/// no motion, so that its pairs fail.
 fn initial_offsets(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -115,7 +115,7 @@ struct JointSolution<'a> {
     /// By camera: its clock model with lost frames.
     lost: Vec<FittedClock>,
     used: Vec<PairEstimate>,
-    /// By clock: its estimate; `None` if its standard error exceeds [`MAX_STD_ERR_FRAMES`].
+    /// By clock: its estimate. `None` if it has none, or its standard error exceeds [`MAX_STD_ERR_FRAMES`].
     solved: Vec<Option<ClockEstimate>>,
 }
 
@@ -127,9 +127,9 @@ impl<'a> JointSolution<'a> {
         lost: Vec<FittedClock>,
     ) -> Self {
         let results: Vec<PairResult> = results.collect();
-        // Whether a pair may have locked onto the wrong period of a motion: less than MIN_AGREEMENT of
-        // the moving features agree with it, and another pair of one of its cameras contradicts the
-        // nominal clocks.
+        // Whether a pair may have locked onto the wrong period of a motion: less than MIN_AGREEMENT of its
+        // moving features agree with it, and another pair with one of its cameras has failed because its
+        // offset contradicts the nominal clocks.
         let is_contradicted = |pair: &PairEstimate| {
             let contradicts = |(other, result): &PairResult| {
                 other.iter().any(|c| pair.cameras.contains(c))
@@ -161,7 +161,7 @@ impl<'a> JointSolution<'a> {
     fn camera_offset(&self, c: usize) -> CameraOffset {
         let camera = &self.capture.cameras[c];
         let is_reference = c == self.capture.reference;
-        // The offsets of other cameras are the same whatever an undecided camera lost.
+        // Ambiguous losses of one camera do not affect the offsets of the others.
         let decided = !self.lost[c].undecided || is_reference;
         let solved = self.solved[self.clock[c]].as_ref().filter(|_| decided);
         let drifting = solved.filter(|_| camera.clock.drift && !is_reference);
@@ -191,7 +191,7 @@ impl<'a> JointSolution<'a> {
         } else if self.used.iter().any(|p| p.cameras.contains(&camera)) {
             "its pairs are not connected to the reference camera, or disagree"
         } else {
-            // The failure of the pair that passed the most stages.
+            // The failure of the pair that failed at the latest stage.
             let failure = |(_, result): &PairResult| {
                 result.as_ref().err().copied().unwrap_or(PairFailure::NoConsensus)
             };

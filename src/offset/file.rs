@@ -8,23 +8,23 @@
 //! | `hash` | of the program's version, the capture's content and these options |
 //! | `checksum` | of all fields above |
 //!
-//! If the checksum matches, the offsets are the program's own estimate. They are used if the hash is
-//! that of the capture and the options, and estimated anew otherwise. A file with a hash and without a
-//! checksum is an earlier version's, and is estimated anew too.
+//! If the checksum matches, the offsets are the program's own estimate. They are used if `hash` matches the
+//! capture and the options, and estimated anew otherwise. A file with a hash but no checksum is an earlier
+//! version's, and is estimated anew too.
 //!
-//! If the checksum does not match, or both it and `hash` are missing, the file was edited by hand.
-//! `render`, `compare` and `plan` then use its offsets as given, whatever the options and the frames,
-//! and say so. `stlfr offsets` estimates from the images, and leaves the file as it is.
+//! If the checksum does not match, or both it and `hash` are missing, the file was edited by hand. `render`,
+//! `compare` and `plan` then use its offsets as given, whatever the options and the frames, and print a note.
+//! `stlfr offsets` estimates from the images, and leaves the file as it is.
 //!
-//! Every field of an edited file is validated. The first violation ends the command, in a sentence
-//! with the file and the field:
+//! Every field of an edited file is validated. The first violation ends the command, with a sentence that
+//! names the file and the field:
 //!
 //! | field | must be |
 //! |---|---|
 //! | the file | a regular file of at most 16 MiB, JSON, with no other fields than these |
 //! | `reference` | the capture's reference camera |
 //! | `id` | that of a camera of the capture; each once, none missing, in any order |
-//! | `offset_s` | a number, or null; 0 for the reference. It puts the camera's images no further from the reference's than all recordings last, one after the other ([`Capture::reach_s`]) |
+//! | `offset_s` | a number, or null; 0 for the reference. The camera's images must be no further from the reference's than the total duration of all recordings ([`Capture::reach_s`]) |
 //! | `std_err_s` | null where `offset_s` is; else from 0 to [`Capture::reach_s`]; 0 for the reference |
 //! | `rate_ppm` | from −1000 to 1000; only where there is an offset; 0 or absent for the reference |
 //! | `rate_std_err_ppm` | from 0 to 1000, exactly where there is a rate |
@@ -40,20 +40,20 @@ use serde_json::Value;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
-/// The largest file of offsets that is read, bytes; parsing takes many times as much memory.
+/// The maximum size of `offsets.json`, bytes. Parsing takes many times as much memory.
 pub const MAX_OFFSETS_BYTES: u64 = 16 << 20;
-/// The longest reason of an unknown offset, characters.
+/// The maximum length of the reason of an unknown offset, characters.
 const MAX_REASON_CHARS: usize = 500;
-/// The remedy for a refused file.
+/// The end of every refusal: what to do about the file.
 const REMEDY: &str = "without the file, offsets are estimated";
 
-/// The cache kind that the hash of an estimate is computed with.
+/// The cache kind that enters the hash of an estimate.
 const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 1 };
 
 /// The content of a capture's `offsets.json`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SavedOffsets {
-    /// There is no file, or it is truncated or an earlier version's.
+    /// There is no file, or it is truncated or from an earlier version.
     Missing,
     /// The program's own estimate with these options, and the hash that identifies it.
     Estimated { offsets: Offsets, options: Value, hash: String },
@@ -75,10 +75,10 @@ struct OffsetsFile {
 }
 
 impl OffsetsFile {
-    /// The hash of the other fields' values, independent of the file's layout.
+    /// The hash of all other fields' values, independent of the file's formatting.
     fn checksum(&self) -> String {
         let fields = (&self.reference, &self.cameras, &self.options, &self.hash);
-        // Strings, numbers and lists can't fail to be written.
+        // Serializing strings, numbers and lists can't fail.
         let text = serde_json::to_string(&fields).unwrap_or_default();
         blake3::hash(text.as_bytes()).to_hex().to_string()
     }
@@ -94,10 +94,10 @@ impl Offsets {
         capture.folder.join("offsets.svg")
     }
 
-    /// The hexadecimal hash that identifies offsets of a capture estimated with these options. The error
-    /// is that of a frame file that cannot be read.
+    /// The hexadecimal hash that identifies the offsets of a capture as estimated with these options. The
+    /// error is that of a frame file that cannot be read.
     pub fn hash(capture: &Capture, options: &impl Serialize) -> Result<String, CaptureError> {
-        // The options as the file has them, which cannot fail to be written.
+        // The options as stored in the file; serializing them can't fail.
         let options = serde_json::to_value(options).unwrap_or_default();
         let key = capture.cache()?.key(ESTIMATED_OFFSETS, &options);
         Ok(key.map(|key| key.to_string()).unwrap_or_default())
@@ -152,7 +152,7 @@ impl Offsets {
 
 type FieldResult = Result<(), CaptureError>;
 
-/// The error of an invalid field; `reason` is the predicate of the sentence about the field.
+/// The error of an invalid field; `reason` completes the sentence that starts with the field's name.
 fn invalid(
     capture: &Capture,
     field: impl Into<String>,
@@ -162,8 +162,8 @@ fn invalid(
     CaptureError::Content { path: Offsets::path(capture), reason }
 }
 
-/// Validates edited offsets by the table in the module's head, and puts the cameras in the capture's
-/// order.
+/// Validates edited offsets by the table in the module's documentation, and sorts the cameras into the
+/// capture's order.
 fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, CaptureError> {
     let refuse = |field: &str, reason: String| Err(invalid(capture, field, reason));
     let reference = &capture.cameras[capture.reference].id;
@@ -201,7 +201,7 @@ fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, CaptureError>
     Ok(offsets)
 }
 
-/// The fields of one camera, and its index in the file.
+/// The fields of one camera in the file, and the camera's index there.
 struct CameraFields<'a> {
     k: usize,
     camera: &'a CameraOffset,
@@ -209,7 +209,7 @@ struct CameraFields<'a> {
 }
 
 impl CameraFields<'_> {
-    /// Refuses a field for a reason unless it is valid.
+    /// An error for the field, with the reason, unless it is `valid`.
     fn require(&self, valid: bool, field: &str, reason: impl std::fmt::Display) -> FieldResult {
         let field = format!("cameras[{}] ({}).{field}", self.k, self.camera.id);
         if valid { Ok(()) } else { Err(invalid(self.capture, field, reason)) }
@@ -281,8 +281,8 @@ impl CameraFields<'_> {
     }
 }
 
-/// Checks that all images have ascending times on the reference's clock, within the capture's reach.
-/// `indices` holds the index of each camera in the file.
+/// Checks that all cameras' images have ascending times on the reference's clock, within the capture's reach.
+/// `indices` holds each camera's index in the file.
 fn validate_times(offsets: &Offsets, indices: &[usize], capture: &Capture) -> FieldResult {
     let all = offsets.common_times_s(capture);
     let reach_s = capture.reach_s();

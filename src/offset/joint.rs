@@ -1,12 +1,12 @@
-//! All clocks together: robust weighted least squares over the redundant pairs, for the offset of
-//! every clock and the rate of every clock that drifts.
+//! The joint solution for all clocks: robust weighted least squares over all pairs, which are redundant, for
+//! the offset of every clock and the rate of every clock that drifts.
 //!
-//! Beyond the paper, which averages each camera's offset against the reference. The solution starts
-//! from least absolute deviations, by iteratively reweighted least squares (IRLS), and continues with
-//! weights that fall with the square of a pair's deviation. The covariance is the larger one of the
-//! cluster-robust one ([`Sandwich`]) and the one implied by the pairs' disagreement.
+//! Beyond the paper, which averages each camera's offset relative to the reference. The solution starts from
+//! least absolute deviations, by iteratively reweighted least squares (IRLS), and continues with weights that
+//! decrease with the square of a pair's deviation. The variance of each unknown is the larger one of the
+//! cluster-robust variance ([`Sandwich`]) and the one that the pairs' disagreement implies.
 //!
-//! Known limit: one rate holds for a whole recording.
+//! Known limit: a clock's rate is constant over the whole recording.
 
 use super::clock::{ClockEstimate, ClockModel};
 use super::pair::PairEstimate;
@@ -25,7 +25,7 @@ pub struct ClockLayout {
     pub first_s: Vec<f64>,
     /// By clock: whether its rate is an unknown.
     pub drifts: Vec<bool>,
-    /// The frame period, seconds: candidates of one period form one cluster by time.
+    /// The frame period, seconds. Candidates within one period form a cluster by time.
     pub frame_s: f64,
 }
 
@@ -34,23 +34,24 @@ pub struct ClockLayout {
 const L1_ITERATIONS: usize = 30;
 /// The number of IRLS iterations with redescending weights.
 const ROBUST_ITERATIONS: usize = 10;
-/// The smallest deviation in the weights of the L1 iterations, standard errors.
+/// The lower bound of deviations in the weights of the L1 iterations, standard errors.
 const MIN_L1_DEVIATION: f64 = 0.01;
 /// The deviation up to which a pair has full weight, standard errors.
 const FULL_WEIGHT_DEVIATION: f64 = 2.0;
-/// The smallest standard error of a pair, as a fraction of the pairs' median: errors common to all
-/// pairs bound the precision of each.
+/// The lower bound of a pair's standard error, as a fraction of the pairs' median. Errors that are common to
+/// all pairs limit the precision of each.
 const MIN_STD_ERR_FRACTION: f64 = 0.3;
-/// The standard deviation of the prior on every rate, three times the largest drift, seconds a second.
+/// The standard deviation of the prior on every rate, seconds per second: three times the maximum drift.
 const RATE_PRIOR: f64 = 3.0 * (1e-6 * MAX_DRIFT_PPM);
-/// The standard deviation of a Gaussian over its median absolute deviation.
+/// The ratio of a Gaussian's standard deviation to its median absolute deviation.
 const SIGMA_OVER_MAD: f64 = 1.4826;
 
 /// Solves for all clocks by weighted least squares over the candidates of all pairs.
 ///
-/// Each pair is weighted by its information and, robustly, by its deviation from the solution. The
-/// result is by clock; `None` for a clock that no chain of pairs connects to the reference. Pairs of
-/// cameras that share a clock are ignored. An offset is that at the first frame of a clock's camera.
+/// Each pair is weighted by its information, and by a robust weight that depends on its deviation from the
+/// solution. The result is by clock; `None` for a clock that no chain of pairs connects to the reference.
+/// Pairs of cameras that share a clock are ignored. A clock's offset is that at the first frame of its
+/// camera.
 pub fn solve_clocks(pairs: &[PairEstimate], clocks: &ClockLayout) -> Vec<Option<ClockEstimate>> {
     let mut pairs: Vec<&PairEstimate> = pairs.iter().collect();
     pairs.retain(|p| clocks.of_camera[p.cameras[0]] != clocks.of_camera[p.cameras[1]]);
@@ -99,7 +100,7 @@ struct Unknowns<'a> {
     count: usize,
 }
 
-/// The row of one equation: its nonzero entries as (column, coefficient).
+/// One equation's row of the design matrix: its nonzero entries as (column, coefficient).
 type EquationRow = Vec<(usize, f64)>;
 
 fn dot(row: &EquationRow, x: &DVector<f64>) -> f64 {
@@ -121,7 +122,8 @@ impl<'a> Unknowns<'a> {
         Self { clocks, offset, rate, count }
     }
 
-    /// The row of `offset_b − offset_a` at times on the two cameras' own clocks, seconds.
+    /// The row for an observation of `offset_b − offset_a`; the times are on the two cameras' own clocks,
+    /// seconds.
     fn row(&self, [a, b]: [usize; 2], time_a_s: f64, time_b_s: f64) -> EquationRow {
         let mut row = Vec::with_capacity(4);
         for (camera, sign, time_s) in [(b, 1.0, time_b_s), (a, -1.0, time_a_s)] {
@@ -134,27 +136,27 @@ impl<'a> Unknowns<'a> {
     }
 }
 
-/// A pair's part of the normal equations.
+/// One pair's contribution to the normal equations.
 struct PairSystem {
-    /// The entries of the normal matrix by row and column, sparse: dense matrices for all pairs of a
-    /// large array would take gigabytes.
+    /// The entries of the pair's normal matrix by (row, column). It is sparse, since dense matrices for all
+    /// pairs of a large array would take gigabytes.
     normal: BTreeMap<(usize, usize), f64>,
     right: DVector<f64>,
-    /// The weighted mean of the pair's equations: row and value.
+    /// The weighted mean of the pair's equations: its row, and its right-hand side.
     mean: (DVector<f64>, f64),
-    /// The standard error of the mean equation, seconds.
+    /// The standard error of this mean equation, seconds.
     sigma_s: f64,
-    /// The factor on the candidates' information that makes their sum `1 / sigma_s²`.
+    /// The factor that scales the candidates' total information to `1 / sigma_s²`.
     factor: f64,
 }
 
-/// The state of the IRLS iterations.
+/// The solution of the IRLS iterations.
 struct RobustSolution {
     x: DVector<f64>,
     /// By pair: its robust weight.
     weights: Vec<f64>,
-    /// The inverse of the normal matrix: the covariance if the pairs' errors were independent and their
-    /// standard errors correct.
+    /// The inverse of the normal matrix. It would be the covariance if the pairs' errors were independent and
+    /// their standard errors correct.
     inverse: DMatrix<f64>,
     /// The robust standard deviation of the pairs' deviations in units of their standard errors, at
     /// least 1.
@@ -186,12 +188,12 @@ fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustS
             }
             right += &system.right * *w;
         }
-        // Positive definite, since all clocks are connected to the reference.
+        // The matrix is positive definite, since all clocks are connected to the reference.
         let cholesky = normal.cholesky()?;
         let x = cholesky.solve(&right);
         let mut z: Vec<f64> = systems.iter().map(|p| p.deviation(&x)).collect();
         z.sort_by(f64::total_cmp);
-        // With redundancy, deviations beyond the standard errors scale all of them up.
+        // With redundancy, deviations larger than the standard errors scale up all standard errors.
         let equations_per_pair = if unknowns.rate.iter().any(Option::is_some) { 2 } else { 1 };
         let degrees_of_freedom = (equations_per_pair * systems.len()).saturating_sub(n);
         let scale = if degrees_of_freedom > 0 && iteration + 1 >= L1_ITERATIONS {
@@ -222,7 +224,7 @@ impl PairSystem {
             mean_value += weight * sign * value;
             total += weight;
         };
-        // Without rates a pair's estimate is its only equation.
+        // Without rates, a pair has a single equation: its estimate.
         let is_one_equation = pair.samples.is_empty() || unknowns.rate.iter().all(Option::is_none);
         if is_one_equation {
             let (time_i_s, offset_s) = (pair.clock.reference_s, pair.clock.offset_s);
@@ -235,7 +237,7 @@ impl PairSystem {
             }
         }
         let sigma_s = pair.std_err_s.max(min_sigma_s).max(f64::MIN_POSITIVE.sqrt());
-        // The total is positive: a pair without information has no estimate.
+        // The total is positive, since a pair without information has no estimate.
         let factor = 1.0 / (sigma_s * sigma_s * total);
         normal.values_mut().for_each(|v: &mut f64| *v *= factor);
         Self {
@@ -247,15 +249,15 @@ impl PairSystem {
         }
     }
 
-    /// The absolute residual of the pair's mean equation, in its standard errors.
+    /// The absolute residual of the pair's mean equation, in units of its standard error.
     fn deviation(&self, x: &DVector<f64>) -> f64 {
         (self.mean.1 - self.mean.0.dot(x)).abs() / self.sigma_s
     }
 }
 
 impl RobustSolution {
-    /// The variance of each unknown: the larger one of the cluster-robust variance, with clusters by time
-    /// and place across pairs, and the variance implied by the pairs' disagreement.
+    /// The variance of each unknown: the larger one of the cluster-robust variance, with clusters by time and
+    /// by place across all pairs, and the variance that the pairs' disagreement implies.
     fn variances(
         &self,
         used: &[&PairEstimate],
@@ -266,7 +268,7 @@ impl RobustSolution {
         let mut sandwich = Sandwich::new(n);
         let frame_s = unknowns.clocks.frame_s;
         for (k, pair) in used.iter().enumerate() {
-            // The pair's weight in the solution, divided among its candidates.
+            // The pair's weight in the solution is divided among its candidates.
             let factor = systems[k].factor * self.weights[k];
             let is_one_equation = unknowns.rate.iter().all(Option::is_none);
             let information = |(s, w): &(Sample, f64)| w * s.across_px_s.powi(2);
@@ -292,7 +294,7 @@ impl RobustSolution {
     }
 }
 
-/// By clock: whether a chain of pairs connects it to the reference's.
+/// By clock: whether a chain of pairs connects it to the reference's clock.
 fn connected_to_reference(pairs: &[&PairEstimate], clocks: &ClockLayout) -> Vec<bool> {
     let mut connected = vec![false; clocks.drifts.len()];
     connected[0] = true;
@@ -357,14 +359,14 @@ mod tests {
         let pairs = [pair(0, 1, 0.01), pair(2, 3, 0.02)];
         let solved = solve_clocks(&pairs, &clocks(&[0, 1, 2, 3], 4));
         assert!(solved[1].is_some() && solved[2].is_none() && solved[3].is_none());
-        // Cameras 1 and 2 share a clock: camera 3 is reached through it.
+        // Cameras 1 and 2 share a clock, through which camera 3 is connected.
         let solved = solve_clocks(&pairs, &clocks(&[0, 1, 1, 2], 3));
         assert!((solved[2].as_ref().unwrap().clock.offset_s - 0.03).abs() < 1e-12);
         assert_eq!(solve_clocks(&[], &clocks(&[0], 1)).len(), 1);
     }
 
-    /// Hundreds of random triples of cameras with drift: offset and rate are within their standard
-    /// errors, which are those that the noise implies.
+    /// In hundreds of random triples of cameras with drift, offset and rate agree with the truth within their
+    /// standard errors, which equal those that the noise implies.
     #[test]
     fn rates_and_their_standard_errors_are_estimated() {
         let random = &mut Random::new(5);
@@ -389,7 +391,7 @@ mod tests {
                     samples: (0..400)
                         .map(|k| {
                             let time_b_s = 0.5 + 0.04 * f64::from(k / 4);
-                            // Rates are so small that one fixed-point step gives the time on a's clock.
+                            // Rates are so small that one fixed-point iteration gives the time on a's clock.
                             let common_s = time_b_s + offset_at(b, time_b_s);
                             let noise = 0.2 * random.gaussian() / 150.0;
                             let time_a_s =

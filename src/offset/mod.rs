@@ -75,14 +75,14 @@ use crate::registration::FrameStore;
 /// The reason of an unknown offset of a camera with a single frame.
 const ONE_FRAME: &str = "it has one frame, which shows no motion";
 
-/// The offsets of a capture: known, edited by hand, stored or estimated, in this order. A note on the
-/// reporter says which.
+/// The offsets of a capture. They are known, edited by hand, stored or estimated; the first of these that
+/// applies is used. A note on the reporter says which.
 ///
-/// They are known, all 0, if all cameras share one clock. In a static capture, of one frame per camera,
-/// all but the reference's are unknown. [`mod@file`] says when the offsets in `offsets.json` are used. New
-/// estimates are stored in that file, with their plot in `offsets.svg`; a folder that cannot be written is
-/// noted and is no error. The error is that of a frame that cannot be read, or of an `offsets.json` that
-/// is refused.
+/// They are known, all 0, if all cameras share one clock. In a static capture, with one frame per camera, all
+/// but the reference's are unknown. [`mod@file`] says when the offsets in `offsets.json` are used. New
+/// estimates are stored in that file, with their plot in `offsets.svg`. If the folder cannot be written,
+/// there is a note and no error. The error is that of a frame that cannot be read, or of a refused
+/// `offsets.json`.
 pub fn resolve_offsets(
     frames: &FrameStore,
     options: &OffsetOptions,
@@ -91,8 +91,7 @@ pub fn resolve_offsets(
     resolve(frames, options, reporter, true)
 }
 
-/// The offsets of a capture by its images: as [`resolve_offsets`], but an edited `offsets.json` is
-/// neither used nor replaced.
+/// [`resolve_offsets`], except that an edited `offsets.json` is neither used nor replaced.
 pub fn offsets_from_images(
     frames: &FrameStore,
     options: &OffsetOptions,
@@ -145,7 +144,7 @@ fn resolve(
     }
     let estimate = estimate(frames, options, reporter)?;
     let saved = save(&estimate, capture, &all_options, &hash);
-    // A read-only capture can be used all the same.
+    // A read-only capture is no error: the offsets are used without being saved.
     reporter.note(&match saved {
         Ok(()) => {
             "Offsets were estimated from the images and saved in offsets.json, their plot in \
@@ -157,7 +156,7 @@ fn resolve(
     Ok(estimate.offsets)
 }
 
-/// Writes `offsets.svg`, then `offsets.json`.
+/// Writes the plot `offsets.svg`, then `offsets.json`.
 fn save(
     estimate: &Estimate,
     capture: &Capture,

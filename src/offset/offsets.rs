@@ -1,4 +1,4 @@
-//! The result: the offset of every camera, and the frame times that it implies.
+//! The estimated offsets of all cameras, and the frame times that they imply.
 
 use super::clock::{ClockModel, NominalClock};
 use crate::capture::{Capture, are_frame_times};
@@ -24,19 +24,19 @@ pub struct Offsets {
 pub struct CameraOffset {
     /// The camera's id.
     pub id: String,
-    /// The offset, seconds; `None` if this capture does not determine it.
+    /// The offset, seconds; `None` if it can't be determined from this capture.
     pub offset_s: Option<f64>,
-    /// The standard error of the offset, seconds; 0 where nothing is estimated.
+    /// The standard error of the offset, seconds; 0 if the offset is known.
     pub std_err_s: Option<f64>,
-    /// The change of the offset, parts per million; only for cameras whose clock may drift, according to
-    /// the capture.
+    /// The rate of change of the offset, parts per million. Only for cameras whose clock may drift according
+    /// to the capture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_ppm: Option<f64>,
     /// The standard error of the rate, parts per million.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_std_err_ppm: Option<f64>,
-    /// The images before which a frame is missing, ascending, one entry for each frame; only for cameras
-    /// that may lose frames, according to the capture.
+    /// The images before which a frame is missing, ascending, one entry for each missing frame. Only for
+    /// cameras that may lose frames according to the capture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lost_before: Option<Vec<usize>>,
     /// Why the offset is unknown, as a sentence.
@@ -59,8 +59,7 @@ impl CameraOffset {
 }
 
 impl Offsets {
-    /// The offsets of a capture whose clocks need no estimate: 0 for every camera, with a standard error
-    /// of 0.
+    /// The offsets of a capture whose clocks are known: 0 for every camera, with a standard error of 0.
     pub fn known(capture: &Capture) -> Self {
         let camera = |id: &String| CameraOffset {
             id: id.clone(),
@@ -74,7 +73,7 @@ impl Offsets {
         }
     }
 
-    /// Unknown offsets for all cameras but the reference, with the same reason.
+    /// Offsets that are unknown for all cameras but the reference, with the same reason for all.
     pub(super) fn unknown(capture: &Capture, reason: &str) -> Self {
         let mut offsets = Self::known(capture);
         for (c, camera) in offsets.cameras.iter_mut().enumerate() {
@@ -94,8 +93,9 @@ impl Offsets {
         self.cameras.iter().take(capture.cameras.len()).enumerate().map(clock).collect()
     }
 
-    /// By camera: the times of all its images on the reference's clock, seconds; `None` if its offset
-    /// is unknown. The single frame of a camera is valid at any time: its unknown offset counts as 0.
+    /// By camera: the times of all its images on the reference's clock, seconds; `None` if its offset is
+    /// unknown. If a camera has a single frame, an unknown offset counts as 0, since the frame is valid at
+    /// any time.
     pub fn common_times_s(&self, capture: &Capture) -> Vec<Option<Vec<f64>>> {
         let times_s = |(c, known): (usize, Option<ClockModel>)| {
             let nominal = NominalClock::of_camera(capture, c);
@@ -106,7 +106,7 @@ impl Offsets {
         self.clocks(capture).into_iter().enumerate().map(times_s).collect()
     }
 
-    /// Whether the offsets are of a capture's cameras and give all frames times that ascend.
+    /// Whether these are the offsets of a capture's cameras, and all frame times ascend.
     pub fn fits(&self, capture: &Capture) -> bool {
         self.cameras.len() == capture.cameras.len()
             && self.cameras.iter().zip(&capture.cameras).all(|(o, c)| o.id == c.id)

@@ -1,4 +1,4 @@
-//! Plots of the data behind an estimate: `offsets.svg`, next to `offsets.json`.
+//! Plots of an estimate and its data: `offsets.svg`, next to `offsets.json`.
 
 use super::clock::ClockModel;
 use super::{Estimate, PairEstimate};
@@ -7,9 +7,9 @@ use crate::chart::{Chart, ChartPoint, Series, svg};
 
 /// Four charts, as SVG text; `capture` must be that of the estimate.
 ///
-/// The charts show each pair's own estimate relative to the joint one, its fraction of inliers, the
-/// estimates of single frame triples over time, and the inliers' distances from their epipolar lines
-/// by the nominal and by the estimated clocks (Fig. 23). The first and the third omit pairs of cameras
+/// The charts show each pair's own estimate minus the joint one, each pair's fraction of inliers, the
+/// estimates of single frame triples over time, and the inliers' distances from their epipolar lines for the
+/// nominal and for the estimated clocks (Fig. 23). The first and the third chart leave out pairs of cameras
 /// without an offset.
 pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
     let joint = estimate.offsets.clocks(capture);
@@ -48,7 +48,7 @@ fn pair_axis(estimate: &Estimate, capture: &Capture) -> String {
     }
 }
 
-/// The estimate of each pair minus the joint one.
+/// Chart of the estimate of each pair minus the joint one.
 fn pairs(estimate: &Estimate, joint: &[Option<ClockModel>], pair_axis: &str) -> Chart {
     let points = estimate.pairs.iter().enumerate().filter_map(|(k, pair)| {
         let joint_s = joint_offset_s(joint, pair.cameras, pair.clock.reference_s)?;
@@ -69,7 +69,7 @@ fn pairs(estimate: &Estimate, joint: &[Option<ClockModel>], pair_axis: &str) -> 
     }
 }
 
-/// The fraction of each pair's candidates that are inliers.
+/// Chart of the fraction of inliers among each pair's candidates.
 fn inlier_fractions(estimate: &Estimate, pair_axis: &str) -> Chart {
     let fraction = |p: &PairEstimate| p.inliers as f64 / p.candidates.max(1) as f64;
     let points = estimate.pairs.iter().enumerate().map(|(k, p)| (k as f64, fraction(p)).into());
@@ -83,7 +83,7 @@ fn inlier_fractions(estimate: &Estimate, pair_axis: &str) -> Chart {
     }
 }
 
-/// The estimates of single frame triples minus the joint one.
+/// Chart of the estimates of single frame triples, minus the joint one, over time.
 fn over_time(estimate: &Estimate, capture: &Capture, joint: &[Option<ClockModel>]) -> Chart {
     let mut series = [
         Series { label: "RANSAC and WLS (the paper's)".into(), dots: true, ..Series::default() },
@@ -108,10 +108,10 @@ fn over_time(estimate: &Estimate, capture: &Capture, joint: &[Option<ClockModel>
     }
 }
 
-/// The number of quantiles of a plotted distribution.
+/// The number of quantiles by which a distribution is plotted.
 const QUANTILES: usize = 60;
 
-/// The distribution of the inliers' distances from their epipolar lines (Fig. 23).
+/// Chart of the distribution of the inliers' distances from their epipolar lines (Fig. 23).
 fn distances(estimate: &Estimate) -> Chart {
     let (mut nominal, mut estimated) = (Vec::new(), Vec::new());
     for pair in &estimate.pairs {
@@ -120,7 +120,7 @@ fn distances(estimate: &Estimate) -> Chart {
             let value = sign * sample.offset_s();
             let time_i = if sign > 0.0 { sample.time_a_s } else { sample.time_b_s };
             let fitted = pair.clock.offset_at(time_i);
-            // Outliers carry no information about the clocks.
+            // Observations of low weight are outliers, which carry no information about the clocks.
             if *weight > 0.1 / (pair.sigma_px * pair.sigma_px) {
                 nominal.push((value * sample.across_px_s).abs());
                 estimated.push(((value - fitted) * sample.across_px_s).abs());

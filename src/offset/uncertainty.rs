@@ -1,23 +1,24 @@
 //! Standard errors of weighted least squares with correlated errors.
 //!
-//! The errors of candidates are correlated: candidates of one instant share the noise of its frames,
+//! The errors of candidates are correlated. Candidates of one instant share the noise of its frames;
 //! candidates of one place share texture, occlusions and the tracker's bias. The two-way cluster-robust
-//! (sandwich) covariance accounts for both (Cameron, Gelbach and Miller 2011): clusters by time, plus
-//! clusters by place, minus the independent part that both count.
+//! (sandwich) covariance accounts for both (Cameron, Gelbach and Miller 2011). It is the covariance with
+//! clusters by time, plus that with clusters by place, minus the one for independent errors, which both
+//! include.
 //!
-//! The features of a small body have a common error, such as occlusion at its outline, which their
-//! scatter underestimates. Standard errors are therefore inflated if few tracker windows carry all the
-//! information ([`std_err_inflation`]).
+//! The features of a small body have a common error, such as occlusion at its outline, which their scatter
+//! underestimates. Standard errors are therefore inflated if few tracker windows carry all the information
+//! ([`std_err_inflation`]).
 //!
-//! Known limit: an error that all features at all times share does not show in any scatter.
+//! Known limit: an error that all features share at all times does not show in their scatter.
 
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
-/// The smallest number of degrees of freedom of Student's distribution in [`std_err_inflation`].
+/// The minimum number of degrees of freedom of Student's distribution in [`std_err_inflation`].
 const MIN_DEGREES: f64 = 0.5;
-/// The fraction of a column that the others must leave unexplained; below it, the normal matrix counts
-/// as singular.
+/// The minimum fraction of a column's squared length that the other columns do not explain. Below it, the
+/// normal matrix counts as singular.
 const MIN_UNEXPLAINED: f64 = 1e-10;
 
 /// The sandwich covariance of a weighted least-squares problem, accumulated row by row.
@@ -65,19 +66,19 @@ impl Sandwich {
         }
     }
 
-    /// The inverse of the normal matrix; `None` if it is singular to rounding.
+    /// The inverse of the normal matrix. `None` if it is singular within rounding.
     fn inverse(&self) -> Option<DMatrix<f64>> {
         let scale = self.normal.diagonal().map(f64::sqrt);
         let scales = DMatrix::from_diagonal(&scale.map(f64::recip));
-        // The scaled matrix has a unit diagonal. The squared diagonal of its Cholesky factor is each
-        // column's fraction that the columns before it do not explain.
+        // The scaled matrix has a unit diagonal. The squared diagonal of its Cholesky factor is, for each
+        // column, the fraction that the columns before it do not explain.
         let cholesky = (&scales * &self.normal * &scales).cholesky()?;
         let unexplained = cholesky.l_dirty().diagonal().map(|d| d * d);
         (unexplained.min() > MIN_UNEXPLAINED).then(|| &scales * cholesky.inverse() * &scales)
     }
 
-    /// The variance of each unknown. `None` if the unknowns are not determined, or if all equations
-    /// belong to one cluster by time, without scatter.
+    /// The variance of each unknown. `None` if the unknowns are not determined, or if all equations are in
+    /// one cluster by time, so that there is no scatter.
     pub fn variances(&self) -> Option<Vec<f64>> {
         if self.by_time.len() < 2 {
             return None;
@@ -110,11 +111,11 @@ pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
     if squares > 0.0 { sum * sum / squares } else { 0.0 }
 }
 
-/// The factor on a standard error that is estimated from the scatter of a number of independent
-/// clusters; its square is a variance inflation factor.
+/// The factor on a standard error that is estimated from the scatter of `independent` independent clusters.
+/// Its square is a variance inflation factor.
 ///
-/// It is Student's quantile over the Gaussian's at two standard errors, by its expansion (Abramowitz and
-/// Stegun 26.7.5). It falls to 1 for many clusters, and is constant below 1.5 clusters.
+/// It is the ratio of Student's quantile to the Gaussian's at two standard errors, by its expansion
+/// (Abramowitz and Stegun 26.7.5). It decreases to 1 for many clusters, and is constant below 1.5 clusters.
 pub fn std_err_inflation(independent: f64) -> f64 {
     let n = (independent - 1.0).max(MIN_DEGREES);
     let x: f64 = 2.0;
@@ -126,7 +127,7 @@ pub fn std_err_inflation(independent: f64) -> f64 {
     1.0 + (orders[0] / n + orders[1] / (n * n) + orders[2] / (n * n * n)) / x
 }
 
-/// `Σ g gᵀ` over the clusters' scores g, corrected for the number of clusters.
+/// The sum `Σ g gᵀ` over the clusters' scores g, with a small-sample correction for the number of clusters.
 fn clustered<'a>(
     scores: impl ExactSizeIterator<Item = &'a DVector<f64>>,
     unknowns: usize,
@@ -142,8 +143,8 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// The mean of samples that share one error by time and one by place: its variance over thousands
-    /// of problems equals the estimated one.
+    /// The mean of samples that share one error by time and one by place: its variance over thousands of
+    /// problems equals the estimated variance.
     #[test]
     fn correlated_errors_are_accounted_for() {
         let random = &mut Random::new(4);
@@ -169,7 +170,7 @@ mod tests {
 
     #[test]
     fn few_independent_windows_inflate_the_standard_error() {
-        // Student's quantiles at 97.725 %, over two.
+        // Student's quantiles at 97.725 %; they are compared as a ratio to two standard errors.
         for (independent, quantile) in [(3.0, 4.53), (4.0, 3.31), (6.0, 2.65), (11.0, 2.28)] {
             let off = 2.0 * std_err_inflation(independent) / quantile - 1.0;
             assert!(off.abs() < 0.1, "{independent}: {off}");

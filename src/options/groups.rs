@@ -1,5 +1,5 @@
-//! Groups of options that belong to no single stage's module: the automatic choice of methods ([`crate::plan`]), the
-//! geometry proxy (§6), and temporal integration (Fig. 1), which combines several instants into one image.
+//! Groups of options that belong to no module of a single stage: the automatic choice of methods ([`crate::plan`]),
+//! the geometry proxy (§6), and temporal integration (Fig. 1), which overlays several instants in one image.
 
 use crate::lumigraph::DepthEdges;
 use crate::method::methods;
@@ -8,8 +8,8 @@ use crate::stereo::StereoOptions;
 use serde::{Deserialize, Serialize};
 
 options! {
-    /// Automatic choice of methods by measurements of the capture ([`crate::plan`]): the stages that it applies to, and
-    /// the budgets within which a cheaper method is preferred.
+    /// Automatic choice of methods by measurements of the capture ([`crate::plan`]): the stages to which it applies,
+    /// and the error budgets within which a cheaper method is preferred.
     pub struct AutoOptions {
         /// Choose the sync method by measurements of the capture, and with it whether trajectories are curved and
         /// still frame pairs registered.
@@ -44,13 +44,13 @@ impl AutoOptions {
 pub enum ProxyMethod {
     /// One plane, fitted to the scene's points or at a set depth.
     Plane,
-    /// The paper's: triangulated correspondences, meshed, with a plane behind.
+    /// The paper's mesh: triangulated correspondences, with a plane in the background.
     #[default]
     Mesh,
     /// Depth per pixel from the images of several cameras, with occlusion.
     Depth,
-    /// Depth and motion of every frame, from all cameras at their own times: the points of the frames nearest to the
-    /// instant are moved there. Needs no synchronized images.
+    /// Depth and motion of every frame, estimated from all cameras at their own times. Points of the frames nearest in
+    /// time are moved to the instant. Needs no synchronized images.
     SceneFlow,
 }
 
@@ -83,10 +83,10 @@ options! {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TrailMode {
-    /// The mean of the instants' light, as in a long exposure.
+    /// The mean of the instants' linear light, as in a long exposure.
     #[default]
     Mean,
-    /// The brightest of the instants' values, so that highlights leave full streaks.
+    /// The maximum of the instants' values, so that highlights leave streaks at full brightness.
     Lighten,
 }
 
@@ -96,7 +96,7 @@ methods!(TrailMode {
 });
 
 options! {
-    /// Temporal integration: a view combines several instants, the last of which is its own.
+    /// Temporal integration: a view overlays several instants, of which the last is the view's own.
     pub struct TrailOptions {
         /// Length of the trail before the instant; 0: no trail.
         duration_s: f64 [0.0..=1e6, "s"] = 0.0,
@@ -108,7 +108,7 @@ options! {
 }
 
 impl TrailOptions {
-    /// The instants of a trail that ends at `time_s`, latest first. Without a trail, `time_s` alone.
+    /// The instants that a view at `time_s` overlays, seconds, latest first; only `time_s` without a trail.
     pub(crate) fn instants_s(&self, time_s: f64) -> Vec<f64> {
         if self.duration_s <= 0.0 || self.instants < 2 {
             return vec![time_s];
@@ -117,7 +117,7 @@ impl TrailOptions {
         (0..self.instants).map(|k| time_s - step_s * k as f64).collect()
     }
 
-    /// Number of instants that make one view.
+    /// Number of instants that a view overlays.
     pub fn count(&self) -> usize {
         self.instants_s(0.0).len()
     }

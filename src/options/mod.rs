@@ -1,8 +1,8 @@
-//! Everything that decides an image besides the capture: each stage's method and its options.
+//! Options: everything besides the capture that decides an image, each stage's method and its parameters.
 //!
 //! | options | content | read by |
 //! |---|---|---|
-//! | [`RenderOptions`] | the options of all stages, as an options file holds them | the programs' entry points, [`crate::light_field::render()`] |
+//! | [`RenderOptions`] | all options, in the form of an options file | the programs' entry points, [`crate::light_field::render()`] |
 //! | [`AutoOptions`] | which methods are chosen by measurements of the capture | [`crate::plan`] |
 
 mod groups;
@@ -22,8 +22,8 @@ use crate::registration::RegistrationOptions;
 use serde_json::{Value, json};
 
 options! {
-    /// The options of all stages, as an options file holds them: a JSON object whose missing fields
-    /// have their defaults. Unknown fields are refused.
+    /// The options of all stages, in the form of an options file: a JSON object. Missing fields have their defaults,
+    /// and unknown fields are errors.
     pub struct RenderOptions {
         /// How a camera's image is made at an instant between its frames.
         sync: SyncMethod = SyncMethod::Refined,
@@ -51,7 +51,7 @@ impl RenderOptions {
         Self { sync, ..self }
     }
 
-    /// All options, with their declarations and their values here.
+    /// All options, each with its declaration and its value in this set.
     pub fn declared(&self) -> Vec<DeclaredOption> {
         let mut options = Vec::new();
         self.declare(&Self::default(), DeclaredOption::default(), &mut options);
@@ -70,8 +70,8 @@ impl RenderOptions {
         schema
     }
 
-    /// Refuses values outside of their ranges. To be called where options come from outside: a
-    /// file, the command line, Python.
+    /// An error if a value is out of its range. To be called on options from outside of the program: from a file, the
+    /// command line or Python.
     pub fn check(&self) -> Result<(), OptionError> {
         self.declared().iter().try_for_each(DeclaredOption::check)
     }
@@ -85,7 +85,7 @@ mod tests {
     use crate::option::OptionKind;
     use serde::Serialize;
 
-    /// Option files, the command line and Python name a method alike.
+    /// The name of a method is the same in options files, on the command line and in Python.
     fn named_as_in_files<M: Method + Serialize + std::fmt::Debug>() {
         assert!(!M::ALL.is_empty());
         for &method in M::ALL {
@@ -157,7 +157,7 @@ mod tests {
                 let old = std::mem::replace(old, value);
                 let options = serde_json::from_value::<RenderOptions>(json.clone());
                 *json.pointer_mut(&pointer(&option.name)).unwrap() = old;
-                // Serde refuses counts below 0.
+                // Serde rejects negative counts.
                 options.ok().map(|options| options.check().map_err(|e| e.to_string()))
             };
             let integer = option.kind == OptionKind::Integer;
@@ -182,7 +182,7 @@ mod tests {
         assert_eq!(error, "trail.duration_s: is NaN, must be from 0.0 to 1000000.0");
     }
 
-    /// Whether a schema allows a value; as far as the schemas here go.
+    /// Whether a schema allows a value. Covers only the keywords that these schemas use.
     fn allows(schema: &Value, value: &Value) -> bool {
         let is_of = |kind: &Value| match kind.as_str().unwrap() {
             "object" => value.is_object(),

@@ -1,4 +1,4 @@
-//! Options from files and command lines: those that are given override a preset's.
+//! Parsing of options from files and command lines. Given options override those of a preset.
 
 use super::{Preset, RenderOptions};
 use crate::json;
@@ -6,11 +6,11 @@ use serde::Deserialize;
 use serde_json::Value;
 
 impl RenderOptions {
-    /// Reads an options file: a JSON object. Missing options are the preset's: the given one, or else
-    /// that of the file's field `preset`, or else the default one. A method that the file names is not chosen
-    /// automatically.
+    /// Parses an options file, a JSON object. Missing options have the values of a preset: `preset`, or else the
+    /// file's field `preset`, or else the default preset. If the file names a stage's method, the automatic choice for
+    /// this stage is off.
     ///
-    /// An error is a sentence that starts with the field, also of a value out of its range.
+    /// The error is a sentence that starts with the field. A value out of its range is an error.
     pub fn parse(text: &str, preset: Option<Preset>) -> Result<Self, String> {
         let Value::Object(mut file) = json::parse(text)? else {
             return Err("must be an object".into());
@@ -36,10 +36,10 @@ impl RenderOptions {
         Ok(options)
     }
 
-    /// Sets one option by its path, such as `blend.cameras`, to a value as a file would have it; names
-    /// need no quotes. A method that is set is not chosen automatically.
+    /// Sets one option by its path, such as `blend.cameras`, to a value in JSON; names need no quotes. If a stage's
+    /// method is set, the automatic choice for this stage is off.
     ///
-    /// An error is a sentence that starts with the option.
+    /// The error is a sentence that starts with the option.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
         let mut options = serde_json::to_value(&*self).map_err(|e| e.to_string())?;
         let option = options.pointer_mut(&format!("/{}", name.replace('.', "/")));
@@ -55,7 +55,7 @@ impl RenderOptions {
     }
 }
 
-/// The options that name methods, and those by which these are chosen automatically.
+/// JSON pointers of the options that name methods, each with that of the option for its automatic choice.
 const CHOSEN: [(&str, &str); 3] =
     [("/sync", "/auto/sync"), ("/proxy/method", "/auto/proxy"), ("/blend/method", "/auto/blend")];
 
@@ -65,7 +65,7 @@ struct NamedPreset {
     preset: Preset,
 }
 
-/// Merges `over` into `into`: objects field by field; any other value replaces that of `into`.
+/// Merges `over` into `into`. Objects are merged field by field; other values of `over` replace those of `into`.
 fn merge(into: &mut Value, over: &Value) {
     match (into, over) {
         (Value::Object(into), Value::Object(over)) => {

@@ -9,11 +9,12 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
-    /// The fastest methods that still synchronize the cameras' images, for looking around.
+    /// The fastest methods that still synchronize the cameras' images, for interactive viewing.
     Draft,
     /// Most of the accuracy of `Best` in a fraction of its time.
     Balanced,
-    /// Methods chosen by measurements of the capture ([`AutoOptions::all`]): accurate ones where they gain.
+    /// Methods chosen by measurements of the capture ([`AutoOptions::all`]): accurate ones, where they reduce the
+    /// error.
     #[default]
     Best,
 }
@@ -25,8 +26,8 @@ methods!(Preset {
 });
 
 impl Preset {
-    /// The preset's options of all stages. Registration is the same in all presets, so that they
-    /// share its cache.
+    /// The preset's options of all stages. All presets have the same options of registration, so that they use the
+    /// same cached results.
     pub fn options(self) -> RenderOptions {
         let mut options = RenderOptions::default();
         match self {

@@ -1,27 +1,29 @@
-//! Constant speed: parameters of a curve by its length.
+//! Arc-length parametrization of a curve, for motion at constant speed.
 
 use super::curve::Hermite;
 use nalgebra::Vector3;
 
-/// Parts of an interval between two keys whose lengths are stored. Fewer, and the quadrature misses cusps.
+/// Number of parts per interval between two keys; lengths are stored at their ends. With fewer, the quadrature is
+/// inaccurate at cusps.
 const PARTS: usize = 32;
 
-/// Halvings of a part: to 1e-12 of it.
+/// Number of bisections inside of a part, which find a parameter to 1e-12 of the part.
 const HALVINGS: usize = 40;
 
-/// A key's place and tangent.
+/// Position of a key, and tangent there.
 type PlaceAndTangent = (Vector3<f64>, Vector3<f64>);
 
-/// The length of a curve up to each of many parameters.
+/// Table of a curve's arc length as a function of its parameter.
 #[derive(Clone, Debug)]
 pub(super) struct ArcLength {
     keys: Vec<(f64, PlaceAndTangent)>,
-    /// Parameters with the lengths up to them, both ascending.
+    /// Parameters with the arc lengths up to them, both ascending.
     lengths: Vec<(f64, f64)>,
 }
 
 impl ArcLength {
-    /// The lengths of a curve with these tangents; `None` if it has no length.
+    /// The table for the curve through `places` with their tangents; `at` has the keys' parameters. `None` if the
+    /// curve's length is 0.
     pub fn new(at: &[f64], places: &[PlaceAndTangent]) -> Option<Self> {
         let keys: Vec<_> = at.iter().copied().zip(places.iter().copied()).collect();
         let mut curve = Self { keys, lengths: vec![(at[0], 0.0)] };
@@ -45,7 +47,7 @@ impl ArcLength {
         place.slope(self.keys[place.key].1, self.keys[place.next].1).norm()
     }
 
-    /// The length between two parameters of one interval, by Gauss's rule of five points.
+    /// Arc length between two parameters of one interval, by Gauss–Legendre quadrature with five points.
     fn length(&self, start: f64, end: f64) -> f64 {
         const POINTS: [(f64, f64); 3] = [
             (0.0, 0.568_888_888_888_888_9),
@@ -60,7 +62,7 @@ impl ArcLength {
         half * pairs.sum::<f64>()
     }
 
-    /// The parameter at which as much of the length has passed as of the time at `at`.
+    /// The parameter at which the fraction of the arc length equals the fraction of the parameter's range at `at`.
     pub fn parameter(&self, at: f64) -> f64 {
         let (first, last) = (self.lengths[0].0, self.lengths[self.lengths.len() - 1].0);
         let wanted = self.whole() * (at - first) / (last - first);

@@ -1,4 +1,4 @@
-//! The file of a path, read and checked.
+//! The JSON file of a camera path, and its checks.
 
 use super::{CameraPath, PathError, PathKey, is_rate_hz};
 use crate::camera::ViewFormat;
@@ -13,9 +13,9 @@ const VERSION: u32 = 1;
 pub struct PathFormat {
     format: String,
     version: u32,
-    /// Frames a second that the path was made for.
+    /// Frame rate of the video that the path was made for, hertz.
     rate_hz: Option<f64>,
-    /// Whether the place moves at constant speed.
+    /// Whether the camera's position moves at constant speed.
     #[serde(default)]
     constant_speed: bool,
     keys: Vec<ReadKey>,
@@ -35,7 +35,7 @@ impl PathFormat {
     /// Checks every field.
     ///
     /// # Errors
-    /// A sentence that starts with the field.
+    /// A sentence that starts with the wrong field.
     pub fn path(self) -> Result<CameraPath, String> {
         if self.format != FORMAT {
             return Err(format!("format: must be {FORMAT}"));

@@ -1,11 +1,11 @@
-//! Camera paths: place, direction, lens and time of a view, continuous over the seconds of a video.
+//! Camera paths: position, direction, lens and time of a view as continuous functions of a video's seconds.
 //!
-//! A path is given by keys. Between keys all four are interpolated, without a jump in the first derivative at keys:
+//! A path is given by keys. All four are interpolated between the keys, with continuous first derivatives:
 //!
-//! - the place by cubic Hermite splines, whose tangents are those of parabolas through three keys. It doesn't move
-//!   between keys at the same place;
-//! - the direction on the sphere of unit quaternions, along the shorter arc, with the same tangents;
-//! - the lens and the time by monotone splines, which never overshoot: time stands still between keys of one time.
+//! - position by cubic Hermite splines, with tangents from parabolas through three keys; between keys at the same
+//!   position, it doesn't move;
+//! - direction by a spline of unit quaternions along the shorter arc, with tangents computed in the same way;
+//! - lens and time by monotone splines, which never overshoot: time stands still between keys of equal times.
 //!
 //! A path's file ([`PathFormat`]):
 //!
@@ -18,17 +18,17 @@
 //!     { "at_s": 2, "time_s": 0.05, "rest": true, "camera": { "…": "a camera as in capture.json" } } ] }
 //! ```
 //!
-//! `at_s` is a second of the video, `time_s` the instant that it shows then: equal times freeze it, falling ones
-//! reverse it, and their distances slow it. `rest` eases in and out of a key. `"constant_speed": true` moves the place by
-//! equal lengths in equal times. `rate_hz`, `rest` and `constant_speed` may be left out.
+//! `at_s` is the second of the video, and `time_s` the instant that the video shows then. Equal `time_s` stop time,
+//! descending ones reverse it; their differences set its speed. At a key with `rest`, all four come to rest.
+//! `"constant_speed": true` moves the position at constant speed. `rate_hz`, `rest` and `constant_speed` are optional.
 //!
 //! | file | what |
 //! |---|---|
-//! | `format.rs` | the file of a path |
-//! | `curve.rs` | tangents and cubic splines |
+//! | `format.rs` | the JSON file of a path |
+//! | `curve.rs` | tangents, cubic Hermite splines |
 //! | `rotation.rs` | splines of rotations |
-//! | `arc_length.rs` | constant speed |
-//! | `ready_made.rs` | paths by name, inside of what a rig sees |
+//! | `arc_length.rs` | motion at constant speed |
+//! | `ready_made.rs` | paths by name, fitted to a rig |
 
 mod arc_length;
 mod curve;
@@ -46,16 +46,16 @@ use curve::{Hermite, monotone_tangents, resting, tangents};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rotation::{cumulative, rotation_tangents};
 
-/// A key of a path: a view at a second of the video.
+/// A key of a path: the view and its instant at a second of the video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathKey {
-    /// Seconds of the video.
+    /// Time of the key in the video, seconds.
     pub at_s: f64,
     /// The instant that is shown, seconds on the reference camera's clock.
     pub time_s: f64,
-    /// Place, direction and lens.
+    /// Position, direction and lens.
     pub camera: Camera,
-    /// Whether all four stand still here for a moment: their derivatives are 0.
+    /// Whether position, direction, lens and time come to rest here: their derivatives are 0.
     pub rest: bool,
 }
 
@@ -67,25 +67,25 @@ pub struct PathFrame {
     pub time_s: f64,
 }
 
-/// A continuous path through its keys.
+/// A continuous path that passes through its keys.
 #[derive(Clone, Debug)]
 pub struct CameraPath {
     keys: Vec<PathKey>,
-    /// Frames a second that the path was made for, if it says so.
+    /// Frame rate of the video that the path was made for, hertz, if it is given.
     pub rate_hz: Option<f64>,
-    /// The cameras' centres with their tangents, metres.
+    /// The cameras' centres in the world, metres, with their tangents (derivatives by the video's seconds).
     places: Vec<(Vector3<f64>, Vector3<f64>)>,
-    /// `world_from_cam` with the angular velocities in the camera's frame, radians a second.
+    /// Rotations `world_from_cam`, with the angular velocities in the camera's frame, radians per second.
     rotations: Vec<(UnitQuaternion<f64>, Vector3<f64>)>,
-    /// The model's parameters with their tangents.
+    /// For each parameter of the camera model, its value and slope at every key.
     lenses: Vec<Vec<(f64, f64)>>,
-    /// The times with their tangents.
+    /// The instants of the keys, with their slopes.
     times: Vec<(f64, f64)>,
-    /// Parameters of equal lengths, where the speed is constant.
+    /// Arc lengths of the positions, if the speed is constant.
     lengths: Option<ArcLength>,
 }
 
-/// Why keys are no path. The message starts with the field.
+/// Why keys don't form a path. The message starts with the field.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum PathError {
     #[error("keys: there are none")]
@@ -106,32 +106,34 @@ pub enum PathError {
     Frames { duration_s: f64, frames: f64, rate_hz: f64 },
 }
 
-/// Maximum number of keys: an hour at 27 a second.
+/// Largest number of keys: an hour with 27 keys per second.
 const MAX_KEYS: usize = 100_000;
-/// Maximum of a video's and of an instant's seconds, a century: differences resolve microseconds.
+/// Largest absolute time in the video and of an instant, seconds (a century). Differences then have microseconds of
+/// precision.
 const MAX_SECONDS: f64 = 4e9;
-/// Minimum seconds between two keys: differences of less would be rounding.
+/// Smallest time between two keys, seconds. Smaller differences would be dominated by rounding.
 const MIN_INTERVAL_S: f64 = 1e-6;
-/// Maximum of a lens's parameters, so that their derivatives are finite.
+/// Largest absolute value of a lens parameter. Derivatives then stay finite.
 const MAX_PARAM: f64 = 1e9;
-/// Limits of frames a second: those of a video's player, and of a day's time lapse.
+/// Smallest frame rate, hertz: a frame in 17 minutes, for time lapses.
 pub const MIN_RATE_HZ: f64 = 1e-3;
-/// See [`MIN_RATE_HZ`].
+/// Largest frame rate, hertz.
 pub const MAX_RATE_HZ: f64 = 1e3;
 /// Maximum number of frames.
 const MAX_FRAMES: usize = 1_000_000;
 
-/// Whether a number of frames a second is one.
+/// Whether a number is a valid frame rate: within [`MIN_RATE_HZ`] and [`MAX_RATE_HZ`].
 pub fn is_rate_hz(rate_hz: f64) -> bool {
     (MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz)
 }
 
 impl CameraPath {
-    /// A path through keys, ascending in `at_s`. With `constant_speed` the place moves by equal lengths in equal times
-    /// between the first and the last key; direction and lens follow it, the time does not.
+    /// A path through keys, ascending in `at_s`. With `constant_speed`, the position moves at constant speed from the
+    /// first to the last key. Direction and lens follow the position along the path; the instant remains a function of
+    /// the video's time.
     ///
     /// # Errors
-    /// If there is no key or too many, if a number is out of range, if keys do not ascend, or if their lenses differ in
+    /// If there is no key or too many, if a number is out of range, if keys don't ascend, or if their lenses differ in
     /// model or size.
     pub fn new(keys: Vec<PathKey>, constant_speed: bool) -> Result<Self, PathError> {
         check(&keys)?;
@@ -157,17 +159,17 @@ impl CameraPath {
         Ok(Self { keys, rate_hz: None, places, rotations, lenses, times, lengths })
     }
 
-    /// The keys, ascending.
+    /// The keys, ascending in `at_s`.
     pub fn keys(&self) -> &[PathKey] {
         &self.keys
     }
 
-    /// Seconds from the first key to the last.
+    /// Time from the first to the last key, seconds.
     pub fn duration_s(&self) -> f64 {
         self.keys[self.keys.len() - 1].at_s - self.keys[0].at_s
     }
 
-    /// The same path, played in another time. A path of one key has none, and is not changed.
+    /// The same path, stretched to another duration. A path with one key is unchanged.
     #[must_use]
     pub fn lasting(&self, duration_s: f64) -> Self {
         let factor = duration_s / self.duration_s();
@@ -177,8 +179,8 @@ impl CameraPath {
         played.map_or_else(|_| self.clone(), |path| Self { rate_hz: self.rate_hz, ..path })
     }
 
-    /// The view, this many seconds after the first key; before it that of the first, after the last key that of the
-    /// last.
+    /// The view at `passed_s` seconds after the first key. Before the first and after the last key, it is that key's
+    /// view.
     pub fn at(&self, passed_s: f64) -> PathFrame {
         let at_s = self.keys[0].at_s + passed_s.clamp(0.0, self.duration_s());
         let moved_s = self.lengths.as_ref().map_or(at_s, |lengths| lengths.parameter(at_s));
@@ -192,17 +194,17 @@ impl CameraPath {
         let shown = self.interval(at_s);
         let time_s = shown.monotone(self.times[shown.key], self.times[shown.next]);
         let first = &self.keys[0].camera;
-        // These are the name and the number of parameters of a model of the path.
+        // Name and number of parameters come from the path's own model, so that this can't fail.
         let model = CameraModel::from_params(first.model.name(), &params).unwrap_or(first.model);
         PathFrame { camera: Camera { model, cam_from_world, ..first.clone() }, time_s }
     }
 
-    /// The number of frames of a video that takes so long.
+    /// The number of frames of a video of this duration.
     ///
     /// # Errors
-    /// If there are too many.
+    /// If the number exceeds the maximum.
     pub fn frame_count(duration_s: f64, rate_hz: f64) -> Result<usize, PathError> {
-        // The last frame is not lost by rounding.
+        // A small margin keeps rounding from losing the last frame.
         let frames = (duration_s * rate_hz + 1e-6).floor() + 1.0;
         if !(frames <= MAX_FRAMES as f64) {
             return Err(PathError::Frames { duration_s, frames, rate_hz });
@@ -210,11 +212,11 @@ impl CameraPath {
         Ok(frames as usize)
     }
 
-    /// The frames of a video with so many a second: the first shows the first key, the last the last key or up to one
-    /// frame before it.
+    /// The frames of a video with this frame rate. The first frame shows the first key. The last frame is less than
+    /// one frame interval before the last key, or exactly there.
     ///
     /// # Errors
-    /// If there are too many.
+    /// If the number of frames exceeds the maximum.
     pub fn frames(&self, rate_hz: f64) -> Result<Vec<PathFrame>, PathError> {
         let count = Self::frame_count(self.duration_s(), rate_hz)?;
         Ok((0..count).map(|k| self.at(k as f64 / rate_hz)).collect())

@@ -1,10 +1,10 @@
-//! Paths by name, for any rig. They stay where the cameras see all of the view.
+//! Camera paths by name, fitted to any rig. They stay where the rig's cameras see the whole view.
 //!
-//! The rig is described by a parabola through its cameras' centres along their longest extent, and by their mean
-//! directions along it: lines, arcs and grids alike. A path's extent is the largest for which every view is seen whole
-//! at the scene's depths.
+//! The rig is modelled by two parabolas: the cameras' centres and the cameras' directions, as functions of the
+//! coordinate along the rig's longest extent. Lines, arcs and grids are modelled alike. A path is as large as possible
+//! while cameras see all of every view at the scene's depths.
 //!
-//! Known limit: occlusion is not considered; what only hidden cameras see may have holes.
+//! Known limit: occlusion is not considered. Surfaces that the cameras don't see may leave holes.
 
 use super::{CameraPath, PathError, PathKey};
 use crate::camera::{Camera, CameraModel};
@@ -29,46 +29,46 @@ methods!(ReadyMadePath {
     Dolly = "dolly": "ahead towards the subject, and back",
 });
 
-/// What a ready-made path is fitted to.
+/// The rig, the scene's depths and the times to which a ready-made path is fitted.
 #[derive(Clone, Copy, Debug)]
 pub struct PathScene<'a> {
     /// The rig's cameras, at least one.
     pub cameras: &'a [Camera],
-    /// The camera whose lens and size the views have, without its distortion.
+    /// The camera that gives the views their lens, without distortion, and their size.
     pub lens: &'a Camera,
-    /// Depths of the scene before `lens`, metres: near, of the subject, far.
+    /// Depths of the scene in front of `lens`, metres: the nearest, the subject's, the farthest.
     pub depths_m: [f64; 3],
-    /// The first and the last instant that all cameras film, seconds.
+    /// The first and the last instant at which all cameras film, seconds.
     pub span_s: (f64, f64),
-    /// The instant to stop time at; `None` lets it run, and stops bullet time in the middle.
+    /// The instant at which time is stopped. `None` lets time run; bullet time then stops in the middle of `span_s`.
     pub frozen_s: Option<f64>,
-    /// Seconds of the video.
+    /// Duration of the video, seconds.
     pub duration_s: f64,
 }
 
-/// Keys between which the splines follow a path's formula. Fewer, and an orbit bulges.
+/// Number of intervals between keys, through which splines approximate a path's formula. With fewer, an orbit bulges.
 const KEYS: usize = 24;
 
-/// Fields of view that are tried, as fractions of the lens's: narrower ones leave more room to move.
+/// Candidate fields of view, as fractions of the lens's field of view. Narrower ones leave more room to move.
 const LENSES: [f64; 4] = [0.95, 0.85, 0.7, 0.55];
 
-/// The fraction of a path's full extent that ends the search for a lens.
+/// The search for a field of view ends when a path reaches this fraction of the rig's extent.
 const ENOUGH: f64 = 0.6;
 
-/// Halvings in the search for the extent.
+/// Number of bisections in the search for the largest extent.
 const HALVINGS: usize = 12;
 
-/// Points of a view, a side, that must be seen at each depth.
+/// Grid points per side of a view, which cameras must see at each depth.
 const SEEN_POINTS: usize = 9;
 
-/// Fractions of the video in bullet time at which time stops and goes on.
+/// Bullet time: fractions of the video at which time stops, and runs again.
 const STOP: [f64; 2] = [0.25, 0.75];
 
-/// How far a dolly goes, as a fraction of the distance to the nearest part of the scene.
+/// Length of a dolly, as a fraction of the distance to the nearest part of the scene.
 const DOLLY: f64 = 0.4;
 
 impl ReadyMadePath {
-    /// The path for a scene.
+    /// The path, fitted to a scene.
     ///
     /// # Errors
     /// If the scene's times or duration are out of range.
@@ -88,7 +88,7 @@ impl ReadyMadePath {
                 break;
             }
         }
-        // Where even a still view isn't seen whole, the narrowest is the best.
+        // If cameras don't even see all of a view that stands still, the narrowest view is used.
         let (extent, field) = best.unwrap_or((0.0, LENSES[LENSES.len() - 1]));
         CameraPath::new(self.keys(scene, &rig, (extent, field)), false)
     }
@@ -118,14 +118,15 @@ impl ReadyMadePath {
             let time_s = self.time_s(scene, passed);
             let time_s = scene.frozen_s.map_or_else(|| time_s.clamp(first_s, last_s), |_| time_s);
             let at_s = scene.duration_s * passed;
-            // An orbit is a loop, whose ends fit.
+            // An orbit is a closed loop, and needs no rest at its ends.
             let rest = self != Self::Orbit && (k == 0 || k == KEYS);
             PathKey { at_s, time_s, camera, rest }
         };
         (0..=KEYS).map(key).collect()
     }
 
-    /// The instant after a fraction of the video. Time runs as in the scene, or slower where the recording is shorter.
+    /// The instant at a fraction `passed` of the video. Time runs at its true speed, or slower if the recording is
+    /// shorter than the video.
     fn time_s(self, scene: &PathScene, passed: f64) -> f64 {
         let (first_s, last_s) = scene.span_s;
         let middle_s = 0.5 * (first_s + last_s);
@@ -138,7 +139,7 @@ impl ReadyMadePath {
         let [stops, goes_on] = STOP;
         let running_s = 0.5 * scene.duration_s * stops;
         if passed <= stops {
-            // At full speed first, then braking.
+            // Time runs at full speed first, then slows down until it stops.
             let left = 1.0 - passed / stops;
             stop_s - (stop_s - first_s).clamp(0.0, running_s) * left * left
         } else if passed >= goes_on {
@@ -150,12 +151,13 @@ impl ReadyMadePath {
     }
 }
 
-/// From 0 to 1 with derivatives 0 at both.
+/// Ease-in-out: maps 0 to 0 and 1 to 1, with zero derivatives there.
 fn eased(x: f64) -> f64 {
     0.5 * (1.0 - (PI * x).cos())
 }
 
-/// The largest extent of 0 to 1 that is seen, given that smaller ones are; `None` if not even 0 is.
+/// The largest extent from 0 to 1 that is seen, by bisection: every smaller extent must be seen too. `None` if 0 isn't
+/// seen.
 fn largest(is_seen: impl Fn(f64) -> bool) -> Option<f64> {
     if !is_seen(0.0) {
         return None;
@@ -171,25 +173,27 @@ fn largest(is_seen: impl Fn(f64) -> bool) -> Option<f64> {
     Some(seen)
 }
 
-/// The lens without distortion, with the field of view times `field`, about the image's middle.
+/// The lens without distortion, centred in the image. Its view at any depth is `field` times as wide.
 fn narrowed(lens: &Camera, field: f64) -> CameraModel {
     let (fx, fy, ..) = lens.model.intrinsics();
     let (cx, cy) = (0.5 * lens.width as f64, 0.5 * lens.height as f64);
     CameraModel::Pinhole { fx: fx / field, fy: fy / field, cx, cy }
 }
 
-/// A rig as a curve of places with directions.
+/// A rig, modelled as a curve of positions and directions.
 struct RigCurve {
-    /// Mean of the cameras' centres, and of their axes.
+    /// Mean of the cameras' centres, metres; `ahead` and `down` are the mean axes.
     center: Vector3<f64>,
     ahead: Vector3<f64>,
     down: Vector3<f64>,
-    /// Longest extent of the centres, and the one across it: half their extents, metres.
+    /// Half extents of the cameras' centres: along the longest direction, and along the second longest. Metres, in the
+    /// world.
     axes: [Vector3<f64>; 2],
-    /// Coefficients of places and axes by the coordinate along the first extent: 1, s, s².
+    /// Coefficients of 1, s and s² in the parabola of positions; `aheads` has those of directions. The coordinate s is
+    /// along the longest extent.
     places: [Vector3<f64>; 3],
     aheads: [Vector3<f64>; 3],
-    /// Depths from `center` along `ahead`, metres.
+    /// The scene's depths from `center` along `ahead`, metres.
     depths_m: [f64; 3],
 }
 
@@ -225,18 +229,18 @@ impl RigCurve {
         Self { center, ahead, down, axes, places, aheads, depths_m }
     }
 
-    /// The place at coordinates of the rig, each from −1 to 1.
+    /// The position at rig coordinates (s, t), each from −1 to 1: along the longest and the second longest extent.
     fn place(&self, [s, t]: [f64; 2]) -> Vector3<f64> {
         at(&self.places, s) + self.axes[1] * t
     }
 
-    /// The pose at coordinates of the rig, moved ahead.
+    /// The pose (`looking`) at rig coordinates (s, t), moved `ahead_m` metres along its axis.
     fn pose(&self, along: [f64; 2], ahead_m: f64) -> Isometry3<f64> {
         let ahead = at(&self.aheads, along[0]).try_normalize(1e-9).unwrap_or(self.ahead);
         looking(self.place(along) + ahead * ahead_m, ahead, self.down)
     }
 
-    /// The pose at coordinates of the rig, aimed at the subject.
+    /// The pose at rig coordinates (s, t), aimed at the subject.
     fn aimed(&self, along: [f64; 2]) -> Isometry3<f64> {
         let place = self.place(along);
         let subject = self.center + self.ahead * self.depths_m[1];
@@ -244,7 +248,7 @@ impl RigCurve {
         looking(place, ahead, self.down)
     }
 
-    /// Whether every part of a view is in some camera's image, at the scene's depths.
+    /// Whether cameras see every part of a view at each of the scene's depths.
     fn sees(&self, view: &Camera, cameras: &[Camera]) -> bool {
         let center = view.center();
         let last = (SEEN_POINTS - 1) as f64;
@@ -267,7 +271,7 @@ fn is_inside(camera: &Camera, point: &Point3<f64>) -> bool {
     camera.project(point).is_some_and(|pixel| camera.contains(&pixel))
 }
 
-/// The axes of the largest and the second largest extent, unit length; the first points to the side of `right`.
+/// The directions of the largest and the second largest extent, unit length. The first points to the side of `right`.
 fn extents(scatter: &Matrix3<f64>, right: Vector3<f64>) -> [Vector3<f64>; 2] {
     let eigen = scatter.symmetric_eigen();
     let mut order = [0, 1, 2];
@@ -277,15 +281,15 @@ fn extents(scatter: &Matrix3<f64>, right: Vector3<f64>) -> [Vector3<f64>; 2] {
     [if first.dot(&right) < 0.0 { -first } else { first }, axis(1)]
 }
 
-/// Coefficients of the least-squares parabola through values at coordinates from −1 to 1; of lower degree where fewer
-/// coordinates differ.
+/// Coefficients (1, s, s²) of the least-squares parabola through values at coordinates from −1 to 1. Its degree is
+/// lower if fewer than three coordinates differ.
 fn parabola(along: &[f64], values: &[Vector3<f64>]) -> [Vector3<f64>; 3] {
     let basis = |s: f64| Vector3::new(1.0, s, s * s);
     let mean = values.iter().sum::<Vector3<f64>>() / values.len() as f64;
     let normal: Matrix3<f64> = along.iter().map(|s| basis(*s) * basis(*s).transpose()).sum();
     let right: Matrix3<f64> =
         along.iter().zip(values).map(|(s, value)| basis(*s) * (value - mean).transpose()).sum();
-    // The smallest deviation from the mean where the coordinates leave a degree open.
+    // If the coordinates don't determine a coefficient, the pseudo-inverse gives the smallest one.
     let inverse = normal.pseudo_inverse(1e-9).unwrap_or_else(|_| Matrix3::zeros());
     let solved = inverse * right;
     let [constant, linear, square] = [0, 1, 2].map(|row| solved.row(row).transpose());
@@ -296,7 +300,7 @@ fn at([constant, linear, square]: &[Vector3<f64>; 3], s: f64) -> Vector3<f64> {
     constant + linear * s + square * (s * s)
 }
 
-/// The pose at a place, looking ahead, upright by `down`.
+/// The pose `cam_from_world` of a camera at `place` that looks along `ahead`, with its y axis towards `down`.
 fn looking(place: Vector3<f64>, ahead: Vector3<f64>, down: Vector3<f64>) -> Isometry3<f64> {
     let rotation = UnitQuaternion::face_towards(&ahead, &down);
     Isometry3::from_parts(place.into(), rotation).inverse()

@@ -1,23 +1,23 @@
-//! Splines of rotations: Kim, Kim and Shin, SIGGRAPH 1995.
+//! Quaternion splines (Kim, Kim and Shin, SIGGRAPH 1995).
 
 use super::curve::parabolic;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Angle up to which two keys have one direction, radians: rounding of quaternions.
+/// Largest angle between two keys that count as one direction, radians. It covers the rounding of quaternions.
 const SAME_DIRECTION_RAD: f64 = 1e-9;
 
-/// The rotation vector from one rotation to another along the shorter arc, in the frame of the first. Half a turn has
-/// two, of which one is taken.
+/// The rotation vector from one rotation to another along the shorter arc, radians, in the frame of the first. For
+/// half a turn, one of the two arcs is chosen.
 fn step(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> Vector3<f64> {
     (from.inverse() * to).scaled_axis()
 }
 
-/// Angular velocities at keys, in the frame of each key.
+/// Angular velocities at keys, in the frame of each key, radians per unit of `at`.
 pub(super) fn rotation_tangents(
     at: &[f64],
     rotations: &[UnitQuaternion<f64>],
 ) -> Vec<Vector3<f64>> {
-    // The axis of a step is the same in the frames of both of its ends.
+    // A step's rotation vector is equal in the frames of both of its ends.
     let steps: Vec<Vector3<f64>> =
         (1..at.len()).map(|k| step(&rotations[k - 1], &rotations[k])).collect();
     let stands: Vec<bool> = steps.iter().map(|s| s.norm() <= SAME_DIRECTION_RAD).collect();
@@ -26,8 +26,8 @@ pub(super) fn rotation_tangents(
     parabolic(at, &slopes, &stands)
 }
 
-/// The cumulative cubic between two rotations `length` seconds apart, with their angular velocities at the ends.
-/// `passed` is from 0 to 1.
+/// The cumulative cubic Bézier curve between two rotations, `length` seconds apart, with their angular velocities at
+/// the ends. `passed` is the fraction of the interval, from 0 to 1.
 pub(super) fn cumulative(
     passed: f64,
     length: f64,

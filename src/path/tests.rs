@@ -18,7 +18,7 @@ fn turned(angle: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle)
 }
 
-/// Uneven keys that move, turn and zoom in every direction; two of them stand still, and one rests.
+/// A path with uneven keys that move, rotate and zoom in every direction. Two keys are equal, and one rests.
 fn uneven() -> CameraPath {
     let mut random = Random::new(7);
     let mut at_s = -3.0;
@@ -38,7 +38,7 @@ fn uneven() -> CameraPath {
     CameraPath::new(keys, false).unwrap()
 }
 
-/// Place, time, focal length and rotation vector from the first key, as one list.
+/// Position, time, focal length and rotation vector from the first key, in one list.
 fn state(path: &CameraPath, passed_s: f64) -> Vec<f64> {
     let frame = path.at(passed_s);
     let center = frame.camera.center();
@@ -94,7 +94,7 @@ fn rotations_are_of_unit_length_and_still_between_equal_keys() {
 
 #[test]
 fn two_keys_are_a_line_at_constant_speed_along_the_shorter_arc() {
-    // 350° to 10° is a turn of 20°, not of 340°; the quaternion of the second has the other sign.
+    // From 350° to 10° is a rotation by 20°, not by 340°. The second quaternion has the opposite sign.
     let turn = |degrees: f64| turned(degrees * PI / 180.0);
     let keys =
         vec![key(1.0, 0.0, [0.0; 3], turn(350.0)), key(3.0, 1.0, [1.0, 0.0, 2.0], turn(10.0))];
@@ -138,7 +138,7 @@ fn time_never_overshoots() {
         let time_s = path.at(t).time_s;
         assert!(time_s >= a.min(b) - 1e-12 && time_s <= a.max(b) + 1e-12, "{t}: {time_s}");
     }
-    // Frozen, and reversed after it.
+    // Time is stopped, and runs backwards after that.
     assert_eq!([1.0, 1.5, 2.25, 3.0].map(|t| path.at(t).time_s), [1.0; 4]);
     assert!(path.at(3.5).time_s > path.at(3.6).time_s);
 }
@@ -159,9 +159,9 @@ fn constant_speed_is_constant_where_keys_are_not() {
         .collect();
     let mean = lengths.iter().sum::<f64>() / 4000.0;
     let worst = lengths.iter().map(|l| (l / mean - 1.0).abs()).fold(0.0, f64::max);
-    // Chords are shorter than arcs where the curve bends.
+    // Where the curve bends, chords are shorter than arcs.
     assert!(worst < 2e-3, "{worst}");
-    // The time has its own course.
+    // The instant doesn't follow the constant speed.
     assert!((path.at(1.0).time_s - 1.0).abs() < 1e-12);
     let still = keys.iter().map(|k| key(k.at_s, 0.0, [1.0; 3], turned(0.0))).collect();
     assert!((CameraPath::new(still, true).unwrap().at(2.0).camera.center().x - 1.0).abs() < 1e-12);
@@ -239,7 +239,7 @@ fn files_are_read_and_wrong_fields_named() {
     }
 }
 
-/// Whatever numbers a file has, it is refused in one sentence, or all its views are finite.
+/// For any numbers in a file, the file is an error of one sentence, or all views are finite.
 #[test]
 fn hostile_numbers_are_refused_or_give_finite_views() {
     let numbers = [
@@ -291,7 +291,7 @@ fn hostile_numbers_are_refused_or_give_finite_views() {
     assert!(accepted > 200, "{accepted}");
 }
 
-/// Rigs as files describe them: a line, an arc that looks at a point 3 m away, a grid, and one camera.
+/// Four rigs: a line, an arc that looks at a point 3 m away, a grid, and a single camera.
 fn rigs() -> [Vec<Camera>; 4] {
     let line = (0..8).map(|c| pinhole_at([0.06 * (c as f64 - 3.5), 0.0, 0.0])).collect();
     let arc = (0..8)
@@ -331,7 +331,7 @@ fn ready_made_paths_stay_inside_of_what_the_cameras_see() {
                 let view = &frame.camera;
                 assert!((0.1..=0.5).contains(&frame.time_s), "{kind:?} {}", frame.time_s);
                 moved = moved.max((view.center() - path.keys()[0].camera.center()).norm());
-                // The axis, and depths of 2, 3 and 5 m from the rig.
+                // Corners and centre of the image, at depths of 2, 3 and 5 m from the rig.
                 let corners =
                     [[0.0, 0.0], [640.0, 0.0], [0.0, 480.0], [640.0, 480.0], [320.0, 240.0]];
                 let corner = corners.map(|p| view.ray_world(&p.into()).unwrap());

@@ -1,4 +1,4 @@
-//! Decisions by measurements: a method and a sentence.
+//! Decisions of the plan: functions that choose a method by a measured number, and say why in a sentence.
 
 use super::motion::MAX_NOISE;
 use super::{Motion, Shape};
@@ -9,34 +9,36 @@ use crate::options::ProxyMethod;
 use crate::registration::Gains;
 use serde::Serialize;
 
-/// One stage's choice, and why.
+/// The choice of one stage's method, with its reason.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Decision {
-    /// The stage, such as `still pairs`.
+    /// Name of the stage, such as `still pairs`.
     pub stage: &'static str,
-    /// The stage's method by its name in options files, or what is known of the stage's input.
+    /// The chosen method, by its name in options files; for a stage without options, a word for the state of its
+    /// input.
     pub method: &'static str,
-    /// The measured number, in pixels unless `because` says otherwise; `None` if the capture's description decides.
+    /// The measured number that decided, in pixels unless `because` names another unit. `None` if `capture.json`
+    /// decides.
     pub measured: Option<f64>,
-    /// The limit that the measured number was compared with, in its unit.
+    /// The limit with which `measured` was compared, in the same unit.
     pub limit: Option<f64>,
-    /// One sentence with the number.
+    /// The reason: one sentence, with the measured number.
     pub because: String,
 }
 
 impl Decision {
-    /// A decision by the capture's description, without a measured number.
+    /// A decision that `capture.json` makes, without a measured number.
     fn new(stage: &'static str, method: &'static str, because: impl Into<String>) -> Self {
         Self { stage, method, measured: None, limit: None, because: because.into() }
     }
 
-    /// The decision with the measured number that made it, and the limit of that number.
+    /// Adds the measured number that decided, and the limit with which it was compared.
     fn by(self, measured: f64, limit: f64) -> Self {
         Self { measured: Some(measured), limit: Some(limit), ..self }
     }
 }
 
-/// Whether offsets are estimated. `clocks` holds the index of each camera's clock, 0 being the reference's.
+/// Decides whether offsets are estimated. `clocks` has the clock of each camera by index; clock 0 is the reference's.
 pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     if is_static {
         let because = "Every camera took one frame, which is the same at any time.";
@@ -52,8 +54,8 @@ pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     Decision::new("offsets", "estimated", because)
 }
 
-/// Largest motion that is cross-faded, as a multiple of the budget in pixels: halfway between two frames, each image is
-/// off by half the motion.
+/// Largest motion of cross-faded frame pairs, as a multiple of the budget in pixels. Halfway between two frames, each
+/// image is displaced by half of the motion.
 const CROSSFADE_BUDGETS: f64 = 2.0;
 
 pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
@@ -65,7 +67,7 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
         let method = SyncMethod::Nearest;
         return (method, Decision::new("sync", method.name(), "There is one frame a camera."));
     }
-    // The nearest frame is at most half a frame away.
+    // The nearest frame is at most half a frame interval away.
     let nearest_px = 0.5 * largest_px;
     if nearest_px <= budget_px && changed_fraction == 0.0 {
         let because = format!(
@@ -94,10 +96,10 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
     by(SyncMethod::Refined, residual_px, budget_px, because)
 }
 
-/// Factor by which the noise of other still pairs may exceed that of the examined ones.
+/// Factor by which the noise of other still pairs may exceed the noise of the examined ones.
 const NOISE_MARGIN: f32 = 1.25;
 
-/// Largest change of a block, in 0..=1, up to which a frame pair is static and not registered.
+/// Largest change of a block, in 0..=1, up to which a frame pair counts as still and is not registered.
 pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     let Motion { still_pairs, still_change, still_px, pairs, .. } = *motion;
     if pairs == 0 {
@@ -126,7 +128,7 @@ pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     (limit, Decision::new("still pairs", "cross-faded", because).by(still_px, limit_px))
 }
 
-/// Decides on refinement by its possible gain over triangulation.
+/// Chooses between refinement and triangulation by the possible gain of refinement, decibels.
 pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let refines = gain_db > budget_db;
     let method = if refines { SyncMethod::Refined } else { SyncMethod::Triangulation };
@@ -137,8 +139,8 @@ pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, De
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Decides between refined images and images from all cameras, which take twice as long. `gain_db` is the gain of the
-/// latter on held-out frames.
+/// Chooses between refined images and images from all cameras, which take twice as long. `gain_db` is the PSNR gain of
+/// images from all cameras on held-out frames.
 pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let pays = gain_db > budget_db;
     let method = if pays { SyncMethod::AllCameras } else { SyncMethod::Refined };
@@ -150,8 +152,8 @@ pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, D
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Decides between depth per pixel of synchronized images, and depth and motion of frames. `gain_db` is the gain of the
-/// latter on held-out frames.
+/// Chooses between depth per pixel and scene flow as proxy. `gain_db` is the PSNR gain of scene flow on held-out
+/// frames.
 pub fn scene_flow(gain_db: f64, frames: &str, budget_db: f64) -> (ProxyMethod, Decision) {
     let method = if gain_db > budget_db { ProxyMethod::SceneFlow } else { ProxyMethod::Depth };
     let because = format!(
@@ -167,8 +169,8 @@ fn better_or_worse(gain_db: f64) -> String {
     format!("{:.2} dB {word}", gain_db.abs())
 }
 
-/// Decides between blending weights in space alone and in space and time. `gain_db` is the gain of the latter on
-/// held-out frames. They take hardly longer, so that any gain suffices. Without a measured gain, no method is chosen.
+/// Chooses between blending weights in space, and in space and time. `gain_db` is the PSNR gain of the latter on
+/// held-out frames. Any gain suffices, because both take about the same time. Without a gain, no method is chosen.
 pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decision) {
     let Some(gain_db) = gain_db else {
         let because = "No held-out frames were compared: that needs refined motion, depth per pixel and a frame \
@@ -184,12 +186,12 @@ pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decisi
     (Some(method), Decision::new("blend", method.name(), because).by(gain_db, 0.0))
 }
 
-/// The fraction of the budget that a trajectory's curvature may displace a feature by. Larger:
-/// trajectories are straight where views by curved ones are better by 0.1 to 0.2 dB, and hardly
-/// slower; smaller: the tracks' own noise, 0.01 px, counts as curvature.
+/// Fraction of the budget by which a trajectory's curvature may displace a feature. Larger: straight trajectories are
+/// chosen where curved ones improve views by 0.1 to 0.2 dB at hardly any cost; smaller: the noise of tracks, 0.01 px,
+/// counts as curvature.
 const CURVATURE_FRACTION: f64 = 0.2;
 
-/// Whether trajectories must be curved.
+/// Whether trajectories are modelled as curved.
 pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     let limit_px = CURVATURE_FRACTION * budget_px;
     let is_curved = motion.curvature_px > limit_px;
@@ -202,7 +204,7 @@ pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     (is_curved, decision.by(motion.curvature_px, limit_px))
 }
 
-/// Decides between a plane and depth per pixel. Without a measured shape, no method is chosen.
+/// Chooses between a plane and depth per pixel. Without a measured shape, no method is chosen.
 pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Decision) {
     let Some(shape) = shape else {
         let because = "No point of the scene could be triangulated to tell.";
@@ -219,7 +221,7 @@ pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Dec
     (Some(method), decision.by(shape.off_plane_px, budget_px))
 }
 
-/// Whether gains are corrected; [`Gains`] says what counts as a difference.
+/// Whether gains are corrected; [`Gains`] defines which difference of gains is significant.
 pub fn gains(gains: &Gains) -> Decision {
     let (difference, std_err) = gains.largest;
     let numbers = format!(
@@ -242,9 +244,9 @@ pub fn lenses(distortion_px: f64) -> Decision {
     Decision::new("lenses", "distorted", because).by(distortion_px, 0.0)
 }
 
-/// A rig whose extent across is less than this fraction of its length counts as a line. Larger: a
-/// grid's columns aren't used; smaller: a line that is not quite straight is tested in directions in
-/// which its cameras hardly differ.
+/// Largest ratio of a rig's extent across its length to its length for which the rig counts as a line. Larger: the
+/// columns of a grid are not used; smaller: an almost straight line is tested in directions in which its cameras
+/// hardly differ.
 const LINE: f64 = 0.05;
 
 pub fn references(extent_ratio: f64) -> Decision {

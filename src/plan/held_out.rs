@@ -1,8 +1,8 @@
-//! Held-out frames: recorded frames that are rendered again from other cameras alone, to measure the error of a method
-//! on this capture ([`Probe`]).
+//! Cross-validation on held-out frames: recorded frames are rendered from other cameras only, which measures the error
+//! of a method on this capture ([`Probe`]).
 //!
-//! Images from all cameras and weights in time are judged by the errors of held-out frames. The gain of refinement over
-//! triangulation is judged by how much it changes views between the cameras, relative to the error of held-out frames.
+//! Images from all cameras and blending weights in time are judged by the errors of held-out frames. Refinement is
+//! judged differently: by how much it changes views between cameras, relative to the error of held-out frames.
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
@@ -19,53 +19,54 @@ use std::cmp::Reverse;
 use std::f64::consts::LN_10;
 use std::sync::Arc;
 
-/// Number of held-out frames, each of a different camera, spread over the recording. Gains in PSNR differ by half a
-/// decibel between instants.
+/// Number of held-out frames. Each is of another camera, and they are spread over the recording, because gains in PSNR
+/// differ by half a decibel between instants.
 const FRAMES: usize = 4;
 
 /// Number of nearest cameras from which a held-out frame is rendered.
 const NEIGHBORS: usize = 4;
 
-/// Fractions of the frame interval at which views may be rendered, the preferred one first.
+/// Candidate instants of views, as fractions of the frame interval, the preferred one first.
 const FRACTIONS: [f64; 3] = [0.5, 0.25, 0.75];
 
-/// Dilation of the changing part for its parallax in a neighbouring view, pixels.
+/// Dilation of the changing part, pixels. It covers the part's parallax in a neighbouring view.
 const PARALLAX_PX: usize = 16;
 
-/// Smallest distance of an instant from a frame, as a fraction of the interval; nearer, synchronization has no error.
+/// Smallest time between a view and a frame, as a fraction of the frame interval. At a smaller one, synchronization
+/// has hardly any error.
 const MIN_FRACTION: f64 = 0.1;
 
-/// Smallest changing part that is measured, pixels.
+/// Smallest number of pixels of a changing part that is measured.
 const MIN_PIXELS: usize = 64;
 
-/// Frames that are held out, to be rendered from their cameras' neighbours.
+/// The held-out frames, with the light fields of neighbouring cameras from which they are rendered.
 pub struct Probe {
     frames: Vec<HeldOutFrame>,
 }
 
 struct HeldOutFrame {
-    /// The light field of the neighbours alone.
+    /// The light field of the neighbouring cameras, without the held-out camera.
     neighbors: LightField,
     camera: Camera,
-    /// The camera's id and the frame's number.
+    /// Text such as `cam1's 3`: the camera's id and the frame's index.
     name: String,
     time_s: f64,
-    /// The view that sync methods are compared in: halfway to the nearest neighbour.
+    /// The view in which sync methods are compared: halfway between the camera and its nearest neighbour.
     view: Camera,
-    /// The time of that view: between this frame and the next one, or the one before if this is the last, seconds.
+    /// The instant of `view`, seconds: between this frame and the next one; for the last frame, the one before.
     view_s: f64,
-    /// The frame, corrected to the reference's gains.
+    /// The held-out frame, corrected to the reference camera's gains.
     truth: Image,
-    /// The index, in the whole capture, of the camera whose gains the views of `neighbors` have.
+    /// Index, in the whole capture, of the camera to whose gains the views of `neighbors` are corrected.
     bright_as: usize,
     gains: Arc<Gains>,
-    /// Row-major mask of the pixels at which the frame differs from the one before or after it.
+    /// Mask, row by row, of the pixels at which the frame differs from the frame before or after it.
     changing: Vec<bool>,
-    /// The mask `changing`, dilated by [`PARALLAX_PX`].
+    /// The mask `changing`, dilated by [`PARALLAX_PX`] pixels.
     near_changing: Vec<bool>,
 }
 
-/// Sums of squared errors of held-out frames, by the blending weights that they are rendered with.
+/// Sums of squared errors of held-out frames, for both kinds of blending weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HeldOutErrors {
     pub in_space: f64,
@@ -73,7 +74,7 @@ pub struct HeldOutErrors {
 }
 
 impl HeldOutErrors {
-    /// The error with this blend; the smaller error of the two if the blend is decided later.
+    /// The error for a blending method. If the method is decided later, the smaller of the two errors.
     pub fn by(&self, blend: BlendMethod, is_decided_later: bool) -> f64 {
         match blend {
             _ if is_decided_later => self.in_space.min(self.in_space_and_time),
@@ -84,8 +85,8 @@ impl HeldOutErrors {
 }
 
 impl Probe {
-    /// Chooses the held-out frames. `None` if no camera has a frame that lies between its neighbours' frames in time,
-    /// as with one clock for all, or if hardly anything changes.
+    /// Chooses the held-out frames. `None` if no camera has a frame that lies between frames of its neighbours in time
+    /// (as with a common clock), or if hardly anything changes.
     pub fn open(
         whole: &LightField,
         registration: &RegistrationOptions,
@@ -102,22 +103,23 @@ impl Probe {
         Ok((!frames.is_empty()).then_some(Self { frames }))
     }
 
-    /// The held-out frames as text, such as `cam1's 3, cam2's 8`.
+    /// The held-out frames as text, such as `cam1's 3, cam2's 8` (camera and frame index).
     pub fn names(&self) -> String {
         let names: Vec<&str> = self.frames.iter().map(|f| f.name.as_str()).collect();
         names.join(", ")
     }
 
-    /// The gain that dearer options can have over cheaper ones, in the changing part of views between the cameras,
-    /// decibels: 10·log₁₀(1 + D/E).
+    /// The largest PSNR gain that costlier options can have over cheaper ones in the changing part of views between
+    /// cameras, decibels: 10·log₁₀(1 + D/E).
     ///
-    /// D is the sum of squared differences between views by the two options. E is the sum of squared errors of the
-    /// dearer options on the held-out frames. The gain is reached if every change by the dearer options is an
-    /// improvement, and if views have the error of held-out frames. `None` if no frame can be rendered, or none shows
+    /// D is the sum of squared differences between the views of both options. E is the sum of squared errors of the
+    /// costlier options on the held-out frames. The gain assumes that every change by the costlier options is an
+    /// improvement, and that views have the error of held-out frames. `None` if no frame can be rendered, or none has
     /// a changing part.
     ///
-    /// The gain on the held-out frames themselves is misleading here. They are twice as far from their neighbours as
-    /// views are, so that the proxy's error doubles. A misplaced outline costs a sharp view more than a blurred one.
+    /// The gain on the held-out frames would be misleading. They are twice as far from their neighbours as views are,
+    /// which doubles the error of the proxy, and a sharp image loses more PSNR by a displaced outline than a blurred
+    /// one.
     pub fn possible_gain_db(
         &self,
         field: &LightField,
@@ -134,15 +136,17 @@ impl Probe {
             difference += squared(&cheap.image, &dear.image, &counts);
             error += frame.squared_error(&again, &both(&again.coverage, &frame.changing));
         }
-        // Without visible pixels or without error the quotient is not finite.
+        // Without visible pixels or without error, the quotient isn't finite.
         let gain_db = 10.0 * (difference / error).ln_1p() / LN_10;
         Ok(gain_db.is_finite().then_some(gain_db))
     }
 
-    /// The errors of each candidate in the changing part of the held-out frames, with both kinds of blending weights.
-    /// Only frames that all candidates can render count, and only pixels that all cover; `None` if there are none.
+    /// The errors of each candidate in the changing part of the held-out frames, for both kinds of blending weights.
+    /// `None` if there are no pixels to compare. Only frames that all candidates can render are compared, on pixels
+    /// that all cover.
     ///
-    /// Candidates must be equally sharp: a misplaced outline costs a sharp view more than a blurred one.
+    /// Candidates must be equally sharp, because a sharp image loses more PSNR by a displaced outline than a blurred
+    /// one.
     pub fn errors(
         &self,
         candidates: &[RenderOptions],
@@ -172,9 +176,9 @@ impl Probe {
 }
 
 impl HeldOutFrame {
-    /// Chooses a frame of this camera as the `number`-th of [`FRAMES`] held-out frames. `None` if no frame lies in the
-    /// time span of the neighbouring cameras, if at its time too few of these cameras are between two of their own frames,
-    /// or if too little changes in the images.
+    /// Chooses a frame of this camera as held-out frame `number` of [`FRAMES`]. `None` if no frame lies within the
+    /// time span of the neighbouring cameras, if too few of them have frames before and after it, or if too little of
+    /// the images changes.
     fn open(
         whole: &LightField,
         camera: usize,
@@ -201,7 +205,7 @@ impl HeldOutFrame {
         }
         let next_s = times_s[if frame + 1 < times_s.len() { frame + 1 } else { frame - 1 }];
         let instants = FRACTIONS.map(|fraction| time_s + fraction * (next_s - time_s));
-        // The first instant at which the most cameras are between two frames.
+        // Of the instants at which most cameras are between two of their frames, the first.
         let between = |s: &f64| Reverse(whole.between_frames(*s, MIN_FRACTION));
         let Some(view_s) = instants.into_iter().min_by_key(between) else { return Ok(None) };
         let gains = whole.gains(registration);
@@ -221,8 +225,8 @@ impl HeldOutFrame {
         }))
     }
 
-    /// This frame rendered from its neighbours, with weights in space and with weights in space and time; `None` if it
-    /// can't be rendered.
+    /// The frame as rendered from its neighbours, with weights in space, and with weights in space and time. `None` if
+    /// it can't be rendered.
     fn by_both_weights(
         &self,
         options: &RenderOptions,
@@ -236,14 +240,14 @@ impl HeldOutFrame {
         Ok(in_space.zip(in_time).map(<[Rendered; 2]>::from))
     }
 
-    /// Squared error of a view against this frame, over the pixels where `counts` is true.
+    /// Sum of squared errors of a view against this frame, over the pixels where `counts` is true.
     fn squared_error(&self, view: &Rendered, counts: &[bool]) -> f64 {
         let image = self.gains.corrected(self.bright_as, &view.image);
         squared(image.as_ref().unwrap_or(&view.image), &self.truth, counts)
     }
 }
 
-/// A view; `None` where it can't be rendered. A frame that can't be read is an error.
+/// Renders a view; `None` if it can't be rendered. A frame that can't be read is an error.
 pub(crate) fn rendered(
     field: &LightField,
     at: &Camera,
@@ -257,7 +261,7 @@ pub(crate) fn rendered(
     }
 }
 
-/// Where both are true.
+/// The logical conjunction of two masks.
 fn both(a: &[bool], b: &[bool]) -> Vec<bool> {
     a.iter().zip(b).map(|(a, b)| *a && *b).collect()
 }
@@ -269,15 +273,15 @@ fn squared(a: &Image, b: &Image, counts: &[bool]) -> f64 {
     pixels.filter(|(_, counts)| **counts).map(|((a, b), _)| f64::from(a - b).powi(2)).sum()
 }
 
-/// The light field of some cameras only, in this order.
+/// The light field of the given cameras, in this order.
 pub(crate) fn field_of(capture: &Capture, offsets: &Offsets, cameras: &[usize]) -> LightField {
     let mut known = offsets.clone();
     known.cameras = cameras.iter().map(|&c| offsets.cameras[c].clone()).collect();
     LightField::new(Arc::new(capture.with_cameras(cameras)), known)
 }
 
-/// All cameras, nearest to the rig's middle first: like views, the first ones are between other cameras. Empty for
-/// fewer than three cameras.
+/// Indices of all cameras, the nearest to the rig's centre first. Inner cameras lie between others, as views do. Empty
+/// for fewer than three cameras.
 pub(crate) fn inner_cameras(capture: &Capture) -> Vec<usize> {
     let cameras = &capture.cameras;
     if cameras.len() < 3 {
@@ -294,7 +298,8 @@ fn by_distance(capture: &Capture, from: &Vector3<f64>) -> Vec<usize> {
     order
 }
 
-/// A view like a camera's, but halfway to its nearest neighbour at another place, if there is one.
+/// A view with a camera's lens and direction, halfway to the nearest camera at another place. The camera itself if
+/// there is none.
 pub(crate) fn halfway_to_neighbor(capture: &Capture, camera: usize) -> Camera {
     let mut view = capture.cameras[camera].camera.clone();
     let from_own = capture.cameras.iter().map(|c| c.camera.center() - view.center());
@@ -306,14 +311,14 @@ pub(crate) fn halfway_to_neighbor(capture: &Capture, camera: usize) -> Camera {
     view
 }
 
-/// The indices of the times at which the largest number of the field's cameras can give an image.
+/// Indices of the times at which the number of cameras that can give an image is largest.
 pub(crate) fn well_covered_frames(field: &LightField, times_s: &[f64]) -> Vec<usize> {
     let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
     let most = usable.iter().max().copied().unwrap_or(0).max(1);
     (0..usable.len()).filter(|&k| usable[k] == most).collect()
 }
 
-/// A frame, and a row-major mask of the pixels at which it differs from the frame before or after it by more than
+/// A frame, and a mask, row by row, of the pixels at which it differs from the frame before or after it by more than
 /// noise.
 pub(crate) fn recorded(
     frames: &FrameStore,

@@ -1,5 +1,5 @@
-//! Automatic choice of methods: for every stage, the cheapest method that keeps to an error budget on
-//! this capture, with the number that decided it.
+//! Automatic choice of methods: for every stage, the cheapest method whose error on this capture is within a budget.
+//! Each choice comes with the number that decided it.
 //!
 //! | question | measured | decided |
 //! |---|---|---|
@@ -16,14 +16,13 @@
 //! | do lenses distort? | the largest shift of a pixel | resampling |
 //! | does the rig spread in two directions? | the camera centres' extent | reference cameras of the epipolar test |
 //!
-//! There are two budgets. One is the position error, in pixels, that a cheaper method may make. Where
-//! views by two methods are compared, the other applies: the gain of the dearer method, in decibels, up
-//! to which the cheaper one is chosen. A capture's truth is never read. Planning changes neither the
-//! capture nor the light field.
+//! There are two error budgets. `budget_px` is the position error, in pixels, that a cheaper method may cause.
+//! `budget_db` applies where views are compared: up to this gain in PSNR of the costlier method, the cheaper one is
+//! chosen. The truth of a capture is not used. Planning changes neither the capture nor the light field.
 //!
-//! Known limits: one method is chosen for everything that moves in a capture. Motion is measured only in
-//! frames at its start, middle and end. A body with fewer than five corners and no changing block is
-//! not detected as moving.
+//! Known limits: all moving objects of a capture get the same method. Motion is measured only in frames at the start,
+//! middle and end of the recording. An object with fewer than five corners and no changing block is not detected as
+//! moving.
 
 mod decide;
 pub(crate) mod held_out;
@@ -46,22 +45,22 @@ use rig::{extent_ratio, largest_distortion_px};
 use serde::Serialize;
 use std::slice;
 
-/// The methods that a capture requires.
+/// The methods chosen for a capture, with reasons.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
-    /// The position error that a cheaper method may make, pixels.
+    /// The position error that a cheaper method may cause, pixels.
     pub budget_px: f64,
-    /// One decision a stage, in the stages' order.
+    /// One decision per stage, in the order of the stages.
     pub decisions: Vec<Decision>,
-    /// The given options with the chosen methods, and without any further automatic choice.
+    /// The given options with the chosen methods. No automatic choice remains in them.
     pub options: RenderOptions,
 }
 
-/// Chooses the methods of all stages by measurements of a light field's capture. The plan's options adopt the choice
-/// for the stages that `options.auto` names.
+/// Chooses the methods of all stages by measurements of a light field's capture. In the plan's options, the stages
+/// that `options.auto` names have the chosen methods.
 ///
-/// Views are rendered only if `options.auto` names the sync method or the blend, and motion requires refinement.
-/// Otherwise the sync method is chosen by motion alone, and the blend stays as it is.
+/// Views are rendered only if `options.auto` names the sync method or the blend, and if motion requires refinement.
+/// Otherwise motion alone decides the sync method, and the blend is unchanged.
 pub fn plan(
     field: &LightField,
     options: &RenderOptions,
@@ -111,17 +110,17 @@ pub fn plan(
     Ok(Plan { budget_px, decisions, options: decided })
 }
 
-/// Decisions that need rendered views.
+/// Decisions that compare rendered views.
 struct ByViews {
     sync: (SyncMethod, Decision),
-    /// The blend's method; `None` if the blend stays as it is.
+    /// The blending method; `None` leaves the blend unchanged.
     blend: (Option<BlendMethod>, Decision),
-    /// The proxy; `None` if it stays as it is.
+    /// The proxy's method; `None` leaves the proxy unchanged.
     proxy: Option<(ProxyMethod, Decision)>,
 }
 
-/// Chooses the sync method, the blend, and between depth per pixel and scene flow by rendered views, where `options.auto`
-/// names them and `sync`, the choice by motion, is refinement. Otherwise `sync` is returned as it is.
+/// Chooses sync method, blending method and proxy (depth per pixel or scene flow) by rendered views, as far as
+/// `options.auto` names them. If `sync`, the choice by motion, isn't refinement, it is returned unchanged.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,
@@ -144,7 +143,7 @@ fn by_views(
         }
     }
     let candidates = match options.auto.sync {
-        // `AllCameras` blends images by depth per pixel.
+        // The sync method `AllCameras` needs depth per pixel.
         _ if options.proxy.method != ProxyMethod::Depth => &[],
         true if sync.0 == SyncMethod::Refined => {
             [SyncMethod::Refined, SyncMethod::AllCameras].as_slice()
@@ -176,27 +175,27 @@ fn by_views(
     Ok(ByViews { sync, blend: decide::blend(space_time_gain_db, &frames), proxy })
 }
 
-/// These options with depth and motion of the frames in place of a proxy.
+/// The options with scene flow as proxy.
 fn by_scene_flow(options: &RenderOptions) -> RenderOptions {
     let mut options = options.clone();
     options.proxy.method = ProxyMethod::SceneFlow;
     options
 }
 
-/// The gain in PSNR from the first of two squared errors to the second, decibels; `None` if an error is 0.
+/// The PSNR gain of the second squared error over the first, decibels; `None` if an error is 0.
 fn gain_db([error, other]: [f64; 2]) -> Option<f64> {
     (error > 0.0 && other > 0.0).then(|| 10.0 * (error / other).log10())
 }
 
-/// The value that this fraction of the values does not exceed; `None` without values.
+/// The percentile of the values at a fraction from 0 to 1, by the nearest rank; `None` without values.
 fn percentile(mut values: Vec<f64>, fraction: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let last = values.len().saturating_sub(1);
     values.get((fraction * last as f64).round() as usize).copied()
 }
 
-/// Options for the views that compare sync methods: a mesh in place of depth per pixel, which takes several times as
-/// long.
+/// Options of views for the comparison of sync methods. Depth per pixel takes several times as long as a mesh, and is
+/// replaced by it.
 fn probing(mut options: RenderOptions) -> RenderOptions {
     if options.proxy.method == ProxyMethod::Depth {
         options.proxy.method = ProxyMethod::Mesh;

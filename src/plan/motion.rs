@@ -1,4 +1,4 @@
-//! Motion in the images, from a few frame pairs of every camera.
+//! Measurement of motion in the images, on a few frame pairs of every camera.
 
 use super::percentile;
 use crate::capture::CaptureError;
@@ -10,40 +10,41 @@ use crate::registration::{
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-/// Number of examined frame pairs of a camera: the first, the last, and one between.
+/// Number of examined frame pairs per camera: the first, the middle and the last.
 const PAIRS: usize = 3;
 
-/// Minimum number of tracks of a pair that must reach a motion for it to count as the largest.
+/// Minimum number of tracks that must reach a motion, so that outliers don't decide the largest motion.
 const WITNESSES: usize = 5;
 
-/// Features that move by less than this from frame to frame are static, pixels.
+/// Features that move by less than this between two frames count as static, pixels.
 const STILL_PX: f64 = 0.5;
 
-/// Largest noise of a static pair, in 0..=1. With more, the light changes or the whole image moves.
+/// Largest change by noise in a still pair, in 0..=1. A larger change means that the light changes or the whole image
+/// moves.
 pub(super) const MAX_NOISE: f32 = 4.0 / 255.0;
 
-/// Radius of the neighbourhood whose tracks predict a track's motion, pixels. Larger: every motion that
-/// is not constant counts as residual; smaller: outlines of bodies are missed.
+/// Radius of the neighbourhood whose tracks predict a track's motion, pixels. Larger: any motion that varies in space
+/// counts as residual; smaller: the outlines of moving objects are missed.
 const NEIGHBORHOOD_PX: f64 = 40.0;
 /// Number of nearest tracks in the neighbourhood that predict a track's motion.
 const PREDICTING: usize = 6;
 
-/// Measures of motion: counts of frame pairs, and maxima over the examined frame pairs of all cameras.
+/// Measures of motion. They are sums (of frame pairs) or maxima over the examined frame pairs of all cameras.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
     /// Largest motion of features from frame to frame, pixels.
     pub largest_px: f64,
-    /// Distance of a trajectory through four frames from the chord between the middle two, at the instant halfway,
-    /// pixels: the 95th percentile of the moving features.
+    /// Curvature of trajectories, pixels: a trajectory passes through a feature in four frames, and its distance from
+    /// the chord between the middle two is measured halfway. The 95th percentile of moving features.
     pub curvature_px: f64,
-    /// Distance of a feature, halfway between two frames, from the position that its neighbours' motion predicts,
-    /// pixels: the 99th percentile. It is large at the outlines of bodies that move differently.
+    /// Motion residual, pixels: the distance of a feature halfway between two frames from the position that the motion
+    /// of its neighbours predicts. The 99th percentile. It is large at the outlines of objects with different motion.
     pub residual_px: f64,
-    /// Fraction of blocks that change by more than noise, 0..=1.
+    /// Fraction of image blocks that change by more than noise, 0..=1.
     pub changed_fraction: f64,
     /// Number of still pairs: frame pairs in which no block changes by more than noise, and no feature moves.
     pub still_pairs: usize,
-    /// Largest change of a block in the still pairs: its mean absolute difference, 0..=1.
+    /// Largest change of a block in the still pairs, as mean absolute difference, 0..=1.
     pub still_change: f32,
     /// Largest motion of features in the still pairs, pixels.
     pub still_px: f64,
@@ -52,7 +53,7 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Measures motion in a few frame pairs of every camera of the store's capture.
+    /// Measures the motion in a few frame pairs of every camera.
     pub fn survey(frames: &FrameStore, reporter: &Reporter) -> Result<Self, CaptureError> {
         let capture = frames.capture();
         let pairs: Vec<(usize, usize)> = (0..capture.cameras.len())
@@ -98,7 +99,7 @@ impl Motion {
     }
 }
 
-/// The first frame of each examined pair, spread over a recording of this many frames.
+/// Index of the first frame of each examined pair, for a recording of `frames` frames.
 fn spread(frames: usize) -> Vec<usize> {
     let pairs = frames.saturating_sub(1);
     let mut found: Vec<usize> = match pairs {
@@ -109,7 +110,7 @@ fn spread(frames: usize) -> Vec<usize> {
     found
 }
 
-/// The largest motion that at least [`WITNESSES`] tracks reach; 0 if there are fewer.
+/// The largest motion, pixels, that at least [`WITNESSES`] tracks reach; 0 if there are fewer tracks.
 fn largest(tracks: &[Track]) -> f64 {
     let mut motions: Vec<f64> = tracks.iter().map(|t| t.motion().norm()).collect();
     motions.sort_by(|a, b| b.total_cmp(a));
@@ -127,7 +128,8 @@ fn curvature(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
     percentile(offsets_px.collect(), 0.95).unwrap_or(0.0)
 }
 
-/// [`Motion::residual_px`]: half of the difference between a track's motion and its neighbours' weighted mean.
+/// Computes [`Motion::residual_px`]: half of the difference between a track's motion and its neighbours' weighted
+/// mean.
 fn residual(tracks: &[Track]) -> f64 {
     let neighbors = Neighbors::new(tracks.iter().map(|t| t.earlier));
     let missed: Vec<f64> = tracks
@@ -144,7 +146,7 @@ fn residual(tracks: &[Track]) -> f64 {
             if near.len() < PREDICTING {
                 return None;
             }
-            // The added pixel keeps one very near neighbour from deciding alone.
+            // One pixel is added, so that a very near neighbour doesn't decide alone.
             let weight = |m: usize| 1.0 / (distance(m) + 1.0);
             let sum: f64 = near.iter().map(|&m| weight(m)).sum();
             let mean: Vector2<f64> = near.iter().map(|&m| tracks[m].motion() * weight(m)).sum();
@@ -158,7 +160,7 @@ fn residual(tracks: &[Track]) -> f64 {
 mod tests {
     use super::*;
 
-    /// A feature in frames 0 to 3, and where it is in each.
+    /// A track with the given x coordinates in four consecutive frames.
     fn track([before, earlier, later, after]: [f64; 4]) -> Track {
         let at = |x: f64| nalgebra::Point2::new(x, 7.0);
         Track {

@@ -1,4 +1,4 @@
-//! Depth and motion of a frame as the page needs them: quantized, and compressed without further loss.
+//! Depth and motion of a frame for the page: quantized, then compressed without further loss.
 
 use crate::light_field::LoadedFrame;
 use crate::scene_flow::{Element, ElementMap, FlowMap};
@@ -7,34 +7,35 @@ use flate2::write::ZlibEncoder;
 use serde::Serialize;
 use std::io::Write;
 
-/// Number of channels: disparity, velocity, acceleration, and the rate of the disparity.
+/// Number of channels: disparity, velocity (2), acceleration (2), and rate of change of the disparity.
 const CHANNELS: usize = 6;
 
-/// How finely depth and motion are stored.
+/// Quantization steps of depth and motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct FlowSteps {
-    /// Width and height of a block of pixels that has one value.
+    /// Side of a square block of pixels that has one value, pixels.
     pub block_px: usize,
-    /// Pixels.
+    /// Step of the disparity, pixels.
     pub disparity_px: f32,
-    /// Pixels a frame.
+    /// Step of the velocity's components, pixels per frame.
     pub velocity_px: f32,
-    /// Pixels a frame, squared.
+    /// Step of the acceleration's components, pixels per frame².
     pub acceleration_px: f32,
-    /// Of the disparity, pixels a frame.
+    /// Step of the disparity's rate of change, pixels per frame.
     pub rate_px: f32,
 }
 
-/// A frame's depth and motion, block by block.
+/// Quantized depth and motion of a frame, per block of pixels.
 pub(super) struct BlockMap {
     pub width: usize,
     pub height: usize,
     pub disparity_px: f32,
-    /// In steps. The disparity is one more; 0 where the camera filmed nothing.
+    /// Channels of each block, row by row, in quantization steps. The first channel is the disparity plus one; it is 0
+    /// where the camera has no image content.
     blocks: Vec<[i16; CHANNELS]>,
 }
 
-/// The elements of a frame, one a pixel; `None` where the camera filmed nothing.
+/// Depth and motion of each pixel of a frame, row by row; `None` where the camera has no image content.
 pub(super) struct ElementImage {
     pub width: usize,
     pub height: usize,
@@ -52,7 +53,7 @@ impl ElementImage {
         Self { width, height, disparity_px, elements }
     }
 
-    /// The map of a frame of half the size.
+    /// Depth and motion for the frame at half its size.
     pub fn halved(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let half = |e: Element| Element {
@@ -65,7 +66,7 @@ impl ElementImage {
         Self { width, height, disparity_px: 0.5 * self.disparity_px, elements }
     }
 
-    /// The element of a block that has the median depth.
+    /// The element with the median depth in a square block of pixels; `None` if the block has no element.
     fn block(&self, x: usize, y: usize, side: usize) -> Option<Element> {
         let rows = y..(y + side).min(self.height);
         let columns = x..(x + side).min(self.width);
@@ -95,7 +96,8 @@ impl BlockMap {
         Self { width, height, disparity_px: image.disparity_px, blocks }
     }
 
-    /// The map of a frame of this size, as the page moves it: the blocks' pixels have the block's element.
+    /// The dequantized map of a frame of this size (width, height, pixels), for rendering as on the page. All pixels
+    /// of a block have the same element.
     pub fn map(&self, steps: &FlowSteps, [width, height]: [usize; 2]) -> FlowMap {
         let element = |k: usize| {
             let side = steps.block_px;
@@ -117,7 +119,7 @@ impl BlockMap {
         FlowMap::new(&map, range, self.disparity_px)
     }
 
-    /// Whether the camera filmed the pixels of a frame of this size; `None`: it filmed all of them.
+    /// Mask of the pixels with image content, for a frame of this size; `None` if all pixels have content.
     pub fn is_filmed(&self, steps: &FlowSteps, [width, height]: [usize; 2]) -> Option<Vec<bool>> {
         let side = steps.block_px;
         let is_filmed =
@@ -126,14 +128,14 @@ impl BlockMap {
         has_gaps.then(|| (0..width * height).map(is_filmed).collect())
     }
 
-    /// The largest inverse depth, 1/m.
+    /// The largest inverse depth of the frame, 1/m.
     pub fn max_inverse_depth(&self, steps: &FlowSteps) -> f32 {
         let disparity = self.blocks.iter().map(|b| b[0]).max().unwrap_or(0);
         f32::from(disparity) * steps.disparity_px / self.disparity_px
     }
 
-    /// Compressed as zlib: one channel after another, low bytes before high ones. A value is the difference from the
-    /// prediction by its neighbours to the left and above, its sign in the lowest bit.
+    /// Compresses the map by zlib. Channels follow one another, each with all low bytes before all high bytes. A value
+    /// is coded as residual of its prediction from the left and upper neighbours, with the sign in the lowest bit.
     pub fn packed(&self) -> Vec<u8> {
         let mut planes = Vec::with_capacity(self.blocks.len() * 2 * CHANNELS);
         for channel in 0..CHANNELS {
@@ -152,12 +154,12 @@ impl BlockMap {
             planes.extend(residuals.iter().map(|r| r.to_le_bytes()[1]));
         }
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
-        // Writing to memory doesn't fail.
+        // Writing to memory can't fail.
         encoder.write_all(&planes).and_then(|()| encoder.finish()).unwrap_or_default()
     }
 }
 
-/// The median of the left value, the one above, and their plane: that of JPEG-LS.
+/// JPEG-LS's predictor: the median of the left value, the value above, and left + above − upper left.
 fn predicted(left: i16, above: i16, corner: i16) -> i16 {
     let (low, high) = (left.min(above), left.max(above));
     let plane = i32::from(left) + i32::from(above) - i32::from(corner);
@@ -182,7 +184,7 @@ mod tests {
         rate_px: 0.25,
     };
 
-    /// A slanted surface with a body before it, and a column that wasn't filmed.
+    /// A slanted surface with an object in front of it, and a column without image content.
     fn image() -> ElementImage {
         let (width, height, disparity_px) = (9, 7, 50.0);
         let element = |k: usize| {
@@ -218,7 +220,7 @@ mod tests {
     fn a_block_has_its_median_depth_and_the_last_ones_are_smaller() {
         let blocks = BlockMap::new(&image(), &STEPS);
         assert_eq!((blocks.width, blocks.height), (5, 4));
-        // Columns 4 and 5 are of both surfaces: the nearer is the upper median.
+        // Columns 4 and 5 belong to both surfaces. The upper median is the nearer one.
         assert_eq!(blocks.blocks[2][0], (0.9f32 * 50.0 / 0.125).round() as i16 + 1);
         assert_eq!(blocks.blocks[4], [0; CHANNELS]);
         assert_eq!(image().halved().elements[2].unwrap().velocity, [-3.65, 1.05]);

@@ -1,4 +1,4 @@
-//! A frame as the page needs it: a JPEG, and its depth and motion.
+//! A frame for the page: a JPEG image, with its depth and motion.
 
 use super::flow::{BlockMap, ElementImage, FlowSteps};
 use super::quality::Quality;
@@ -10,19 +10,19 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageFormat};
 use std::collections::BTreeMap;
 
-/// The published frames by camera and index.
+/// The published frames, by camera index and frame index.
 pub(super) type Published = BTreeMap<(usize, usize), PublishedFrame>;
 
-/// A frame that is published, at some quality.
+/// A frame, encoded for the page at a given quality.
 pub(super) struct PublishedFrame {
-    /// A pinhole camera of the published size.
+    /// The pinhole camera of the frame, at the published size.
     pub view: Camera,
-    /// Frames of the reference camera, since the capture's start.
+    /// Time of the frame in units of the reference camera's frame interval, from the capture's start.
     pub time: f64,
     pub is_color: bool,
     pub jpeg: Vec<u8>,
     pub map: BlockMap,
-    /// The map, compressed.
+    /// Depth and motion, compressed.
     pub flow: Vec<u8>,
 }
 
@@ -30,7 +30,7 @@ impl PublishedFrame {
     /// Encodes a frame.
     ///
     /// # Errors
-    /// The encoder's, as a reason.
+    /// If the image can't be encoded. The error is a reason.
     pub fn new(loaded: &LoadedFrame, quality: &Quality) -> Result<Self, String> {
         let frame = &loaded.frame;
         let (mut view, mut image) = (frame.view.clone(), frame.image.clone());
@@ -49,10 +49,10 @@ impl PublishedFrame {
         self.jpeg.len() + self.flow.len()
     }
 
-    /// The frame and its map as the page has them.
+    /// Decodes the frame with its depth and motion, as the page does.
     ///
     /// # Errors
-    /// The decoder's, as a reason.
+    /// If the image can't be decoded. The error is a reason.
     pub fn decoded(&self, steps: &FlowSteps) -> Result<LoadedFrame, String> {
         let decoded = image::load_from_memory_with_format(&self.jpeg, ImageFormat::Jpeg);
         let rgb = decoded.map_err(|e| e.to_string())?.into_rgb8();
@@ -70,7 +70,7 @@ impl PublishedFrame {
     }
 }
 
-/// Means of 2×2 pixels; an odd row or column is dropped.
+/// The image at half its size: means of 2×2 pixels. An odd row or column is dropped.
 fn halved(image: &Image) -> Image {
     let (width, height, channels) = (image.width() / 2, image.height() / 2, image.channels());
     let mean = |k: usize| {
@@ -82,7 +82,7 @@ fn halved(image: &Image) -> Image {
     Image::from_data(width, height, channels, data)
 }
 
-/// A JPEG whose colours are as fine as its brightness.
+/// A JPEG without chroma subsampling.
 fn encoded(image: &Image, quality: u8) -> image::ImageResult<Vec<u8>> {
     let bytes: Vec<u8> = image.data().iter().map(|v| (255.0 * v).round() as u8).collect(); // saturates
     let mut jpeg = Vec::new();

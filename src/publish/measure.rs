@@ -1,4 +1,4 @@
-//! How far views from what is published are from `render`'s.
+//! Comparison of a published site's views with `render`'s.
 
 use super::PublishError;
 use super::frame::Published;
@@ -9,11 +9,12 @@ use crate::options::RenderOptions;
 use crate::raster::Image;
 use crate::scene_flow::{MappedFrame, blend, confidences};
 
-/// Places and instants at which the pictures of a site are compared with `render`'s.
+/// Number of views, each at another place and instant, that are compared.
 const HELD: usize = 4;
 
-/// PSNR of views from what is published beside the same views from the capture, dB, at places between two cameras and
-/// instants between two frames. Nothing of the browser's drawing is in them.
+/// PSNR of views from the published frames against the same views from the capture, decibels. Views are halfway
+/// between two cameras, at instants between frames. They are rendered here and not by a browser. Equal views have no
+/// value.
 pub(super) fn measured(
     field: &LightField,
     options: &RenderOptions,
@@ -42,7 +43,8 @@ pub(super) fn measured(
     Ok(found)
 }
 
-/// A view between the reference camera, or one beside it, and the camera nearest to that. `None` for a single camera.
+/// A view halfway between a camera and its nearest neighbour. `held` counts cameras from the reference on; the view's
+/// size is halved `halvings` times. `None` for a single camera.
 fn held_view(field: &LightField, held: usize, halvings: usize) -> Option<Camera> {
     let capture = field.capture();
     let cameras: Vec<&Camera> = capture.cameras.iter().map(|c| &c.camera).collect();

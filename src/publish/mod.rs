@@ -1,4 +1,5 @@
-//! A light field as a site: a folder that any static web server shows, drawn by the visitor's graphics card.
+//! Publication of a light field as a site: a folder for any static web server. The visitor's graphics card renders the
+//! views.
 //!
 //! ```text
 //! frames, depth, motion ── JPEG, quantized maps ── base64 in scripts ── page: WebGL 2 moves and blends as scene flow does
@@ -6,19 +7,19 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `quality.rs` | how finely frames are stored |
-//! | `frame.rs` | a frame that is published |
-//! | `flow.rs` | its depth and motion, quantized and compressed |
-//! | `measure.rs` | how far the views are from `render`'s |
+//! | `quality.rs` | quality settings of frames, depth and motion |
+//! | `frame.rs` | a published frame |
+//! | `flow.rs` | depth and motion of a frame, quantized and compressed |
+//! | `measure.rs` | comparison of views with `render`'s |
 //! | `scene.rs` | the description of the light field for the page |
-//! | `site.rs` | the folder |
-//! | `page/` | the page: `shaders.js` and `renderer.js` are `scene_flow`'s splats, confidences and blend |
+//! | `site.rs` | the files of the folder |
+//! | `page/` | the page; `shaders.js` and `renderer.js` do what `scene_flow` does: splats, confidences and blend |
 //!
-//! The page asks for nothing outside of its folder, and its Content-Security-Policy allows nothing else. Frames are in
-//! scripts, as base64, a third longer than they need be: browsers refuse to read other files beside a page that is opened
-//! from disk, and most web servers compress scripts, which takes the third off again.
+//! The page loads nothing from outside of its folder; its Content-Security-Policy forbids it. Frames are stored in
+//! scripts, as base64, because browsers refuse to read other files beside a page that is opened from disk. Base64
+//! makes them a third larger; most web servers compress scripts, which removes that third.
 //!
-//! Known limits: places outside of the cameras' are bounded by the page; a view blends at most eight cameras.
+//! Known limits: the page keeps the viewpoint among the cameras; a view blends at most eight cameras.
 
 mod flow;
 mod frame;
@@ -42,18 +43,19 @@ use site::SiteFiles;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// What is published.
+/// Options of a publication.
 #[derive(Clone, Copy, Debug)]
 pub struct PublishOptions {
-    /// Seconds on the reference's clock, from the capture's start. `None`: while all cameras film.
+    /// First and last instant, seconds on the reference's clock from the capture's start. `None`: the time in which
+    /// all cameras have frames.
     pub span_s: Option<(f64, f64)>,
-    /// Largest width and height of the frames, pixels: larger ones are halved until they fit.
+    /// Largest width and height of the frames, pixels. Larger frames are halved until they fit.
     pub max_size: Option<[usize; 2]>,
-    /// Largest size of the folder's files together.
+    /// Largest size of all files in the folder together, bytes.
     pub max_bytes: u64,
 }
 
-/// Why nothing was published. Every message is one sentence.
+/// Why a light field can't be published. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum PublishError {
     #[error(transparent)]
@@ -70,35 +72,36 @@ pub enum PublishError {
     TooLarge { max_bytes: u64, frames: usize },
 }
 
-/// What was published.
+/// A summary of a published site.
 #[derive(Clone, Debug)]
 pub struct Publication {
     pub cameras: usize,
     pub frames: usize,
-    /// Width and height of the reference camera's frames, pixels.
+    /// Width and height of the reference camera's published frames, pixels.
     pub size: [usize; 2],
-    /// Seconds on the reference's clock, from the capture's start.
+    /// First and last instant, seconds on the reference's clock from the capture's start.
     pub span_s: (f64, f64),
-    /// JPEG's quality of the frames, 1 to 100.
+    /// JPEG quality of the frames, 1 to 100.
     pub jpeg: u8,
-    /// Width and height of the blocks of pixels that share depth and motion, pixels.
+    /// Side of the square blocks of pixels that have one value of depth and motion, pixels.
     pub block_px: usize,
-    /// Step of the stored disparities, pixels.
+    /// Quantization step of the disparity, pixels.
     pub disparity_step_px: f32,
-    /// Sizes in the folder, bytes: images, depth and motion, and everything.
+    /// Sizes of the folder's files, bytes: images, depth and motion, and all files.
     pub image_bytes: u64,
     pub flow_bytes: u64,
     pub bytes: u64,
-    /// PSNR of views from what is published beside those of `render`, dB, at a few places between two cameras and instants
-    /// between two frames. Empty where they are equal, or where there is one camera.
+    /// PSNR of views from the published frames against those of `render`, decibels: a few views halfway between
+    /// cameras, at instants between frames. Empty if all are equal, or for a single camera.
     pub psnr_db: Vec<f64>,
 }
 
-/// Publishes a light field with the depth and motion of its frames, which are computed and stored if they aren't yet.
+/// Publishes a light field with depth and motion of its frames. If these aren't stored yet, they are computed and
+/// stored.
 ///
 /// # Errors
-/// If the folder holds anything but an earlier site, if nothing is known of the scene's depths, or if `max_bytes` is too
-/// little.
+/// If the folder contains anything but an earlier site, if the depth range of the scene is unknown, or if no quality
+/// fits into `max_bytes`.
 pub fn publish(
     field: &LightField,
     options: &RenderOptions,
@@ -141,27 +144,27 @@ pub fn publish(
     })
 }
 
-/// What is encoded.
+/// The inputs of the encoding.
 struct Encoding<'a> {
     field: &'a LightField,
     options: &'a RenderOptions,
-    /// Camera and index of the frames, in order of time.
+    /// Camera index and frame index of the frames, in order of time.
     ids: &'a [(usize, usize)],
     span_s: (f64, f64),
 }
 
-/// The frames at the best quality that fits.
+/// The encoded frames, at the best quality that fits.
 struct EncodedSite {
     quality: Quality,
     published: Published,
     site: SiteFiles,
 }
 
-/// Number of frames that are encoded, or by which qualities are judged, at a time.
+/// Number of frames that are encoded at a time, and number of frames by which the size for a quality is estimated.
 const FRAMES_AT_ONCE: usize = 8;
 
 impl Encoding<'_> {
-    /// Encodes all frames at the best quality that holds the bounds.
+    /// Encodes all frames at the best quality that fits into the largest sizes.
     fn encoded(
         &self,
         wanted: &PublishOptions,
@@ -203,7 +206,7 @@ impl Encoding<'_> {
         Ok(published)
     }
 
-    /// How often frames are halved to have this size.
+    /// Number of halvings after which the frames of all cameras fit into this size.
     fn halvings(&self, max_size: Option<[usize; 2]>) -> usize {
         let Some([width, height]) = max_size else { return 0 };
         let cameras = || self.field.capture().cameras.iter().map(|c| &c.camera);
@@ -212,7 +215,7 @@ impl Encoding<'_> {
     }
 }
 
-/// The frames of a file in base64, one after another: image, then depth and motion.
+/// The frames of one file as base64: for each frame its image, then its depth and motion.
 fn base64(file: &[((usize, usize), &PublishedFrame)]) -> String {
     let parts = file.iter().flat_map(|(_, frame)| [&*frame.jpeg, &*frame.flow]);
     BASE64.encode(parts.collect::<Vec<_>>().concat())

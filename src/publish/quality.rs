@@ -1,20 +1,20 @@
-//! How finely frames, depth and motion are stored.
+//! Quality settings of published frames, depth and motion.
 
 use super::flow::FlowSteps;
 use serde::Serialize;
 
-/// How frames are stored.
+/// A quality setting: frame size, JPEG quality, and quantization steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Quality {
-    /// How often a frame is halved.
+    /// Number of times that a frame is halved in width and height.
     pub halvings: usize,
-    /// JPEG's, 1 to 100.
+    /// JPEG quality, 1 to 100.
     pub jpeg: u8,
     pub steps: FlowSteps,
 }
 
-/// Steps of depth and motion where they are finest: half a step moves a pixel between two cameras by a hundredth of a pixel
-/// or two.
+/// The smallest quantization steps. Half a step displaces a pixel between two cameras by one or two hundredths of a
+/// pixel.
 const FINEST: FlowSteps = FlowSteps {
     block_px: 1,
     disparity_px: 1.0 / 16.0,
@@ -23,7 +23,8 @@ const FINEST: FlowSteps = FlowSteps {
     rate_px: 1.0 / 8.0,
 };
 
-/// Qualities of frames of one size, best first: that of JPEG, the block's side, and the multiple of the finest steps.
+/// Quality settings for frames of one size, best first: JPEG quality, block side in pixels, multiple of the smallest
+/// steps.
 const LADDER: [(u8, usize, f32); 11] = [
     (94, 1, 1.0),
     (92, 1, 2.0),
@@ -37,11 +38,11 @@ const LADDER: [(u8, usize, f32); 11] = [
     (68, 3, 6.0),
     (60, 4, 6.0),
 ];
-/// How often frames may be halved so that a site is small enough.
+/// Largest number of halvings that reduce the size of a site.
 const MAX_HALVINGS: usize = 3;
 
 impl Quality {
-    /// All qualities of frames that are halved at least so often, best first.
+    /// All quality settings with at least this number of halvings, best first.
     pub fn ladder(halvings: usize) -> impl Iterator<Item = Self> {
         let more = halvings..(halvings + 1).max(MAX_HALVINGS + 1);
         more.flat_map(|halvings| {

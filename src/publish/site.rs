@@ -1,11 +1,11 @@
-//! The folder of a site, written whole, in the place of nothing or of an earlier site.
+//! The folder of a site. It is written atomically, and replaces nothing but an earlier site.
 
 use super::PublishError;
 use crate::host::temporary::Temporary;
 use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 
-/// The page's files: name and content.
+/// Files of the page: name and contents.
 const PAGE: [(&str, &str); 9] = [
     ("index.html", include_str!("page/index.html")),
     ("icon.svg", include_str!("../live/page/icon.svg")),
@@ -17,13 +17,13 @@ const PAGE: [(&str, &str); 9] = [
     ("input.js", include_str!("page/input.js")),
     ("main.js", include_str!("page/main.js")),
 ];
-/// The scene's file.
+/// Name of the file with the scene's description.
 const SCENE: &str = "scene.js";
-/// The folder of the frames' files.
+/// Name of the folder with the files of frames.
 const FRAMES: &str = "frames";
-/// What every `index.html` of a site holds.
+/// Text in the `index.html` of every site, by which an earlier site is recognized.
 const MARK: &str = "<meta name=\"generator\" content=\"stlfr publish\">";
-/// Largest `index.html` that is read, bytes.
+/// Size limit of the `index.html` that is read, bytes.
 const MAX_INDEX_BYTES: u64 = 1 << 20;
 
 /// The name of a file with frames.
@@ -31,13 +31,13 @@ fn frames_file(index: usize) -> String {
     format!("{FRAMES}/{index:04}.js")
 }
 
-/// Files of a site besides the page's, by name: the scene, and the frames.
+/// Files of a site in addition to the page's, as pairs of name and text: the scene's description, and the frames.
 pub(super) struct SiteFiles {
     files: Vec<(String, String)>,
 }
 
 impl SiteFiles {
-    /// The files for a scene, and for frames in base64.
+    /// The files for a scene's description, and for frames in base64, one text per file.
     pub fn new(scene: &serde_json::Value, frames: Vec<String>) -> Self {
         let mut files = vec![(SCENE.to_owned(), format!("stlfr.scene({scene});\n"))];
         let frames = frames.into_iter().enumerate();
@@ -47,13 +47,13 @@ impl SiteFiles {
         Self { files }
     }
 
-    /// The size of everything in the folder, bytes.
+    /// Size of all files of the site, bytes.
     pub fn bytes(&self) -> u64 {
         let page: usize = PAGE.iter().map(|(_, text)| text.len()).sum();
         self.files.iter().map(|(_, text)| text.len() as u64).sum::<u64>() + page as u64
     }
 
-    /// Writes the folder, in place of an earlier site, which [`check_folder`] has let pass.
+    /// Writes the site's folder. An earlier site is replaced, after [`check_folder`].
     pub fn write(&self, folder: &Path) -> Result<(), PublishError> {
         let failed = |source| PublishError::Write { path: folder.to_owned(), source };
         check_folder(folder)?;
@@ -73,16 +73,16 @@ impl SiteFiles {
         if !absolute.is_dir() {
             return temporary.place("new", &absolute);
         }
-        // The earlier site is removed with the temporary folder.
+        // Moved into the temporary folder, the earlier site is removed with it.
         std::fs::rename(&absolute, &old)?;
         temporary.place("new", &absolute).inspect_err(|_| {
-            // What can't be undone either is what the error is about.
+            // If the earlier site can't be moved back either, the first error is still reported.
             let _ = std::fs::rename(&old, &absolute);
         })
     }
 }
 
-/// Refuses a folder that is neither missing, nor empty, nor a site of this program with nothing else in it.
+/// An error unless the folder is missing, empty, or contains an earlier site and nothing else.
 pub fn check_folder(folder: &Path) -> Result<(), PublishError> {
     let refused = |reason: String| Err(PublishError::Folder { path: folder.to_owned(), reason });
     let Ok(found) = folder.symlink_metadata() else { return Ok(()) };
@@ -117,7 +117,7 @@ pub fn check_folder(folder: &Path) -> Result<(), PublishError> {
     }
 }
 
-/// The names in a folder and in its folder of frames, relative to it.
+/// Relative paths of the files in a folder and in its folder of frames.
 fn names(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut names = Vec::new();
     for inside in ["", FRAMES] {

@@ -24,7 +24,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Open and check a capture's folder.
 ///
-/// Raises FileNotFoundError if there is no capture, and ValueError with one sentence where it is wrong.
+/// Raises FileNotFoundError if there is no capture, and ValueError with one sentence if it is invalid.
 #[pyfunction]
 pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
     let capture = py.detach(|| {
@@ -35,16 +35,16 @@ pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
     Ok(PyCapture { capture: Arc::new(capture), opened: Mutex::default() })
 }
 
-/// A capture: calibrated cameras and what they filmed.
+/// A capture: calibrated cameras and their frames.
 #[pyclass(name = "Capture", module = "stlfr", frozen)]
 pub struct PyCapture {
     capture: Arc<Capture>,
-    /// The light fields used last, most recent first. Their registered frames are cached for further views.
+    /// The most recently used light fields, latest first. They cache registered frames for further views.
     opened: Mutex<Vec<Opened>>,
 }
 
-/// Maximum number of light fields that stay open, one for each set of options. More: more memory. Fewer: a viewer that
-/// alternates between a fast method and an accurate one registers its frames anew each time.
+/// Largest number of open light fields, one per set of options. More: more memory; fewer: a viewer that alternates
+/// between a fast and an accurate method registers frames again each time.
 const MAX_OPENED: usize = 2;
 
 /// A light field, and the options that it was opened with.
@@ -70,13 +70,14 @@ impl PyCapture {
         self.capture.cameras.iter().map(|c| c.id.as_str()).collect()
     }
 
-    /// The cameras as `camera` gives them, in the order of capture.json.
+    /// The cameras in the order of capture.json, each as `camera` returns it.
     #[getter]
     fn cameras<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         self.capture.cameras.iter().map(|c| camera_to_python(py, &c.id, &c.camera)).collect()
     }
 
-    /// A camera object by its id, or by the name of a true view: width, height, model, params and cam_from_world.
+    /// A camera, by its id or by the name of a view of the truth, as a dict: width, height, model, params and
+    /// cam_from_world.
     fn camera<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         match self.capture.named_view(name).map_err(value_error)? {
             NamedView::Filming(index) => {
@@ -86,8 +87,8 @@ impl PyCapture {
         }
     }
 
-    /// The first and the last time at which a camera has images, or any camera without one: seconds on the reference's
-    /// clock. Offsets that aren't known yet are estimated.
+    /// First and last time at which a camera has images, seconds on the reference's clock; without `camera_id`, at
+    /// which any camera has. Unknown offsets are estimated first.
     #[pyo3(signature = (camera_id=None))]
     fn covered_s(&self, py: Python<'_>, camera_id: Option<&str>) -> PyResult<(f64, f64)> {
         let camera = camera_id.map(|id| self.index(id)).transpose()?;
@@ -105,16 +106,16 @@ impl PyCapture {
         span.ok_or_else(|| value_error("the clock is unknown"))
     }
 
-    /// The id of the camera whose clock is everybody's time.
+    /// The id of the reference camera, whose clock gives all times.
     #[getter]
     fn reference(&self) -> &str {
         &self.capture.cameras[self.capture.reference].id
     }
 
-    /// The pixels, (N, 2), that world points, (N, 3) in metres, fall on.
+    /// The pixels (N, 2) to which world points (N, 3), in metres, project.
     ///
-    /// The top-left pixel's centre is (0.5, 0.5). A point that has no image gives a row of NaN. Pixels may lie outside
-    /// the image.
+    /// The top-left pixel's centre is (0.5, 0.5). A point without a projection gives a row of NaN. Pixels may lie
+    /// outside of the image.
     fn project<'py>(
         &self,
         py: Python<'py>,
@@ -149,8 +150,8 @@ impl PyCapture {
         image_to_python(py, &image, None, filmed.bit_depth)
     }
 
-    /// Every camera's offset, as `stlfr offsets --json` prints it: those saved in the capture's folder, else estimated
-    /// and saved there.
+    /// The offset of every camera, as `stlfr offsets --json` prints it. Offsets are read from the capture's folder, or
+    /// else estimated and saved there.
     #[pyo3(signature = (options=None, *, preset=None))]
     fn offsets<'py>(
         &self,
@@ -167,12 +168,13 @@ impl PyCapture {
         to_python(py, &offsets.map_err(value_error)?)
     }
 
-    /// The view of a camera object as `camera` gives it, or of the camera or true view that `like` names.
+    /// Render a view: of `camera`, a dict as `Capture.camera` returns it, or of the camera or true view that `like`
+    /// names.
     ///
-    /// An array (H, W, channels) in the input's bit depth. Channels are RGB or grey. With `alpha` true, alpha comes
-    /// after them, with `alpha` false never, by default where no camera sees some of the pixels. Time is seconds on the
-    /// reference's clock. `options` is what a file for `stlfr render --options` holds; names may be paths, such as
-    /// `blend.cameras`, and `proxy` and `blend` may be their methods. They override those of `preset`.
+    /// Returns an array (H, W, channels) in the input's bit depth. Channels are RGB or grey; an alpha channel follows
+    /// if `alpha` is true, or by default if cameras don't see some of the pixels. Time is seconds on the reference's
+    /// clock. `options` has the contents of a file for `stlfr render --options`; names may be paths, such as
+    /// `blend.cameras`, and `proxy` and `blend` may be the names of their methods. They override those of `preset`.
     /// `proceed(done, total)` is called before every step of every instant of a trail, or of the one instant without a
     /// trail. If it returns something false, rendering stops with an InterruptedError.
     #[pyo3(
@@ -219,9 +221,9 @@ impl PyCapture {
         view_to_python(py, &rendered, this.capture.bit_depth(), alpha)
     }
 
-    /// The instant for many views of it: what doesn't depend on the viewpoint is computed once, here.
+    /// One instant, for many views of it: what doesn't depend on the viewpoint is computed once, here.
     ///
-    /// A trail in the options is left out.
+    /// A trail in the options is ignored.
     #[pyo3(signature = (time_s, *, options=None, preset=None))]
     fn moment(
         &self,
@@ -235,7 +237,7 @@ impl PyCapture {
         let time_s = time_s - self.capture.time_origin_s;
         let moment = py.detach(|| {
             let Opened { resolved, field, .. } = self.opened(options)?;
-            // The views of a moment are of one instant.
+            // All views show one instant.
             let options = RenderOptions { trail: TrailOptions::default(), ..resolved };
             field.corrected_all(time_s, &options, &Context::unattended())?;
             Ok::<_, RenderError>(PyMoment { field, time_s, options, depth })
@@ -248,7 +250,7 @@ impl PyCapture {
     }
 }
 
-/// One instant of a capture, for many views of it.
+/// One instant of a capture, prepared for many views of it.
 #[pyclass(name = "Moment", module = "stlfr", frozen)]
 pub struct PyMoment {
     field: Arc<LightField>,
@@ -259,10 +261,10 @@ pub struct PyMoment {
 
 #[pymethods]
 impl PyMoment {
-    /// The view of a camera object, as `Capture.render` gives it, but over depth per pixel.
+    /// Render the view of a camera dict at this instant, like `Capture.render`.
     ///
-    /// There, the depths of all cameras share one range, and a view takes those of the cameras nearest to it: pixels
-    /// differ slightly.
+    /// With depth per pixel, pixels differ slightly from those of `Capture.render`: the depths of all cameras have a
+    /// common range, and a view uses the depths of the cameras nearest to it.
     #[pyo3(signature = (camera, *, alpha=None))]
     fn view<'py>(
         &self,
@@ -312,7 +314,7 @@ impl ViewSettings {
     }
 }
 
-/// A camera object with its name as `id`.
+/// A camera as a Python dict in the form of `capture.json`, with its name as `id`.
 fn camera_to_python<'py>(
     py: Python<'py>,
     id: &str,
@@ -326,13 +328,13 @@ fn camera_to_python<'py>(
     )
 }
 
-/// Converts a camera object, a dict as in `capture.json`, to a camera.
+/// Converts a Python dict in the form of a camera in `capture.json` to a camera.
 fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
     let format: ViewFormat = from_python(object, "camera")?;
     format.camera().map_err(|e| value_error(format!("camera: {e}")))
 }
 
-/// Pixels of world points through a camera object; NaN where a point has no image.
+/// Project world points by a camera dict: the pixels, or NaN for a point without a projection.
 #[pyfunction]
 pub fn project<'py>(
     py: Python<'py>,
@@ -366,15 +368,15 @@ fn projected<'py>(
     Ok(pixels.into_pyarray(py))
 }
 
-/// Whether rendering goes on: what the caller's function returns, true where there is none.
+/// Whether rendering continues: the result of the caller's function, or true without a function.
 fn goes_on(proceed: Option<&Py<PyAny>>, done: usize, total: usize) -> PyResult<bool> {
     let Some(proceed) = proceed else { return Ok(true) };
     Python::attach(|py| proceed.call1(py, (done, total))?.is_truthy(py))
 }
 
 impl PyCapture {
-    /// The light field for these options, and the options after the automatic choice of methods; cached for further
-    /// calls.
+    /// The light field for these options, and the options after the automatic choice of methods. Both are cached for
+    /// further calls.
     fn opened(&self, options: RenderOptions) -> Result<Opened, RenderError> {
         let mut cached = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(k) = cached.iter().position(|opened| opened.options == options) {

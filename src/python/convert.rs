@@ -1,4 +1,4 @@
-//! Conversions between Rust's values and Python's.
+//! Conversions between values of Rust and Python.
 
 use crate::json::JsonError;
 use crate::lumigraph::Rendered;
@@ -14,12 +14,12 @@ use serde_json::{Map, Value, json};
 use std::error::Error;
 use std::io::ErrorKind;
 
-/// A `ValueError` about bad input, with the sentence that the command line prints.
+/// A `ValueError` for bad input, with the command line's sentence.
 pub fn value_error(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// Converts a Python value of dicts, lists, numbers and strings by way of its JSON. Errors start with `what`.
+/// Converts a Python value of dicts, lists, numbers and strings through JSON. Error messages start with `what`.
 pub fn from_python<T: DeserializeOwned>(value: &Bound<'_, PyAny>, what: &str) -> PyResult<T> {
     crate::json::parse(&json_of(value)?).map_err(|e| value_error(format!("{what}: {e}")))
 }
@@ -40,8 +40,9 @@ pub fn file_error(error: impl Error + 'static) -> PyErr {
     value_error(error)
 }
 
-/// The options of a call, checked as the command line checks an options file, over those of a preset, the default one
-/// if none is given. A name may be a path, `blend.cameras`; `proxy` and `blend` may be their methods.
+/// The options of a call: those of a preset (by default the default preset), overridden by `options`. They are checked
+/// as on the command line. A name may be a path, `blend.cameras`; `proxy` and `blend` may be the names of their
+/// methods.
 pub fn checked(
     options: Option<&Bound<'_, PyAny>>,
     preset: Option<&str>,
@@ -63,7 +64,7 @@ fn names<M: Method>() -> String {
     M::ALL.iter().map(|method| method.name()).collect::<Vec<_>>().join(", ")
 }
 
-/// Options by their paths as an options file has them.
+/// Converts options with paths as names to the nested form of an options file.
 fn nested(options: Value) -> Value {
     let Value::Object(options) = options else { return options };
     let mut found = Map::new();
@@ -92,14 +93,14 @@ pub fn json_of(value: &Bound<'_, PyAny>) -> PyResult<String> {
     value.py().import("json")?.call_method1("dumps", (value,))?.extract()
 }
 
-/// Converts a value to Python's dicts, lists, numbers and strings by way of its JSON.
+/// Converts a value to Python's dicts, lists, numbers and strings through JSON.
 pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound<'py, PyAny>> {
     let json = serde_json::to_string(value).map_err(value_error)?;
     py.import("json")?.call_method1("loads", (json,))
 }
 
-/// An array (H, W, channels) of the samples that a PNG of this view would hold. With or without `alpha`; by default
-/// only where cameras don't see all pixels.
+/// A rendered view as an array (H, W, channels), with the sample values of a PNG file. `alpha` says whether there is
+/// an alpha channel; by default only if cameras don't see all pixels.
 pub fn view_to_python<'py>(
     py: Python<'py>,
     view: &Rendered,
@@ -111,7 +112,7 @@ pub fn view_to_python<'py>(
     image_to_python(py, &view.image, coverage, depth)
 }
 
-/// An array (H, W, channels) of the samples that a PNG of this image would hold.
+/// An image as an array (H, W, channels), with the sample values of a PNG file.
 pub fn image_to_python<'py>(
     py: Python<'py>,
     image: &Image,

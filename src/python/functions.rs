@@ -1,4 +1,4 @@
-//! The functions of the module that need no opened capture.
+//! Functions of the Python module that need no open capture.
 
 use super::convert::{checked, file_error, from_python, json_of, to_python, value_error};
 use crate::camera::CameraFormat;
@@ -20,7 +20,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Every stage's methods by the name of its option.
+/// The methods of every stage, by the name of the stage's option.
 #[pyfunction]
 pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let stages = json!({
@@ -32,7 +32,7 @@ pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &stages)
 }
 
-/// Every option with its default, range, unit and help.
+/// All options, each with its default, range, unit and help.
 #[pyfunction]
 pub fn options(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &RenderOptions::default().declared())
@@ -48,14 +48,14 @@ fn stage<M: Method>() -> Value {
     json!({ "default": M::default().name(), "methods": choices::<M>() })
 }
 
-/// The content of a rig file, checked; fields that have their default values are left out.
+/// The contents of a rig file, after checks. Fields with their default values are omitted.
 #[pyfunction]
 pub fn read_rig(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
     let rig = py.detach(|| Rig::read(&path)).map_err(file_error)?;
     to_python(py, &rig)
 }
 
-/// Refuses a rig that `stlfr rig --check` would refuse.
+/// Raise ValueError for a rig that `stlfr rig --check` would refuse.
 #[pyfunction]
 pub fn check_rig(py: Python<'_>, rig: &Bound<'_, PyAny>) -> PyResult<()> {
     let text = json_of(rig)?;
@@ -74,7 +74,7 @@ pub fn generate_rig<'py>(
     to_python(py, &py.detach(|| options.generate()).map_err(value_error)?)
 }
 
-/// The files of COLMAP's text model by their names, from each image's name and camera.
+/// The files of a COLMAP text model, by name, from pairs of image name and camera.
 #[pyfunction]
 pub fn colmap_text<'py>(
     py: Python<'py>,
@@ -89,8 +89,9 @@ pub fn colmap_text<'py>(
     to_python(py, &py.detach(|| exchange::colmap_text(&images)))
 }
 
-/// Compares a capture with its truth, as `stlfr compare` does, and writes into its folder `review`. Returns the paths
-/// of the report and of `review.json`. With `lines`, progress goes to standard output, one JSON object a line.
+/// Compare a capture with its truth, like `stlfr compare`, and write the results into the folder `review`. Returns the
+/// paths of the report and of `review.json`. If `lines` is true, progress is printed on standard output, one JSON
+/// object per line.
 #[pyfunction]
 #[pyo3(signature = (path, *, options=None, lines=false))]
 pub fn compare<'py>(

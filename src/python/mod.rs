@@ -1,5 +1,5 @@
-//! The Python module `stlfr` (feature `python`): converts, releases the GIL, makes one call, and
-//! converts back. Bad input is a `ValueError` with the sentence that the command line prints.
+//! The Python module `stlfr` (feature `python`). Each function converts its arguments, releases the GIL, makes one
+//! call, and converts the result. Bad input raises `ValueError` with the command line's sentence.
 
 mod capture;
 mod convert;
@@ -7,7 +7,7 @@ mod functions;
 
 use pyo3::prelude::*;
 
-/// The compiled half of the module; `blender/module/stlfr` gives it its name and its types.
+/// The compiled part of the Python module. `blender/module/stlfr` exports it under the public name, with type stubs.
 #[pymodule(name = "_native")]
 mod native {
     #[pymodule_export]

@@ -1,8 +1,8 @@
-//! OpenEXR files: linear light in half floats, and depth, in the channels that compositors and Blender know.
+//! OpenEXR files: linear light as half floats, and depth, in channels with the usual names.
 //!
-//! The format: <https://openexr.com/en/latest/OpenEXRFileLayout.html>. Written are single-part scanline files of version
-//! 2, compressed by ZIP in blocks of 16 rows. (The crate `exr` brings dozens of others, for what is read and for codecs
-//! that aren't needed here.)
+//! The format: <https://openexr.com/en/latest/OpenEXRFileLayout.html>. Files are single-part scanline files of version
+//! 2, with ZIP compression of blocks of 16 rows. The crate `exr` isn't used, because it depends on dozens of crates
+//! for reading and for other codecs.
 
 use super::file::ImageFileError;
 use super::{Image, linear_from_encoded};
@@ -11,13 +11,13 @@ use flate2::{Compression, write::ZlibEncoder};
 use std::io::Write;
 use std::path::Path;
 
-/// Depth of a pixel without a surface, metres: as Blender writes it.
+/// Depth of a pixel without a surface, metres: Blender's value.
 const NO_DEPTH_M: f32 = 1e10;
 
-/// Rows that are compressed together, by definition of the format's ZIP.
+/// Number of rows in a compressed block, fixed by the format for ZIP.
 const BLOCK_ROWS: usize = 16;
 
-/// Numbers of the format.
+/// Constants of the format.
 const MAGIC: u32 = 20_000_630;
 const VERSION: u32 = 2;
 const ZIP: u8 = 3;
@@ -30,13 +30,14 @@ enum Channel {
     Float(Vec<f32>),
 }
 
-/// Writes an image of 1 or 3 channels as OpenEXR, creating its folder if there is none.
+/// Writes an image of 1 or 3 channels as OpenEXR. A missing folder is created.
 ///
-/// Channels: `R`, `G`, `B` and `A`, scene-linear half floats, alpha 0 with black where `coverage`, one value a pixel, is
-/// false; and `Z`, 32-bit floats, the depths along the camera's axis in metres. A depth that is not finite is 1e10.
+/// Channels `R`, `G`, `B` and `A` are scene-linear half floats. Where `coverage` (one value per pixel) is false, the
+/// pixel is black with alpha 0. Channel `Z` is 32-bit float: `depths_m`, the depth along the camera's axis in metres.
+/// A depth that isn't finite is written as 1e10.
 ///
 /// # Panics
-/// If the coverage or the depths are not one a pixel.
+/// If `coverage` or `depths_m` doesn't have one value per pixel.
 ///
 /// # Errors
 /// If the file can't be written.
@@ -52,7 +53,7 @@ pub fn write_exr(
     written.map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
-/// The channels in the format's order, which is that of their names.
+/// The channels, sorted by name as the format requires.
 fn channels(image: &Image, coverage: &[bool], depths_m: &[f32]) -> [(&'static str, Channel); 5] {
     let pixels = image.width() * image.height();
     assert_eq!((coverage.len(), depths_m.len()), (pixels, pixels), "one a pixel");
@@ -76,10 +77,11 @@ fn channels(image: &Image, coverage: &[bool], depths_m: &[f32]) -> [(&'static st
     ]
 }
 
-/// The half float nearest to a value, ties to even; NaN becomes 0, and what is too large the largest.
+/// The half float nearest to a value, ties to even. NaN becomes 0; larger values than the largest half float become
+/// it.
 fn half(value: f32) -> u16 {
     const MAX: f32 = 65_504.0;
-    /// 2^−24, the smallest half above 0, and 2^−14, the smallest of full precision.
+    /// The smallest positive half float, 2^−24, and the smallest with full precision, 2^−14.
     const MIN: f32 = 5.960_464_5e-8;
     const MIN_NORMAL: f32 = 6.103_515_6e-5;
     let sign = if value.is_sign_negative() { 0x8000 } else { 0 };
@@ -87,7 +89,7 @@ fn half(value: f32) -> u16 {
     if size < MIN_NORMAL {
         return sign | (size / MIN).round_ties_even() as u16;
     }
-    // Exponents differ by 112 in their bias, mantissas by 13 bits. Rounding may carry into the exponent.
+    // The exponent's bias differs by 112, and the mantissa by 13 bits. Rounding may carry into the exponent.
     let bits = size.to_bits();
     let rounded = bits + 0x0fff + ((bits >> 13) & 1);
     sign | ((rounded >> 13) - (112 << 10)) as u16
@@ -105,7 +107,7 @@ fn encode(width: usize, height: usize, channels: &[(&str, Channel)]) -> std::io:
         let rows = start..(start + BLOCK_ROWS).min(height);
         let raw: Vec<u8> = rows.flat_map(|y| row(channels, width, y)).collect();
         let packed = compressed(&raw)?;
-        // A block that grows is stored as it is.
+        // A block that compression doesn't shrink is stored uncompressed.
         let block = if packed.len() < raw.len() { packed } else { raw };
         offsets.extend((offset as u64).to_le_bytes());
         body.extend((start as i32).to_le_bytes());
@@ -132,7 +134,7 @@ fn header(file: &mut Vec<u8>, [width, height]: [u32; 2], channels: &[(&str, Chan
         list.extend(name.as_bytes());
         list.push(0);
         let kind = if matches!(channel, Channel::Half(_)) { HALF } else { FLOAT };
-        // Kind, linearity with padding, and the sampling of columns and rows.
+        // Pixel type, linearity flag with padding, and sampling steps of columns and rows.
         [kind, 0, 1, 1].iter().for_each(|number| list.extend(number.to_le_bytes()));
     }
     list.push(0);
@@ -149,7 +151,7 @@ fn header(file: &mut Vec<u8>, [width, height]: [u32; 2], channels: &[(&str, Chan
     file.push(0);
 }
 
-/// A row of all channels, one after the other.
+/// The bytes of a row of pixels: all channels, one after another.
 fn row(channels: &[(&str, Channel)], width: usize, y: usize) -> Vec<u8> {
     let span = y * width..(y + 1) * width;
     let bytes = |(_, channel): &(&str, Channel)| -> Vec<u8> {
@@ -161,7 +163,7 @@ fn row(channels: &[(&str, Channel)], width: usize, y: usize) -> Vec<u8> {
     channels.iter().flat_map(bytes).collect()
 }
 
-/// The format's ZIP: even bytes before odd ones, differences of neighbours, deflate.
+/// The format's ZIP compression: even bytes before odd ones, differences of neighbours, then deflate.
 fn compressed(raw: &[u8]) -> std::io::Result<Vec<u8>> {
     let halves = raw.iter().step_by(2).chain(raw.iter().skip(1).step_by(2));
     let mut before = None;
@@ -183,7 +185,7 @@ mod tests {
     use flate2::read::ZlibDecoder;
     use std::io::Read;
 
-    /// The value of a half float, by its definition.
+    /// The value of a half float, from the definition of the format.
     fn value(half: u16) -> f64 {
         let (exponent, mantissa) = (i32::from(half >> 10 & 31), f64::from(half & 1023));
         let size = match exponent {
@@ -208,7 +210,7 @@ mod tests {
             );
         }
         assert_eq!((half(f32::NAN) & 0x7fff, value(half(1e30))), (0, 65_504.0));
-        // Halfway between two, to the even one.
+        // A value halfway between two half floats becomes the even one.
         assert_eq!((value(half(2049.0)), value(half(2051.0))), (2048.0, 2052.0));
     }
 
@@ -228,7 +230,7 @@ mod tests {
 
     #[test]
     fn channels_are_linear_light_alpha_and_depth() {
-        // sRGB 0.735357 is half the light.
+        // sRGB 0.735357 is linear 0.5.
         let image = Image::from_data(2, 1, 3, vec![0.735_357, 1.0, 0.0, 1.0, 1.0, 1.0]);
         let found = channels(&image, &[true, false], &[2.5, f32::NAN]);
         let values: Vec<(&str, Vec<f64>)> = found

@@ -24,7 +24,7 @@ pub enum ImageFileError {
     Content { path: PathBuf, reason: String },
 }
 
-/// An image file's header.
+/// Properties from an image file's header.
 pub(crate) struct Header {
     pub width: u32,
     pub height: u32,
@@ -48,13 +48,13 @@ fn read_error(path: &Path) -> impl Fn(std::io::Error) -> ImageFileError {
     |source| ImageFileError::Read { path: path.to_owned(), source }
 }
 
-/// An image file whose header is read and checked: it has at most [`MAX_PIXELS`] pixels.
+/// An image file with its header read and checked. The image has at most [`MAX_PIXELS`] pixels.
 struct OpenedImage<R: BufRead + Seek> {
     header: Header,
     decoder: Decoder<R>,
 }
 
-/// The decoder of a file's pixels.
+/// The decoder of an image file's pixels.
 enum Decoder<R: BufRead + Seek> {
     Png(Box<::png::Reader<R>>),
     Other(Box<dyn ImageDecoder>),
@@ -110,11 +110,11 @@ impl<R: BufRead + Seek + 'static> OpenedImage<R> {
     }
 }
 
-/// Maximum length of a PNM file's header with its comments, bytes; no more than a buffered reader reads at first.
+/// Maximum length of a PNM header with its comments, bytes. It fits into the first read of a buffered reader.
 const MAX_PNM_HEADER: usize = 4096;
 
-/// Refuses a PNM file whose header is too long: its decoder reads comments byte by byte. `start` are the file's first
-/// bytes. The error is a reason.
+/// An error for a PNM file whose header is too long, because its decoder reads comments byte by byte. `start` has the
+/// first bytes of the file. The error is a reason.
 fn pnm_header(start: &[u8]) -> Result<(), String> {
     let (Some(header), [b'P', kind @ b'1'..=b'7', ..]) = (start.get(..MAX_PNM_HEADER), start)
     else {
@@ -127,7 +127,7 @@ fn pnm_header(start: &[u8]) -> Result<(), String> {
     if is_whole { Ok(()) } else { Err(format!("has a header of more than {MAX_PNM_HEADER} bytes")) }
 }
 
-/// The number of words outside of comments.
+/// Number of words in a PNM header, without comments.
 fn pnm_words(header: &[u8]) -> usize {
     let (mut words, mut in_word, mut in_comment) = (0, false, false);
     for byte in header {
@@ -143,10 +143,10 @@ pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
     open(path).map(|opened| opened.header)
 }
 
-/// Reads an image file, and its bit depth. Grey images have one channel, all others three; alpha is ignored.
-/// Samples are divided by their largest value.
+/// Reads an image file; returns the image and its bit depth. Grey images have one channel, all others three. Alpha is
+/// ignored. Samples are scaled to 0 to 1.
 ///
-/// Refused before pixels are read: anything but a regular file, a file of more than 448 MiB, and an image of more than
+/// Errors before pixels are read: a file that isn't regular, a file of more than 448 MiB, an image of more than
 /// [`MAX_PIXELS`] pixels.
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     let opened = open(path)?;
@@ -154,7 +154,7 @@ pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     Ok((opened.decode(path)?, depth))
 }
 
-/// As [`read_image`], with the hash of the bytes that the image was decoded from.
+/// [`read_image`], with a hash of the file's bytes.
 pub(crate) fn read_hashed_image(path: &Path) -> Result<(Image, FileRead), ImageFileError> {
     let (bytes, read) = read_hashed(path, MAX_FILE_BYTES).map_err(read_error(path))?;
     Ok((OpenedImage::new(path, Cursor::new(bytes))?.decode(path)?, read))
@@ -169,22 +169,22 @@ fn unpacked(decoded: DynamicImage) -> Image {
     }
 }
 
-/// The format of an image file that is written.
+/// File format of a single image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StillFormat {
     /// PNG, lossless, with transparency.
     Png,
-    /// JPEG of high quality: 8 bits, uncovered pixels black.
+    /// JPEG of high quality, 8 bits. Uncovered pixels are black.
     Jpeg,
 }
 
 impl StillFormat {
-    /// Whether files have alpha and 16 bits a channel.
+    /// Whether the format has an alpha channel and 16 bits per channel.
     pub fn is_lossless(self) -> bool {
         self == Self::Png
     }
 
-    /// The format of files with a suffix, in lower case; `None` if there is none.
+    /// The format for a suffix in lower case; `None` for an unknown one.
     pub fn of_suffix(suffix: &str) -> Option<Self> {
         match suffix {
             "png" => Some(Self::Png),
@@ -194,13 +194,14 @@ impl StillFormat {
     }
 }
 
-/// JPEG's quality, of 100. Lower, and blocks show around edges; higher, and files grow without a visible gain.
+/// JPEG quality, of 100. Lower: blocks show around edges; higher: files grow without a visible gain.
 const JPEG_QUALITY: u8 = 95;
 
-/// Writes a picture, creating its folder if there is none.
+/// Writes a picture as an image file. A missing folder is created.
 ///
 /// # Errors
-/// If the file can't be written; for JPEG if a picture has alpha, 16 bits a channel or a side of more than 65535 pixels.
+/// If the file can't be written. For JPEG, if a picture has alpha, 16 bits per channel or a side of more than 65535
+/// pixels.
 pub fn write_still(
     path: &Path,
     picture: &Quantized,
@@ -211,10 +212,10 @@ pub fn write_still(
         .map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
-/// Writes an image of 1 or 3 channels as PNG, creating its folder if there is none.
+/// Writes an image of 1 or 3 channels as PNG. A missing folder is created.
 ///
-/// `coverage` has one value a pixel, row by row. It adds an alpha channel: 0, with black, where the
-/// value is false, and the largest value elsewhere.
+/// `coverage` has one value per pixel, row by row, and adds an alpha channel. Pixels with `false` are black with alpha
+/// 0; the others are opaque.
 pub fn write_image(
     path: &Path,
     image: &Image,
@@ -224,13 +225,13 @@ pub fn write_image(
     write_still(path, &Quantized::new(image, coverage, depth), StillFormat::Png)
 }
 
-/// Effort of the WebP encoder, 0 to 6, and 0 to 100 within it. Larger: files a tenth smaller at most, in up to a hundred
-/// times the time.
+/// Effort of the WebP encoder: method 0 to 6, and quality 0 to 100. Larger: files are at most a tenth smaller, and
+/// encoding takes up to a hundred times as long.
 const WEBP_EFFORT: (i32, f32) = (1, 20.0);
 
-/// Writes an image, grey or RGB, as WebP of 8 bits a channel without loss, creating its folder if there is none.
+/// Writes a grey or RGB image as lossless WebP with 8 bits per channel. A missing folder is created.
 ///
-/// A file has 0.5 to 0.65 times the bytes of [`write_image`]'s. An error if a side has more than 16,383 pixels.
+/// A file has 0.5 to 0.65 times the size of that of [`write_image`]. An error if a side has more than 16,383 pixels.
 pub(crate) fn write_webp(path: &Path, image: &Image) -> Result<(), ImageFileError> {
     let failed = |reason: &str| image_error(path, reason);
     let quantized = Quantized::new(&image.to_rgb(), None, BitDepth::Eight);
@@ -245,7 +246,7 @@ pub(crate) fn write_webp(path: &Path, image: &Image) -> Result<(), ImageFileErro
         .map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
-/// Encodes an image, grey or RGB, as PNG of 8 bits a channel, with this compression.
+/// Encodes a grey or RGB image as PNG with 8 bits per channel, at the given compression level.
 pub(crate) fn encode_png_8(
     image: &Image,
     compression: CompressionType,
@@ -262,7 +263,7 @@ pub(crate) fn encode_png_8(
     Ok(bytes)
 }
 
-/// Encodes an image as the PNG file that [`write_image`] writes.
+/// Encodes an image in memory as PNG, like [`write_image`].
 pub(crate) fn encode_png(
     image: &Image,
     coverage: Option<&[bool]>,

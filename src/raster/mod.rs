@@ -1,7 +1,7 @@
-//! Images in memory and in files.
+//! Images in memory, and image files.
 //!
-//! Samples are f32 of 0 to 1, display-encoded (sRGB) as in the files, with channels interleaved.
-//! Positions are in pixels; the centre of the top-left pixel is (0.5, 0.5).
+//! Samples are f32 from 0 to 1, display-encoded (sRGB) as in files; channels are interleaved. Positions are in pixels;
+//! the centre of the top-left pixel is (0.5, 0.5).
 
 mod color;
 mod exr;
@@ -22,7 +22,7 @@ pub use sample::Sampling;
 pub(crate) use sample::{sample, sample_all, sample_each};
 pub use tiles::Tiles;
 
-/// Bits per sample of an image file.
+/// Number of bits per sample of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum BitDepth {
     Eight,
@@ -39,7 +39,7 @@ pub struct Image {
 }
 
 impl Image {
-    /// A constant image.
+    /// An image whose samples all have one value.
     ///
     /// # Panics
     /// If a dimension is 0.
@@ -47,7 +47,7 @@ impl Image {
         Self::from_data(width, height, channels, vec![value; width * height * channels])
     }
 
-    /// An image of these samples, row by row, channels interleaved.
+    /// An image from its samples, row by row, with interleaved channels.
     ///
     /// # Panics
     /// If a dimension is 0, or their product is not the number of samples.
@@ -94,7 +94,7 @@ impl Image {
         &self.data[at..at + self.channels]
     }
 
-    /// The luma of an RGB image, see [`luma`]; a copy of a grey one.
+    /// The image as grey: the luma of an RGB image (see [`luma`]), or a copy of a grey image.
     pub fn to_gray(&self) -> Image {
         if self.channels == 1 {
             return self.clone();
@@ -103,7 +103,7 @@ impl Image {
         Image { width: self.width, height: self.height, channels: 1, data }
     }
 
-    /// The image with three channels; grey is repeated.
+    /// The image with three channels. A grey value is repeated in all of them.
     pub fn to_rgb(&self) -> Image {
         if self.channels == 3 {
             return self.clone();
@@ -112,8 +112,8 @@ impl Image {
         Image { width: self.width, height: self.height, channels: 3, data }
     }
 
-    /// Bilinear sample at a position in pixels, one value per channel. Outside of the image the border is
-    /// repeated; NaN gives the first pixel.
+    /// Bilinear interpolation at a position, pixels; one value per channel in `out`. Outside of the image, border
+    /// pixels are repeated. NaN gives the first pixel.
     pub fn sample_bilinear(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -131,8 +131,8 @@ impl Image {
         }
     }
 
-    /// Catmull–Rom sample at a position in pixels, one value per channel. It interpolates the pixels' values,
-    /// and may overshoot 0..=1. Outside positions and NaN as for [`Self::sample_bilinear`].
+    /// Catmull–Rom interpolation at a position, pixels; one value per channel in `out`. It passes through the pixels'
+    /// values, and may overshoot 0..=1. Positions outside and NaN are treated as in [`Self::sample_bilinear`].
     pub fn sample_cubic(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -153,7 +153,8 @@ impl Image {
     }
 }
 
-/// Catmull–Rom weights of four neighbouring samples, at a fraction 0..=1 between the middle two.
+/// Catmull–Rom weights of four neighbouring samples. The fraction `f`, from 0 to 1, is the position between the middle
+/// two.
 pub(crate) fn catmull_rom(f: f32) -> [f32; 4] {
     let (f2, f3) = (f * f, f * f * f);
     [

@@ -1,5 +1,5 @@
-//! Reading PNG files, row by row into samples. All else in a file (colour profiles, texts, metadata, further frames)
-//! is skipped, however large it is when decompressed.
+//! Decoder of PNG files, row by row into samples. Everything else in a file (colour profiles, texts, metadata, further
+//! frames) is skipped, whatever its decompressed size.
 
 use super::Image;
 use png::{BitDepth, ColorType, DecodingError, Limits, Reader, Transformations};
@@ -8,16 +8,16 @@ use std::io::{BufRead, Seek};
 /// The first bytes of every PNG file.
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 
-/// Maximum memory of the decoder besides the image, bytes: a row of 65,536 16-bit pixels and a palette.
+/// Maximum memory of the decoder in addition to the image, bytes: a row of 65,536 16-bit pixels and a palette.
 const MAX_DECODER_BYTES: usize = 16 << 20;
 
-/// Reads a file's header.
+/// Reads the header of a PNG file.
 pub(super) fn open<R: BufRead + Seek>(file: R) -> Result<Reader<R>, DecodingError> {
     let limits = Limits { bytes: MAX_DECODER_BYTES };
     let mut decoder = png::Decoder::new_with_limits(file, limits);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
-    // Palettes and fewer than 8 bits become 8 bits a channel.
+    // Palettes and samples of fewer than 8 bits are expanded to 8 bits per channel.
     decoder.set_transformations(Transformations::EXPAND);
     decoder.read_info()
 }
@@ -26,11 +26,11 @@ pub(super) fn bytes_per_sample<R: BufRead + Seek>(reader: &Reader<R>) -> usize {
     if reader.output_color_type().1 == BitDepth::Sixteen { 2 } else { 1 }
 }
 
-/// The image without its alpha, samples divided by their largest value.
+/// Decodes the image without its alpha channel. Samples are scaled to 0 to 1.
 pub(super) fn decode<R: BufRead + Seek>(mut reader: Reader<R>) -> Result<Image, DecodingError> {
     let (width, height) = reader.info().size();
     let (width, height) = (width as usize, height as usize);
-    // Channels of a decoded pixel, and how many of them are colour or grey.
+    // Number of channels of a decoded pixel, and number of those that aren't alpha.
     let (channels, colors) = match reader.output_color_type().0 {
         ColorType::Grayscale => (1, 1),
         ColorType::GrayscaleAlpha => (2, 1),
@@ -55,7 +55,7 @@ pub(super) fn decode<R: BufRead + Seek>(mut reader: Reader<R>) -> Result<Image, 
         }
     };
     if reader.info().interlaced {
-        // The pixels of an interlaced image's rows are spread over several passes.
+        // An interlaced image is decoded as a whole, because pixels of a row are spread over several passes.
         let bytes = reader.output_buffer_size().ok_or(DecodingError::LimitsExceeded)?;
         let mut whole = vec![0; bytes];
         reader.next_frame(&mut whole)?;

@@ -1,27 +1,27 @@
-//! Pictures in the samples of files.
+//! Images quantized to the integer samples of image files.
 
 use super::{BitDepth, Image};
 
-/// Samples of a file: row by row, channels interleaved.
+/// Integer samples of an image file: row by row, with interleaved channels.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Samples {
     Eight(Vec<u8>),
     Sixteen(Vec<u16>),
 }
 
-/// A picture in the samples of a file.
+/// An image, quantized to the integer samples of an image file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantized {
     /// Width, pixels.
     pub width: usize,
     /// Height, pixels.
     pub height: usize,
-    /// Samples a pixel; the second of 2 and the fourth of 4 are alpha.
+    /// Number of samples per pixel. With 2 or 4 channels, the last one is alpha.
     pub channels: usize,
     pub samples: Samples,
 }
 
-/// Rounds a value of 0 to 1 to a sample. `f32 as integer` saturates and takes NaN to 0; adding 0.5 rounds.
+/// Rounds a value from 0 to 1 to an 8-bit sample. The cast saturates, and takes NaN to 0; adding 0.5 rounds.
 fn eight(value: f32) -> u8 {
     (value * 255.0 + 0.5) as u8
 }
@@ -30,29 +30,35 @@ fn sixteen(value: f32) -> u16 {
     (value * 65535.0 + 0.5) as u16
 }
 
+/// The samples of an image, with alpha if there is a coverage; 0 where it is false.
+fn rounded<T>(image: &Image, coverage: Option<&[bool]>, round: impl Fn(f32) -> T) -> Vec<T> {
+    let channels = image.channels() + usize::from(coverage.is_some());
+    let mut samples = Vec::with_capacity(image.width() * image.height() * channels);
+    for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
+        let is_covered = coverage.is_none_or(|c| c[k]);
+        samples.extend(pixel.iter().map(|&v| round(if is_covered { v } else { 0.0 })));
+        if coverage.is_some() {
+            samples.push(round(f32::from(u8::from(is_covered))));
+        }
+    }
+    samples
+}
+
 impl Quantized {
-    /// Rounds an image to samples of this bit depth. Values beyond 0 to 1 are clamped, and NaN becomes 0.
+    /// Quantizes an image to this bit depth. Values are clamped to 0 to 1, and NaN becomes 0.
     ///
-    /// `coverage` has one value a pixel, row by row. It adds an alpha channel; where it is false, all
-    /// samples of the pixel are 0.
+    /// `coverage` has one value per pixel, row by row, and adds an alpha channel. Where it is false, all samples of
+    /// the pixel are 0.
     pub fn new(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> Self {
         let channels = image.channels() + usize::from(coverage.is_some());
-        let mut values = Vec::with_capacity(image.width() * image.height() * channels);
-        for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
-            let covered = coverage.is_none_or(|c| c[k]);
-            values.extend(pixel.iter().map(|&v| if covered { v } else { 0.0 }));
-            if coverage.is_some() {
-                values.push(if covered { 1.0 } else { 0.0 });
-            }
-        }
         let samples = match depth {
-            BitDepth::Eight => Samples::Eight(values.into_iter().map(eight).collect()),
-            BitDepth::Sixteen => Samples::Sixteen(values.into_iter().map(sixteen).collect()),
+            BitDepth::Eight => Samples::Eight(rounded(image, coverage, eight)),
+            BitDepth::Sixteen => Samples::Sixteen(rounded(image, coverage, sixteen)),
         };
         Self { width: image.width(), height: image.height(), channels, samples }
     }
 
-    /// A black picture without alpha, `channels` being 1 or 3.
+    /// A black image without alpha, with 1 or 3 channels.
     pub fn blank([width, height]: [usize; 2], channels: usize, depth: BitDepth) -> Self {
         let count = width * height * channels;
         let samples = match depth {
@@ -62,7 +68,7 @@ impl Quantized {
         Self { width, height, channels, samples }
     }
 
-    /// Replaces the pixels from `x`, `y` on by those of an image; those without coverage are black.
+    /// Copies an image to the position (x, y) of its top left corner. Pixels without coverage become black.
     ///
     /// # Panics
     /// If the image doesn't fit, or has another number of channels.

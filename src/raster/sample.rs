@@ -1,4 +1,4 @@
-//! Fast interpolation of images between pixels.
+//! Fast interpolation of images at positions between pixels.
 
 use super::{Image, catmull_rom};
 #[cfg(target_arch = "x86_64")]
@@ -12,12 +12,12 @@ use serde::{Deserialize, Serialize};
 pub enum Sampling {
     /// Bilinear.
     Bilinear,
-    /// Catmull–Rom's cubic, which is sharper.
+    /// Catmull–Rom cubic, which is sharper.
     Cubic,
 }
 
-/// Interpolates an image of C channels, 1 or 3, at a position in pixels. It equals [`Image::sample_cubic`] and
-/// [`Image::sample_bilinear`] to rounding, and is faster where the filter lies inside the image.
+/// Interpolates an image of C channels (1 or 3) at a position, pixels. The result equals [`Image::sample_cubic`] or
+/// [`Image::sample_bilinear`] up to rounding. It is faster if the filter's support lies inside the image.
 #[inline(always)]
 pub(crate) fn sample<const C: usize>(
     image: &Image,
@@ -43,7 +43,7 @@ pub(crate) fn sample<const C: usize>(
         }
         #[cfg(target_arch = "x86_64")]
         (Sampling::Cubic, Some((left, top))) if C == 3 && has_avx2_and_fma() => {
-            // Safe: the processor has AVX2 and FMA.
+            // Safe: `has_avx2_and_fma` has checked the processor.
             let rgb = unsafe { cubic_rgb_avx2(image.data(), w, left, top) };
             out.copy_from_slice(&rgb[..C]);
         }
@@ -56,11 +56,11 @@ pub(crate) fn sample<const C: usize>(
                 let cells = &image.data()[at..][..if C == 1 { 4 } else { 13 }];
                 let mut across = [0.0; 4];
                 if C == 1 {
-                    // The four sums are of four pixels.
+                    // The four sums belong to the four pixels of the row.
                     across =
                         [cells[0] * wx[0], cells[1] * wx[1], cells[2] * wx[2], cells[3] * wx[3]];
                 } else {
-                    // The four sums are of the pixel's channels, and one that is not used.
+                    // The four sums belong to the pixel's three channels; the fourth is unused.
                     for (column, wx) in wx.into_iter().enumerate() {
                         add(&mut across, wx, &cells[column * C..][..4]);
                     }
@@ -77,22 +77,22 @@ pub(crate) fn sample<const C: usize>(
     out
 }
 
-/// The position relative to the first pixel's centre, if the filters around it lie inside the image.
+/// The position relative to the first pixel's centre; `None` if the support of a filter reaches beyond the image.
 #[inline(always)]
 fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
     let (w, h) = (image.width(), image.height());
     let (left, top) = (x - 0.5, y - 0.5);
-    // One pixel further on the right than the filter reaches, for reading four values at a time.
+    // At the right, one more pixel than the support is required, because four values are read at a time.
     let inside = left >= 1.0 && top >= 1.0 && left < w as f32 - 3.0 && top < h as f32 - 2.0;
     inside.then_some((left, top))
 }
 
-/// Catmull–Rom's cubic of an RGB image `w` wide, at a position relative to the first pixel's centre; the fourth
-/// value is unused. The four rows are summed first, each of four pixels in twelve values, then the four
-/// columns. Plain loops take 40 % longer.
+/// Catmull–Rom interpolation of an RGB image of width `w`. The position is relative to the first pixel's centre; the
+/// fourth value of the result is unused. The four rows are summed first, twelve values each (four pixels), then the
+/// four columns. Plain loops take 40 % longer.
 ///
 /// # Panics
-/// If the filter is not inside the image.
+/// If the support of the filter reaches beyond the image.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 #[inline]
@@ -120,7 +120,7 @@ fn cubic_rgb_avx2(data: &[f32], w: usize, left: f32, top: f32) -> [f32; 4] {
         _mm256_broadcastss_ps(_mm_permute_ps::<0b10>(y)),
         _mm256_broadcastss_ps(_mm_permute_ps::<0b11>(y)),
     ];
-    // r g b r g b r g, and b r g b.
+    // Layout: r g b r g b r g, then b r g b.
     let (mut near, mut far) = (_mm256_setzero_ps(), _mm_setzero_ps());
     for (row, weight) in rows.into_iter().zip(of_rows) {
         // Safe: a row has twelve values.
@@ -138,7 +138,7 @@ fn cubic_rgb_avx2(data: &[f32], w: usize, left: f32, top: f32) -> [f32; 4] {
     let first_two = _mm_add_ps(_mm256_castps256_ps128(near), second);
     let sum = _mm_add_ps(first_two, _mm_add_ps(third, fourth));
     let mut out = [0.0; 4];
-    // Safe: there is space for four values.
+    // Safe: `out` has space for four values.
     unsafe { _mm_storeu_ps(out.as_mut_ptr(), sum) };
     out
 }
@@ -150,7 +150,7 @@ fn add(sum: &mut [f32; 4], weight: f32, values: &[f32]) {
     }
 }
 
-/// Interpolates an image at many positions by Catmull–Rom's cubic, one value per channel each.
+/// Catmull–Rom interpolation of an image at many positions; one value per channel for each.
 pub(crate) fn sample_all(
     image: &Image,
     positions: impl Iterator<Item = [f32; 2]>,
@@ -171,8 +171,8 @@ pub(crate) fn sample_all(
 }
 
 multiversion! {
-    /// Interpolates an image at many places, each a position and a value of the caller. Calls `put` with this value and
-    /// the sample.
+    /// Interpolates an image at many places. A place is a position and a value of the caller's. `put` is called with
+    /// this value and the sample.
     pub(crate) fn sample_each[const C: usize, T](
         image: &Image,
         places: impl Iterator<Item = ([f32; 2], T)>,

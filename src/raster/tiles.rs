@@ -1,9 +1,9 @@
-//! A coarse mask of the parts of an image that must be computed.
+//! A coarse mask, in tiles, of the parts of an image that must be computed.
 
 /// Side of a tile, pixels.
 const SIDE: usize = 16;
 
-/// A mask of an image's square tiles: marked ones must be computed.
+/// A mask of an image's square tiles. Marked tiles must be computed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tiles {
     across: usize,
@@ -12,7 +12,7 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// The mask of an image of this size, pixels, without a marked tile.
+    /// The mask of an image of this size, pixels, with no tile marked.
     ///
     /// # Panics
     /// If a dimension is 0.
@@ -27,15 +27,16 @@ impl Tiles {
         self.marked.contains(&true)
     }
 
-    /// Marks the tiles that [`Sampling`](super::Sampling) at a position, pixels, reads. Positions outside read
-    /// the border, and NaN the first pixel.
+    /// Marks the tiles that [`Sampling`](super::Sampling) reads at a position, pixels. For positions outside of the
+    /// image these are border tiles, for NaN the first tile.
     pub fn mark_sample(&mut self, x: f32, y: f32) {
         self.mark_samples([x, y], [x, y]);
     }
 
-    /// Marks the tiles that sampling inside a rectangle reads, from its lowest position to its highest.
+    /// Marks the tiles that sampling reads for all positions in a rectangle, from corner `low` to corner `high`,
+    /// pixels.
     pub fn mark_samples(&mut self, low: [f32; 2], high: [f32; 2]) {
-        // The cubic reaches over two pixels on each side; beyond the largest, `as` saturates.
+        // The cubic's support is two pixels on each side. Positions beyond the range of integers saturate in the cast.
         let span = |axis: usize, tiles: usize| {
             let tile = |v: f32| (v.max(0.0) as usize / SIDE).min(tiles - 1);
             tile(low[axis] - 2.0)..=tile(high[axis] + 2.0)
@@ -45,8 +46,8 @@ impl Tiles {
         }
     }
 
-    /// Whether a square overlaps a marked tile: `side` pixels from its top-left corner, which may lie outside
-    /// of the image.
+    /// Whether a square overlaps a marked tile. `corner` is its top-left corner, pixels, which may lie outside of the
+    /// image, and `side` its side.
     pub fn touches(&self, corner: [isize; 2], side: usize) -> bool {
         let span = |from: isize, tiles: usize| {
             let end = from.saturating_add_unsigned(side).max(0) as usize;
@@ -57,8 +58,8 @@ impl Tiles {
         })
     }
 
-    /// The spans of columns of row `y` in marked tiles: `[start, end]`, the end exclusive, which may lie beyond
-    /// the image.
+    /// The spans of columns in which row `y` lies in marked tiles: `[start, end]`, with `end` exclusive. `end` may lie
+    /// beyond the image.
     pub fn spans(&self, y: usize) -> impl Iterator<Item = [usize; 2]> {
         let row = &self.marked[y / SIDE * self.across..][..self.across];
         let runs = row.chunk_by(|a, b| a == b);
@@ -70,7 +71,7 @@ impl Tiles {
         placed.filter_map(|(is_marked, span)| is_marked.then_some(span))
     }
 
-    /// The mask dilated by `px` pixels, rounded up to tiles.
+    /// The mask dilated by `px` pixels, rounded up to whole tiles.
     pub fn grown(&self, px: usize) -> Self {
         let reach = px.div_ceil(SIDE);
         let mut grown = Self { marked: vec![false; self.marked.len()], ..*self };

@@ -1,11 +1,10 @@
-//! Beyond the paper: tracking of a window that deforms affinely and changes its gain and bias, as a patch of
-//! a surface does that turns, tilts, comes nearer or changes its brightness.
+//! Beyond the paper: tracking of a window that deforms affinely and changes its gain and bias. The image of a
+//! surface patch does so when the patch rotates, tilts, comes nearer or changes its brightness.
 //!
-//! Baker and Matthews's inverse compositional method (IJCV 56(3), 2004). The template is the source's
-//! window at whole pixels, and its derivatives are computed once. The target is sampled by cubic
-//! convolution.
+//! Baker and Matthews's inverse compositional method (IJCV 56(3), 2004). The template is the source's window
+//! at whole pixels, and its derivatives are computed once. The target is sampled by cubic convolution.
 //!
-//! Known limit: a window across an outline follows the surface that has more texture in it.
+//! Known limit: a window across an outline follows the surface with more texture.
 
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::{Pyramid, PyramidLevel};
@@ -14,28 +13,28 @@ use nalgebra::{Cholesky, Const, Matrix2, Point2, SMatrix, SVector, Vector2};
 
 /// Half-width of the window, pixels.
 const RADIUS_PX: usize = 8;
-/// Rows of the window.
+/// Number of rows of the window.
 const SIDE: usize = 2 * RADIUS_PX + 1;
-/// Samples of a row, padded to a multiple of [`LANES`]; the padding has weight 0.
+/// Number of samples of a row, padded to a multiple of [`LANES`]; the padding has weight 0.
 const ROW: usize = SIDE.next_multiple_of(LANES);
-/// Samples of the window, the padding included.
+/// Number of samples of the window, including the padding.
 const AREA: usize = SIDE * ROW;
-/// Standard deviation of the Gaussian weights, pixels.
+/// Standard deviation of the window's Gaussian weights, pixels.
 const SIGMA_PX: f64 = 0.6 * RADIUS_PX as f64;
 /// Maximum number of iterations.
 const ITERATIONS: usize = 12;
-/// Step length below which the window has converged, pixels.
+/// Length of a step below which the tracker has converged, pixels.
 const EPSILON_PX: f64 = 0.02;
-/// Standard deviation of the Gaussian prior of the deformation: of the matrix's entries around the initial
-/// matrix's, and of the gain around 1.
+/// Standard deviation of the Gaussian prior on the deformation: on the matrix's entries around those of the
+/// initial matrix, and on the gain around 1.
 const DEFORMATION: f64 = 0.1;
 /// Maximum distance of the result from the initial guess, pixels.
 const MAX_SHIFT_PX: f64 = 5.0;
 /// Number of parameters: the shift (2), the matrix's entries row by row (4), gain and bias.
 const N: usize = 8;
-/// Standard deviation of the noise of values in 0..=1, which the prior is weighted by.
+/// Standard deviation of the image noise, values in 0..=1. It determines the weight of the prior.
 const NOISE: f64 = 0.012;
-/// The prior's part of the normal matrix's diagonal, at the parameters [`DEFORMED`].
+/// The prior's contribution to the diagonal of the normal matrix, for the parameters [`DEFORMED`].
 const PRIOR: f64 = (NOISE / DEFORMATION) * (NOISE / DEFORMATION);
 /// The parameters that have a prior: the matrix's entries and the gain.
 const DEFORMED: std::ops::Range<usize> = 2..7;
@@ -45,7 +44,7 @@ const MAX_GAIN: f64 = 4.0;
 /// A tracker of affinely deforming windows, with buffers that are reused from point to point.
 #[derive(Debug)]
 pub struct AffineTracker {
-    /// The column of each sample of a row, counted from the middle.
+    /// The column of each sample of a row, relative to the window's middle.
     column: [f32; ROW],
     gaussian: [f32; AREA],
     /// The Gaussian weights, 0 outside the image.
@@ -62,33 +61,34 @@ pub struct AffineTracker {
     center_value: f32,
 }
 
-/// A window to track, and where the search starts.
+/// A window to track, and the initial guess of its position and deformation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AffineStart {
     /// The window's middle in the source, pixels, the top-left pixel's centre at (0.5, 0.5).
     pub from: Point2<f64>,
-    /// The initial guess of its position in the target, pixels.
+    /// Initial guess of the middle's position in the target, pixels.
     pub guess: Point2<f64>,
-    /// The initial guess of the matrix from the window's coordinates in the source to those in the target,
-    /// which the prior pulls to.
+    /// Initial guess of the matrix from the window's coordinates in the source to those in the target. The
+    /// prior draws the result towards it.
     pub deformation: Matrix2<f64>,
 }
 
-/// A window that was found in the target.
+/// The result of tracking a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Deformed {
-    /// The position in the target, pixels.
+    /// The middle's position in the target, pixels.
     pub position: Point2<f64>,
     /// The matrix from the window's coordinates in the source to those in the target.
     pub deformation: Matrix2<f64>,
     /// Weighted mean absolute difference of the two windows' values, 0..=1, after correction of gain and bias.
     pub residual: f64,
-    /// The residual over the contrast of the source's window: 0 for equal windows, near 1 for unlike ones.
+    /// The residual divided by the contrast of the source's window: 0 for equal windows, near 1 for unrelated
+    /// ones.
     pub unexplained: f64,
 }
 
-/// The affine maps from window coordinates (pixels from the window's middle) to the target's (pixels, the first
-/// pixel's centre at 0), and from the template's values to the target's.
+/// Two affine maps: from window coordinates (pixels from the window's middle) to the target's (pixels, the
+/// first pixel's centre at 0), and from the template's values to the target's.
 #[derive(Clone, Copy)]
 struct AffineWarp {
     middle: Vector2<f64>,
@@ -129,8 +129,8 @@ fn track_by<V: F32x8>(
     let solver = tracker.load_template::<V>(source, pixel.x as isize, pixel.y as isize)?;
     for _ in 0..ITERATIONS {
         let mut right = tracker.right_hand_side::<V>(target, &warp)?;
-        // The prior pulls the whole deformation, not the step, to the given one. A step deforms
-        // the template, which is the inverse of deforming the target; the gain's is not inverted.
+        // The prior draws the whole deformation, not only the step, towards the given one. A step deforms the
+        // template, which is the inverse of deforming the target; the gain's step is not inverted.
         let a = from_given * warp.matrix - Matrix2::identity();
         for (k, v) in DEFORMED.zip([a.m11, a.m12, a.m21, a.m22, 1.0 - warp.gain]) {
             right[k] += PRIOR * v;
@@ -180,10 +180,10 @@ impl Default for AffineTracker {
 }
 
 impl AffineTracker {
-    /// Finds the window around `start.from` of the source in the target, at the pyramids' full size.
+    /// Finds in the target the window around `start.from` of the source, on the pyramids' full-sized levels.
     ///
-    /// `None` if a window is outside, if the texture does not determine the parameters, or if the result is
-    /// implausible: a gain beyond 4 or 1/4, or a shift of over 5 pixels from `start.guess`.
+    /// `None` if a window is outside its image, if the texture does not determine the parameters, or if the
+    /// result is implausible: a gain beyond 4 or 1/4, or a shift of over 5 pixels from `start.guess`.
     pub fn track(
         &mut self,
         source: &Pyramid,
@@ -217,7 +217,7 @@ impl AffineTracker {
             accumulate(&mut sums, [e.abs() * w, (value - mean).abs() * w]);
         }
         let [difference, contrast] = V::sums(&sums);
-        // A template that determined the shift has contrast.
+        // The template has contrast, since it determined the shift.
         Some([difference / weight, difference / contrast.max(f64::MIN_POSITIVE)])
     }
 
@@ -268,8 +268,9 @@ impl AffineTracker {
         Cholesky::new(matrix)
     }
 
-    /// The right-hand side of the normal equations: Σ w·e·(derivatives by the parameters), e the difference of the
-    /// target, corrected for gain and bias, from the template. `None` if the warped window leaves the padded image.
+    /// The right-hand side of the normal equations: for each parameter Σ w·e·(derivative), with e the
+    /// target's value, corrected for gain and bias, minus the template's. `None` if the warped window leaves
+    /// the padded image.
     #[inline(always)]
     fn right_hand_side<V: F32x8>(
         &self,
@@ -281,7 +282,8 @@ impl AffineTracker {
         for y in 0..SIDE {
             let at = y * ROW;
             let row_from_middle = y as f32 - RADIUS_PX as f32;
-            // By shift x, y; their moments along the row; by gain; by bias.
+            // Sums of the derivatives by shift x, by shift y, of their first moments along the row, and of
+            // the derivatives by gain and by bias.
             let mut of_row = [V::zero(); 6];
             for x in (0..ROW).step_by(LANES) {
                 let column = V::load(&self.column, x);
@@ -308,7 +310,7 @@ fn accumulate<V: F32x8, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
     }
 }
 
-/// Sums over a row or a window of the weighted products of two derivatives, and their moments.
+/// Sums of weighted products of two derivatives, and of their moments, over a row or a window.
 struct Moments<V, const T: usize, const S: usize> {
     /// dx·dx, dx·dy, dy·dy, each times 1, x, x² over a row, and times 1, x, y, x², xy, y² over a window.
     tensor: [[V; T]; 3],
@@ -327,8 +329,8 @@ impl<V: F32x8, const T: usize, const S: usize> Moments<V, T, S> {
 }
 
 impl<V: F32x8> Moments<V, 3, 2> {
-    /// Adds eight samples at columns `x`: the derivatives by position and gain, these times the weights,
-    /// and the weights.
+    /// Adds eight samples of a row, at columns `x`. Given are the derivatives by x, y and gain, the same
+    /// times the weights, and the weights.
     #[inline(always)]
     fn add(&mut self, [gx, gy, v]: [V; 3], [wx, wy, wv, w]: [V; 4], x: V) {
         for (sums, p) in self.tensor.iter_mut().zip([wx * gx, wx * gy, wy * gy]) {
@@ -363,7 +365,8 @@ impl<V: F32x8> Moments<V, 6, 3> {
         let [a, b, c, d] = &self.shift_light;
         let shift_light = [V::sums(a), V::sums(b), V::sums(c), V::sums(d)];
         let light = V::sums(&self.light);
-        // For each of the first six parameters: the derivative (dx, dy) and the moment (1, x, y).
+        // For each of the first six parameters: index of its derivative among (dx, dy), and of its moment
+        // among (1, x, y).
         const SHIFTS: [(usize, usize); 6] = [(0, 0), (1, 0), (0, 1), (0, 2), (1, 1), (1, 2)];
         // The index, among 1, x, y, x², xy, y², of the product of two moments.
         const PRODUCT: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
@@ -378,8 +381,8 @@ impl<V: F32x8> Moments<V, 6, 3> {
     }
 }
 
-/// Catmull and Rom's cubic weights of the samples at −1, 0, 1 and 2, for a position `f` in 0..1. In Horner form,
-/// they agree with `raster::catmull_rom` to 1e-6.
+/// The Catmull–Rom weights of the samples at −1, 0, 1 and 2 for a position `f` in 0..1. They are in Horner
+/// form, and agree with `raster::catmull_rom` to 1e-6.
 #[inline(always)]
 pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
     let c = V::splat;
@@ -393,29 +396,29 @@ pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
     ]
 }
 
-/// Samples a level at window coordinates through an [`AffineWarp`].
+/// Samples a level at window coordinates, mapped by an [`AffineWarp`].
 struct Sampler<'a> {
     target: &'a PyramidLevel,
-    /// Index of the top-left of the 4×4 samples around the middle's pixel.
+    /// Index of the top-left one of the 4×4 samples around the pixel that contains the window's middle.
     corner: isize,
     /// The step in the target per column of the window, pixels: the matrix's first column.
     per_column: [f32; 2],
     /// The step in the target per row of the window, pixels: the matrix's second column.
     per_row: [f32; 2],
-    /// The middle's fractional position within its pixel.
+    /// The fractional position of the window's middle within its pixel.
     middle: [f32; 2],
     inverse_gain: f32,
     bias: f32,
 }
 
 impl<'a> Sampler<'a> {
-    /// `None` if the window leaves the padded image.
+    /// A sampler of the level; `None` if the window leaves the padded image.
     fn new(target: &'a PyramidLevel, warp: &AffineWarp) -> Option<Self> {
         let reach = (ROW - RADIUS_PX) as f64;
         let m = &warp.matrix;
         let pad = target.pad as f64;
         let fits = |middle: f64, a: f64, b: f64, size: usize| {
-            // Two more for the kernel, one for the middle's fractional position.
+            // Plus 2 for the kernel and 1 for the middle's fractional position.
             let extent = reach * (a.abs() + b.abs()) + 3.0;
             middle - extent >= -pad && middle + extent <= size as f64 + pad - 1.0
         };
@@ -437,10 +440,11 @@ impl<'a> Sampler<'a> {
         })
     }
 
-    /// Eight samples of a row of the window, by cubic convolution, corrected for gain and bias.
+    /// Eight samples of a row of the window at columns `column`, by cubic convolution, corrected for gain and
+    /// bias.
     #[inline(always)]
     fn sample<V: F32x8>(&self, column: V, row: f32) -> V {
-        // Target coordinates from the middle's pixel: whole and fractional parts.
+        // Target coordinates relative to the middle's pixel, as integer and fractional parts.
         let [x0, y0] = [0, 1].map(|axis| self.middle[axis] + self.per_row[axis] * row);
         let [x_step, y_step] = self.per_column;
         let (ix, fx) = (V::splat(x0) + V::splat(x_step) * column).floor_and_fraction();

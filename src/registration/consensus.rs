@@ -1,18 +1,18 @@
-//! Consensus of neighbours: a surface has more than one feature, so that a motion unlike its neighbours' is a
-//! mismatch.
+//! Consensus of neighbours: a feature whose motion differs from that of its neighbours is a mismatch, since a
+//! surface has more than one feature.
 
 use super::{Match, Neighbors, RegistrationOptions, Start};
 use nalgebra::{Matrix2, Point2, Vector2};
 use rayon::prelude::*;
 
-/// Radius within which a point's neighbours are compared with it, pixels.
+/// Radius around a point in which its neighbours are compared with it, pixels.
 const SUPPORT_RADIUS_PX: f64 = 20.0;
-/// A neighbour supports a point if their motions differ by at most this, pixels, plus [`SUPPORT_FRACTION`] of
-/// the point's motion.
+/// Constant part of the maximum difference of two motions at which one supports the other, pixels.
+/// [`SUPPORT_FRACTION`] of the point's motion is added.
 const SUPPORT_PX: f64 = 1.5;
 const SUPPORT_FRACTION: f64 = 0.2;
 
-/// The motion of a point and of its surroundings.
+/// The motion of a point and the deformation around it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Moved {
     pub at: Point2<f64>,
@@ -23,8 +23,8 @@ pub(crate) struct Moved {
 }
 
 impl Moved {
-    /// How far the two motions deviate from a common affine motion, pixels: by the deformation of the one or of the
-    /// other, whichever deviates less.
+    /// The deviation of two motions from a common affine motion, pixels: the smaller one of those by the
+    /// deformation of either.
     pub fn distance(&self, other: &Self) -> f64 {
         let (apart, change) = (other.at - self.at, other.motion - self.motion);
         let by = |deformation: &Matrix2<f64>| (change - (deformation * apart - apart)).norm();
@@ -32,8 +32,8 @@ impl Moved {
     }
 }
 
-/// The differences of matched positions from their initial guesses; `None` without a match. Their deformation is the
-/// identity, because the guesses already account for it.
+/// The displacements of matches from their initial guesses; `None` without a match. Their deformation is the
+/// identity, because the guesses already account for deformation.
 pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Option<Moved>> {
     let of = |(start, m): (&Start, &Option<Match>)| {
         let deformation = Matrix2::identity();
@@ -42,18 +42,18 @@ pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Op
     starts.iter().zip(matches).map(of).collect()
 }
 
-/// Whether a point moves like its neighbours.
+/// The result of comparing a point's motion with its neighbours'.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Support {
     /// The point has too few neighbours to tell.
     Alone,
     /// Enough neighbours move like the point.
     Agrees,
-    /// The point is an outlier: its neighbours move otherwise.
+    /// The point is an outlier: its neighbours move differently.
     Differs,
 }
 
-/// For each point whether it moves like its neighbours, `None` without a motion.
+/// For each point the comparison with its neighbours; `None` for a point without a motion.
 pub(super) fn consensus(
     motions: &[Option<Moved>],
     options: &RegistrationOptions,
@@ -70,7 +70,7 @@ pub(super) fn consensus(
         if at_least(wanted, &|other| !std::ptr::eq(own, other) && own.distance(other) <= limit) {
             Support::Agrees
         } else if at_least(wanted + 1, &|_| true) {
-            // The point itself is one of them.
+            // The count includes the point itself.
             Support::Differs
         } else {
             Support::Alone

@@ -9,23 +9,24 @@ use nalgebra::Point2;
 
 /// Minimum distance between two corners, pixels.
 pub(super) const MIN_DISTANCE_PX: f64 = 4.0;
-/// Minimum eigenvalue as a fraction of the image's largest.
+/// Minimum eigenvalue of a corner, as a fraction of the image's largest.
 const MIN_QUALITY: f32 = 1e-3;
 /// Half-width of the box filter that is applied to the structure tensor twice, pixels.
 const RADIUS_PX: usize = 1;
-/// Minimum eigenvalue in any image, per pixel, values 0..=1: a gradient of 0.05 of an 8-bit step per pixel, above
-/// the rounding of constant images.
+/// Minimum eigenvalue of a corner in any image, per pixel, values 0..=1. It corresponds to a gradient of 0.05
+/// of an 8-bit step per pixel, above the rounding noise of constant images.
 const MIN_EIGENVALUE: f32 = 4e-8;
 
-/// The corners of a pyramid level (§4.1), strongest first, at most `max_corners`. Sub-pixel positions in the
-/// level's pixels, the top-left pixel's centre at (0.5, 0.5). Constant images have none.
+/// The corners of a pyramid level (§4.1), strongest first, at most `max_corners`. Sub-pixel positions in
+/// pixels of the level, with the top-left pixel's centre at (0.5, 0.5). Constant images have none.
 pub fn corners(level: &PyramidLevel, max_corners: usize) -> Vec<Point2<f64>> {
     let (w, h) = (level.width, level.height);
     let strength = min_eigenvalues(level, RADIUS_PX);
     let mut peaks = peaks(&strength, w, h, MIN_QUALITY);
     peaks.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
 
-    // The selected corners, in cells as wide as the minimum distance, so that near ones are in adjacent cells.
+    // The selected corners, sorted into cells as wide as the minimum distance, so that corners within this
+    // distance are in adjacent cells.
     let [columns, rows] = [w, h].map(|size| (size as f64 / MIN_DISTANCE_PX) as usize + 1);
     let mut cells: Vec<Vec<Point2<f64>>> = vec![Vec::new(); columns * rows];
     let mut selected = Vec::new();
@@ -45,12 +46,12 @@ pub fn corners(level: &PyramidLevel, max_corners: usize) -> Vec<Point2<f64>> {
     selected
 }
 
-/// The local maxima above a fraction of the largest strength, and their indices; of equal neighbours the
-/// first in reading order.
+/// The local maxima above a fraction of the largest strength, as (strength, index). Of equal neighbours, the
+/// first in reading order counts.
 fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
     let largest = strength.iter().copied().fold(0.0, f32::max);
     let floor = (largest * min_quality).max(MIN_EIGENVALUE);
-    // A border of −∞ around the plane.
+    // The plane with a border of −∞.
     let wide = w + 2;
     let mut bordered = vec![f32::NEG_INFINITY; wide];
     bordered.extend(padded(strength, w, 1, f32::NEG_INFINITY));
@@ -60,7 +61,8 @@ fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, us
         let [above, row, below] = [y, y + 1, y + 2].map(|y| &bordered[y * wide..][..wide]);
         for x in 0..w {
             let s = row[x + 1];
-            // Of the neighbours before, none is as large; of those after, none is larger.
+            // A peak is larger than its neighbours before it in reading order, and at least as large as those
+            // after it.
             let before = above[x].max(above[x + 1]).max(above[x + 2]).max(row[x]);
             let after = below[x].max(below[x + 1]).max(below[x + 2]).max(row[x + 2]);
             if (s >= floor) & (s > before) & (s >= after) {
@@ -75,7 +77,7 @@ fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, us
 fn refined(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> Point2<f64> {
     let vertex = |before: f32, here: f32, after: f32| {
         let curvature = f64::from(before) - 2.0 * f64::from(here) + f64::from(after);
-        // A flat top has no vertex; a peak's is never over half a pixel away.
+        // A flat top has no vertex. A peak's vertex is at most half a pixel away.
         if curvature < 0.0 {
             (0.5 * (f64::from(before) - f64::from(after)) / curvature).clamp(-0.5, 0.5)
         } else {
@@ -92,8 +94,8 @@ multiversion! {
     fn min_eigenvalues(level: &PyramidLevel, radius: usize) -> Vec<f32> = min_eigenvalues_by::<V>
 }
 
-/// The smaller eigenvalue, per pixel, of the structure tensor averaged over a triangular window (a box
-/// applied twice), whose response has a peak where a box's has a plateau. The border is repeated.
+/// The smaller eigenvalue, at each pixel, of the structure tensor averaged over a triangular window (a box
+/// filter applied twice). Its response has a peak where a box filter's has a plateau. The border is repeated.
 #[inline(always)]
 fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32> {
     let (w, h) = (level.width, level.height);
@@ -128,7 +130,7 @@ fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32>
     out
 }
 
-/// A row of structure tensors, as planes xx, xy, yy.
+/// A row of structure tensors, as three planes xx, xy, yy.
 struct Tensor {
     planes: [Vec<f32>; 3],
 }
@@ -138,7 +140,7 @@ impl Tensor {
         Self { planes: std::array::from_fn(|_| vec![0.0; width]) }
     }
 
-    /// Adds `factor` times another row's values from index `shift` on.
+    /// Adds another row's values, from index `shift` on, multiplied by `factor`.
     #[inline(always)]
     fn add(&mut self, other: &Self, shift: usize, factor: f32) {
         for (plane, other) in self.planes.iter_mut().zip(&other.planes) {
@@ -148,8 +150,8 @@ impl Tensor {
         }
     }
 
-    /// Loads the products of a row's derivatives (times [`SCHARR_SCALE`] squared), its ends repeated
-    /// `margin` times.
+    /// Loads the products of a row's derivatives (times [`SCHARR_SCALE`] squared). The values at both ends
+    /// are repeated `margin` times.
     #[inline(always)]
     fn load<V: F32x8>(&mut self, level: &PyramidLevel, y: usize, margin: usize) {
         let [xx, xy, yy] = &mut self.planes;
@@ -221,7 +223,7 @@ mod tests {
         assert_eq!(few[..], points[..7]);
     }
 
-    /// Few values, so that many neighbours are equal.
+    /// The strengths have few distinct values, so that many neighbours are equal.
     #[test]
     fn peaks_agree_with_a_naive_reference() {
         let mut random = Random::new(2);
@@ -240,7 +242,8 @@ mod tests {
         }
     }
 
-    /// Whether a pixel is a local maximum; of equal neighbours the first in reading order is.
+    /// Reference implementation: whether a pixel is a local maximum. Of equal neighbours, the first in
+    /// reading order is.
     fn is_peak(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
         let s = strength[y * w + x];
         for ny in y.saturating_sub(1)..=(y + 1).min(h - 1) {
@@ -255,7 +258,7 @@ mod tests {
         true
     }
 
-    /// The same strengths written as simply as possible, in f64.
+    /// The reference computes the same strengths as simply as possible, in f64.
     #[test]
     fn strengths_agree_with_a_naive_reference() {
         let sizes = [(1, 1), (1, 7), (8, 1), (2, 2), (3, 5), (9, 8), (17, 12), (24, 31)];

@@ -13,10 +13,11 @@ use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::CaptureError;
 use nalgebra::Point2;
 
-/// The result of the epipolar test of a track. Of the results by several references, the last in this order counts.
+/// The result of the epipolar test of a track. If several references test it, the last of their results in
+/// this order counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
-    /// No reference can test the track: its feature is matched in none, or moves along the epipolar line.
+    /// No reference can test the track: its feature has no match there, or moves along the epipolar line.
     Untestable,
     /// The feature's match in the reference (spatial correspondence) is on the epipolar line, eq. (3).
     Passed,
@@ -31,20 +32,20 @@ struct TestedTrack<'a> {
     index: usize,
     track: &'a Track,
     trajectory: Trajectory,
-    /// The end of the track that it was tracked from, pixels.
+    /// The track's position in the frame from which it was tracked, pixels.
     start: Point2<f64>,
 }
 
-/// The epipolar test (§4.2) of the tracks of camera `i` between its frames `k` and `k + 1`: a verdict per
-/// track, in order.
+/// The epipolar test (§4.2) of the tracks of camera `i` between its frames `k` and `k + 1`. Returns a verdict
+/// for each track, in order.
 ///
-/// References are frames of other cameras, which [`select_references`] chooses for each direction of the flow. The
-/// first references ([`References::first`](super::References::first)) test all tracks. The further references test the
-/// tracks that no reference before could test. A track is rejected if one reference rejects it, and passed if one
-/// passes it and none rejects it.
+/// References are frames of other cameras, which [`select_references`] chooses for each direction of the
+/// flow. The first references ([`References::first`](super::References::first)) test all tracks. The further
+/// references test the tracks that no first reference could test. A track is rejected if one reference
+/// rejects it, and passed if one passes it and none rejects it.
 ///
-/// `times_s[j]` are camera j's frame times in seconds on the common clock, `None` if its clock is unknown. All tracks
-/// are untestable if camera `i`'s clock is unknown.
+/// `times_s[j]` are camera j's frame times in seconds on the common clock, `None` if its clock is unknown. If
+/// camera `i`'s clock is unknown, all tracks are untestable.
 ///
 /// # Errors
 /// If a frame of the camera or of a reference cannot be read.
@@ -61,7 +62,7 @@ pub fn epipolar_check(
     let mut verdicts = vec![Verdict::Untestable; tracks.len()];
     let Some(own_times) = &times_s[i] else { return Ok(verdicts) };
     let interval_s = [own_times[k], own_times[k + 1]];
-    // The forward flow's errors show at its far end, t + Δt; the backward flow's at t.
+    // Errors of the forward flow show at its end, t + Δt; those of the backward flow at its end, t.
     let directed = |is_backward: bool| {
         let (frame, time_s) = if is_backward { (k + 1, interval_s[0]) } else { (k, interval_s[1]) };
         let is_own = |track: &Track| is_backward == (track.direction == FlowDirection::Backward);
@@ -105,15 +106,15 @@ pub fn epipolar_check(
     Ok(verdicts)
 }
 
-/// A feature that moves by more than this, pixels, is testable only if it moves across its epipolar line.
+/// Motion, pixels, above which a feature is testable only if it moves across its epipolar line.
 const MIN_TEST_MOTION_PX: f64 = 1.0;
 /// Minimum part of a testable feature's motion that is across its epipolar line, as a fraction of the motion.
 const MIN_ACROSS_FRACTION: f64 = 0.1;
-/// Pyramid levels for tracking a feature into the reference camera again, from the displacement that the motion prior
-/// predicts.
+/// Number of pyramid levels in the second attempt to track a feature into the reference camera. It starts
+/// from the displacement that the motion prior predicts.
 const RETRY_LEVELS: usize = 1;
 
-/// The tested camera i and a reference camera j.
+/// The tested camera i and the camera j of a reference.
 struct Pair<'a> {
     camera_i: &'a Camera,
     camera_j: &'a Camera,
@@ -123,7 +124,7 @@ struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// Tests features, tracked from frame `source`, by a reference. Returns their verdicts in order.
+    /// Tests features, tracked from frame `source`, with one reference. Returns their verdicts in order.
     fn verdicts(
         &self,
         frames: &FrameStore,
@@ -151,8 +152,8 @@ impl Pair<'_> {
         Ok(features.iter().zip(matched).map(verdict).collect())
     }
 
-    /// Tracks the features matched in a frame of the reference camera to its next frame, and replaces their positions
-    /// by those at the time of the test, linearly interpolated; `None` if lost.
+    /// Tracks matched features from a frame of the reference camera to its next frame, and replaces their
+    /// positions in `matched` by those at the time of the test, linearly interpolated; `None` if lost.
     fn interpolate(
         &self,
         [frame, next]: [&Frame; 2],
@@ -175,9 +176,9 @@ impl Pair<'_> {
         }
     }
 
-    /// A second attempt at features that were not matched, or not on their epipolar line. The initial guess is
-    /// first the predicted position plus the neighbours' disparity, then the start plus the neighbours'
-    /// displacement. The match of the smaller residual is used.
+    /// A second attempt for features that have no match, or one off their epipolar line. It is made from two
+    /// initial guesses: the predicted position plus the neighbours' disparity, and the start plus the
+    /// neighbours' displacement. The match of the smaller residual is taken.
     fn retry(&self, frames: [&Frame; 2], starts: &[Start], matches: &mut [Option<Match>]) {
         let Some(geometry) = EpipolarGeometry::new(self.camera_i, self.camera_j) else { return };
         let is_on_line = |p_i: &Point2<f64>, p_j: &Point2<f64>| {
@@ -199,7 +200,8 @@ impl Pair<'_> {
         }
     }
 
-    /// Applies eq. (3) to a feature and its position in the reference; `None` if the reference cannot test it.
+    /// Applies eq. (3) to a feature and its position in the reference, pixels. `None` if the reference cannot
+    /// test it.
     fn verdict(
         &self,
         feature: &TestedTrack,
@@ -213,7 +215,8 @@ impl Pair<'_> {
         if line.distance(&p_j).abs() > self.options.epipolar_tolerance_px {
             return Some(Verdict::Rejected);
         }
-        // An error along the epipolar line can't be detected. A motion is tested only if it moves the line enough.
+        // An error along the epipolar line can't be detected. A motion can be tested only if it moves the
+        // line enough.
         let motion = feature.track.motion();
         let start = geometry.line_in_j(&ideal_i(&feature.track.earlier)?)?;
         let end = geometry.line_in_j(&ideal_i(&feature.track.later)?)?;
@@ -275,7 +278,7 @@ mod tests {
     fn motion_along_the_line_is_untestable_and_rest_is_not() {
         let along = track([100.0, 100.0], [120.0, 100.2]);
         assert_eq!(verdict(&along, Some([70.0, 100.0])), Verdict::Untestable);
-        // Off the line is wrong, whatever the motion.
+        // A match off the line is rejected, whatever the motion.
         assert_eq!(verdict(&along, Some([70.0, 107.0])), Verdict::Rejected);
         let at_rest = track([100.0, 100.0], [100.0, 100.0]);
         assert_eq!(verdict(&at_rest, Some([70.0, 100.0])), Verdict::Passed);

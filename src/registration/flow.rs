@@ -5,11 +5,12 @@ use super::{Frame, KltParameters, RegistrationOptions, Tracked, Tracker};
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
 
-/// Number of pyramid levels for tracking backward, where the initial guess is near the result.
+/// Number of pyramid levels for tracking back, where the initial guess is close to the result.
 const BACKWARD_LEVELS: usize = 2;
-/// Points are tracked in horizontal bands of this height, pixels, whose windows fit the processor's cache.
+/// Height of the horizontal bands in which points are tracked together, pixels. A band's windows fit the
+/// processor's cache.
 const BAND_PX: f64 = 24.0;
-/// Minimum number of points that a thread tracks at a time.
+/// Minimum number of points in one task of a thread.
 const CHUNK: usize = 128;
 
 /// A correspondence between two frames.
@@ -19,7 +20,7 @@ pub struct Match {
     pub source: Point2<f64>,
     /// The point in the target frame, pixels.
     pub target: Point2<f64>,
-    /// The linear part of the motion around the point: the identity where its window only translated.
+    /// The linear part of the motion around the point; the identity where its window is only translated.
     pub deformation: Matrix2<f64>,
     /// Mean absolute difference of the two windows' values (0..=1).
     pub residual: f64,
@@ -28,13 +29,13 @@ pub struct Match {
     pub forward_backward_error_px: f64,
 }
 
-/// A point in the source frame, and the initial guess of it in the target frame; pixels.
+/// A point in the source frame, and the initial guess of its position in the target frame; pixels.
 pub type Start = (Point2<f64>, Point2<f64>);
 
-/// Sparse optical flow (§4.1): tracks points from one frame to another, each from its own initial
-/// guess, and back again.
+/// Sparse optical flow (§4.1): tracks points from one frame to another, each from its own initial guess, and
+/// back again.
 ///
-/// The result is in the order of `starts`, whatever the number of threads. It is `None` where a point
+/// The result is in the order of `starts`, independent of the number of threads. It is `None` where a point
 /// is lost or exceeds a threshold of [`RegistrationOptions::consistency`].
 pub fn flow(
     source: &Frame,
@@ -45,7 +46,7 @@ pub fn flow(
     flow_over([source, target], starts, [options.levels, BACKWARD_LEVELS], options)
 }
 
-/// As [`flow`], on the given numbers of finest pyramid levels, forward and backward.
+/// [`flow`] with given numbers of finest pyramid levels, forward and backward.
 pub(super) fn flow_over(
     frames: [&Frame; 2],
     starts: &[Start],

@@ -12,31 +12,32 @@ use std::sync::OnceLock;
 pub struct Frame {
     /// The image as filmed.
     pub image: Image,
-    /// The pyramid to track in, of the image corrected to the reference camera's brightness.
+    /// The pyramid for tracking, of the image gain-corrected to the reference camera's exposure.
     pub pyramid: Pyramid,
     corners: OnceLock<Vec<Point2<f64>>>,
     gradients: OnceLock<PolarGradients>,
 }
 
 impl Frame {
-    /// A frame whose pyramid is of the image as filmed, without a correction of brightness.
+    /// A frame whose pyramid is that of the image as filmed, without gain correction.
     pub fn new(image: Image, options: &RegistrationOptions) -> Self {
         let pyramid = Pyramid::new(&image, options.levels, options.pad_px());
         let (corners, gradients) = (OnceLock::new(), OnceLock::new());
         Self { image, pyramid, corners, gradients }
     }
 
-    /// The frame's corners (§4.1), pixels. They are computed by the first call, whose options count.
+    /// The frame's corners (§4.1), pixels. They are computed by the first call, with its options; later calls
+    /// return the same.
     pub fn corners(&self, options: &RegistrationOptions) -> &[Point2<f64>] {
         self.corners.get_or_init(|| corners(&self.pyramid.levels[0], options.max_corners))
     }
 
-    /// Gradients for the descriptors of rotating patches. Computed by the first call.
+    /// Gradients for the descriptors of rotating patches. They are computed by the first call.
     pub(super) fn gradients(&self) -> &PolarGradients {
         self.gradients.get_or_init(|| polar_gradients(&self.pyramid))
     }
 
-    /// Bytes of a frame of this width and height, pixels: image, pyramid and gradients.
+    /// Size in memory, bytes, of a frame of this width and height: image, pyramid and gradients.
     pub(super) fn bytes_of(
         size: [usize; 2],
         channels: usize,

@@ -6,34 +6,37 @@ use crate::host::Memo;
 use std::convert::Infallible;
 use std::sync::Arc;
 
-/// The frames of a capture, decoded and prepared for registration when they are first used, and cached.
+/// The frames of a capture. They are decoded and prepared for registration when they are first used, and then
+/// cached.
 #[derive(Clone)]
 pub struct FrameStore {
     capture: Arc<Capture>,
     options: RegistrationOptions,
-    /// The memo that caches the frames.
+    /// The memo, which is the cache in memory that holds the frames.
     pub memo: Arc<Memo>,
-    /// Camera and index of every frame that was decoded, in order.
+    /// Camera and index of every frame that has been decoded, in order; for tests.
     #[cfg(test)]
     pub(crate) decoded: Arc<std::sync::Mutex<Vec<(usize, usize)>>>,
 }
 
-/// Minimum size of the default memo, bytes. From here to [`MAX_BYTES`], it grows with the cameras' images.
+/// Minimum size of the default memo, bytes. Between this and [`MAX_BYTES`], the size is proportional to that
+/// of the cameras' images.
 const MIN_BYTES: usize = 208 << 20;
-/// Maximum size of the default memo, bytes: for eight cameras of 1920×1080, the frames and maps of two slots of scene flow.
+/// Maximum size of the default memo, bytes: enough for the frames and maps of two slots of scene flow of
+/// eight cameras of 1920×1080.
 const MAX_BYTES: usize = 1 << 30;
 
-/// Size of the default memo, in frames of each camera: enough for all data that views at one instant are rendered from.
+/// Size of the default memo, in frames of each camera. It is enough for all data from which views at one
+/// instant are rendered.
 const FRAMES_OF_INSTANT: usize = 3;
 
-/// Maximum number of cached frames per camera, so that a long recording of small images takes no more
-/// memory than a short one.
+/// Maximum number of cached frames per camera. It bounds the memory for a long recording of small images.
 const MAX_FRAMES: usize = 24;
 
-/// Name in the memo of the stage that decodes a frame.
+/// Name, in the memo, of the stage that decodes a frame.
 const FRAME_STAGE: &str = "frame";
 
-/// Name in the memo of the stage that estimates the gains.
+/// Name, in the memo, of the stage that estimates the gains.
 const GAINS_STAGE: &str = "gains";
 
 impl FrameStore {
@@ -60,7 +63,7 @@ impl FrameStore {
         }
     }
 
-    /// The capture that the frames are of.
+    /// The capture to which the frames belong.
     pub fn capture(&self) -> &Arc<Capture> {
         &self.capture
     }
@@ -70,7 +73,7 @@ impl FrameStore {
         &self.options
     }
 
-    /// Frame `index` of camera `camera`, both indices into the capture.
+    /// Frame `index` of camera `camera`; both are indices into the capture.
     ///
     /// # Errors
     /// If the frame cannot be read.
@@ -87,7 +90,7 @@ impl FrameStore {
                 let image = self.capture.read_frame(camera, index)?;
                 #[cfg(test)]
                 self.decoded.lock().unwrap().push((camera, index));
-                // The pyramid is as bright as the reference camera's.
+                // The pyramid is of the gain-corrected image.
                 let Some(corrected) = self.gains().corrected(camera, &image) else {
                     return Ok(Frame::new(image, &self.options));
                 };
@@ -98,14 +101,14 @@ impl FrameStore {
         )
     }
 
-    /// Whether this many frames of each camera fit the memo together.
+    /// Whether `frames_each` frames of each of these cameras fit the memo together.
     pub fn fits(&self, cameras: impl Iterator<Item = usize>, frames_each: usize) -> bool {
         let bytes: usize = cameras.map(|c| self.bytes_of(c)).sum();
         bytes.saturating_mul(frames_each) <= self.memo.max_bytes()
     }
 
-    /// The cost of a camera's frame in the memo, bytes: at least 1/[`MAX_FRAMES`] of the camera's equal part of the
-    /// memo.
+    /// The size that a camera's frame counts in the memo, bytes. It is at least the camera's equal share of
+    /// the memo divided by [`MAX_FRAMES`].
     fn bytes_of(&self, camera: usize) -> usize {
         let max_frames = MAX_FRAMES * self.capture.cameras.len();
         let min_bytes = self.memo.max_bytes().div_ceil(max_frames);
@@ -129,7 +132,7 @@ impl FrameStore {
         gains
     }
 
-    /// Stores the gains on disk, unless they are already stored; returns their size in bytes.
+    /// Stores the gains on disk, unless they are already there; returns their size in bytes.
     ///
     /// # Errors
     /// If they can't be written.
@@ -139,7 +142,7 @@ impl FrameStore {
     }
 }
 
-/// The size of a camera's frame, bytes.
+/// The size in memory of one of a camera's frames, bytes.
 fn bytes_of(capture: &Capture, camera: usize, options: &RegistrationOptions) -> usize {
     let filmed = &capture.cameras[camera];
     let channels = match filmed.color {

@@ -1,13 +1,13 @@
-//! Photometric calibration (beyond the paper): how much brighter one camera records the same light than
-//! another, by exposure and white balance.
+//! Photometric calibration (beyond the paper): the gain of each camera relative to the reference camera, due
+//! to exposure and white balance.
 //!
-//! Features of each camera's frame are matched in those of its nearest neighbours, after a rough
-//! correction by median brightness. The ratios of their linear light, channel by channel, are solved
-//! for all cameras' gains by weighted least squares. Cameras whose gains do not differ significantly
-//! are not corrected.
+//! Features of each camera's frame are matched in the frames of its nearest neighbours, after a rough
+//! correction by median brightness. The ratios of their linear light, channel by channel, are solved for all
+//! cameras' gains by weighted least squares. Cameras whose gains do not differ significantly from 1 are not
+//! corrected.
 //!
-//! Known limits: one gain per channel and camera for the whole recording (no automatic exposure, no vignetting).
-//! Cameras whose frames have no features in common are taken as equally bright.
+//! Known limits: there is one gain per channel and camera for the whole recording (no automatic exposure, no
+//! vignetting). Cameras whose frames have no features in common are assumed to have the same gains.
 
 use super::{Frame, Match, RegistrationOptions, flow};
 use crate::capture::Capture;
@@ -17,37 +17,38 @@ use nalgebra::{DMatrix, DVector, Point2};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// The gains of a capture's cameras, by channel: the ratio of the linear light that a camera records to that which the
-/// reference camera records of the same surface.
+/// The gains of a capture's cameras, by channel: the ratio of the linear light that a camera records to the
+/// linear light that the reference camera records of the same surface.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    /// Each camera's gains: red, green, blue; three equal ones for a grey camera.
+    /// For each camera the gains of red, green and blue; three equal ones for a grey camera.
     pub factors: Vec<[f64; 3]>,
-    /// The largest measured difference of a gain from 1, significant or not, and its standard error;
-    /// (0, 0) if nothing was compared.
+    /// The largest measured difference of a gain from 1, significant or not, and its standard error; (0, 0)
+    /// if no cameras were compared.
     pub largest: (f64, f64),
 }
 
-/// Minimum difference of a gain from 1 that is corrected. Between equal cameras, moving objects and specular surfaces
-/// cause measured differences of up to 0.019. A difference of 0.03 changes the brightest 8-bit values by 3.
+/// Minimum difference of a gain from 1 that is corrected. Between cameras with equal gains, moving objects
+/// and specular surfaces cause measured differences of up to 0.019. A difference of 0.03 changes the
+/// brightest 8-bit values by 3.
 const MIN_DIFFERENCE: f64 = 0.03;
-/// Minimum difference of a gain from 1 that is corrected, in standard errors.
+/// Minimum difference of a gain from 1 that is corrected, in units of its standard error.
 const MIN_STD_ERRORS: f64 = 4.0;
 /// Number of nearest cameras that each camera is compared with.
 const NEIGHBORS: usize = 2;
-/// Images are halved until they are no wider than this, pixels.
+/// Maximum width of the compared images, pixels; larger images are halved repeatedly.
 const WIDTH_PX: usize = 250;
-/// Minimum number of matched features by which two cameras are compared.
+/// Minimum number of matched features for comparing two cameras.
 const MIN_FEATURES: usize = 12;
-/// Range of gains that are accepted from the disk cache.
+/// Range of gains that are accepted when they are read from disk.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
-/// Half-width of the windows whose mean light is compared, pixels.
+/// Half-width of the windows whose mean linear light is compared, pixels.
 const RADIUS_PX: isize = 2;
-/// Range of encoded values (0..=1) that are compared: neither clipped nor noise.
+/// Range of encoded values (0..=1) that are used: neither clipped nor dominated by noise.
 const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
 
 impl Gains {
-    /// Gains as a kind of entries of the disk cache.
+    /// The kind of the gains' entries in the disk cache.
     pub(crate) const KIND: CacheKind = CacheKind { name: "gains", version: 1 };
 
     /// Gains of 1 for this many cameras.
@@ -55,7 +56,7 @@ impl Gains {
         Self { factors: vec![[1.0; 3]; cameras], largest: (0.0, 0.0) }
     }
 
-    /// Whether gains that were read from a file may be those of this many cameras.
+    /// Whether gains that were read from a file are valid for this many cameras.
     pub(crate) fn are_plausible(&self, cameras: usize) -> bool {
         let (difference, std_err) = self.largest;
         let are_measured = [difference, std_err].iter().all(|v| v.is_finite() && *v >= 0.0);
@@ -68,7 +69,7 @@ impl Gains {
         self.factors.iter().all(|f| *f == [1.0; 3])
     }
 
-    /// The camera's image (encoded values) as the reference camera would have recorded it; `None` if the
+    /// A camera's image (encoded values), gain-corrected to the reference camera's exposure; `None` if the
     /// camera's gains are 1. Values may leave 0..=1.
     ///
     /// # Panics
@@ -78,8 +79,8 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors.map(|f| 1.0 / f)))
     }
 
-    /// The inverse of [`Self::corrected`]: what the camera would have recorded, of an image (encoded values) as
-    /// bright as the reference records it; `None` if the camera's gains are 1.
+    /// The inverse of [`Self::corrected`]: converts an image (encoded values) with the reference camera's
+    /// exposure to the exposure of `camera`; `None` if the camera's gains are 1.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -88,8 +89,8 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors))
     }
 
-    /// Estimates the gains from one frame of each camera, in the middle of its recording. A camera whose frame cannot
-    /// be read is not compared; the error is reported when the frame is used.
+    /// Estimates the gains from one frame of each camera, in the middle of its recording. A camera whose
+    /// frame cannot be read is left out; the error is reported when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
         let count = capture.cameras.len();
         let small_image = |c: usize| {
@@ -103,7 +104,7 @@ impl Gains {
         let images: Vec<Option<Image>> = (0..count).into_par_iter().map(small_image).collect();
         let level = |image: &Image| {
             let levels = image.to_gray().data().iter().map(|v| f64::from(*v)).collect();
-            // A black image has no features: any level serves.
+            // The bound is arbitrary: a black image has no features to compare.
             linear_from_encoded(median(levels)).max(1e-4)
         };
         let reference = images[capture.reference].as_ref().map_or(1.0, level);
@@ -120,7 +121,8 @@ impl Gains {
         };
         let ratios: Vec<Ratio> = neighbors(capture).into_iter().filter_map(ratio).collect();
         let mut gains = solve_gains(count, capture.reference, &ratios);
-        // The solution of a grey camera beside colour cameras differs by channel: it has one gain.
+        // Next to colour cameras, the solution of a grey camera differs by channel. It gets the same gain for
+        // all.
         for (factors, image) in gains.factors.iter_mut().zip(&images) {
             let is_gray = image.as_ref().is_some_and(|i| i.channels() == 1);
             if is_gray && *factors != [1.0; 3] {
@@ -137,13 +139,13 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// The luminance of linear light, in all channels.
+/// The luminance of linear light, as three equal channels.
 fn luminance([r, g, b]: [f64; 3]) -> [f64; 3] {
     let [x, y, z] = LUMINANCE;
     [x * r + y * g + z * b; 3]
 }
 
-/// The pairs of each camera and its nearest neighbours, every pair once.
+/// The pairs of each camera with its nearest neighbours; every pair occurs once.
 fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs = Vec::new();
@@ -158,7 +160,7 @@ fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     pairs
 }
 
-/// The image at half the size, by means of 2×2 pixels; the last row or column of an odd number is dropped.
+/// The image at half its width and height, by means of 2×2 pixels; an odd last row or column is dropped.
 pub(crate) fn halved(image: &Image) -> Image {
     let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
     let value = |k: usize| {
@@ -169,7 +171,7 @@ pub(crate) fn halved(image: &Image) -> Image {
     Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect())
 }
 
-/// The image with its linear light multiplied by a factor per channel; a grey image by the first.
+/// The image with its linear light multiplied by a factor per channel; for a grey image, by the first factor.
 fn scaled(image: &Image, factors: [f64; 3]) -> Image {
     let channels = image.channels();
     let value = |(k, v): (usize, &f32)| {
@@ -179,8 +181,8 @@ fn scaled(image: &Image, factors: [f64; 3]) -> Image {
     Image::from_data(image.width(), image.height(), channels, data)
 }
 
-/// The mean linear light of the window around a point, by channel; `None` if the window leaves the image or
-/// has a value outside [`USABLE`].
+/// The mean linear light, by channel, of the window around a point in pixels. `None` if the window leaves the
+/// image or has a value outside [`USABLE`].
 fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     let (cx, cy) = (at.x.floor() as isize, at.y.floor() as isize);
     let (w, h) = (image.width() as isize, image.height() as isize);
@@ -204,8 +206,8 @@ fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     Some(sums.map(|sum| sum / area))
 }
 
-/// Ratio of the linear light that camera `cameras[1]` records to that which camera `cameras[0]` records of the same
-/// surfaces, by channel: its logarithm and the logarithm's variance.
+/// Ratio of the linear light that `cameras[1]` records to the linear light that `cameras[0]` records of the
+/// same surfaces. For each channel the ratio's logarithm and the variance of the logarithm.
 struct Ratio {
     cameras: [usize; 2],
     log: [f64; 3],
@@ -213,7 +215,7 @@ struct Ratio {
 }
 
 impl Ratio {
-    /// The median ratio over matched features; `None` for fewer than [`MIN_FEATURES`].
+    /// The median ratio over matched features, pixels of the images; `None` for fewer than [`MIN_FEATURES`].
     fn between(
         cameras: [usize; 2],
         images: [&Image; 2],
@@ -223,7 +225,7 @@ impl Ratio {
         let log = |m: &Match| {
             let both = [light(images[0], &m.source)?, light(images[1], &m.target)?];
             let [a, b] = if is_gray { both.map(luminance) } else { both };
-            // Usable light is positive.
+            // The light is positive, since it is in the usable range.
             Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
         };
         let logs: Vec<[f64; 3]> = matches.iter().flatten().filter_map(log).collect();
@@ -233,8 +235,8 @@ impl Ratio {
         let log = [0, 1, 2].map(|c| median(logs.iter().map(|l| l[c]).collect()));
         let variance = [0, 1, 2].map(|c| {
             let deviation = median(logs.iter().map(|l| (l[c] - log[c]).abs()).collect());
-            // A normal distribution's standard deviation is 1.4826 times the median absolute
-            // deviation; a median's standard error is √(π/2) times a mean's.
+            // For a normal distribution, the standard deviation is 1.4826 times the median absolute
+            // deviation, and the standard error of a median is √(π/2) times that of a mean.
             let std_err = 1.2533 * 1.4826 * deviation / (logs.len() as f64).sqrt();
             std_err * std_err + MIN_STD_ERR * MIN_STD_ERR
         });
@@ -242,13 +244,13 @@ impl Ratio {
     }
 }
 
-/// Minimum standard error of a log ratio: specular reflection differs between two views.
+/// Lower bound of the standard error of a log ratio, since specular reflection differs between two views.
 const MIN_STD_ERR: f64 = 0.002;
-/// Standard deviation of the prior of a camera's log gain, around 0. It regularizes cameras that were not compared with
-/// any other.
+/// Standard deviation of the prior on a camera's log gain, with mean 0. It makes the gains of cameras without
+/// comparisons solvable.
 const PRIOR_STD_ERR: f64 = 10.0;
 
-/// The weighted least-squares solution of all cameras' gains, the reference camera's 1.
+/// The weighted least-squares solution for all cameras' gains. The reference camera's are 1.
 fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
     let mut gains = Gains::equal(cameras);
     for c in 0..3 {
@@ -270,7 +272,7 @@ fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
         for (camera, factors) in gains.factors.iter_mut().enumerate() {
             let std_err = covariance[(camera, camera)].max(0.0).sqrt();
             let difference = logs[camera].exp() - 1.0;
-            // A standard error near the prior's means that the camera was not compared with any other.
+            // A standard error close to the prior's means that the camera was not compared with any other.
             if camera == reference || !difference.is_finite() || std_err > 0.1 * PRIOR_STD_ERR {
                 continue;
             }

@@ -2,12 +2,13 @@
 
 use crate::simd::{F32x8, LANES};
 
-/// Divisor of [`scharr`]: the kernel's weights, 3 + 10 + 3, over a baseline of two pixels.
+/// The factor in the results of [`scharr`]: the kernel's weights, 3 + 10 + 3, times its baseline of two
+/// pixels.
 pub const SCHARR_SCALE: f32 = 32.0;
 
 /// Scharr's derivatives `[∂/∂x, ∂/∂y]` at eight neighbouring samples, times [`SCHARR_SCALE`].
 ///
-/// `plane` is row-major with `stride` samples a row; `at` is the index of the first of the eight.
+/// `plane` is row-major with `stride` samples per row; `at` is the index of the first of the eight samples.
 ///
 /// # Panics
 /// If the 3×3 neighbourhoods of all eight samples are not inside the plane.
@@ -15,7 +16,7 @@ pub const SCHARR_SCALE: f32 = 32.0;
 pub fn scharr<V: F32x8>(plane: &[f32], at: usize, stride: usize) -> [V; 2] {
     assert!(at > stride && at + stride + LANES < plane.len(), "the border is wide enough");
     let [up, down] = [at - stride, at + stride];
-    // SAFETY: the first index is at − stride − 1, the last before at + stride + 1 + LANES.
+    // SAFETY: the first read is at − stride − 1, the last is before at + stride + 1 + LANES.
     let [a, b, c, d, e, f, g, h] = unsafe {
         [
             V::load_unchecked(plane, up - 1),
@@ -29,7 +30,7 @@ pub fn scharr<V: F32x8>(plane: &[f32], at: usize, stride: usize) -> [V; 2] {
         ]
     };
     let (three, ten) = (V::splat(3.0), V::splat(10.0));
-    // Both derivatives need the differences along the diagonals.
+    // Both derivatives use the differences along the diagonals.
     let (falling, rising) = (h - a, c - f);
     let dx = (falling + rising) * three + (e - d) * ten;
     let dy = (falling - rising) * three + (g - b) * ten;

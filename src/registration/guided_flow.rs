@@ -1,5 +1,5 @@
-//! Second attempts at lost points and at outliers, from initial guesses by their neighbours' motion; and the
-//! extension of tracks by a frame.
+//! Second attempts to track lost points and outliers, with initial guesses from their neighbours' motion; and
+//! the extension of tracks to the frames before and after.
 
 use super::consensus::{Support, consensus, innovations};
 use super::flow::{Start, flow_over};
@@ -7,40 +7,42 @@ use super::rotating_patches::affine_matches;
 use super::{AffineStart, Frame, Match, Neighbors, RegistrationOptions};
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Numbers of finest pyramid levels, forward and backward, where the motion prior gives the initial guess.
+/// Numbers of finest pyramid levels, forward and backward, when the motion prior gives the initial guess.
 const PRIOR_LEVELS: [usize; 2] = [2, 2];
-/// Number of attempts with the motion prior, which each attempt's matches improve.
+/// Number of attempts with the motion prior. The matches of each attempt improve the prior for the next.
 const PRIOR_ROUNDS: usize = 2;
-/// Number of nearest neighbours whose median is the motion prior. Up to two of five may be wrong.
+/// Number of nearest neighbours whose median displacement is predicted. Up to two of five may be wrong.
 const MEDIAN_OF: usize = 5;
-/// Radius within which the motion prior has neighbours, pixels.
+/// Radius around a point in which neighbours are used, pixels.
 const PRIOR_RADIUS_PX: f64 = 40.0;
-/// Two initial guesses nearer than this, pixels, lead to the same result.
+/// Distance of two initial guesses below which they are expected to lead to the same result, pixels.
 const SAME_GUESS_PX: f64 = 1.0;
-/// Numbers of pyramid levels, from the finest, that are searched forward and backward when a track is extended: its last
-/// motion is a near initial guess, which needs no coarse levels.
+/// Numbers of finest pyramid levels, forward and backward, when a track is extended. Its last motion gives a
+/// close initial guess, so that coarse levels aren't needed.
 const EXTENSION_LEVELS: [usize; 2] = [2, 1];
-/// Maximum change of a track's motion from one frame to the next, pixels, plus [`MAX_MOTION_CHANGE_FRACTION`] of the
-/// motion. No bound applies where the neighbours' motion changes alike.
+/// Constant part of the maximum change of a track's motion from one frame to the next, pixels.
+/// [`MAX_MOTION_CHANGE_FRACTION`] of the motion is added. The change is not bounded where the neighbours'
+/// motion changes alike.
 const MAX_MOTION_CHANGE_PX: f64 = 2.0;
-/// Maximum change of a track's motion as a fraction of the motion.
+/// Part of the maximum change of a track's motion that is proportional to the motion, as a fraction.
 const MAX_MOTION_CHANGE_FRACTION: f64 = 0.5;
 
-/// Displacements (motion or disparity, pixels) of tracked features, which predict those of features nearby.
+/// Displacements (motion or disparity, pixels) of tracked features, from which those of nearby features are
+/// predicted.
 pub(super) struct MotionPrior {
     neighbors: Neighbors,
     displacements: Vec<(Point2<f64>, Vector2<f64>)>,
 }
 
 impl MotionPrior {
-    /// The prior from `(position, displacement)` pairs, pixels. Without pairs, it predicts nothing.
+    /// A prior from (position, displacement) pairs, pixels. Without pairs, it predicts nothing.
     pub fn new(displacements: impl Iterator<Item = (Point2<f64>, Vector2<f64>)>) -> Self {
         let displacements: Vec<_> = displacements.collect();
         Self { neighbors: Neighbors::new(displacements.iter().map(|(p, _)| *p)), displacements }
     }
 
-    /// The component-wise median displacement, pixels, of the five nearest positions within
-    /// [`PRIOR_RADIUS_PX`], fewer where there are fewer. `None` if there is none.
+    /// The component-wise median of the displacements, pixels, at the nearest positions within
+    /// [`PRIOR_RADIUS_PX`], at most five. `None` if there is no position within it.
     pub fn predict(&self, p: &Point2<f64>) -> Option<Vector2<f64>> {
         let near = self.neighbors.nearest(p, MEDIAN_OF, PRIOR_RADIUS_PX);
         let median = |axis: usize| {
@@ -56,7 +58,7 @@ impl MotionPrior {
 /// Points that are tracked again from other initial guesses.
 pub(super) struct Retries<'a> {
     pub frames: [&'a Frame; 2],
-    /// The points with their first guesses.
+    /// The points with their original initial guesses.
     pub starts: &'a [Start],
     /// Numbers of finest pyramid levels, forward and backward.
     pub levels: [usize; 2],
@@ -75,8 +77,8 @@ impl<'a> Retries<'a> {
         Self { frames, starts, levels, options, tried: vec![None; starts.len()] }
     }
 
-    /// Tracks points, given by index, again from new guesses. A match of a smaller residual replaces the point's match
-    /// in `matches`.
+    /// Tracks points again from new guesses, given as (index, guess). If the new match has a smaller
+    /// residual, it replaces the point's match in `matches`.
     pub fn track(
         &mut self,
         guesses: impl Iterator<Item = (usize, Point2<f64>)>,
@@ -99,8 +101,8 @@ impl<'a> Retries<'a> {
     }
 }
 
-/// Tracks lost points and outliers again, from initial guesses that their neighbours predict. `matches` are in
-/// the order of `starts`.
+/// Tracks lost points and outliers again, from initial guesses that are predicted by their neighbours.
+/// `matches` are in the order of `starts` and are updated.
 pub(super) fn guided_flow(
     frames: [&Frame; 2],
     starts: &[Start],
@@ -123,11 +125,12 @@ pub(super) fn guided_flow(
     }
 }
 
-/// Extends tracks by a frame: their positions in the target, `None` if lost, or if their motion changes much
-/// and unlike their neighbours'. `tracks` has initial guesses at constant motion.
+/// Extends tracks to one more frame. Returns each track's position in the target; `None` if it is lost, or if
+/// its motion changes much and differently from its neighbours'. `tracks` has initial guesses at constant
+/// motion.
 ///
-/// Where a swinging body turns, its motion changes by 20 px from frame to frame, which no fixed bound tells from a
-/// mismatch.
+/// Where a swinging body reverses, its motion may change by 20 px from frame to frame. Only the comparison
+/// with neighbours distinguishes this from a mismatch.
 pub(super) fn extensions(
     frames: [&Frame; 2],
     tracks: &[AffineStart],
@@ -135,7 +138,7 @@ pub(super) fn extensions(
 ) -> Vec<Option<Point2<f64>>> {
     let starts: Vec<Start> = tracks.iter().map(|t| (t.from, t.guess)).collect();
     let mut matches = flow_over(frames, &starts, EXTENSION_LEVELS, options);
-    // Over all levels, for large changes of motion.
+    // All levels are searched, since changes of motion may be large.
     let levels = [options.levels, PRIOR_LEVELS[1]];
     let lost: Vec<usize> = (0..starts.len()).filter(|&k| matches[k].is_none()).collect();
     let guesses = lost.into_iter().map(|k| (k, starts[k].1));

@@ -1,11 +1,11 @@
 //! §4.1: the pyramidal Kanade–Lucas–Tomasi (KLT) tracker.
 //!
-//! Lucas and Kanade's translation of a window, as Bouguet describes it: the gradients are the
-//! template's, computed once per level, and Newton steps are taken to convergence from the coarsest
-//! level to the finest.
+//! Lucas and Kanade's estimation of a window's translation, as Bouguet describes it: the gradients are the
+//! template's, computed once per level, and Newton steps are iterated to convergence from the coarsest level
+//! to the finest.
 //!
-//! Known limits: the window only translates and its brightness does not change. A window across a
-//! depth edge follows the side that has more texture.
+//! Known limits: the window only translates, and its brightness is assumed constant. A window across a depth
+//! edge follows the side with more texture.
 
 use super::RegistrationOptions;
 use super::gradient::{SCHARR_SCALE, scharr};
@@ -16,11 +16,13 @@ use nalgebra::{Point2, Vector2};
 
 /// Minimum eigenvalue of a window's structure tensor, per pixel, values 0..=1.
 const MIN_EIGENVALUE: f64 = 2e-6;
-/// Convergence threshold on the coarser levels, pixels of the level: the finest decides the accuracy.
+/// Length of a step below which coarser levels have converged, pixels of the level. The accuracy depends only
+/// on the finest level.
 const COARSE_EPSILON_PX: f64 = 0.03;
-/// Steps are extrapolated to their limit only where each is below this fraction of the one before.
+/// Maximum ratio of a step's length to that of the step before, for which the series of steps is extrapolated
+/// to its limit.
 const MAX_RATIO: f64 = 0.5;
-/// An extrapolated step replaces the real ones where it is below this fraction of the convergence
+/// Maximum length of the extrapolated remainder that replaces further steps, as a fraction of the convergence
 /// threshold.
 const MAX_EXTRAPOLATED: f64 = 0.4;
 
@@ -33,7 +35,7 @@ pub struct KltParameters {
     pub levels: usize,
     /// Maximum number of Newton steps per level.
     pub iterations: usize,
-    /// Step length below which the finest level has converged, pixels.
+    /// Length of a step below which the finest level has converged, pixels.
     pub epsilon_px: f64,
 }
 
@@ -44,7 +46,7 @@ impl From<&RegistrationOptions> for KltParameters {
     }
 }
 
-/// A window that was found in the target.
+/// The result of tracking a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tracked {
     /// The window's centre in the target, pixels; inside the image.
@@ -53,25 +55,26 @@ pub struct Tracked {
     pub residual: f64,
 }
 
-/// The KLT tracker (§4.1), with the buffers of one window, which are reused from point to point.
+/// The KLT tracker (§4.1), with buffers for one window, which are reused from point to point.
 ///
-/// It is cheap to make one per thread and costly to make one per point.
+/// Creating one per thread is cheap; creating one per point is costly.
 pub struct Tracker {
     parameters: KltParameters,
     side: usize,
-    /// Samples of a row of `dx` and `dy`, padded to a multiple of [`LANES`].
+    /// Number of samples of a row of `dx` and `dy`, padded to a multiple of [`LANES`].
     row: usize,
-    /// Samples of a row of `value`, which is one sample wider on every side.
+    /// Number of samples of a row of `value`, which is one sample wider on every side.
     wide: usize,
     /// The template's values.
     value: Vec<f32>,
-    /// The template's derivatives by x, weighted by the fraction inside the image.
+    /// The template's derivatives by x, weighted by the fraction of each sample that is inside the image.
     dx: Vec<f32>,
-    /// The template's derivatives by y, weighted likewise.
+    /// The template's derivatives by y, weighted as `dx`.
     dy: Vec<f32>,
     /// The template's structure tensor: xx, xy, yy.
     tensor: [f64; 3],
-    /// Σ I·∇I, I the template's values. A Newton step is computed from its difference to Σ J·∇I, J the target's values.
+    /// Σ I·∇I, with I the template's values. A Newton step is computed from the difference between Σ J·∇I,
+    /// with J the target's values, and this.
     value_gradient: [f64; 2],
 }
 
@@ -99,7 +102,8 @@ fn track_by<V: F32x8>(
     let mut residual = 0.0;
     for k in (0..levels).rev() {
         let scale = f64::from(1_u32 << k);
-        // Levels are centred on even pixels, so positions relative to pixel centres scale.
+        // Even pixels' centres are the centres of the next level's pixels, so that positions relative to the
+        // first pixel's centre are scaled.
         let p = (from.coords - Vector2::repeat(0.5)) / scale;
         let (level, other) = (&source.levels[k], &target.levels[k]);
         tracker.load_template::<V>(level, &p);
@@ -107,7 +111,7 @@ fn track_by<V: F32x8>(
         let epsilon_px = tracker.parameters.epsilon_px.max(epsilon_px);
         let converged = tracker.iterate::<V>(other, &p, flow, epsilon_px);
         if k > 0 {
-            // A coarse window may be flat or half outside where the fine one is good.
+            // A window may be flat or half outside on a coarse level and still be good on the finest.
             flow = 2.0 * converged.unwrap_or(flow);
         } else {
             flow = converged?;
@@ -134,12 +138,12 @@ impl Tracker {
         Self { parameters, side, row, wide, value, dx, dy, tensor, value_gradient }
     }
 
-    /// Finds the window around `from` of the source in the target, starting at `guess`; pixels, the
+    /// Finds in the target the window around `from` of the source, starting at `guess`; pixels, with the
     /// top-left pixel's centre at (0.5, 0.5).
     ///
     /// `None` if the window has too little texture or leaves the image. Both pyramids need a border of
-    /// [`RegistrationOptions::pad_px`]. Of [`KltParameters::levels`], 0 counts as 1, and a number beyond the
-    /// pyramids' as theirs.
+    /// [`RegistrationOptions::pad_px`]. [`KltParameters::levels`] is clamped between 1 and the pyramids'
+    /// number of levels.
     pub fn track(
         &mut self,
         source: &Pyramid,
@@ -150,12 +154,12 @@ impl Tracker {
         track(self, source, target, from, guess)
     }
 
-    /// Reads the template around `p` (the first pixel's centre at 0), and computes its derivatives
-    /// and sums.
+    /// Reads the template around `p`, pixels of the level with the first pixel's centre at 0, and computes
+    /// its derivatives and sums.
     #[inline(always)]
     fn load_template<V: F32x8>(&mut self, level: &PyramidLevel, p: &Vector2<f64>) {
         let (side, row, wide) = (self.side, self.row, self.wide);
-        // The sums of a window outside the image are 0, which the caller finds to have no texture.
+        // For a window outside the image the sums are 0, which the caller treats as no texture.
         let radius = self.parameters.window_radius_px + 1;
         let Some(window) = Window::around(level, p, radius, [wide, side + 2]) else {
             (self.tensor, self.value_gradient) = ([0.0; 3], [0.0; 2]);
@@ -198,8 +202,8 @@ impl Tracker {
         (self.tensor, self.value_gradient) = ([xx, xy, yy], [x, y]);
     }
 
-    /// The displacement of the window at `p`, pixels of the level, by Newton steps from `flow` on. `None` if the
-    /// template has too little texture, or if the window leaves the image.
+    /// The displacement of the window at `p`, pixels of the level, by Newton steps that start at `flow`.
+    /// `None` if the template has too little texture, or if the window leaves the image.
     #[inline(always)]
     fn iterate<V: F32x8>(
         &self,
@@ -212,7 +216,7 @@ impl Tracker {
         let area = (self.side * self.side) as f64;
         let smaller = 0.5 * ((xx + yy) - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
         let determinant = xx * yy - xy * xy;
-        // λ_min is positive, and so is the determinant that is divided by.
+        // With λ_min positive, the determinant is positive too, and can be divided by.
         if !(smaller >= MIN_EIGENVALUE * area && determinant > 0.0) {
             return None;
         }
@@ -228,12 +232,12 @@ impl Tracker {
                 break;
             }
             if step > 0 {
-                // The steps alternate around the solution, which is in the middle.
+                // The steps alternate around the solution, which is in the middle between two.
                 if (delta + previous).norm() < epsilon_px {
                     flow -= 0.5 * delta;
                     break;
                 }
-                // Steps that shrink by a constant ratio: the sum of those to come.
+                // If steps shrink by a constant ratio, the sum of the remaining ones is a geometric series.
                 let ratio = length_px / previous.norm();
                 if ratio < MAX_RATIO && length_px * ratio < MAX_EXTRAPOLATED * epsilon_px {
                     flow += delta * (delta.dot(&previous).signum() * ratio);
@@ -253,7 +257,7 @@ impl Tracker {
         let window = Window::around(target, q, self.parameters.window_radius_px, size)?;
         let mut sums = [V::zero(); 2];
         let mut x = 0;
-        // Sixteen columns at once where possible: their two sums are computed in parallel.
+        // Sixteen columns at once where possible: then two sums are computed in parallel.
         while x + 2 * LANES <= self.row {
             self.correlate_columns::<V, 2>(&window, x, &mut sums);
             x += 2 * LANES;
@@ -292,7 +296,7 @@ impl Tracker {
         }
     }
 
-    /// Mean absolute difference of the template and the target's window around `q`. `None` if that
+    /// Mean absolute difference between the template and the target's window around `q`. `None` if the window
     /// is more than a pixel outside the image.
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &PyramidLevel, q: &Vector2<f64>) -> Option<f64> {
@@ -319,7 +323,7 @@ mod tests {
     use crate::raster::Image;
     use crate::simd::Scalar;
 
-    /// A smooth texture, shifted.
+    /// A smooth texture, shifted by (`dx`, `dy`) pixels.
     fn texture(w: usize, h: usize, dx: f64, dy: f64) -> Image {
         let data = (0..w * h)
             .map(|k| {
@@ -385,7 +389,7 @@ mod tests {
         }
     }
 
-    /// The same sums written as simply as possible, in f64.
+    /// The reference computes the same sums as simply as possible, in f64.
     #[test]
     fn sums_agree_with_a_naive_reference() {
         let options = RegistrationOptions::default();

@@ -1,5 +1,5 @@
-//! §4: image registration. Sparse correspondences between frames of one camera (temporal flow) and of
-//! two cameras (spatial flow), with mismatches removed by the epipolar constraint.
+//! §4: image registration. Sparse correspondences between frames of one camera (temporal flow) and of two
+//! cameras (spatial flow); the epipolar constraint removes mismatches.
 //!
 //! | paper | here |
 //! |---|---|

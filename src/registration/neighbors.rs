@@ -3,7 +3,8 @@
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::Point2;
 
-/// Fraction of the radius that [`Neighbors::nearest`] searches first, for speed.
+/// Fraction of the radius in which [`Neighbors::nearest`] searches first; most queries then need no full
+/// search.
 const CLOSE_FRACTION: f64 = 1.0 / 3.0;
 
 /// A set of points of the image plane for radius queries.
@@ -12,8 +13,8 @@ pub struct Neighbors {
 }
 
 impl Neighbors {
-    /// The set of these points, indexed in order. All coordinates must be finite. An empty set is
-    /// valid: its queries return nothing.
+    /// A set of points, numbered in their order. All coordinates must be finite. An empty set is valid: its
+    /// queries return nothing.
     pub fn new(points: impl IntoIterator<Item = Point2<f64>>) -> Self {
         let points: Vec<[f64; 2]> = points.into_iter().map(|p| [p.x, p.y]).collect();
         let tree = (!points.is_empty()).then(|| {
@@ -32,8 +33,8 @@ impl Neighbors {
         self.at_least_within(p, radius, 1, |_| true)
     }
 
-    /// The indices of the `count` points nearest to `p` within `radius`, nearest first; of equally near ones
-    /// the first. Fewer where there are fewer.
+    /// The indices of the `count` points nearest to `p` within `radius`, nearest first; of equally near
+    /// points, the one of lower index first. Returns fewer if fewer are within the radius.
     pub fn nearest(&self, p: &Point2<f64>, count: usize, radius: f64) -> Vec<usize> {
         let mut near = self.with_distances(p, CLOSE_FRACTION * radius);
         if near.len() < count {
@@ -43,8 +44,8 @@ impl Neighbors {
         near.into_iter().take(count).map(|(_, k)| k).collect()
     }
 
-    /// Whether at least `wanted` of the points within `radius` of `p` pass a test. No point is tested after that many
-    /// passed.
+    /// Whether at least `wanted` of the points within `radius` of `p` pass a test. Testing stops once that
+    /// many have passed.
     pub fn at_least_within(
         &self,
         p: &Point2<f64>,

@@ -4,11 +4,11 @@ use super::Pyramid;
 use crate::simd::{F32x8, LANES, multiversion};
 use std::f32::consts::TAU;
 
-/// Number of direction bins of a descriptor's cell.
+/// Number of direction bins in a cell of a descriptor.
 pub const DIRECTIONS: usize = 8;
-/// A full turn (360°) in the unit of angles of gradients and descriptors, which is one direction bin.
+/// A full turn (360°) in the unit of angles of gradients and descriptors. The unit is one direction bin.
 pub const TURN: f32 = DIRECTIONS as f32;
-/// The pyramid level whose gradients describe a feature.
+/// The pyramid level from whose gradients descriptors are computed.
 const LEVEL: usize = 1;
 
 /// The gradients of one level of a frame, by central differences.
@@ -16,17 +16,17 @@ const LEVEL: usize = 1;
 pub(super) struct PolarGradients {
     pub width: usize,
     pub height: usize,
-    /// Size of the level relative to the frame.
+    /// Ratio of the level's size to the frame's.
     pub scale: f64,
-    /// Magnitudes, row by row, followed by [`LANES`] values of padding.
+    /// Magnitudes of the gradients, row by row, followed by [`LANES`] values of padding.
     pub strength: Vec<f32>,
-    /// Directions: angles from the x axis towards the y axis, 0 to [`TURN`], row by row, followed by [`LANES`] values
-    /// of padding.
+    /// Directions of the gradients: angles from the x axis towards the y axis, 0 to [`TURN`], row by row,
+    /// followed by [`LANES`] values of padding.
     pub direction: Vec<f32>,
 }
 
 multiversion! {
-    /// Computes the gradients that descriptors of a frame's features are made from, given the frame's pyramid.
+    /// Computes the gradients for the descriptors of a frame's features from the frame's pyramid.
     pub(super) fn polar_gradients(pyramid: &Pyramid) -> PolarGradients = gradients_by::<V>
 }
 
@@ -38,7 +38,7 @@ fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> PolarGradients {
     let size = level.width * level.height;
     let [mut strength, mut direction] = [vec![0.0; size + LANES], vec![0.0; size + LANES]];
     for y in 0..level.height {
-        // A row's last vector runs into the next row, which is written later, or into the padding.
+        // The last vector of a row extends into the next row, which is written later, or into the padding.
         for x in (0..level.width).step_by(LANES) {
             let k = level.index(x as isize, y as isize);
             let gx = V::load(&level.value, k + 1) - V::load(&level.value, k - 1);
@@ -59,16 +59,16 @@ impl PolarGradients {
         size_of::<f32>() * (self.strength.len() + self.direction.len())
     }
 
-    /// Size of the gradients in memory, bytes, for a pyramid with levels of these widths and heights, the full-sized
-    /// first.
+    /// Size of the gradients in memory, bytes, for a pyramid whose levels have these widths and heights,
+    /// full-sized level first.
     pub fn bytes_of(sizes: &[[usize; 2]]) -> usize {
         let [width, height] = sizes[LEVEL.min(sizes.len() - 1)];
         2 * (width * height + LANES) * size_of::<f32>()
     }
 }
 
-/// Coefficients of an odd polynomial, the linear term's first, that equals the arctangent on 0..=1 to 2e-8 (Abramowitz
-/// and Stegun 4.4.49).
+/// Coefficients of an odd polynomial that approximates the arctangent on 0..=1 to 2e-8, the linear term's
+/// first (Abramowitz and Stegun 4.4.49).
 const ARCTANGENT: [f32; 9] = [
     1.0,
     -0.333_331_45,
@@ -109,7 +109,7 @@ mod tests {
     fn gradients_agree_with_a_naive_reference() {
         let mut random = Random::new(6);
         for (w, h) in [(64, 41), (9, 5), (1, 1)] {
-            // Few values, so that some gradients are 0 and others along an axis.
+            // Few distinct values, so that some gradients are 0 and others are along an axis.
             let data = (0..w * h).map(|_| (4.0 * random.unit()).floor() as f32 / 4.0).collect();
             let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 1, 16);
             let level = &pyramid.levels[0];

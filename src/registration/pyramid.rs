@@ -1,29 +1,29 @@
-//! §4.1: grey image pyramids. They store values only: gradients are recomputed from windows that are in the
-//! processor's cache, which is faster than reading stored planes.
+//! §4.1: grey image pyramids. Only values are stored. Gradients are recomputed from windows in the
+//! processor's cache, which is faster than reading stored gradients.
 
 use super::gradient::{SCHARR_SCALE, scharr};
 use crate::raster::Image;
 use crate::simd::{F32x8, LANES, Scalar};
 use std::iter::repeat_n;
 
-/// A grey image pyramid (§4.1): the full-sized level first, each level half as large as the one
-/// before.
+/// A grey image pyramid (§4.1): the full-sized level first; each level has half the width and height of the
+/// one before.
 #[derive(Clone, Debug)]
 pub struct Pyramid {
     /// The levels, full-sized first. There is at least one.
     pub levels: Vec<PyramidLevel>,
 }
 
-/// One level of a [`Pyramid`]: luma in 0..=1, its border repeated outwards.
+/// One level of a [`Pyramid`]: luma in 0..=1, padded by repeating its border.
 #[derive(Clone, Debug)]
 pub struct PyramidLevel {
-    /// Pixels of a row, without the padding.
+    /// Width without the padding, pixels.
     pub width: usize,
-    /// Rows, without the padding.
+    /// Height without the padding, pixels.
     pub height: usize,
     /// Width of the padding on every side, pixels.
     pub(super) pad: usize,
-    /// Samples of a row, the padding included.
+    /// Width of a row including the padding, samples.
     pub(super) stride: usize,
     /// The padded plane, row-major.
     pub(super) value: Vec<f32>,
@@ -33,9 +33,9 @@ pub struct PyramidLevel {
 const MIN_LEVEL_PX: usize = 16;
 
 impl Pyramid {
-    /// The pyramid of an image, of a colour image's luma: `levels` levels, fewer where a level's shorter side
-    /// would be below 16 pixels, and at least one. `pad` is the width of the border, pixels, that the largest
-    /// window needs ([`super::RegistrationOptions::pad_px`]).
+    /// The pyramid of an image's luma. It has `levels` levels, but only those whose shorter side is at least
+    /// 16 pixels, and at least one. `pad` is the width of the padding, pixels, that the largest window needs
+    /// ([`super::RegistrationOptions::pad_px`]).
     pub fn new(image: &Image, levels: usize, pad: usize) -> Self {
         let size = [image.width(), image.height()];
         let full = PyramidLevel::new(size, image.to_gray().data(), pad);
@@ -43,7 +43,7 @@ impl Pyramid {
         Self { levels: all.take(Self::sizes(size, levels).len()).collect() }
     }
 
-    /// The width and height of every level of the pyramid of an image of this size, pixels.
+    /// The width and height, pixels, of every level of the pyramid of an image of size `full`.
     pub(super) fn sizes(full: [usize; 2], levels: usize) -> Vec<[usize; 2]> {
         let halved = |size: &[usize; 2]| {
             (size[0].min(size[1]) >= 2 * MIN_LEVEL_PX).then(|| size.map(|v| v.div_ceil(2)))
@@ -63,8 +63,8 @@ impl Pyramid {
 }
 
 impl PyramidLevel {
-    /// A level of these values, row by row, whose border is repeated outwards. The padding is at least
-    /// [`LANES`] wide, which gradients at the border read.
+    /// A level with these values, row by row, padded by repeating its border. The padding is at least
+    /// [`LANES`] wide, since gradients at the border are read in vectors.
     fn new([width, height]: [usize; 2], values: &[f32], pad: usize) -> Self {
         let mut value = Vec::with_capacity(Self::samples([width, height], pad));
         let pad = pad.max(LANES);
@@ -77,19 +77,19 @@ impl PyramidLevel {
         Self { width, height, pad, stride: width + 2 * pad, value }
     }
 
-    /// Number of samples of a level of this size, its padding included.
+    /// Number of samples of a level of this size, including its padding.
     pub(super) fn samples([width, height]: [usize; 2], pad: usize) -> usize {
         let pad = pad.max(LANES);
         (width + 2 * pad) * (height + 2 * pad)
     }
 
-    /// The level smoothed by [1 4 6 4 1]/16 both ways and subsampled by two: the centre of pixel i of
-    /// the half-sized level is that of pixel 2i of this one. Borders are mirrored, as in OpenCV.
+    /// The next level: smoothed by [1 4 6 4 1]/16 in both directions, and subsampled by two. The centre of
+    /// its pixel i is that of pixel 2i of this level. Borders are mirrored, as in OpenCV.
     fn halved(&self) -> Self {
         let width = self.width;
         let half = [width.div_ceil(2), self.height.div_ceil(2)];
         let mut values = Vec::with_capacity(half[0] * half[1]);
-        // A vertically smoothed row, with two more columns on the left and up to three on the right.
+        // A vertically smoothed row, with two additional columns on the left and up to three on the right.
         let mut smooth = vec![0.0; 2 * half[0] + 4];
         for y in 0..half[1] {
             let [a, b, c, d, e] =
@@ -130,7 +130,7 @@ impl PyramidLevel {
     }
 }
 
-/// The index in `0..size` that `v` is mirrored to at the ends, without repeating the end itself.
+/// The index in `0..size` to which `v` is mirrored at the ends, without repeating the end itself.
 fn mirrored(v: isize, size: usize) -> usize {
     let last = size as isize - 1;
     let v = v.abs();

@@ -2,47 +2,49 @@
 
 use crate::capture::Capture;
 
-/// A frame of another camera, by which a camera's tracks are tested (§4.2), chosen by eqs. (4) and (5).
+/// A frame of another camera with which a camera's tracks are tested (§4.2), chosen by eqs. (4) and (5).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reference {
     /// Index of the camera.
     pub camera: usize,
-    /// Index of the camera's frame: that of eq. (5), or the last one before the interval if `between` is set.
+    /// Index of the camera's frame: that of eq. (5); if `between` is set, the last frame before the interval.
     pub frame: usize,
-    /// Time at which tracks are tested, seconds on the common clock: the frame's, or [`ReferenceQuery::time_s`] if
-    /// `between` is set.
+    /// Time at which tracks are tested, seconds on the common clock: that of the frame; if `between` is set,
+    /// [`ReferenceQuery::time_s`].
     pub time_s: f64,
-    /// Set for a camera of a lower rate without a frame in the interval: the times, seconds, of the last frame before
-    /// it (`frame`) and the first after it. Features are tracked from the one to the other, and their positions are
-    /// interpolated at `time_s`.
+    /// Set for a camera of a lower frame rate without a frame in the interval: the times, seconds, of the
+    /// last frame before the interval (`frame`) and of the first after it. Features are tracked between these
+    /// two, and their positions are interpolated at `time_s`.
     pub between: Option<[f64; 2]>,
 }
 
 /// The references for a camera's flow between two frames, by ascending weight of eq. (4).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct References {
-    /// At most two, with baselines at least 45° apart. Each of them tests every track.
+    /// At most two references, with baselines at least 45° apart. Each of them tests every track.
     pub first: Vec<Reference>,
-    /// At most one other. It tests the tracks that the first references cannot test.
+    /// At most one further reference. It tests the tracks that the first references cannot test.
     pub further: Vec<Reference>,
 }
 
-/// A flow between two frames, for which references are selected.
+/// A flow between two frames of a camera, for which references are to be selected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceQuery {
     /// Index of the camera whose tracks are tested: i of eq. (4).
     pub camera: usize,
     /// Times of its two frames, t and t + Δt, seconds on the common clock.
     pub interval_s: [f64; 2],
-    /// The time that eq. (5) seeks the nearest frame to: t + Δt for the forward flow, t for the backward flow.
+    /// The time to which eq. (5) seeks the nearest frame: t + Δt for the forward flow, t for the backward
+    /// flow.
     pub time_s: f64,
 }
 
-/// σ of eq. (4): the weight of a time difference of one frame interval, where the nearest camera's distance weighs 1.
+/// σ of eq. (4): the weight of a time difference of one frame interval, relative to that of the nearest
+/// camera's distance.
 const TIME_WEIGHT: f64 = 1.0;
 /// Maximum number of first references: on a grid, one along the row and one along the column.
 const MAX_FIRST: usize = 2;
-/// Maximum number of references after the first ones. They test only tracks without a verdict.
+/// Maximum number of further references. They test only tracks without a verdict.
 const MAX_FURTHER: usize = 1;
 /// Maximum time between the two frames of [`Reference::between`], in frame intervals of the tested camera.
 const MAX_GAP_FRAMES: f64 = 4.0;
@@ -51,9 +53,9 @@ const MAX_GAP_FRAMES: f64 = 4.0;
 const MAX_BASELINE_COSINE: f64 = 0.707;
 
 impl Reference {
-    /// Eq. (5): the frame within the interval that is nearest to the queried time, or else the two frames around the
-    /// interval. Returned with the nearest frame's distance to the queried time, seconds. `None` if the camera has
-    /// neither, or if the two are farther apart than [`MAX_GAP_FRAMES`].
+    /// Eq. (5): the frame within the interval that is nearest to the queried time, else the two frames around
+    /// the interval. The first result is the distance in time of the nearest frame, seconds. `None` if the
+    /// camera has neither, or if the two are farther apart than [`MAX_GAP_FRAMES`].
     fn nearest(camera: usize, times: &[f64], query: &ReferenceQuery) -> Option<(f64, Self)> {
         let ([t1, t2], t) = (query.interval_s, query.time_s);
         let within = times.iter().enumerate().filter(|&(_, &tj)| tj >= t1 && tj <= t2);
@@ -69,16 +71,18 @@ impl Reference {
     }
 }
 
-/// Selects the references for a flow (§4.3): those of the smallest weight `w_j = D(j) + σ|t_j − t|`, eq. (4), with D
-/// the distance of the cameras' centres, divided by that of the nearest camera, and times in frame intervals.
+/// Selects the references for a flow (§4.3): the frames of the smallest weight `w_j = D(j) + σ|t_j − t|`, eq.
+/// (4). D is the distance of the cameras' centres, divided by that of the nearest camera; times are in frame
+/// intervals.
 ///
-/// A grid of cameras gives two first references, with baselines across each other; a line of cameras gives one. The
-/// further reference is the remaining camera of the smallest weight. A camera without a frame within the interval is
-/// tested between the frames before and after it, and the nearer one gives its weight.
+/// In a grid of cameras there are two first references, with baselines across each other; in a line of
+/// cameras there is one. The further reference is the remaining camera of the smallest weight. With a camera
+/// that has no frame in the interval, tracks are tested between the frames before and after it, and the
+/// nearer one determines the weight.
 ///
 /// `times_s[j]` are camera j's frame times in seconds on the common clock, `None` if its clock is unknown;
-/// such a camera is no reference. There are no references if the interval is empty, or if no other
-/// camera has another centre.
+/// such a camera is no reference. There are no references if the interval is empty, or if all cameras have
+/// the same centre.
 ///
 /// # Panics
 /// If the capture has no such camera.

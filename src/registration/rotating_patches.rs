@@ -1,9 +1,10 @@
 //! Beyond the paper: features that rotate, or that move too far for the tracker.
 //!
-//! The tracker's window only translates, from a guess that must be near. A body that rotates by 30 degrees a
-//! frame, or passes its surroundings by 50 pixels, is lost as a whole, so that no neighbour predicts its
-//! motion. Here its corners are matched to the other frame's corners by rotation-invariant descriptors. Matches
-//! that agree on one motion seed the tracking of the corners around them by affinely deforming windows.
+//! The tracker's window only translates, and its initial guess must be close. If a body rotates by 30 degrees
+//! per frame, or moves by 50 pixels relative to its surroundings, all its features are lost, so that no
+//! neighbour predicts its motion. Here its corners are matched to the other frame's corners by
+//! rotation-invariant descriptors. Matches that agree on one motion give the initial guesses from which the
+//! corners around them are tracked with affinely deforming windows.
 
 use super::corners::MIN_DISTANCE_PX;
 use super::sift::{SiftDescriptor, descriptor, squared_distance};
@@ -11,37 +12,38 @@ use super::{AffineStart, AffineTracker, Frame, Match, Neighbors, RegistrationOpt
 use nalgebra::{Point2, Rotation2};
 use rayon::prelude::*;
 
-/// Maximum motion, as a fraction of the image's longer side.
+/// Maximum motion between two frames, as a fraction of the image's longer side.
 const MAX_MOTION: f64 = 0.1;
 /// Maximum ratio of the squared distances to the best and to the second best descriptor.
 const MAX_RATIO: f32 = 0.7;
-/// Radius within which matches must agree, pixels.
+/// Radius around a match within which others must agree with it, pixels.
 const SUPPORT_RADIUS_PX: f64 = 40.0;
-/// Two matches agree if one's target differs from the other's prediction by at most this, pixels, plus
-/// [`SUPPORT_FRACTION`] of their distance.
+/// Constant part of the maximum difference between a match's target and the prediction by another match, at
+/// which the two agree, pixels. [`SUPPORT_FRACTION`] of the distance of the two is added.
 const SUPPORT_PX: f64 = 2.0;
 const SUPPORT_FRACTION: f64 = 0.2;
-/// Minimum number of matches that must agree with a match.
+/// Minimum number of other matches that must agree with a match.
 const MIN_SUPPORT: usize = 3;
 /// Number of nearest rotating patches whose motion is tried for a lost corner.
 const GUESSES: usize = 3;
-/// Propagation rounds: new matches seed the next.
+/// Number of propagation rounds: new matches give initial guesses for the next round.
 const ROUNDS: usize = 3;
 /// Maximum change of a window's area; the minimum is its inverse.
 const MAX_AREA_RATIO: f64 = 2.0;
-/// Maximum difference of the two windows relative to their contrast.
+/// Maximum residual of a match relative to its contrast, the field `unexplained` of the tracker's result.
 const MAX_UNEXPLAINED: f64 = 0.35;
 
 impl AffineStart {
-    /// The start for another window around `from`, with the initial guess that this window's affine motion predicts.
+    /// The start of tracking another window, around `from`. Its initial guess is predicted by this window's
+    /// affine motion.
     fn moving_along(&self, from: &Point2<f64>) -> Self {
         let guess = self.guess + self.deformation * (from - self.from);
         Self { from: *from, guess, ..*self }
     }
 }
 
-/// Matches the corners that have no match yet, as patches that may rotate. `corners` are the source's, in the
-/// order of `matches`.
+/// Matches the corners without a match as patches that may rotate, and adds the results to `matches`.
+/// `corners` are the source's, in the order of `matches`.
 pub(super) fn match_rotating_patches(
     frames: [&Frame; 2],
     corners: &[Point2<f64>],
@@ -56,7 +58,8 @@ pub(super) fn match_rotating_patches(
             break;
         }
         let near = Neighbors::new(motions.iter().map(|m| m.from));
-        // Tries the motions of the nearest rotating patches. The match of the smallest residual counts.
+        // The motions of the nearest rotating patches are tried, and the match of the smallest residual is
+        // taken.
         let track = |tracker: &mut AffineTracker, k: &usize| {
             let around = near.nearest(&corners[*k], GUESSES, SUPPORT_RADIUS_PX).into_iter();
             let starts = around.map(|n| motions[n].moving_along(&corners[*k]));
@@ -77,7 +80,8 @@ fn motion_of(m: &Match) -> AffineStart {
     AffineStart { from: m.source, guess: m.target, deformation: m.deformation }
 }
 
-/// Mutual best matches, by descriptor, between the lost corners and those corners of the target that have no match.
+/// Starts from the descriptors: mutual best matches between the lost corners and the target's corners without
+/// a match.
 fn seeds(
     [source, target]: [&Frame; 2],
     lost: &[Point2<f64>],
@@ -98,7 +102,7 @@ fn seeds(
     };
     let (from, to) = (describe(source, lost), describe(target, &free));
     let near = Neighbors::new(free.iter().copied());
-    // The free corner of the nearest descriptor, with the squared distance, if it passes the ratio test.
+    // The free corner with the nearest descriptor, and the squared distance, if it passes the ratio test.
     let best_of = |(p, own): (&Point2<f64>, &Option<SiftDescriptor>)| {
         let own = own.as_ref()?;
         let [mut best, mut second] = [(usize::MAX, f32::INFINITY); 2];
@@ -114,7 +118,7 @@ fn seeds(
         (best.1 < MAX_RATIO * second.1).then_some(best)
     };
     let best: Vec<Option<(usize, f32)>> = lost.par_iter().zip(&from).map(best_of).collect();
-    // The best of the lost corners for each free one.
+    // For each free corner, the best of the lost corners.
     let mut best_of_free = vec![(f32::INFINITY, 0); free.len()];
     for (k, best) in best.iter().enumerate() {
         if let Some((n, distance)) = *best
@@ -133,7 +137,7 @@ fn seeds(
     (0..lost.len()).filter_map(mutual).collect()
 }
 
-/// The motions that agree with enough others.
+/// Those of the motions with which at least [`MIN_SUPPORT`] others agree.
 fn agreeing(motions: &[AffineStart]) -> Vec<AffineStart> {
     let near = Neighbors::new(motions.iter().map(|m| m.from));
     let supported = |k: &usize| {
@@ -148,7 +152,8 @@ fn agreeing(motions: &[AffineStart]) -> Vec<AffineStart> {
     (0..motions.len()).filter(supported).map(|k| motions[k]).collect()
 }
 
-/// Tracks deforming windows from initial guesses, forward and backward. `None` as for [`affine_match`].
+/// Tracks affinely deforming windows from initial guesses, forward and backward. `None` under the conditions
+/// of [`affine_match`].
 pub(super) fn affine_matches(
     frames: [&Frame; 2],
     starts: &[AffineStart],
@@ -160,7 +165,7 @@ pub(super) fn affine_matches(
     starts.par_iter().map_init(AffineTracker::default, tracked).collect()
 }
 
-/// Tracks a deforming window forward and backward. `None` if it is lost or exceeds a threshold.
+/// Tracks an affinely deforming window forward and backward. `None` if it is lost or exceeds a threshold.
 fn affine_match(
     [source, target]: [&Frame; 2],
     start: &AffineStart,
@@ -220,7 +225,7 @@ mod tests {
         top * (1.0 - v) + (n(0, 1) * (1.0 - u) + n(1, 1) * u) * v
     }
 
-    /// A disc of radius 45 px, rotated by an angle and shifted, before a still wall.
+    /// A disc of radius 45 px, rotated by `angle` and shifted, in front of a static wall.
     fn frame(angle: f64, shift: Vector2<f64>, options: &RegistrationOptions) -> Frame {
         let value = |k: usize| {
             let p = Vector2::new((k % SIDE) as f64 + 0.5, (k / SIDE) as f64 + 0.5);
@@ -231,8 +236,8 @@ mod tests {
         Frame::new(Image::from_data(SIDE, SIDE, 1, (0..SIDE * SIDE).map(value).collect()), options)
     }
 
-    /// Matches the disc's corners, all of which are lost. Returns their number, the number that is found, and the
-    /// median error in pixels.
+    /// Matches the disc's corners as if all were lost. Returns their number, the number that is found, and
+    /// the median error in pixels.
     fn found(angle: f64, shift: Vector2<f64>) -> (usize, usize, f64) {
         let options = RegistrationOptions::default();
         let frames = [frame(0.0, Vector2::zeros(), &options), frame(angle, shift, &options)];
@@ -264,7 +269,7 @@ mod tests {
         let options = RegistrationOptions::default();
         let still = frame(0.0, Vector2::zeros(), &options);
         match_rotating_patches([&still, &still], &[], &mut [], &options);
-        // Another disc before another wall.
+        // The other image shows another disc in front of another wall.
         let other: Vec<f32> = (0..SIDE * SIDE)
             .map(|k| texture(Vector2::new((k % SIDE) as f64, (k / SIDE) as f64), 99) as f32)
             .collect();

@@ -1,5 +1,5 @@
-//! Rotation-invariant descriptors: Lowe's SIFT (IJCV 60(2), 2004) at one scale, 4×4 cells of eight
-//! directions each. From one frame to the next a feature may rotate, but hardly changes its size.
+//! Rotation-invariant descriptors: Lowe's SIFT (IJCV 60(2), 2004) with 4×4 cells of eight directions. They
+//! use a single scale, since from one frame to the next a feature may rotate but hardly changes its size.
 
 use super::polar_gradients::{DIRECTIONS, PolarGradients, TURN};
 use crate::simd::{F32x8, LANES, multiversion};
@@ -7,13 +7,14 @@ use nalgebra::{Point2, Vector2};
 use std::f32::consts::TAU;
 use std::ops::Range;
 
-/// Cells of a descriptor along a side.
+/// Number of cells along a side of a descriptor.
 const CELLS: usize = 4;
-/// Entries of a descriptor.
+/// Number of entries of a descriptor.
 const SIZE: usize = CELLS * CELLS * DIRECTIONS;
 /// A cell's side, pixels of the level.
 const CELL_PX: f32 = 4.0;
-/// Radius of the window, pixels of the level: the cells' half diagonal, with half a cell around for the interpolation.
+/// Radius of the window, pixels of the level: half the diagonal of the cells plus half a cell, for
+/// interpolation.
 const RADIUS_PX: isize = 14;
 /// Number of bins of the histogram of directions whose peak is the main direction.
 const BINS: usize = 36;
@@ -21,26 +22,27 @@ const BINS: usize = 36;
 const WINDOW_SIGMA_PX: f32 = 8.0;
 /// Standard deviation of the Gaussian weights of the main direction's samples, pixels of the level.
 const DIRECTION_SIGMA_PX: f32 = 5.0;
-/// Maximum entry of a normalized descriptor: SIFT's clipping of strong edges.
+/// Maximum entry of a normalized descriptor, by which SIFT limits the influence of strong edges.
 const MAX_ENTRY: f32 = 0.2;
 
-/// A feature's main direction and its descriptor.
+/// A descriptor, with the main direction to which it is relative.
 pub(super) struct SiftDescriptor {
-    /// The main direction of the gradients, radians, from x towards y.
+    /// The main direction of the gradients, radians, from the x axis towards the y axis.
     pub angle: f32,
     entries: [f32; SIZE],
 }
 
-/// Maximum number of columns or rows of a window, padded so that [`LANES`] values can be read from any of them on.
+/// Length of buffers for a window's columns or rows. They are padded, so that [`LANES`] values can be read
+/// from any index on.
 const SPAN: usize = (2 * RADIUS_PX as usize + 1).next_multiple_of(LANES) + LANES;
-/// Cells along a side of the histogram grid: one more on the left and two on the right, for samples
-/// outside of the descriptor.
+/// Number of cells along a side of the histogram grid: one more on the left and two more on the right, for
+/// samples outside the descriptor.
 const GRID: usize = CELLS + 3;
 
 /// The samples within [`RADIUS_PX`] of a point of the level.
 struct Disc<'a> {
     gradients: &'a PolarGradients,
-    /// Position in the level, pixels, with the first pixel's centre at (0, 0).
+    /// Position of the point in the level, pixels, with the first pixel's centre at (0, 0).
     center: [f32; 2],
     columns: Range<usize>,
     rows: Range<usize>,
@@ -58,7 +60,7 @@ impl<'a> Disc<'a> {
         Self { gradients, center, columns, rows }
     }
 
-    /// The columns of a row that are inside the disc. No cell reaches beyond the disc at any rotation.
+    /// The columns of row `y` that are inside the disc. The disc contains all cells at any rotation.
     #[inline(always)]
     fn columns_of(&self, y: usize) -> Range<usize> {
         let dy = y as f32 - self.center[1];
@@ -68,7 +70,8 @@ impl<'a> Disc<'a> {
         first.max(self.columns.start)..(end as usize).min(self.columns.end)
     }
 
-    /// Gaussian weights along x and along y; a sample's weight is the product of its column's and its row's.
+    /// Gaussian weights along x and along y. A sample's weight is the product of its column's and its row's
+    /// weight.
     #[inline(always)]
     fn fades(&self, sigma_px: f32) -> [[f32; SPAN]; 2] {
         let mut fades = [[0.0; SPAN]; 2];
@@ -81,13 +84,13 @@ impl<'a> Disc<'a> {
         fades
     }
 
-    /// The peak of the histogram of directions, 0 to [`TURN`]; `None` without gradients.
+    /// The main direction: peak of the histogram of directions, 0 to [`TURN`]. `None` if all gradients are 0.
     #[inline(always)]
     fn main_direction<V: F32x8>(&self) -> Option<f32> {
         const BINS_PER_DIRECTION: f32 = BINS as f32 / TURN;
         let [fade_x, fade_y] = self.fades(DIRECTION_SIGMA_PX);
-        // Two histograms, of odd and even columns, so that their sums are computed in parallel. The last bin
-        // is of directions rounded up to a full turn.
+        // One histogram for odd and one for even columns, so that their sums are computed in parallel. The
+        // last bin is for directions that are rounded up to a full turn.
         let mut sums = [[0.0; BINS + 1]; 2];
         for y in self.rows.clone() {
             let fade_y = V::splat(fade_y[y - self.rows.start]);
@@ -96,7 +99,7 @@ impl<'a> Disc<'a> {
                 let at = y * self.gradients.width + x;
                 let direction = V::load(&self.gradients.direction, at);
                 let bins = direction * V::splat(BINS_PER_DIRECTION);
-                // NaN, the direction of a gradient that is not finite, becomes 0.
+                // A gradient that is not finite has the direction NaN, which becomes 0.
                 let (bins, _) =
                     bins.simd_max(V::zero()).simd_min(V::splat(BINS as f32)).floor_and_fraction();
                 let fade = V::load(&fade_x, x - self.columns.start) * fade_y;
@@ -118,12 +121,12 @@ impl<'a> Disc<'a> {
     fn cells<V: F32x8>(&self, angle: f32) -> [V; CELLS * CELLS] {
         let (sin, cos) = (angle / TURN * TAU).sin_cos();
         let [fade_x, fade_y] = self.fades(WINDOW_SIGMA_PX);
-        // Position of the descriptor's centre, in cells of the grid.
+        // Position of the descriptor's centre in the grid, in cells.
         const CENTER: f32 = 0.5 * CELLS as f32 + 0.5;
-        // Two grids, of odd and even columns, so that their sums are computed in parallel.
+        // One grid for odd and one for even columns, so that their sums are computed in parallel.
         let mut grids = [[V::zero(); GRID * GRID]; 2];
         let columns = V::from_array(&std::array::from_fn(|lane| lane as f32));
-        // One-hot vectors, by direction.
+        // One-hot vectors, one for each direction.
         let one_hot = |d: usize| std::array::from_fn(|k| f32::from(u8::from(k == d)));
         let directions: [[f32; LANES]; DIRECTIONS] = std::array::from_fn(one_hot);
         let (lowest, highest) = (V::zero(), V::splat((CELLS + 1) as f32));
@@ -133,7 +136,8 @@ impl<'a> Disc<'a> {
             let row_columns = self.columns_of(y);
             for x in row_columns.clone().step_by(LANES) {
                 let at = y * self.gradients.width + x;
-                // In cells, relative to the main direction. Samples outside of all cells fall on the grid's border.
+                // The position in cells, relative to the main direction. Samples outside all cells fall on
+                // the grid's border.
                 let dx = columns + V::splat(x as f32 - self.center[0]);
                 let u = dx.mul_add(V::splat(cos / CELL_PX), V::splat(sin * dy / CELL_PX + CENTER));
                 let v = dx.mul_add(V::splat(-sin / CELL_PX), V::splat(cos * dy / CELL_PX + CENTER));
@@ -152,13 +156,14 @@ impl<'a> Disc<'a> {
                 ];
                 let fd = fd.to_array();
                 for l in 0..LANES.min(row_columns.end - x) {
-                    // Correct for negative directions too: DIRECTIONS is a power of two and divides the range of usize.
+                    // Also correct for negative directions, since DIRECTIONS is a power of two and divides
+                    // the range of usize.
                     let d = direction[l] as usize % DIRECTIONS;
                     let own = V::from_array(&directions[d]);
                     let next = V::from_array(&directions[(d + 1) % DIRECTIONS]);
                     let direction_weights = (next - own).mul_add(V::splat(fd[l]), own);
                     let cell = row[l] as usize * GRID + column[l] as usize;
-                    // One bounds check for all four cells.
+                    // A single bounds check for all four cells.
                     let grid = &mut grids[l % 2][cell..cell + GRID + 2];
                     for (k, to) in [0, 1, GRID, GRID + 1].into_iter().enumerate() {
                         grid[to] = direction_weights.mul_add(V::splat(corners[k][l]), grid[to]);
@@ -176,7 +181,7 @@ impl<'a> Disc<'a> {
 }
 
 multiversion! {
-    /// The descriptor of a point of the frame, pixels. `None` where there is no gradient.
+    /// The descriptor at a point of the frame, pixels. `None` if all gradients around it are 0.
     pub(super) fn descriptor(
         gradients: &PolarGradients,
         at: &Point2<f64>,
@@ -185,7 +190,8 @@ multiversion! {
 
 #[inline(always)]
 fn descriptor_by<V: F32x8>(gradients: &PolarGradients, at: &Point2<f64>) -> Option<SiftDescriptor> {
-    // Levels are centred on even pixels, so positions relative to pixel centres scale.
+    // Even pixels' centres are the centres of the next level's pixels, so that positions relative to the
+    // first pixel's centre are scaled.
     let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
     let disc = Disc::new(gradients, [at.x as f32, at.y as f32]);
     let angle = disc.main_direction::<V>()?;
@@ -220,8 +226,8 @@ fn squared_distance_by<V: F32x8>(a: &SiftDescriptor, b: &SiftDescriptor) -> f32 
     (sums[0] + sums[1]).sum() as f32
 }
 
-/// Position, 0 to [`BINS`], of the peak of a smoothed circular histogram, between bins by a parabola. `None`
-/// if all bins are 0.
+/// The position, 0 to [`BINS`], of the peak of a circular histogram after smoothing; interpolated by a
+/// parabola between bins. `None` if all bins are 0.
 fn peak(mut histogram: [f32; BINS]) -> Option<f32> {
     for _ in 0..2 {
         let raw = histogram;
@@ -232,7 +238,7 @@ fn peak(mut histogram: [f32; BINS]) -> Option<f32> {
     let largest = (0..BINS).max_by(|&a, &b| histogram[a].total_cmp(&histogram[b]))?;
     let [before, at, after] = [BINS - 1, 0, 1].map(|k| histogram[(largest + k) % BINS]);
     let curvature = before - 2.0 * at + after;
-    // Not negative only where all three are equal.
+    // The curvature is not negative only if all three bins are equal.
     let shift = if curvature < 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
     (at > 0.0).then_some(largest as f32 + 0.5 + shift)
 }
@@ -261,7 +267,7 @@ mod tests {
     use crate::registration::Pyramid;
     use crate::simd::Scalar;
 
-    /// A pattern that is turned by `angle` around the image's middle.
+    /// A pattern that is rotated by `angle` around the image's middle.
     fn turned(angle: f32) -> Pyramid {
         let (sin, cos) = angle.sin_cos();
         let value = |k: usize| {
@@ -273,7 +279,7 @@ mod tests {
         Pyramid::new(&Image::from_data(64, 64, 1, (0..64 * 64).map(value).collect()), 1, 16)
     }
 
-    /// The descriptor written as simply as possible: sample by sample, and entry by entry.
+    /// Reference implementation of the descriptor, as simple as possible: sample by sample, entry by entry.
     fn naive(pyramid: &Pyramid, at: &Point2<f64>) -> Option<(f32, Vec<f32>)> {
         let gradients = polar_gradients(pyramid);
         let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
@@ -317,7 +323,7 @@ mod tests {
         Some((angle / TURN * TAU, normalized(clipped)))
     }
 
-    /// Also at and beyond the image's border, and where levels are smaller than a window.
+    /// Points include some at and beyond the image's border, and levels smaller than a window.
     #[test]
     fn descriptors_agree_with_a_naive_reference() {
         let mut random = Random::new(5);

@@ -19,12 +19,13 @@ pub enum FlowDirection {
     Forward,
     /// A corner of the later frame, tracked to the earlier one.
     Backward,
-    /// Found in both directions: the two correspondences are near each other at both ends, and the forward one is used.
+    /// Found in both directions: two correspondences are close to each other at both ends, and the forward
+    /// one is used.
     Both,
 }
 
-/// A temporal correspondence of one camera between its frames k and k + 1 (§4.1), extended by a frame
-/// at both ends where the feature could be tracked. Positions in pixels.
+/// A temporal correspondence of one camera between its frames k and k + 1 (§4.1). It is extended to the
+/// frames k − 1 and k + 2 where the feature could be tracked. Positions are in pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Track {
     /// The direction in which the track was found.
@@ -37,8 +38,8 @@ pub struct Track {
     pub later: Point2<f64>,
     /// Position in frame k + 2; `None` if the feature was lost or there is no such frame.
     pub after: Option<Point2<f64>>,
-    /// The linear part of the motion around the feature, from frame k to frame k + 1: the identity where the
-    /// window only translates.
+    /// The linear part of the motion around the feature, from frame k to frame k + 1; the identity where the
+    /// window is only translated.
     pub deformation: Matrix2<f64>,
     /// Mean absolute difference of the windows in frames k and k + 1, values 0..=1.
     pub residual: f64,
@@ -47,12 +48,12 @@ pub struct Track {
 }
 
 impl Track {
-    /// Whether the track is of the forward flow, which warps the earlier frame in eq. (9).
+    /// Whether the track belongs to the forward flow, which warps the earlier frame in eq. (9).
     pub fn in_forward_set(&self) -> bool {
         self.direction != FlowDirection::Backward
     }
 
-    /// Whether the track is of the backward flow, which warps the later frame in eq. (9).
+    /// Whether the track belongs to the backward flow, which warps the later frame in eq. (9).
     pub fn in_backward_set(&self) -> bool {
         self.direction != FlowDirection::Forward
     }
@@ -62,22 +63,22 @@ impl Track {
         self.later - self.earlier
     }
 
-    /// The start for tracking to frame k − 1, with the initial guess of constant affine motion.
+    /// The start for tracking to frame k − 1; the initial guess assumes constant affine motion.
     fn backward(&self) -> AffineStart {
         let inverse = self.deformation.try_inverse().unwrap_or_else(Matrix2::identity);
         let guess = self.earlier - inverse * self.motion();
         AffineStart { from: self.earlier, guess, deformation: inverse }
     }
 
-    /// The start for tracking to frame k + 2, with the initial guess of constant affine motion.
+    /// The start for tracking to frame k + 2; the initial guess assumes constant affine motion.
     fn forward(&self) -> AffineStart {
         let guess = self.later + self.deformation * self.motion();
         AffineStart { from: self.later, guess, deformation: self.deformation }
     }
 
-    /// Drops the extension beyond a kink of the motion, as where a body bounces: a polynomial through a kink deviates
-    /// from the trajectory between frames k and k + 1. The acceleration of smooth motion changes little from one frame
-    /// to the next. `times_s` are the times of frames k − 1 to k + 2, seconds.
+    /// Removes the extension beyond a kink of the motion, as where a body bounces, since a polynomial through
+    /// a kink deviates from the trajectory between frames k and k + 1. A kink is a large change of the
+    /// acceleration. `times_s` are the times of frames k − 1 to k + 2, seconds.
     fn drop_kink(&mut self, times_s: &[f64]) {
         let (Some(before), Some(after)) = (self.before, self.after) else { return };
         let positions = [before, self.earlier, self.later, after];
@@ -94,10 +95,11 @@ impl Track {
         }
     }
 
-    /// The trajectory through the two to four known positions: eq. (2), and curves beyond the paper.
+    /// The trajectory through the two to four known positions: the straight line of eq. (2), and curves
+    /// beyond the paper.
     ///
-    /// `times_s` are the camera's frame times in seconds and `k` is the index of the earlier frame.
-    /// `None` if the times do not strictly ascend.
+    /// `times_s` are the camera's frame times in seconds and `k` is the index of the earlier frame. `None` if
+    /// the times do not strictly ascend.
     ///
     /// # Panics
     /// If `times_s` has no entry for frame k + 1.
@@ -113,20 +115,19 @@ impl Track {
     }
 }
 
-/// Maximum change of a smooth motion's acceleration from one frame to the next, pixels, plus [`JERK_FRACTION`] of the
-/// smaller acceleration.
+/// Constant part of the maximum change of a smooth motion's acceleration from one frame to the next, pixels.
+/// [`JERK_FRACTION`] of the smaller acceleration is added.
 const MAX_JERK_PX: f64 = 12.0;
 const JERK_FRACTION: f64 = 0.5;
-/// Correspondences of the forward and the backward flow within this distance of each other at both ends are
-/// merged, pixels.
+/// Maximum distance, at both ends, between a forward and a backward correspondence that are merged, pixels.
 const MERGE_DISTANCE_PX: f64 = 1.0;
 
 /// The bidirectional temporal flow (§4.1) between frames `k` and `k + 1` of a camera, from the corners of
 /// both.
 ///
-/// Correspondences of both directions are merged, those unlike their neighbours are removed
-/// ([`neighbor_consensus`]), and the others are extended by a frame at both ends where there is one.
-/// The order does not depend on the number of threads.
+/// Correspondences of both directions are merged. Those whose motion differs from their neighbours' are
+/// removed ([`neighbor_consensus`]), and the others are extended to the frames before and after where these
+/// exist. The order does not depend on the number of threads.
 ///
 /// # Errors
 /// If one of the frames cannot be read.
@@ -145,7 +146,8 @@ pub fn temporal_flow(
     temporal_flow_of(frames, camera, k, [of_earlier, of_later])
 }
 
-/// As [`temporal_flow`], from given points of frame `k` and of frame `k + 1` instead of the frames' corners, pixels.
+/// [`temporal_flow`] from given points of frame `k` and of frame `k + 1`, pixels, instead of the frames'
+/// corners.
 ///
 /// # Errors
 /// If one of the frames cannot be read.
@@ -202,11 +204,12 @@ fn directed_flow(
     matches.into_iter().flatten().collect()
 }
 
-/// The correspondences of both directions, with those within [`MERGE_DISTANCE_PX`] at both ends merged.
+/// The correspondences of both directions. Two are merged if they are within [`MERGE_DISTANCE_PX`] at both
+/// ends.
 fn merged(forward: &[Match], backward: &[Match]) -> Vec<Track> {
     let track = |direction, m: &Match| {
         let (earlier, later, deformation) = if direction == FlowDirection::Backward {
-            // A match's change of area is bounded, so that its inverse exists.
+            // A match's change of area is bounded, so that the inverse exists.
             let inverse = m.deformation.try_inverse().unwrap_or_else(Matrix2::identity);
             (m.target, m.source, inverse)
         } else {
@@ -226,7 +229,7 @@ fn merged(forward: &[Match], backward: &[Match]) -> Vec<Track> {
     let mut tracks: Vec<Track> = forward.iter().map(|m| track(FlowDirection::Forward, m)).collect();
     let at_earlier = Neighbors::new(forward.iter().map(|m| m.source));
     for m in backward {
-        // Nearest first; of equally near ones the first.
+        // The nearest first; of equally near ones, the one of lower index.
         let near = at_earlier.nearest(&m.target, usize::MAX, MERGE_DISTANCE_PX);
         let is_twin = |k: &usize| (forward[*k].target - m.source).norm() <= MERGE_DISTANCE_PX;
         match near.into_iter().find(is_twin) {
@@ -237,8 +240,9 @@ fn merged(forward: &[Match], backward: &[Match]) -> Vec<Track> {
     tracks
 }
 
-/// For each track, whether enough of its neighbours move alike, or it has too few neighbours to tell. A surface has
-/// more than one feature, so that a track unlike its neighbours is a mismatch.
+/// For each track, whether its motion agrees with enough neighbours; also true if it has too few neighbours
+/// to tell. A track that differs from its neighbours is a mismatch, since a surface has more than one
+/// feature.
 pub fn neighbor_consensus(tracks: &[Track], options: &RegistrationOptions) -> Vec<bool> {
     let moved =
         |t: &Track| Some(Moved { at: t.earlier, motion: t.motion(), deformation: t.deformation });
@@ -263,7 +267,8 @@ mod tests {
     #[test]
     fn a_correspondence_of_both_directions_is_merged_and_labelled() {
         let forward = [a_match(10.0, 3.0), a_match(20.0, 3.0)];
-        // The first is a forward match reversed; the second starts where a forward match ends, but goes elsewhere.
+        // The first is a forward match reversed; the second starts at the end of a forward match, but ends
+        // elsewhere.
         let backward = [a_match(13.2, -3.1), a_match(23.1, -9.0)];
         let tracks = merged(&forward, &backward);
         let directions: Vec<_> = tracks.iter().map(|t| t.direction).collect();
@@ -285,7 +290,8 @@ mod tests {
         assert!(tracks.iter().all(|t| (t.motion().x - 5.0).abs() < 1e-9));
     }
 
-    /// A swing's end keeps all four positions; a bounce loses the one beyond the kink.
+    /// At the turning point of a swing all four positions remain; at a bounce, the one beyond the kink is
+    /// removed.
     #[test]
     fn a_kink_drops_the_position_beyond_it() {
         let track = |xs: [f64; 4]| {
@@ -300,12 +306,12 @@ mod tests {
             (track.before.is_some(), track.after.is_some())
         };
         let even = [0.0, 1.0, 2.0, 3.0];
-        // 20 px a frame less with every frame.
+        // The motion decreases by 20 px with every frame.
         assert_eq!(kept([0.0, 30.0, 40.0, 30.0], even), (true, true));
         // A bounce in frame k, and one in frame k + 1.
         assert_eq!(kept([0.0, 10.0, -20.0, -50.0], even), (false, true));
         assert_eq!(kept([-50.0, -20.0, 10.0, 0.0], even), (true, false));
-        // A frame is missing: as fast as ever.
+        // A frame is missing, and the velocity is constant.
         assert_eq!(kept([0.0, 30.0, 60.0, 120.0], [0.0, 1.0, 2.0, 4.0]), (true, true));
     }
 
@@ -316,7 +322,7 @@ mod tests {
         let times = [0.0, 1.0, 2.0];
         let curved = track.trajectory(&times, 1).unwrap();
         assert!((curved.at(1.5).x - 11.375).abs() < 1e-12);
-        // Frame 0 has no frame before it, whatever the track says.
+        // Frame 0 has no frame before it, so that the track's position there is ignored.
         assert!((track.trajectory(&times, 0).unwrap().at(0.5).x - 11.5).abs() < 1e-12);
     }
 }

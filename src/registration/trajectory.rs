@@ -1,7 +1,7 @@
 //! A feature's trajectory in one camera through a few frames: eq. (2), and curves beyond the paper.
 //!
-//! The trajectory is the polynomial through all samples. Two give the paper's straight line; three and
-//! four a quadratic and a cubic, because a straight line biases temporal offsets by the trajectory's
+//! The trajectory is the polynomial through all samples. Two samples give the paper's straight line, three
+//! and four a quadratic and a cubic. A straight line would bias temporal offsets by the trajectory's
 //! curvature.
 
 use nalgebra::{Point2, Vector2};
@@ -21,8 +21,8 @@ impl Trajectory {
 
     /// The trajectory through samples `(time in seconds, position in pixels)`, in order of time.
     ///
-    /// `None` for fewer than two or more than four samples, and for times that do not strictly
-    /// ascend. [`Self::at`] divides by their differences.
+    /// `None` for fewer than two or more than four samples, and for times that do not strictly ascend, since
+    /// [`Self::at`] divides by their differences.
     pub fn new(samples: impl IntoIterator<Item = (f64, Point2<f64>)>) -> Option<Self> {
         let mut trajectory =
             Self { times_s: [0.0; Self::MAX], positions: [Point2::origin(); Self::MAX], len: 0 };
@@ -39,8 +39,8 @@ impl Trajectory {
         (trajectory.len >= 2).then_some(trajectory)
     }
 
-    /// Lagrange basis polynomial of sample `i` at a time in seconds, without the factor of sample `skipped`. The
-    /// polynomial is whole if `skipped` is `i`.
+    /// The Lagrange basis polynomial of sample `i` at a time in seconds, without the factor of sample
+    /// `skipped`. With `skipped` equal to `i`, it has all factors.
     fn weight(&self, time_s: f64, i: usize, skipped: usize) -> f64 {
         (0..self.len)
             .filter(|&j| j != i && j != skipped)
@@ -48,7 +48,7 @@ impl Trajectory {
             .product()
     }
 
-    /// The position at a time in seconds, pixels; eq. (2) if there are two samples. Outside the samples'
+    /// The position, pixels, at a time in seconds; eq. (2) if there are two samples. Outside the samples'
     /// times it is an extrapolation.
     pub fn at(&self, time_s: f64) -> Point2<f64> {
         let terms = (0..self.len).map(|i| self.positions[i].coords * self.weight(time_s, i, i));

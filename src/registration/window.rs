@@ -4,23 +4,24 @@ use super::pyramid::PyramidLevel;
 use crate::simd::{F32x8, LANES};
 use nalgebra::Vector2;
 
-/// Fraction, 0..=1, of a linearly interpolated sample that comes from inside the image, along one axis of
-/// `size` pixels. `v` is in pixels with the first pixel's centre at 0. The padding carries no information.
+/// For a linearly interpolated sample along one axis, the fraction, 0..=1, of its weight that is on pixels
+/// inside an image of `size` pixels; the padding carries no information. `v` is the position in pixels, with
+/// the first pixel's centre at 0.
 #[inline(always)]
 pub fn fraction_inside(v: f64, size: usize) -> f32 {
     (1.0 + v.min(size as f64 - 1.0 - v)).clamp(0.0, 1.0) as f32
 }
 
-/// A window of a row-major plane at a sub-pixel position, read row by row.
+/// A window of a row-major plane at a sub-pixel position, to be read row by row.
 #[derive(Clone, Copy)]
 pub struct Window<'a> {
     plane: &'a [f32],
     base: usize,
     stride: usize,
-    /// Samples of a row.
+    /// Number of samples of a row.
     row: usize,
     rows: usize,
-    /// The fractional position after `base`, x and y, in 0..1.
+    /// The fractional part of the position, x and y, in 0..1.
     within: [f32; 2],
 }
 
@@ -33,13 +34,14 @@ pub struct Columns<'a, V, const B: usize> {
     /// Index of the last row's first sample.
     end: usize,
     within: [V; 2],
-    /// The last row read, interpolated horizontally.
+    /// The row read last, interpolated horizontally.
     above: [V; B],
 }
 
 impl<'a> Window<'a> {
-    /// The window of the given radius around `p` in a level, pixels with the first pixel's centre at (0, 0). It
-    /// has `rows` rows of `row` samples. `None` if `p` is more than a pixel outside the image.
+    /// The window around `p` in a level, with `rows` rows of `row` samples and its top-left sample `radius`
+    /// pixels to the left of and above `p`. `p` is in pixels, with the first pixel's centre at (0, 0). `None`
+    /// if `p` is more than a pixel outside the image.
     ///
     /// # Panics
     /// If the window and its bilinear neighbours are not inside the padded level.

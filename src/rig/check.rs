@@ -1,4 +1,4 @@
-//! Checks of a rig file: every field is within its limits, and no two fields contradict each other.
+//! Checks a rig file: every field is within its limits, and no two fields contradict each other.
 
 use super::limits::*;
 use super::{Rig, RigCamera, RigView};
@@ -12,7 +12,7 @@ use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-/// An error of a rig file: one sentence with the file and the field.
+/// The error of an invalid rig file: one sentence with the file and the field.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {source}")]
 pub struct RigError {
@@ -20,13 +20,13 @@ pub struct RigError {
     source: JsonError,
 }
 
-/// A field or an option with an invalid value, and the reason; together one sentence.
+/// An invalid value of a field or an option. Field and reason together are one sentence.
 #[derive(Debug, PartialEq, thiserror::Error)]
 #[error("{field} {reason}")]
 pub struct FieldError {
     /// Path of the field, such as `cameras[1].rate_hz`, or the option's name in words.
     pub field: String,
-    /// The sentence's end, such as "must be a number from …".
+    /// The end of the sentence, such as "must be a number from …".
     pub reason: String,
 }
 
@@ -38,16 +38,16 @@ impl Rig {
             .map_err(|source| RigError { path: path.to_owned(), source })
     }
 
-    /// Parses and checks the text of a rig file. The error is one sentence, which starts with the field
-    /// if it is known.
+    /// Parses and checks the text of a rig file. The error is one sentence that starts with the field, if it
+    /// is known.
     pub fn parse(text: &str) -> Result<Self, String> {
         let rig: Self = json::parse(text)?;
         rig.check().map_err(|wrong| wrong.to_string())?;
         Ok(rig)
     }
 
-    /// Checks every field against [`super::limits`], and fields against each other. The error has the
-    /// first wrong field, in the file's order.
+    /// Checks every field against [`super::limits`], and fields against each other. The error is for the
+    /// first invalid field, in the file's order.
     pub fn check(&self) -> FieldCheck {
         if self.format != FORMAT {
             return wrong("format", format!("must be {FORMAT:?}, not {:?}", self.format));
@@ -85,7 +85,7 @@ pub(super) fn wrong(field: impl Into<String>, reason: impl Into<String>) -> Fiel
 }
 
 fn within<T: PartialOrd + Display>(field: &str, value: T, range: &RangeInclusive<T>) -> FieldCheck {
-    // A NaN is in no range.
+    // NaN is in no range.
     if range.contains(&value) {
         return Ok(());
     }
@@ -206,7 +206,7 @@ fn pose(at: &str, pose: &PoseFormat) -> FieldCheck {
 }
 
 impl RigCamera {
-    /// The camera's pose and lens without distortion.
+    /// The camera's pose and its lens without distortion.
     pub fn view(&self) -> RigView {
         RigView {
             id: self.id.clone(),

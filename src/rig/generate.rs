@@ -1,4 +1,4 @@
-//! Generates rigs from a few numbers. The same options give the same rig, to the byte.
+//! Generates rigs from a few numbers. Equal options give equal files, to the byte.
 
 use super::check::{FieldCheck, FieldError, wrong};
 use super::format::{Rig, RigCamera, RigColor, RigDistortion, RigView};
@@ -12,7 +12,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::num::NonZeroUsize;
 
-/// Placement of the cameras. All look along the rig's +z, except those of an arc.
+/// Arrangement of the cameras. All look along the rig's +z, except in an arc.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum RigLayout {
@@ -20,13 +20,13 @@ pub enum RigLayout {
     Line { count: NonZeroUsize },
     /// Row by row, from the top left.
     Grid { rows: NonZeroUsize, columns: NonZeroUsize },
-    /// From left to right on a circle around a point straight ahead, at which all cameras look.
-    /// Spacing is measured along the arc.
+    /// From left to right on a circle around a point straight ahead, at which all cameras look. The spacing
+    /// is measured along the arc.
     Arc { count: NonZeroUsize, distance_m: f64 },
 }
 
 impl RigLayout {
-    /// Number of cameras, saturating.
+    /// Number of cameras; saturates instead of overflowing.
     fn count(&self) -> usize {
         match self {
             Self::Line { count } | Self::Arc { count, .. } => count.get(),
@@ -35,15 +35,15 @@ impl RigLayout {
     }
 }
 
-/// Exposure times of the first frames, after the scene's start.
+/// Times of the first frames, after the scene's start.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Delays {
     /// All at the scene's start.
     None,
-    /// Uniformly random within a frame of each camera.
+    /// Uniformly random within one frame interval of each camera.
     Random,
-    /// Seconds, assigned to cameras in turn.
+    /// Given in seconds; the entries are assigned to the cameras in turn.
     Listed(Vec<f64>),
 }
 
@@ -56,7 +56,7 @@ pub enum LossStamps {
     Stamped,
     /// No loss leaves a trace.
     Hidden,
-    /// Alternately stamped and hidden, by camera.
+    /// Alternately stamped and hidden, from camera to camera.
     Mixed,
 }
 
@@ -66,13 +66,13 @@ methods!(LossStamps {
     Mixed = "mixed": "Either in turn, by camera",
 });
 
-/// Lost frames, of every camera but the reference.
+/// Lost frames of all cameras except the reference.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Loss {
     /// Number of lost frames of each camera.
     pub count: usize,
-    /// Lost frames are drawn from frames 1 to `within − 1`.
+    /// Lost frames are drawn from the frames 1 to `within − 1`.
     pub within: usize,
     /// Whether time stamps show the losses.
     pub stamps: LossStamps,
@@ -88,11 +88,11 @@ pub struct RigOptions {
     pub layout: RigLayout,
     /// Distance between neighbours' centres.
     pub spacing_m: f64,
-    /// Widths and heights.
+    /// Widths and heights of the images.
     pub sizes_px: Vec<(u32, u32)>,
-    /// Focal lengths.
+    /// Focal lengths, millimetres.
     pub lenses_mm: Vec<f64>,
-    /// Size of all sensors along their longer side.
+    /// Size of all sensors along their longer side, millimetres.
     pub sensor_width_mm: f64,
     /// Distortion of all lenses.
     pub distortion: RigDistortion,
@@ -100,11 +100,11 @@ pub struct RigOptions {
     pub rates_hz: Vec<f64>,
     /// Times of the first frames.
     pub delays: Delays,
-    /// Standard deviations of the exposure times.
+    /// Standard deviations of the exposures' times.
     pub jitters_s: Vec<f64>,
     /// Whether cameras stamp their frames with the jitter.
     pub jitter_stamped: bool,
-    /// Largest absolute drift. Drifts are uniformly random up to it; the reference has none.
+    /// Maximum absolute drift. Drifts are uniformly random within it; the reference has none.
     pub max_drift_ppm: f64,
     /// Lost frames, if any.
     pub loss: Option<Loss>,
@@ -112,15 +112,15 @@ pub struct RigOptions {
     pub clock_shared: bool,
     /// Durations for which the shutters are open.
     pub exposures_s: Vec<f64>,
-    /// Factors on the light, before display encoding.
+    /// Factors on the light, applied before display encoding.
     pub gains: Vec<f64>,
-    /// Standard deviations of the noise, for a full scale of 1.
+    /// Standard deviations of the noise, as fractions of full scale.
     pub noises: Vec<f64>,
     /// Colour or grey cameras.
     pub colors: Vec<RigColor>,
-    /// Bits a channel of all images, 8 or 16.
+    /// Bits per channel of all images, 8 or 16.
     pub bit_depth: u32,
-    /// Seed of random delays, drifts and losses, and the `seed` of the rig file.
+    /// Seed of random delays, drifts and losses; also the field `seed` of the rig file.
     pub seed: u64,
 }
 
@@ -152,24 +152,25 @@ impl Default for RigOptions {
     }
 }
 
-/// A camera's centre, and rotation about the vertical, in the rig's frame.
+/// A camera's pose in the rig's frame: its centre, and a rotation about the vertical axis.
 #[derive(Clone, Copy)]
 struct Stand {
     center: Vector3<f64>,
-    /// Rotation to the left, radians.
+    /// Rotation to the left about the vertical axis, radians.
     yaw_rad: f64,
 }
 
-/// Poses are rounded to multiples of 1 / this, so that files are equal on platforms whose sines differ.
+/// Steps per unit to which poses are rounded, so that files are equal on platforms with different sine
+/// functions.
 const POSE_STEPS: f64 = 1e9;
-/// Delays are rounded to microseconds.
+/// Steps per second to which delays are rounded.
 const TIME_STEPS: f64 = 1e6;
-/// Drifts are rounded to multiples of 1 / this, ppm.
+/// Steps per ppm to which drifts are rounded.
 const DRIFT_STEPS: f64 = 1e3;
 
 impl RigOptions {
-    /// Generates and checks the rig. The error has the first wrong option, or the first wrong field of the
-    /// rig.
+    /// Generates and checks the rig. The error is for the first invalid option, or the first invalid field of
+    /// the rig.
     pub fn generate(&self) -> Result<Rig, FieldError> {
         self.check()?;
         let stands = self.stands();
@@ -279,7 +280,7 @@ impl RigOptions {
         }
     }
 
-    /// Camera `i` of the rig, still without delay, drift and losses.
+    /// Camera `i` of the rig; its delay, drift and losses are set later.
     fn camera(&self, i: usize, stand: &Stand) -> RigCamera {
         let (width, height) = turn(&self.sizes_px, i);
         RigCamera {
@@ -308,11 +309,11 @@ impl RigOptions {
         }
     }
 
-    /// Two virtual views, with the reference's lens: one between the cameras, one off their line.
+    /// Two virtual views with the reference's lens: one between the cameras, and one away from their line.
     fn views(&self, like: &RigCamera, stands: &[Stand], reference: usize) -> Vec<RigView> {
         let beside = 0.5 * self.spacing_m;
         let between = match self.layout {
-            // If a camera stands in the middle, the view is half-way to its neighbour.
+            // If a camera stands in the middle, the view is halfway to its neighbour.
             RigLayout::Line { count } if count.get() % 2 == 1 => Stand::ahead(beside, 0.0),
             RigLayout::Grid { rows, columns } => {
                 let aside = |n: usize| if n % 2 == 1 { beside } else { 0.0 };
@@ -323,7 +324,7 @@ impl RigOptions {
             }
             _ => Stand::ahead(0.0, 0.0),
         };
-        // To the left of the view `between`, above and in front of it.
+        // To the left of the view `between`, above it and in front of it.
         let off = Vector3::new(-1.0, -0.4, 0.5) * self.spacing_m;
         let above = Stand { center: between.center + off, yaw_rad: stands[reference].yaw_rad };
         [("between", between), ("above", above)]
@@ -347,7 +348,7 @@ impl Loss {
 }
 
 impl Stand {
-    /// A camera at z = 0 that looks along +z.
+    /// A camera at (x, y, 0) that looks along +z.
     fn ahead(x: f64, y: f64) -> Self {
         Self { center: Vector3::new(x, y, 0.0), yaw_rad: 0.0 }
     }
@@ -363,21 +364,21 @@ impl Stand {
     }
 }
 
-/// A camera on the circle around the point `distance_m` ahead of the rig's centre, looking at it.
+/// A camera on the circle around the point `distance_m` ahead of the rig's centre; it looks at this point.
 fn on_arc(angle: f64, distance_m: f64) -> Stand {
     let center = Vector3::new(angle.sin(), 0.0, 1.0 - angle.cos()) * distance_m;
     Stand { center, yaw_rad: angle }
 }
 
-/// Index of the camera nearest to the rig's centre; the first in a tie.
+/// Index of the camera nearest to the rig's centre; of equally near ones, the first.
 fn reference(stands: &[Stand]) -> usize {
     let distance = |s: &Stand| s.center.norm();
     let nearest = stands.iter().map(distance).fold(f64::INFINITY, f64::min);
-    // Ties up to rounding.
+    // Distances that differ only by rounding count as equal.
     stands.iter().position(|s| distance(s) <= nearest * (1.0 + 1e-9)).unwrap_or(0)
 }
 
-/// Draws distinct frames from 1 to `within − 1`, ascending.
+/// Draws distinct frames from 1 to `within − 1`, in ascending order.
 fn draw(random: &mut Random, loss: Loss) -> Vec<u32> {
     let mut remaining: Vec<u32> = (1..loss.within as u32).collect();
     let mut lost: Vec<u32> = (0..loss.count)
@@ -387,12 +388,12 @@ fn draw(random: &mut Random, loss: Loss) -> Vec<u32> {
     lost
 }
 
-/// The entry of a cyclic list for a camera.
+/// The entry for a camera of a list that is used cyclically.
 fn turn<T: Clone>(list: &[T], camera: usize) -> T {
     list[camera % list.len()].clone()
 }
 
-/// The nearest multiple of 1 / `steps`; −0 becomes 0.
+/// Rounds to the nearest multiple of 1 / `steps`; −0 becomes 0.
 fn round(value: f64, steps: f64) -> f64 {
     (value * steps).round() / steps + 0.0
 }

@@ -53,7 +53,7 @@ fn an_arcs_cameras_see_its_centre_in_the_middle() {
         assert!((pixel - Point2::new(320.0, 240.0)).norm() < 1e-5, "{pixel}");
         assert!(((camera(c).center() - Point3::new(0.0, 0.0, 1.5)).norm() - 1.5).abs() < 1e-8);
     }
-    // Left of the centre, looking right.
+    // The first camera is left of the centre, and looks to the right.
     assert!(centers(&rig)[0].x < 0.0 && camera(&rig.cameras[0]).axis().x > 0.0);
     assert!(EpipolarGeometry::new(&camera(&rig.cameras[0]), &camera(&rig.cameras[1])).is_some());
     let narrow = RigLayout::Arc { count: count(5), distance_m: 0.3 };

@@ -1,11 +1,11 @@
-//! Writes rig files for human readers: three or four lines a camera.
+//! Writes rig files for human readers: three or four lines per camera.
 
 use super::Rig;
 use serde::Serialize;
 use serde_json::ser::{Formatter, Serializer};
 use std::io::{self, Write};
 
-/// JSON on one line, with a space after every comma and colon.
+/// A JSON formatter that writes one line, with a space after every comma and colon.
 struct Spaced;
 
 impl Formatter for Spaced {
@@ -22,7 +22,7 @@ impl Formatter for Spaced {
 
 fn spaced(value: &impl Serialize) -> String {
     let mut bytes = Vec::new();
-    // Writing numbers, texts and lists to memory can't fail.
+    // Serializing numbers, texts and lists to memory can't fail.
     let _ = value.serialize(&mut Serializer::with_formatter(&mut bytes, Spaced));
     String::from_utf8_lossy(&bytes).into_owned()
 }
@@ -44,9 +44,9 @@ fn entries(list: &[impl Serialize]) -> String {
 }
 
 impl Rig {
-    /// The text of the rig's file.
+    /// The rig file's text.
     pub fn to_json(&self) -> String {
-        // The text of a rig without cameras and views, up to where the cameras begin.
+        // The text before the cameras: that of a rig without cameras and views, cut off there.
         let bare = Self { cameras: Vec::new(), views: Vec::new(), ..self.clone() };
         let head = spaced(&bare).replace(r#" "cameras": []}"#, "").split_off(1);
         let mut text = format!("{{\n  {head}\n  \"cameras\": [\n{}\n  ]", entries(&self.cameras));

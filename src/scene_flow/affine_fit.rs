@@ -1,34 +1,37 @@
-//! An element's slant: an affine fit to the elements around it that lie on its surface.
+//! A least-squares plane through the inverse depths and velocities around a pixel, which proposes an element
+//! with gradients.
 
 use super::element::Element;
 use super::map::ElementMap;
 use super::matching::{PatchMatcher, color_difference};
 use nalgebra::{Matrix3, Vector3};
 
-/// Half-width of the fit, pixels of the level.
+/// Half-width of the window of the fit, pixels of the pyramid level.
 const RADIUS: i32 = 3;
-/// Distance above which a neighbour is of another surface, pixels of the level.
+/// Maximum distance ([`PatchMatcher::distance`]) of a neighbour that belongs to the same surface, pixels of
+/// the pyramid level.
 const MAX_DISTANCE_PX: f32 = 2.0;
-/// Difference of colours at which a neighbour's weight falls to 1/e.
+/// Colour difference at which the colour term of a neighbour's weight falls to 1/e.
 const COLOR: f32 = 0.16;
-/// Part of a neighbour's weight that no difference of colour takes away.
+/// Added to the colour term, so that neighbours of any colour have some weight.
 const MIN_COLOR_WEIGHT: f32 = 0.05;
-/// Weight of the prior that all gradients are 0, as of a surface that is parallel to the image and moves as a whole.
+/// Ridge regularization of the gradients towards 0: a surface parallel to the image in pure translation.
 /// Squared pixels of the pyramid level.
 const FLATNESS: f64 = 0.3;
-/// Largest gradient of the disparity, pixels a pixel.
+/// Maximum magnitude of the disparity's gradient, pixels of disparity per pixel.
 const MAX_DISPARITY_GRADIENT: f32 = 1.6;
-/// Largest gradient of the velocity, pixels a frame a pixel.
+/// Maximum magnitude of the velocity's gradient, pixels per frame per pixel.
 const MAX_MOTION_GRADIENT: f32 = 1.0;
 
 impl PatchMatcher<'_> {
-    /// The fit at a pixel of the map; `None` if it has no solution.
+    /// The least-squares fit to the elements around pixel `(x, y)` of the map. `None` if the normal equations
+    /// are singular.
     pub fn affine_fit(&self, map: &ElementMap, x: usize, y: usize) -> Option<Element> {
         let (width, height) = (self.own.width as i32, self.own.height as i32);
         let own = map.elements[y * self.own.width + x];
         let center = self.own.pixel(x, y);
         let mut normal = Matrix3::<f64>::zeros();
-        // Inverse depth, and both components of the velocity.
+        // Right-hand sides: inverse depth, and the two components of the velocity.
         let mut right = [Vector3::<f64>::zeros(); 3];
         let (mut rate, mut acceleration, mut weights) = (0.0f32, [0.0f32; 2], 0.0f32);
         for dy in (-RADIUS).max(-(y as i32))..=RADIUS.min(height - 1 - y as i32) {
@@ -61,7 +64,7 @@ impl PatchMatcher<'_> {
         normal[(2, 2)] += flatness;
         let inverse = normal.try_inverse()?;
         let [q, u, v] = right.map(|right| (inverse * right).map(|v| v as f32));
-        // The element itself has a positive weight.
+        // `weights` is positive: the element itself contributes.
         let max_depth_gradient = MAX_DISPARITY_GRADIENT / self.disparity_px;
         let clamped = |v: f32, max: f32| v.clamp(-max, max);
         Some(Element {

@@ -1,4 +1,4 @@
-//! The view that maps of several frames give together.
+//! Blends the splatted maps of several frames into a view.
 
 use super::frame::FlowFrame;
 use super::geometry::Projection;
@@ -11,23 +11,24 @@ use nalgebra::Point2;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Half-width of a cluster of candidates, pixels of disparity.
+/// Half-width of a cluster of candidates in depth, pixels of disparity.
 const CLUSTER_PX: f32 = 1.5;
-/// Fraction of all weights that a cluster in front of the heaviest needs to hide it.
+/// Minimum fraction of all weights of a cluster that occludes a heavier one behind it.
 const FRONT: f32 = 0.12;
-/// Fraction of all weights from which a cluster hides all that is behind it.
+/// Minimum fraction of all weights of an opaque cluster. Between [`FRONT`] and this, opacity rises from 0 to
+/// 1.
 const OPAQUE: f32 = 0.25;
-/// Fraction of all weights that a cluster behind needs to show through.
+/// Minimum fraction of all weights of a cluster that shows through a transparent one.
 const BEHIND: f32 = 0.05;
-/// Fraction of the largest weight of a cluster below which a frame counts nothing.
+/// Minimum weight of a candidate in the mean of a cluster, as a fraction of the cluster's largest weight.
 const MIN_SHARE: f32 = 0.02;
-/// Difference of a colour from the mean at which it counts a quarter.
+/// Distance of a colour from the mean at which its weight falls to a quarter; colours are RGB of 0 to 1.
 const COLOR: f32 = 0.06;
 
-/// Pixels of a view that are blended at once: about 200 MB for eight maps.
-const BAND_PIXELS: usize = 1 << 20;
+/// Maximum number of a view's pixels that are blended at once. At eight maps, this takes about 100 MB.
+const BAND_PIXELS: usize = 1 << 19;
 
-/// The surface that a pixel of the view shows.
+/// Colour and depth of the surface that a pixel of the view shows.
 #[derive(Clone, Copy)]
 struct Pixel {
     color: [f32; 3],
@@ -35,12 +36,12 @@ struct Pixel {
     inverse_depth: f32,
 }
 
-/// The surfaces that a view's pixels show.
+/// Colours and depths of all pixels of a view, row by row.
 struct Pixels {
     colors: Vec<[f32; 3]>,
-    /// 1/m; 0 where nothing is known.
+    /// 1/m; 0 where the depth is unknown.
     inverse_depths: Vec<f32>,
-    /// Whether some map has it.
+    /// Whether a splat of some map covers the pixel.
     is_mapped: Vec<bool>,
 }
 
@@ -53,7 +54,8 @@ impl Pixels {
         }
     }
 
-    /// Gives pixels that no map has the colour and depth of what is behind them, ring by ring.
+    /// Fills the holes, pixels that no map covers, inwards ring by ring. A pixel copies its farthest filled
+    /// neighbour, since holes are disoccluded background.
     fn fill(&mut self, width: usize) {
         let height = self.is_mapped.len() / width;
         let around = |k: u32| {
@@ -92,7 +94,7 @@ impl Pixels {
     }
 }
 
-/// What one map has at a pixel of the view.
+/// The element that one map shows at a pixel of the view.
 struct Candidate<'a> {
     frame: &'a FlowFrame,
     inverse_depth: f32,
@@ -100,13 +102,13 @@ struct Candidate<'a> {
     weight: f32,
 }
 
-/// A view, and its depths.
+/// A view with its depth map.
 pub struct FlowView {
     pub rendered: Rendered,
     pub depths: DepthMap,
 }
 
-/// Blends some rows of a view ([`blend`]).
+/// Blends the rows `rows` of a view into `pixels`, as [`blend`] describes.
 fn blend_rows(
     mapped: &[MappedFrame],
     confidences: &[Vec<u8>],
@@ -148,10 +150,11 @@ fn blend_rows(
     });
 }
 
-/// The view at an instant, frames of the reference since the capture's start, from frames with their maps and these maps'
-/// confidences ([`confidences`](super::confidences)).
+/// The view at `time`, in frames of the reference camera since the capture's start. `confidences` are those
+/// of the maps, as [`confidences`](super::confidences) returns them.
 ///
-/// Pixels that no map has, but some camera filmed, get the colour of what is behind; others are not covered.
+/// A hole that lies inside some camera's image is filled with the background beside it. Pixels outside all
+/// images are not covered.
 pub fn blend(
     mapped: &[MappedFrame],
     confidences: &[Vec<u8>],
@@ -179,7 +182,7 @@ pub fn blend(
     });
     let Pixels { colors, inverse_depths: mut depths, .. } = pixels;
     let coverage = depths.iter().map(|q| *q > 0.0).collect();
-    // Where nothing is known, it is infinite, and becomes NaN.
+    // An unknown depth, 0 here, becomes infinite, and the depth map turns infinite into NaN.
     depths.iter_mut().for_each(|q| *q = 1.0 / *q);
     let is_gray = mapped.iter().all(|m| !m.frame.is_color);
     let image = if is_gray {
@@ -193,7 +196,8 @@ pub fn blend(
     }
 }
 
-/// A pixel of the view as a pinhole camera of the same intrinsics has it. `None` where the lens model can't be inverted.
+/// The position of a pixel of the view in a pinhole camera of the same intrinsics. `None` where the lens
+/// model can't be inverted.
 fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
     if view.model.is_pinhole() {
         return Some([x, y]);
@@ -203,9 +207,9 @@ fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
     Some([(cx + fx * ray.x) as f32, (cy + fy * ray.y) as f32])
 }
 
-/// Frames that may show what no map has in the view.
+/// The frames from which colours of holes are taken.
 struct Behind<'a> {
-    /// Nearest first.
+    /// In order of distance between the frame's camera and the view.
     frames: Vec<(MappedFrame<'a>, Projection)>,
 }
 
@@ -220,8 +224,9 @@ impl<'a> Behind<'a> {
         Self { frames }
     }
 
-    /// The pixel at `place` with the colour of the nearest frame that shows its depth, at rest. It keeps its colour if
-    /// something is in front in all of them. `None` if it is outside of all.
+    /// Colours a hole at `[x, y]`, a position in the undistorted view, by its depth. The colour is that of
+    /// the nearest frame in which nothing occludes this depth; motion is neglected. If it is occluded in all
+    /// frames, the pixel stays as given. `None` if it is outside all images.
     fn fill(&self, mut pixel: Pixel, [x, y]: [f32; 2]) -> Option<Pixel> {
         let mut is_filmed = false;
         for (MappedFrame { frame, map }, projection) in &self.frames {
@@ -246,11 +251,12 @@ impl<'a> Behind<'a> {
     }
 }
 
-/// Colours of a cluster, with their weights.
+/// Colours of a cluster's candidates, RGB of 0 to 1, with their weights.
 type WeightedColors = Vec<([f32; 3], f32)>;
 
-/// The pixel of the nearest cluster with enough weight, and what shows through it. `None` without candidates. `colors` is
-/// room for the colours.
+/// The mean of the frontmost cluster with enough weight, composited over the cluster behind if it is not
+/// opaque. `reach` is a cluster's half-width, 1/m. `None` without candidates. `colors` is a buffer to be
+/// reused.
 fn pixel_of(candidates: &[Candidate], reach: f32, colors: &mut WeightedColors) -> Option<Pixel> {
     let depths = || candidates.iter().map(|c| c.inverse_depth);
     let nearest = depths().fold(f32::NEG_INFINITY, f32::max);
@@ -286,7 +292,8 @@ fn pixel_of(candidates: &[Candidate], reach: f32, colors: &mut WeightedColors) -
     Some(pixel)
 }
 
-/// The mean of a cluster; colours that differ count less.
+/// The robust mean of the candidates within `reach` of inverse depth `q`: two reweighting steps reduce the
+/// weight of outlying colours. `None` if there are none.
 fn mean_of(
     candidates: &[Candidate],
     q: f32,
@@ -294,7 +301,7 @@ fn mean_of(
     colors: &mut WeightedColors,
 ) -> Option<Pixel> {
     let cluster = || candidates.iter().filter(|c| (c.inverse_depth - q).abs() < reach);
-    // Grey cameras say nothing of colour.
+    // Grey cameras are left out if a colour camera contributes.
     let has_color = cluster().any(|c| c.frame.is_color);
     let cluster = || cluster().filter(|c| c.frame.is_color == has_color);
     let most = cluster().map(|c| c.weight).fold(0.0, f32::max);
@@ -321,7 +328,7 @@ fn mean_of(
     Some(Pixel { color, inverse_depth: depths / weights })
 }
 
-/// The mean by weight and factor, both positive.
+/// The mean of the colours, weighted by their weight times `factor`; both are positive.
 #[inline(always)]
 fn weighted_mean(colors: &WeightedColors, factor: impl Fn(&[f32; 3]) -> f32) -> [f32; 3] {
     let (mut sum, mut weights) = ([0.0f32; 3], 0.0f32);

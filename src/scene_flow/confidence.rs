@@ -1,29 +1,31 @@
-//! Whether the maps of a view's frames agree.
+//! Confidence of each element of a view's frames: the fraction of the other frames' maps that agree with it.
 
 use super::geometry::Projection;
 use super::map::MappedFrame;
 use rayon::prelude::*;
 
-/// Frames farther away in time confirm nothing.
+/// Maximum time between two frames whose maps are compared, frames of the reference camera.
 const MAX_CONFIRMING_DT: f32 = 0.8;
-/// Largest difference in disparity between an element and the one that confirms it, pixels.
+/// Maximum difference in disparity between an element and one that confirms it, pixels.
 const MAX_DISPARITY_ERROR_PX: f32 = 1.5;
-/// Largest difference of their velocities, pixels a frame, without the part by [`MAX_MOTION_ERROR`].
+/// Constant part of the maximum difference in velocity between an element and one that confirms it, pixels
+/// per frame.
 const MAX_MOTION_ERROR_PX: f32 = 2.0;
-/// The part of the largest difference of velocities that grows with the speed, as a fraction of it.
+/// Part of this maximum that is proportional to the speed, as a fraction of the speed.
 const MAX_MOTION_ERROR: f32 = 0.15;
-/// Weight of a map in which something is in front of the element, where a map that contradicts the element has weight 1.
+/// Weight of a map in which the element is occluded, relative to a map that shows another surface there.
 const HIDDEN: f32 = 0.3;
-/// Number of confirming maps that is added to those found, so that an element that no map could confirm has a confidence.
+/// Prior count of confirming maps, so that an element without comparable maps has a confidence too.
 const PRIOR_CONFIRMED: f32 = 0.1;
-/// Number of all maps that is added to those found.
+/// Prior count of compared maps.
 const PRIOR_ALL: f32 = 0.5;
 
-/// For each pixel of each map, the fraction of the other maps near in time that confirm it, of those that could: 1 to 255,
-/// which is all of them.
+/// The confidence of each pixel of each map, in the order of `mapped` and row by row: 1 to 255, where 255
+/// means that all comparable maps confirm the element.
 ///
-/// Frames on both sides of an instant must agree on what lies between them. So a set of frames around an instant gives
-/// better confidences than all frames near one of them, by 1 dB.
+/// A map is comparable if its frame is near in time and the element projects into its image. Pass the frames
+/// around the view's instant: frames on both sides of it must agree on the motion between them. Confidences
+/// from these frames give views that are 1 dB better than those from all frames near one of them.
 pub fn confidences(mapped: &[MappedFrame]) -> Vec<Vec<u8>> {
     (0..mapped.len()).into_par_iter().map(|of| confidence(mapped, of)).collect()
 }

@@ -1,26 +1,27 @@
-//! What the maps of the other frames say about an element while all maps are estimated. Beside a body, an end camera of the
-//! rig sees what no other camera sees: there the match alone would place the element in front of what all others see.
+//! Consistency of an element with the maps of the other frames, as a cost during estimation. Beside a body,
+//! an end camera of the rig sees background that no other camera sees. Without this cost, its matches there
+//! are wrong, and lie in front of the surfaces that the others see.
 
 use super::element::Element;
 use super::frame::FlowFrame;
 use super::geometry::Projection;
 use super::map::ElementMap;
 
-/// Frames farther away in time say nothing.
+/// Maximum time between two frames whose maps are compared, frames of the reference camera.
 const MAX_DT: f32 = 0.8;
-/// Maps say nothing of an element that moves farther until their frame's time, pixels: a small error of its velocity would
-/// move it off a thin body.
+/// Maximum motion of an element until the other map's frame, pixels. For larger motions, a small error of the
+/// velocity would move the element off a thin body.
 const MAX_MOTION_PX: f32 = 8.0;
-/// Largest difference from a map that counts, pixels.
+/// Maximum difference from one map, pixels; larger ones are truncated.
 const MAX_DIFFERENCE_PX: f32 = 4.0;
-/// Disparity by which a map's element must be in front to hide one, pixels.
+/// Disparity by which a map's element must be in front to occlude an element, pixels.
 const HIDING_PX: f32 = 1.0;
-/// Difference from a map that hides the element, pixels.
+/// Difference that is assumed from a map in which the element is occluded, pixels.
 const HIDDEN_PX: f32 = 0.3;
-/// Number of maps without a difference that is added to those found, so that one alone says little.
+/// Prior count of maps with a difference of 0, so that one map alone has little influence.
 const PRIOR_MAPS: f32 = 2.0;
 
-/// A copy of a map's depth and motion.
+/// A copy of a map's inverse depths and velocities, row by row.
 pub struct Snapshot {
     width: usize,
     height: usize,
@@ -43,21 +44,21 @@ impl Snapshot {
     }
 }
 
-/// A map, as the frame in question sees it.
+/// Another frame's map, with its time and projection relative to the own frame.
 struct OtherMap<'a> {
     dt: f32,
     projection: Projection,
     map: &'a Snapshot,
 }
 
-/// The maps of the other frames, as they were before a pass.
+/// The maps of the other frames, as they were before the current pass.
 pub struct OtherMaps<'a> {
     maps: Vec<OtherMap<'a>>,
     disparity_px: f32,
 }
 
 impl<'a> OtherMaps<'a> {
-    /// The maps around frame `of`, whose disparities are stated by `disparity_px`.
+    /// The maps to compare frame `of` with. `disparity_px` converts inverse depths, 1/m, to disparities.
     pub fn new(
         frames: &[&FlowFrame],
         snapshots: &'a [Snapshot],
@@ -72,8 +73,9 @@ impl<'a> OtherMaps<'a> {
         Self { maps: snapshots.iter().enumerate().filter_map(other).collect(), disparity_px }
     }
 
-    /// Mean difference of an element at a place of the frame from what the maps have where they see it: disparity and half a
-    /// frame's motion, pixels. 0 if no map sees it.
+    /// The mean difference, pixels, between an element at pixel `[x, y]` of the frame and the other maps
+    /// where it projects to. A difference is that of disparity plus that of half a frame's motion. 0 if it
+    /// projects into no other image.
     pub fn difference(&self, e: &Element, [x, y]: [f32; 2]) -> f32 {
         let (mut sum, mut count) = (0.0, 0.0);
         let speed = e.speed();
@@ -91,7 +93,7 @@ impl<'a> OtherMaps<'a> {
         sum / (count + PRIOR_MAPS)
     }
 
-    /// The least difference from the four pixels around a place inside the map.
+    /// The smallest difference of `here` from the four pixels around `[u, v]`, a position inside the map.
     fn least_difference(&self, map: &Snapshot, [u, v]: [f32; 2], here: &Element) -> f32 {
         let around = |at: f32, size: usize| {
             let first = (at - 0.5) as usize; // saturates

@@ -2,29 +2,31 @@
 
 use super::geometry::Projection;
 
-/// A small piece of a surface at a pixel of a frame: its inverse depth, and its path through the frame's camera.
+/// A small piece of a surface at a pixel of a frame: its inverse depth, and its path through the frame's
+/// camera.
 ///
-/// Pixels are those of the full image, times are frames of the reference camera, inverse depths are 1/m. After a time
-/// `t` the element is at `pixel + velocity t + acceleration t²/2`, with the inverse depth
-/// `inverse_depth + inverse_depth_rate t`: linear or quadratic in the image, where measurements are, rather than in
-/// space.
+/// Pixels are those of the full image, times are frames of the reference camera, inverse depths are 1/m.
+/// After a time `t` the element is at `pixel + velocity t + acceleration t²/2`, with the inverse depth
+/// `inverse_depth + inverse_depth_rate t`. These paths are polynomials in the image, where motion is
+/// measured, rather than in space.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Element {
     pub inverse_depth: f32,
-    /// Pixels a frame.
+    /// Pixels per frame.
     pub velocity: [f32; 2],
-    /// Pixels a frame, squared.
+    /// Pixels per frame squared.
     pub acceleration: [f32; 2],
-    /// 1/m a frame.
+    /// 1/m per frame.
     pub inverse_depth_rate: f32,
-    /// Change of the inverse depth per pixel to the right and down.
+    /// Change of the inverse depth per pixel to the right, and per pixel down.
     pub inverse_depth_gradient: [f32; 2],
-    /// Change of both components of the velocity per pixel to the right, and per pixel down.
+    /// Change of the velocity per pixel to the right, and per pixel down.
     pub velocity_gradient: [[f32; 2]; 2],
 }
 
 impl Element {
-    /// The element continued along its surface to a pixel `dx` to the right and `dy` down.
+    /// The element of the same surface at a pixel `dx` to the right and `dy` down: inverse depth and velocity
+    /// extrapolated by their gradients.
     #[inline(always)]
     pub fn at(&self, dx: f32, dy: f32) -> Self {
         let [qx, qy] = self.inverse_depth_gradient;
@@ -39,7 +41,7 @@ impl Element {
         }
     }
 
-    /// The element at rest.
+    /// The same element without motion.
     pub fn still(&self) -> Self {
         Self {
             velocity: [0.0; 2],
@@ -50,14 +52,14 @@ impl Element {
         }
     }
 
-    /// Pixels a frame.
+    /// Magnitude of the velocity, pixels per frame.
     #[inline(always)]
     pub fn speed(&self) -> f32 {
-        // Pixels don't overflow when squared.
+        // Squares of pixels don't overflow, so that `hypot` isn't needed.
         (self.velocity[0] * self.velocity[0] + self.velocity[1] * self.velocity[1]).sqrt()
     }
 
-    /// Where the element at pixel `(x, y)` is after `dt` frames: pixel, and inverse depth.
+    /// The position `[x, y]` and the inverse depth, after `dt` frames, of the element at pixel `(x, y)`.
     #[inline(always)]
     pub fn moved(&self, x: f32, y: f32, dt: f32) -> [f32; 3] {
         let half = 0.5 * dt * dt;
@@ -68,8 +70,8 @@ impl Element {
         ]
     }
 
-    /// The element at pixel `(x, y)` as a frame `dt` frames later sees it: its pixel and itself there. Gradients and
-    /// acceleration are taken over, since cameras stand close together.
+    /// The element at pixel `(x, y)` as another frame, `dt` frames later, sees it: its pixel there, and the
+    /// element there. Gradients and acceleration are copied, since the cameras stand close together.
     #[inline(always)]
     pub fn transferred(
         &self,

@@ -1,4 +1,4 @@
-//! Maps of several frames together, from coarse to fine.
+//! Estimates the maps of several frames together, from coarse to fine.
 
 use super::consistency::{OtherMaps, Snapshot};
 use super::element::Element;
@@ -10,32 +10,34 @@ use super::transfer::Proposals;
 use crate::random::Random;
 use rayon::prelude::*;
 
-/// Number of passes at each level, finest first. Coarser levels have that of the last.
+/// Number of passes at each level, finest level first; the last entry is for all coarser levels.
 const PASSES: [usize; 4] = [2, 2, 3, 4];
-/// Number of random elements a pixel in each pass, finest level first.
+/// Number of random elements per pixel in each pass, finest level first; the last entry is for all coarser
+/// levels.
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
 
-/// The coarsest level at which maps are compared with each other, in the last pass.
+/// The coarsest level at which the last pass compares the maps with each other ([`OtherMaps`]).
 const COARSEST_COMPARED: usize = 1;
 
-/// Maps to estimate together, so that each proposes to the others.
+/// Frames whose maps are estimated together. The maps propose elements to each other.
 pub struct Estimation<'a> {
-    /// The frames that get a map, and for each of them the frames that it is matched with: the first 16 count.
+    /// The frames whose maps are estimated, each with the frames that it is matched with; at most 16 of these
+    /// are used.
     pub frames: &'a [(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)],
     pub limits: Limits,
-    /// Twice the distance of neighbouring cameras, metres: that of the cameras between which disparities are stated.
+    /// Baseline to which all disparities refer, metres: twice the distance of neighbouring cameras.
     pub baseline_m: f64,
 }
 
 impl Estimation<'_> {
-    /// The frames' maps, the same for any number of threads. None if `proceed`, which is asked before every pass, says
-    /// no.
+    /// The frames' maps, in their order; independent of the number of threads. `proceed` is called before
+    /// every pass. If it returns false, the result is empty.
     pub fn run(&self, proceed: &(dyn Fn() -> bool + Sync)) -> Vec<FlowMap> {
         let disparity_px = |f: &FlowFrame| (f.view.focal_px() * self.baseline_m) as f32;
         let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| f.frame).collect();
         let disparities_px: Vec<f32> = frames.iter().map(|f| disparity_px(f)).collect();
         let observations: Vec<Vec<ObservingFrame>> = self.frames.iter().map(observations).collect();
-        // Cameras of different sizes have their finest levels in common.
+        // Cameras of different sizes have different numbers of levels. The smallest is used for all.
         let levels = self.frames.iter().flat_map(|(f, others)| others.iter().chain([f]));
         let levels = levels.map(|f| f.levels.len()).min().unwrap_or(0);
         let mut maps: Vec<ElementMap> = Vec::new();
@@ -87,7 +89,8 @@ impl Estimation<'_> {
         (0..maps.len()).into_par_iter().map(packed).collect()
     }
 
-    /// The map that a level begins with: the coarser one's elements, or random depths at rest.
+    /// The initial map of frame `f` at a level: the elements of the coarser level, or random depths without
+    /// motion at the coarsest.
     fn begin(&self, f: usize, level: usize, coarser: Option<&ElementMap>) -> ElementMap {
         let image = &self.frames[f].0.levels[level];
         let (width, height) = (image.width, image.height);
@@ -104,21 +107,21 @@ impl Estimation<'_> {
             coarser.element_at(at, [(x as f32 + 0.5) * scale, (y as f32 + 0.5) * scale])
         };
         let elements: Vec<Element> = (0..width * height).map(element).collect();
-        // The coarser level's costs say what is settled.
+        // The coarser level's costs are needed to decide which pixels are settled.
         let cost = |k: usize| coarser.map_or(0.0, |c| c.costs[parent(c, k % width, k / width)]);
         let costs = (0..width * height).map(cost).collect();
         ElementMap { width, height, scale, elements, costs }
     }
 }
 
-/// The frames that a frame is matched with.
+/// The frames that frame `f` is matched with, at most [`MAX_OBSERVATIONS`].
 fn observations<'a>(
     (f, others): &(PyramidFrame<'a>, Vec<PyramidFrame<'a>>),
 ) -> Vec<ObservingFrame<'a>> {
     others.iter().filter_map(|o| ObservingFrame::new(*f, *o)).take(MAX_OBSERVATIONS).collect()
 }
 
-/// The pixel of a coarser map that holds a pixel of the next finer one.
+/// The index of the pixel of a coarser map that contains pixel `(x, y)` of the next finer level.
 fn parent(coarser: &ElementMap, x: usize, y: usize) -> usize {
     (y / 2).min(coarser.height - 1) * coarser.width + (x / 2).min(coarser.width - 1)
 }

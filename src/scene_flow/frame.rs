@@ -1,20 +1,20 @@
-//! Frames as they are matched: a pyramid of brightness, colour and gradients.
+//! Frames for matching: an image pyramid of brightness, colour and gradients.
 
 use crate::camera::{Camera, CameraModel};
 use crate::raster::Image;
 use nalgebra::Point2;
 
-/// Weights of a sample's channels: brightness, red minus blue, and the gradients of brightness. Gradients find
-/// outlines and survive what is left of differences in exposure.
+/// Weights of a sample's channels: brightness, red minus blue, and the two gradients of brightness. Gradients
+/// locate outlines, and tolerate remaining differences in exposure.
 pub const WEIGHTS: [f32; 4] = [1.0, 0.5, 1.5, 1.5];
-/// Brightness of red, green and blue.
+/// Weights of red, green and blue in brightness.
 const LUMA: [f32; 3] = [0.3, 0.59, 0.11];
 
-/// What is compared at a pixel: brightness, red minus blue, horizontal and vertical gradient of brightness, each times
-/// its weight.
+/// The features of a pixel that matching compares: brightness, red minus blue, and the horizontal and
+/// vertical gradient of brightness, each multiplied by its channel's weight.
 pub type MatchingSample = [f32; 4];
 
-/// An image of samples.
+/// One level of the pyramid: a sample for each pixel, row by row.
 pub struct MatchingImage {
     pub width: usize,
     pub height: usize,
@@ -22,7 +22,8 @@ pub struct MatchingImage {
 }
 
 impl MatchingImage {
-    /// The pyramid of an image, finest first: every level has half of the size of the one before.
+    /// The pyramid of an image, finest level first. Each level has half the width and height of the one
+    /// before.
     pub fn pyramid(image: &Image, levels: usize) -> Vec<Self> {
         let (mut width, mut height) = (image.width(), image.height());
         let rgb = image.to_rgb();
@@ -58,7 +59,7 @@ impl MatchingImage {
         Self { width, height, samples }
     }
 
-    /// Its size in memory, bytes.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.samples.as_slice())
     }
@@ -68,14 +69,15 @@ impl MatchingImage {
         self.samples[y * self.width + x]
     }
 
-    /// Largest position at which there is a bilinear sample, from the first pixel's centre.
+    /// Largest position `[x, y]` at which a bilinear sample can be read; (0, 0) is the centre of the first
+    /// pixel.
     #[inline(always)]
     pub fn limit(&self) -> [f32; 2] {
-        // Less than one pixel from the last, by more than the rounding of a position.
+        // Slightly less than one pixel before the last, so that rounding never reaches beyond the image.
         [self.width, self.height].map(|size| (size as f32 - 1.001).max(0.0))
     }
 
-    /// A pixel and its right neighbour, and the two below.
+    /// The 2×2 pixels whose top-left one is `(x, y)`: the upper row, then the lower row.
     #[inline(always)]
     pub fn quad(&self, x: usize, y: usize) -> [&[MatchingSample]; 2] {
         let k = y * self.width + x;
@@ -83,7 +85,7 @@ impl MatchingImage {
     }
 }
 
-/// Means of 2×2 pixels; an odd row or column is dropped.
+/// The means of 2×2 pixels; an odd last row or column is dropped.
 fn halved(width: usize, height: usize, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let (columns, rows) = (width / 2, height / 2);
     let mean = |k: usize| {
@@ -95,39 +97,40 @@ fn halved(width: usize, height: usize, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
     (0..columns * rows).map(mean).collect()
 }
 
-/// A frame of a camera, at its own time, without lens distortion.
+/// A camera's frame at its own time, resampled to a pinhole camera.
 pub struct FlowFrame {
-    /// A pinhole camera.
+    /// The pinhole camera.
     pub view: Camera,
-    /// Frames of the reference camera, since the capture's start.
+    /// Time in frames of the reference camera, since the capture's start.
     pub time: f64,
     pub is_color: bool,
-    /// As bright as the reference camera records it; 3 channels.
+    /// Corrected by the camera's gain to the reference camera's exposure; 3 channels.
     pub image: Image,
-    /// Whether the camera filmed the pixel; `None`: it filmed all of them.
+    /// For each pixel, whether it lies inside the camera's original image. `None`: all do.
     pub is_filmed: Option<Vec<bool>>,
 }
 
-/// A frame with its pyramid ([`FlowFrame::pyramid`]).
+/// A frame with the pyramid of its image ([`FlowFrame::pyramid`]).
 #[derive(Clone, Copy)]
 pub struct PyramidFrame<'a> {
     pub frame: &'a FlowFrame,
     pub levels: &'a [MatchingImage],
 }
 
-/// Images are halved until their shorter side would be less than this, pixels.
+/// Minimum shorter side of a pyramid level, pixels.
 const MIN_SIDE_PX: usize = 48;
-/// Most levels.
+/// Maximum number of pyramid levels.
 const MAX_LEVELS: usize = 5;
 
-/// The number of levels of images of this size.
+/// The number of pyramid levels for images of this size.
 pub fn levels(width: usize, height: usize) -> usize {
     let halvings = (width.min(height) / MIN_SIDE_PX).max(1).ilog2() as usize;
     (halvings + 1).min(MAX_LEVELS)
 }
 
 impl FlowFrame {
-    /// A frame, from a camera's image as the reference camera would record it.
+    /// A frame from a camera's image, which is already corrected to the reference camera's exposure. `time`
+    /// is in frames of the reference camera.
     pub fn new(camera: &Camera, image: &Image, time: f64) -> Self {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let view = Camera { model: CameraModel::Pinhole { fx, fy, cx, cy }, ..camera.clone() };
@@ -142,18 +145,19 @@ impl FlowFrame {
         Self { view, time, is_color, image, is_filmed }
     }
 
-    /// The images that are matched, finest first.
+    /// The pyramid of the image, finest level first.
     pub fn pyramid(&self) -> Vec<MatchingImage> {
         MatchingImage::pyramid(&self.image, levels(self.view.width, self.view.height))
     }
 
-    /// Its size in memory, bytes.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.image.data()) + self.is_filmed.as_ref().map_or(0, Vec::len)
     }
 }
 
-/// An image as a pinhole camera would film it, and which of its pixels the camera filmed.
+/// Resamples an image to a pinhole camera, and returns for each pixel whether it lies inside the original
+/// image.
 fn undistorted(camera: &Camera, pinhole: &Camera, image: &Image) -> (Image, Vec<bool>) {
     let (width, height) = (camera.width, camera.height);
     let mut out = Image::filled(width, height, 3, 0.0);

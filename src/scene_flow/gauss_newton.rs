@@ -1,33 +1,34 @@
-//! One Gauss–Newton step on depth and motion, from the gradients of all frames that see the element.
+//! One Gauss–Newton step on depth and motion, from the image gradients of all frames that see the element.
 
 use super::element::Element;
 use super::matching::{MatchedElement, PatchMatcher};
 use nalgebra::{Matrix6, Vector6};
 
-/// Weight of the prior, as a fraction of a patch whose gradients are all 1 a pixel.
+/// Weight of the prior, relative to the normal equations of a patch whose gradients are all 1 per pixel.
 const PRIOR: f64 = 1e-6;
-/// Factor by which the prior holds the rate of the inverse depth more strongly than the inverse depth.
+/// Factor on the prior's weight for the rate of the inverse depth, relative to the inverse depth.
 const RATE_STIFFNESS: f64 = 16.0;
-/// Factor by which the prior draws the rate to 0 more strongly than it draws the acceleration to 0.
+/// Factor on the weight that draws the rate of the inverse depth to 0, relative to the one that draws the
+/// acceleration to 0.
 const RATE_PULL: f64 = 10.0;
-/// Largest step, pixels of the level.
+/// Maximum step, pixels of the pyramid level.
 const MAX_STEP_PX: f32 = 3.0;
-/// Largest acceleration, pixels a frame squared.
+/// Maximum magnitude of the acceleration, pixels per frame squared.
 const MAX_ACCELERATION: f32 = 40.0;
-/// Largest rate of the inverse depth, pixels of disparity a frame.
+/// Maximum magnitude of the rate of the inverse depth, pixels of disparity per frame.
 const MAX_RATE_PX: f32 = 12.0;
-/// Step of the finite difference by which positions are derived by the inverse depth, pixels of disparity.
+/// Step of the finite difference for the derivative of a position by the inverse depth, pixels of disparity.
 const DISPARITY_STEP_PX: f32 = 1.0;
 
 impl PatchMatcher<'_> {
-    /// The element after a step; `None` if the equations have no solution.
+    /// The element after one Gauss–Newton step. `None` if the normal equations have no finite solution.
     pub fn step(&self, matched: &MatchedElement) -> Option<Element> {
         let &MatchedElement { element: e, pixel: (x, y), patch, cost, .. } = matched;
         let mut normal = Matrix6::<f64>::zeros();
         let mut gradient = Vector6::<f64>::zeros();
         let s = self.scale;
         let (px, py) = ((x as f32 + 0.5) * s, (y as f32 + 0.5) * s);
-        // Frames that see something else have no say.
+        // Frames with a much larger cost see another surface, and are left out.
         let max_cost = 2.0 * cost + 0.02;
         self.for_each_gradient(matched, max_cost, |o, [xx, xy, yy], [rx, ry]| {
             let [mx, my, q] = e.moved(px, py, o.dt);
@@ -36,7 +37,8 @@ impl PatchMatcher<'_> {
             let [u1, v1, _] = o.projection.project(mx, my, q + step);
             let by_depth = [(u1 - u) / step / s, (v1 - v) / step / s];
             let (by_velocity, by_acceleration) = (o.dt / s, 0.5 * o.dt * o.dt / s);
-            // Pixels of the level in the observation, by each unknown.
+            // The Jacobian: derivative of the position in the observing frame, pixels of the level, by each
+            // unknown.
             let columns = [
                 by_depth,
                 [by_velocity, 0.0],
@@ -53,7 +55,7 @@ impl PatchMatcher<'_> {
             }
         });
         self.add_prior(e, patch.weight(), &mut normal, &mut gradient);
-        // The prior makes the matrix positive definite; Cholesky reads its lower half alone.
+        // The prior makes the matrix positive definite. Cholesky reads only its lower half.
         let step = normal.cholesky()?.solve(&-gradient);
         let step: [f32; 6] = std::array::from_fn(|i| step[i] as f32);
         if !step.iter().all(|v| v.is_finite()) {
@@ -75,7 +77,8 @@ impl PatchMatcher<'_> {
         })
     }
 
-    /// Adds the prior: every unknown stays near its value, and the rate and the acceleration near 0.
+    /// Adds the prior to the normal equations: damping of all unknowns, and a pull of the rate and the
+    /// acceleration towards 0.
     fn add_prior(
         &self,
         e: &Element,

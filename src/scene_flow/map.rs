@@ -1,79 +1,82 @@
-//! The depth and motion of a frame.
+//! Maps of depth and motion: while they are estimated, and as they are stored.
 
 use super::element::Element;
 use super::frame::FlowFrame;
 
-/// A frame's surface elements while they are estimated, one a pixel.
+/// A frame's surface elements during estimation, one for each pixel of a pyramid level.
 #[derive(Clone)]
 pub struct ElementMap {
     pub width: usize,
     pub height: usize,
-    /// Pixels of the frame a pixel of the map.
+    /// Side of a pixel of the map, in pixels of the full image.
     pub scale: f32,
     pub elements: Vec<Element>,
-    /// What their match costs.
+    /// Matching costs of the elements, without smoothness and consistency.
     pub costs: Vec<f32>,
 }
 
 impl ElementMap {
-    /// The centre of a pixel of the map, pixels of the frame.
+    /// The centre of the map's pixel `k`, pixels of the full image.
     pub fn center(&self, k: usize) -> [f32; 2] {
         [k % self.width, k / self.width].map(|v| (v as f32 + 0.5) * self.scale)
     }
 
-    /// The map's pixel at a place, pixels of the frame. `None` outside.
+    /// The index of the map's pixel that contains a position of the full image. `None` outside the map.
     pub fn index(&self, [x, y]: [f32; 2]) -> Option<usize> {
         let (u, v) = (x / self.scale, y / self.scale);
         let is_inside = u >= 0.0 && v >= 0.0 && u < self.width as f32 && v < self.height as f32;
         is_inside.then(|| v as usize * self.width + u as usize)
     }
 
-    /// The element of a pixel, continued to a place near it.
+    /// The element of pixel `k`, extrapolated to a position near it, pixels of the full image.
     pub fn element_at(&self, k: usize, [x, y]: [f32; 2]) -> Element {
         let [cx, cy] = self.center(k);
         self.elements[k].at(x - cx, y - cy)
     }
 }
 
-/// Quantization steps a pixel: of velocity, acceleration, and the rate of the inverse depth as disparity.
+/// Quantization steps per pixel of velocity, acceleration, and change of disparity.
 const STEPS: f32 = 64.0;
-/// Quantization steps of the inverse depth in its range.
+/// Number of quantization steps in the range of inverse depths.
 const DEPTH_STEPS: f32 = u16::MAX as f32;
-/// Sum of the differences in disparity and in motion above which two neighbours are on different surfaces, pixels.
+/// Maximum difference of two neighbours on one surface, pixels: the sum of the differences in disparity and
+/// in motion.
 const MAX_JUMP_PX: f32 = 1.0;
-/// Time over which their motions are compared, frames.
+/// Duration of the motion in this difference, frames.
 const JUMP_FRAMES: f32 = 0.5;
 
-/// A frame's depth and motion as views need them: 14 bytes a pixel, and about a third of that on disk.
+/// A frame's depth and motion, quantized for rendering and storage: 14 bytes per pixel, and about a third of
+/// that on disk.
 ///
-/// Disparities, velocities and accelerations are rounded to 1/64 pixel, and inverse depths to 1/65535 of the search's
-/// range.
+/// Velocities, accelerations and rates of disparity are rounded to 1/64 pixel, inverse depths to 1/65535 of
+/// the search range.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlowMap {
     pub width: usize,
     pub height: usize,
-    /// Pixels of disparity of an inverse depth of 1/m, for cameras as far apart as the rig's next but one.
+    /// Disparity of an inverse depth of 1/m, pixels, at a baseline of twice the distance of neighbouring
+    /// cameras.
     pub disparity_px: f32,
-    /// Smallest and largest inverse depth, 1/m.
+    /// Search range of inverse depths: minimum and maximum, 1/m.
     pub(super) inverse_depth: [f32; 2],
     pub(super) pixels: Vec<FlowPixel>,
 }
 
-/// The element of a pixel.
+/// The quantized element of a pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FlowPixel {
     inverse_depth: u16,
     velocity: [i16; 2],
     acceleration: [i16; 2],
     rate: i16,
-    /// Whether the neighbours to the left, to the right, above and below are of other surfaces, one bit each.
+    /// Whether the neighbour on each side belongs to another surface: bit 0 left, 1 right, 2 above, 3 below.
     edges: u8,
 }
 
 impl FlowPixel {
     /// Number of channels of 16 bits.
     pub(super) const CHANNELS: usize = 6;
-    /// Its size on disk before it is compressed.
+    /// Size on disk before compression, bytes.
     pub(super) const BYTES: usize = 2 * Self::CHANNELS + 1;
 
     pub(super) fn new(channels: [u16; Self::CHANNELS], edges: u8) -> Self {
@@ -97,18 +100,18 @@ impl FlowPixel {
         self.edges
     }
 
-    /// Bit 0: to the left, 1: to the right, 2: above, 3: below.
+    /// Whether the neighbour on a side belongs to another surface: 0 left, 1 right, 2 above, 3 below.
     pub fn is_edge(&self, side: usize) -> bool {
         self.edges & (1 << side) != 0
     }
 }
 
 impl FlowMap {
-    /// A map that holds an estimate's elements, which has one a pixel of the frame. Their inverse depths lie in this range.
+    /// Quantizes an estimated map of the finest level. Its inverse depths lie in the range `inverse_depth`.
     pub fn new(map: &ElementMap, inverse_depth: [f32; 2], disparity_px: f32) -> Self {
         let rounded = |v: f32| (v * STEPS).round() as i16; // saturates
         let [min, max] = inverse_depth;
-        // Without a range, all depths are its only one.
+        // If the range is empty, all depths equal its minimum.
         let per_step = (max - min).max(f32::MIN_POSITIVE) / DEPTH_STEPS;
         let pixel = |(k, e): (usize, &Element)| {
             let (x, y) = (k % map.width, k / map.width);
@@ -136,7 +139,7 @@ impl FlowMap {
         &self.pixels
     }
 
-    /// The centre of a pixel.
+    /// The centre of pixel `k`, pixels.
     pub fn center(&self, k: usize) -> [f32; 2] {
         [(k % self.width) as f32 + 0.5, (k / self.width) as f32 + 0.5]
     }
@@ -153,7 +156,7 @@ impl FlowMap {
         }
     }
 
-    /// Its size in memory, bytes.
+    /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.pixels.as_slice())
     }
@@ -165,7 +168,7 @@ fn is_jump(a: &Element, b: &Element, disparity_px: f32) -> bool {
     disparity + JUMP_FRAMES * motion > MAX_JUMP_PX
 }
 
-/// A frame, with its map.
+/// A frame with its map of depth and motion.
 #[derive(Clone, Copy)]
 pub struct MappedFrame<'a> {
     pub frame: &'a FlowFrame,

@@ -1,42 +1,45 @@
-//! How well the frames of all cameras, each at its own time, agree on a surface element.
+//! Matching cost of a surface element: how well the frames of all cameras, each at its own time, agree on it.
 
 use super::element::Element;
 use super::frame::{MatchingImage, MatchingSample, PyramidFrame, WEIGHTS};
 use super::geometry::Projection;
 use crate::simd::{F32x8, LANES, multiversion};
 
-/// Largest difference of a channel that counts: what differs more is something else.
+/// Maximum difference of each channel of a sample. Larger ones, due to occlusion, are truncated.
 const TRUNCATION: MatchingSample = [0.12, 0.084, 0.084, 0.084];
-/// Difference of a pixel's colour from that of the patch's centre at which its weight falls to 1/e.
+/// Colour difference from the patch's centre at which a pixel's weight falls to 1/e.
 const PATCH_COLOR: f32 = 0.08;
-/// Half-width of a patch at the finest level, and the step between its pixels; pixels.
+/// Half-width of a patch at the finest level, and the step between its pixels; both in pixels.
 const PATCH_FINEST: (i32, i32) = (4, 2);
-/// Half-width of a patch at all other levels, and the step between its pixels; pixels of the level.
+/// Half-width of a patch at all other levels, and the step between its pixels; both in pixels of the level.
 const PATCH_COARSE: (i32, i32) = (2, 1);
-/// Smallest weight of a patch's pixel: others are of another surface, or too far away to matter.
+/// Minimum weight of a pixel in a patch. Pixels below it are left out: they are on another surface, or far
+/// away.
 const MIN_WEIGHT: f32 = 0.05;
-/// Residual of brightness at which a pixel of a patch counts half in a Gauss–Newton step.
+/// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
 const RESIDUAL: f32 = 0.05;
-/// Largest number of pixels of a patch.
+/// Maximum number of pixels in a patch.
 const PATCH_PIXELS: usize = 25;
-/// Length of a patch's arrays: a multiple of the vectors' length.
+/// Length of a patch's arrays: [`PATCH_PIXELS`] rounded up to whole SIMD vectors.
 const PADDED_PIXELS: usize = PATCH_PIXELS.next_multiple_of(LANES);
-/// Fraction of the observing frames whose costs count, the smallest ones: the element may be occluded in the others.
+/// Fraction of the observing frames whose costs are averaged: the frames with the smallest costs. The element
+/// may be occluded in the others.
 const BEST_FRACTION: f32 = 0.55;
-/// Minimum number of observing frames whose costs count.
+/// Minimum number of observing frames whose costs are averaged.
 const MIN_BEST: usize = 3;
-/// A cost above that of every element inside an image, which marks elements outside.
+/// Upper bound of the costs of elements inside an image. Larger costs mark elements outside it.
 const OUTSIDE: f32 = 1.0;
-/// Cost of a frame in which the element is outside the image, where it counts: between a match and a mismatch.
+/// Cost of an observing frame in which the element is outside the image, if that frame is among those
+/// averaged. It lies between the costs of a match and of a mismatch.
 const OUTSIDE_COST: f32 = 0.19;
-/// Cost of an element that is outside all images. Elements that are outside some of them cost a part of it.
+/// Added cost of an element that is outside all images. If it is outside some, that fraction of it is added.
 const OUTSIDE_PENALTY: f32 = 0.02;
-/// Maximum number of frames that a frame is matched with.
+/// Maximum number of observing frames per frame.
 pub const MAX_OBSERVATIONS: usize = 16;
 
-/// A frame that may see what another frame sees.
+/// A frame that observes the elements of the matched frame.
 pub struct ObservingFrame<'a> {
-    /// Frames of the reference camera after the frame that is matched.
+    /// Time of this frame after the matched frame, in frames of the reference camera.
     pub dt: f32,
     pub projection: Projection,
     pub levels: &'a [MatchingImage],
@@ -44,7 +47,7 @@ pub struct ObservingFrame<'a> {
 }
 
 impl<'a> ObservingFrame<'a> {
-    /// `None` if a camera has no inverse.
+    /// The frame `by` as an observer of the frame `of`. `None` if the intrinsic matrix of `of` is singular.
     pub fn new(of: PyramidFrame, by: PyramidFrame<'a>) -> Option<Self> {
         let mut truncation = TRUNCATION;
         if !(of.frame.is_color && by.frame.is_color) {
@@ -59,17 +62,18 @@ impl<'a> ObservingFrame<'a> {
     }
 }
 
-/// The pixels around a pixel that are likely on its surface. Beyond `count`, weights are 0.
+/// The pixels around a pixel, weighted by how likely they belong to its surface. Entries from `count` on have
+/// weight 0.
 pub struct Patch {
     offset_x: [f32; PADDED_PIXELS],
     offset_y: [f32; PADDED_PIXELS],
     samples: [MatchingSample; PADDED_PIXELS],
-    /// Each pixel's weight, once a channel.
+    /// Each pixel's weight, repeated for every channel.
     weights: [MatchingSample; PADDED_PIXELS],
     /// Each pixel's weight.
     weight: [f32; PADDED_PIXELS],
     count: usize,
-    /// One over the sum of all weights.
+    /// The reciprocal of the sum of all weights.
     normalization: f32,
 }
 
@@ -86,45 +90,46 @@ impl Patch {
         }
     }
 
-    /// Sum of all weights.
+    /// The sum of all weights.
     pub fn weight(&self) -> f32 {
         1.0 / self.normalization
     }
 }
 
-/// One cost an observation.
+/// The cost in each observing frame.
 pub type Costs = [f32; MAX_OBSERVATIONS];
 
-/// An element of a pixel, with its match.
+/// An element at a pixel of the level, with its patch and costs.
 pub struct MatchedElement<'a> {
     pub element: &'a Element,
     pub pixel: (usize, usize),
     pub patch: &'a Patch,
-    /// The cost by each observation, and by those that count.
+    /// The cost in each observing frame; `cost` combines them.
     pub costs: &'a Costs,
     pub cost: f32,
 }
 
-/// Matches one frame with others, at one level.
+/// Matches one frame with its observing frames at one pyramid level.
 pub struct PatchMatcher<'a> {
     pub own: &'a MatchingImage,
     pub observations: &'a [ObservingFrame<'a>],
     pub level: usize,
-    /// Pixels of the full image a pixel of the level.
+    /// Side of a pixel of the level, in pixels of the full image.
     pub scale: f32,
-    /// Pixels of disparity of an inverse depth of 1/m, for two cameras as far apart as the rig's are.
+    /// Disparity of an inverse depth of 1/m, pixels, at a baseline of twice the distance of neighbouring
+    /// cameras.
     pub disparity_px: f32,
 }
 
-/// The place of a patch in an observation, pixels of the level, from the first pixel's centre: that of its own
-/// centre, and its change for a step of a pixel of the level to the right and down.
+/// Position of a patch in an observing frame, pixels of the level; (0, 0) is the centre of the first pixel.
+/// `right` and `down` are its change for a step of one pixel of the level in the matched frame.
 struct Footprint {
     center: [f32; 2],
     right: [f32; 2],
     down: [f32; 2],
 }
 
-/// An element at a pixel of the frame.
+/// An element at a position `(x, y)` of the matched frame, pixels of the full image.
 struct PlacedElement<'a> {
     matcher: &'a PatchMatcher<'a>,
     element: &'a Element,
@@ -154,11 +159,11 @@ impl PlacedElement<'_> {
     }
 }
 
-/// Costs of the observations so far, ascending.
+/// The costs of the observing frames so far, ascending.
 struct SortedCosts {
     sorted: [f32; MAX_OBSERVATIONS],
     count: usize,
-    /// How many of them have the element inside their image.
+    /// Number of these frames in which the element is inside the image.
     inside: usize,
 }
 
@@ -175,8 +180,8 @@ impl SortedCosts {
         self.inside += usize::from(cost < OUTSIDE);
     }
 
-    /// Mean of the smallest costs, of a fraction of the `n` frames in which the element is inside, if it costs nothing in
-    /// all further frames.
+    /// Mean of the smallest costs among all `n` observing frames. Frames without a cost yet are assumed to
+    /// cost 0, so that the result is a lower bound.
     #[inline(always)]
     fn mean(&self, n: usize, is_finest: bool) -> f32 {
         let free = n - self.count;
@@ -186,7 +191,8 @@ impl SortedCosts {
         let mut k = 0;
         while k + free < best {
             let cost = self.sorted[k];
-            // At the finest level what matches so badly is as good as outside; at coarser ones it may still improve.
+            // At the finest level, a mismatch costs as much as an element outside the image. At coarser
+            // levels it costs more, since it may still improve.
             let counts = cost < OUTSIDE && !is_finest;
             sum += if counts { cost } else { cost.min(OUTSIDE_COST) };
             k += 1;
@@ -196,7 +202,7 @@ impl SortedCosts {
     }
 }
 
-/// The cost of an element ([`PatchMatcher::cost`]).
+/// Implements [`PatchMatcher::cost`].
 #[inline(always)]
 fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut Costs) -> f32 {
     let matcher = placed.matcher;
@@ -223,14 +229,14 @@ fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut
     sorted.mean(n, is_finest)
 }
 
-/// Difference of two pixels' brightnesses and colours.
+/// Sum of the absolute differences in brightness and in red minus blue.
 #[inline(always)]
 pub fn color_difference(a: &MatchingSample, b: &MatchingSample) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).abs()
 }
 
-/// Sum of the weighted, truncated differences of a patch's pixels from an image at its footprint there. Places outside
-/// of the image are moved to its border.
+/// Sum of the weighted, truncated differences between a patch's samples and an image at the patch's
+/// footprint. Positions outside the image are clamped to its border.
 #[inline(always)]
 fn differences<V: F32x8>(
     image: &MatchingImage,
@@ -252,8 +258,8 @@ fn differences<V: F32x8>(
     sum.sum() as f32
 }
 
-/// Sums over the patch of the products of gradients, `xx`, `xy`, `yy`, and of gradients and residuals, `x`, `y`.
-/// Places outside of the image count nothing.
+/// Sums over the patch for the normal equations: of the products of gradients, `xx`, `xy`, `yy`, and of
+/// gradient times residual, `x`, `y`. Positions outside the image have weight 0.
 #[inline(always)]
 fn gradient_sums<V: F32x8>(
     image: &MatchingImage,
@@ -268,7 +274,7 @@ fn gradient_sums<V: F32x8>(
     let narrowing = V::splat(1.0 / (WEIGHTS[0] * RESIDUAL));
     for first in (0..patch.count).step_by(LANES) {
         let places = footprint.places::<V>(image, patch, first);
-        // One array a channel.
+        // One array per channel.
         let mut sampled = [[0.0f32; LANES]; 4];
         for l in (0..LANES.min(patch.count - first)).step_by(2) {
             let two = places.two_samples(image, l).to_array();
@@ -304,7 +310,8 @@ fn gradient_sums<V: F32x8>(
     [sums[0] as f32, sums[1] as f32, sums[2] as f32, sums[3] as f32 * by, sums[4] as f32 * by]
 }
 
-/// Where eight pixels of a patch are in an image.
+/// The positions of eight pixels of a patch in an image: `u` and `v`, and after clamping to the image their
+/// integer and fractional parts.
 struct Places<V> {
     u: V,
     v: V,
@@ -315,7 +322,7 @@ struct Places<V> {
 }
 
 impl Footprint {
-    /// The places of eight pixels, from the first on; those outside of the image are moved to its border.
+    /// The positions of eight pixels of a patch, from index `first` on.
     #[inline(always)]
     fn places<V: F32x8>(&self, image: &MatchingImage, patch: &Patch, first: usize) -> Places<V> {
         let [max_u, max_v] = image.limit();
@@ -332,7 +339,7 @@ impl Footprint {
 }
 
 impl<V: F32x8> Places<V> {
-    /// Bilinear samples of the pixel `l` and the next.
+    /// Bilinear samples at the positions `l` and `l + 1`, four channels each.
     #[inline(always)]
     fn two_samples(&self, image: &MatchingImage, l: usize) -> V {
         let Self { columns, rows, fx, fy, .. } = self;
@@ -346,7 +353,7 @@ impl<V: F32x8> Places<V> {
     }
 }
 
-/// Two horizontal neighbours, from this pixel on, at a fraction of the way to the row below.
+/// The samples of pixel `(x, y)` and of its right neighbour, interpolated by `fraction` to the row below.
 #[inline(always)]
 fn between_rows<V: F32x8>(image: &MatchingImage, [x, y]: [i32; 2], fraction: f32) -> [f32; LANES] {
     let [upper, lower] = image.quad(x as usize, y as usize);
@@ -354,7 +361,7 @@ fn between_rows<V: F32x8>(image: &MatchingImage, [x, y]: [i32; 2], fraction: f32
     (upper + (lower - upper) * V::splat(fraction)).to_array()
 }
 
-/// Two samples, from the first on.
+/// Eight channels: four of the sample `first`, four of the next.
 #[inline(always)]
 fn eight(samples: &[MatchingSample], first: usize) -> [f32; LANES] {
     let [a, b] = [samples[first], samples[first + 1]];
@@ -374,7 +381,7 @@ impl PatchMatcher<'_> {
         if self.level == 0 { PATCH_FINEST } else { PATCH_COARSE }
     }
 
-    /// The patch around a pixel.
+    /// Fills `patch` with the pixels around `(x, y)`, pixels of the level.
     pub fn fill_patch(&self, x: usize, y: usize, patch: &mut Patch) {
         let (radius, step) = self.patch_shape();
         let (width, height) = (self.own.width as i32, self.own.height as i32);
@@ -403,12 +410,13 @@ impl PatchMatcher<'_> {
         patch.weights[count..].fill([0.0; 4]);
         patch.weight[count..].fill(0.0);
         patch.count = count;
-        // The centre's weight is 1.
+        // The sum is at least 1, the weight of the centre.
         patch.normalization = 1.0 / sum;
     }
 
-    /// The cost of an element: the mean of those observations that agree best. `costs` gets that of each. Infinite as soon
-    /// as it is known to be above the limit.
+    /// The cost of an element at pixel `(x, y)` of the level: the mean of the smallest costs in the observing
+    /// frames. `costs` is filled with the cost in each. As soon as the mean certainly exceeds `limit`, the
+    /// result is infinite.
     #[inline(always)]
     pub fn cost(
         &self,
@@ -432,9 +440,9 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Calls `f` for every observation that sees the element, with its part of the normal equations: sums over the
-    /// patch of the products of image gradients, `[xx, xy, yy]`, and of gradients and residuals, `[x, y]`, per pixel of
-    /// the level.
+    /// Calls `f` for every observing frame whose cost is at most `max_cost`, with its terms of the normal
+    /// equations: sums over the patch of products of image gradients, `[xx, xy, yy]`, and of gradient times
+    /// residual, `[x, y]`. Gradients are per pixel of the level.
     pub fn for_each_gradient(
         &self,
         matched: &MatchedElement,
@@ -450,7 +458,8 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// How different two elements of one pixel are, pixels of the level.
+    /// A distance between two elements at one pixel, in pixels of the level: a weighted sum of the
+    /// differences in disparity, velocity, rate and acceleration.
     #[inline(always)]
     pub fn distance(&self, a: &Element, b: &Element) -> f32 {
         let change = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs() + (a[1] - b[1]).abs();

@@ -1,30 +1,32 @@
-//! Beyond the paper: depth and motion of every frame, found together, from the frames of all cameras, each at its own
-//! time. A view moves the points of the frames nearest to its instant, and blends them.
+//! Beyond the paper: depth and motion of every frame, estimated together from the frames of all cameras, each
+//! at its own time. A view is rendered by moving the surface points of the frames nearest to its instant, and
+//! blending them.
 //!
 //! ```text
 //! frames ── pyramids ── PatchMatch, coarse to fine ── FlowMap of each frame ── splat ── blend(view)
 //! ```
 //!
-//! Nothing is synchronized first: cameras that film at different times make motion visible, and short. Ancestors: Klose,
-//! Lipski, Magnor, *Reconstructing Shape and Motion from Asynchronous Cameras* (VMV 2010); Bleyer, Rhemann, Rother,
-//! *PatchMatch Stereo* (BMVC 2011); Taniai et al., *Fast Multi-frame Stereo Scene Flow* (CVPR 2017).
+//! No frame is synchronized first. Cameras that film at different times sample motion more densely, and the
+//! motion between two samples is small. Related work: Klose, Lipski, Magnor, *Reconstructing Shape and Motion
+//! from Asynchronous Cameras* (VMV 2010); Bleyer, Rhemann, Rother, *PatchMatch Stereo* (BMVC 2011); Taniai et
+//! al., *Fast Multi-frame Stereo Scene Flow* (CVPR 2017).
 //!
-//! Known limits: outlines are off by one or two pixels. Depths of edges along the line of cameras are found from motion
-//! alone.
+//! Known limits: outlines are off by one or two pixels. Edges parallel to the line of cameras have no
+//! disparity, and their depth is found only where they move.
 //!
 //! | file | step |
 //! |---|---|
 //! | `frame.rs` | a frame without distortion, and the pyramid that is matched |
-//! | `geometry.rs` | from a pixel and inverse depth of one camera to those of another |
+//! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
 //! | `element.rs` | a surface element: depth, path, slant |
-//! | `matching.rs` | how well all frames agree on an element |
-//! | `gauss_newton.rs`, `affine_fit.rs` | an element made better by gradients, and by its neighbours |
+//! | `matching.rs` | the matching cost of an element in all frames |
+//! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
 //! | `sweep.rs` | a pass of PatchMatch over a map |
-//! | `transfer.rs`, `consistency.rs` | what other frames' maps propose, and what they contradict |
-//! | `estimate.rs` | these steps in order, for several frames together |
+//! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of contradicting them |
+//! | `estimate.rs` | the order of these steps, for several frames together |
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and how they are stored |
-//! | `confidence.rs` | whether the maps of a view's frames agree |
-//! | `splat.rs`, `blend.rs` | the view of several maps |
+//! | `confidence.rs` | how far the maps of a view's frames agree |
+//! | `splat.rs`, `blend.rs` | rendering of a view from several maps |
 
 mod affine_fit;
 mod blend;

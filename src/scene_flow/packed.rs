@@ -1,4 +1,4 @@
-//! A map as it is stored: compressed without loss.
+//! The stored form of a map: compressed without loss.
 
 use super::map::{FlowMap, FlowPixel};
 use crate::camera::Camera;
@@ -9,11 +9,11 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::io::{Read, Write};
 
-/// Deflate's level: higher ones take three times as long for a twentieth less.
+/// Compression level of Deflate. Higher levels take three times as long, and save a twentieth.
 const LEVEL: u32 = 3;
 
-/// A map whose pixels are compressed. One channel after another, low bytes before high ones; each value as the difference
-/// from the pixel before.
+/// A map with compressed pixels. The bytes are in planes: channel by channel, all low bytes before all high
+/// bytes. Each value is stored as its difference from the previous pixel's.
 #[derive(Serialize, Deserialize)]
 struct PackedMap {
     width: usize,
@@ -41,13 +41,13 @@ impl PackedMap {
         }
         planes.extend(map.pixels.iter().map(FlowPixel::edges));
         let mut encoder = DeflateEncoder::new(Vec::new(), Compression::new(LEVEL));
-        // Writing to memory doesn't fail.
+        // Writing to memory can't fail.
         let deflated = encoder.write_all(&planes).and_then(|()| encoder.finish());
         let &FlowMap { width, height, disparity_px, inverse_depth, .. } = map;
         Self { width, height, disparity_px, inverse_depth, deflated: deflated.unwrap_or_default() }
     }
 
-    /// The map; `None` if its bytes are damaged.
+    /// The decompressed map; `None` if the bytes are damaged.
     fn unpacked(self) -> Option<FlowMap> {
         let Self { width, height, disparity_px, inverse_depth, deflated } = self;
         let count = width.checked_mul(height)?;
@@ -74,10 +74,10 @@ impl PackedMap {
 }
 
 impl FlowMap {
-    /// Largest size of a camera's stored map, bytes.
+    /// Upper bound on the size of a camera's stored map, bytes.
     pub fn max_stored_bytes(camera: &Camera) -> usize {
         let bytes = camera.width * camera.height * FlowPixel::BYTES;
-        // Deflate adds at most 5 bytes to every 16 KiB that it can't compress.
+        // Deflate adds at most 5 bytes per 16 KiB of incompressible data.
         bytes + bytes / 1024 + 1024
     }
 }

@@ -1,4 +1,4 @@
-//! A map's elements moved to an instant and projected into a view.
+//! Splats a map: its elements are moved to an instant and projected into a view.
 
 use super::geometry::Projection;
 use super::map::{FlowMap, FlowPixel, MappedFrame};
@@ -7,62 +7,63 @@ use crate::simd::multiversion;
 use nalgebra::Point2;
 use std::ops::Range;
 
-/// Half-width of a splat, pixels of the frame: neighbours overlap a little.
+/// Half-width of a splat, pixels of the frame. Splats of neighbours overlap slightly.
 const HALF_WIDTH: f32 = 0.55;
-/// Half-width towards a neighbour on another surface.
+/// Half-width of a splat towards a neighbour on another surface, pixels of the frame.
 const HALF_WIDTH_AT_EDGE: f32 = 0.5;
-/// Smallest and largest size of a splat, as multiples of its size in the frame.
+/// Minimum and maximum size of a splat, relative to its size in the frame.
 const SCALES: [f32; 2] = [0.8, 8.0];
-/// Disparity by which an element must be nearer to hide another, pixels.
+/// Difference in disparity from which a nearer element occludes another, pixels.
 const HIDING_PX: f32 = 0.5;
-/// Expected error of a frame's point that grows with nothing, pixels.
+/// Constant part of the expected error of an element's position, pixels.
 const ERROR_PX: f32 = 0.2;
-/// Expected error per pixel of disparity between the frame's place and the view's.
+/// Expected error per pixel of disparity between the frame's camera and the view.
 const ERROR_BY_BASELINE: f32 = 0.005;
-/// Expected errors per frame of time between the two: of a point at rest, pixels, and per pixel a frame of its speed.
+/// Expected errors per frame of time between the frame and the instant: a constant part, pixels, and a part
+/// per unit of speed (pixel per frame).
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
-/// Expected error as a fraction of the acceleration's part of the motion, twice: paths are not parabolas.
+/// Expected error as a fraction of acceleration times squared time, since paths are not parabolas.
 const ERROR_BY_CURVATURE: f32 = 0.1;
-/// Error by place and time below which a frame outweighs all others, so that a view from a camera's own place at a frame's
-/// own time is that frame.
+/// Expected error due to place and time, pixels, below which a frame's weight rises steeply. So a view from a
+/// camera's own place at a frame's own time is that frame.
 const EXACT_PX: f32 = 0.01;
 
-/// What a map has in some rows of a view: one value a pixel.
+/// A map rendered into some rows of a view; each vector has one value per pixel, row by row.
 pub struct Splat {
-    /// In the view, 1/m.
+    /// Inverse depth in the view, 1/m.
     pub inverse_depths: Vec<f32>,
-    /// Where the frame shows it, pixels.
+    /// Position in the frame from which the colour is read, pixels.
     pub sources: Vec<[f32; 2]>,
-    /// By confidence, place, time and speed; 0 where the map has nothing.
+    /// Blending weight, from confidence and expected error; 0 where the map covers nothing.
     pub weights: Vec<f32>,
-    /// Distances from the elements' projections, pixels.
+    /// Distance of the pixel's centre from the projection of its element (maximum norm), pixels.
     distances: Vec<f32>,
     width: usize,
     rows: Range<usize>,
-    /// Inverse depth by which an element must be nearer to hide another, 1/m.
+    /// Difference in inverse depth from which a nearer element occludes another, 1/m.
     hiding: f32,
 }
 
-/// From a frame to a view at an instant.
+/// The mapping from a frame to a view at an instant.
 struct ToView {
     projection: Projection,
-    /// Frames from the frame to the instant.
+    /// Time from the frame to the instant, in frames of the reference camera.
     dt: f32,
-    /// Focal length of the view in that of the frame.
+    /// Ratio of the view's focal length to the frame's.
     zoom: f32,
-    /// Expected error by place, pixels for an inverse depth of 1/m.
+    /// Expected error due to the distance between the cameras, pixels at an inverse depth of 1/m.
     place_error: f32,
 }
 
-/// The elements of one row of a map in the view.
+/// The elements of one row of a map, projected into the view. Positions are pixels.
 struct Row {
     x: Vec<f32>,
     y: Vec<f32>,
     inverse_depth: Vec<f32>,
-    /// Size of the splat, as a multiple of its size in the frame.
+    /// Size of the splat, relative to its size in the frame.
     scale: Vec<f32>,
     weight: Vec<f32>,
-    /// Pixels a frame, and pixels a frame squared.
+    /// Magnitude of the velocity, pixels per frame, then of the acceleration, pixels per frame squared.
     speed: Vec<f32>,
     acceleration: Vec<f32>,
 }
@@ -81,7 +82,7 @@ impl Row {
         }
     }
 
-    /// Where the elements of a row of a map are at the instant, in the frame's own camera.
+    /// Moves the elements of row `y` by `dt` frames. Positions are in the frame's own camera, pixels.
     #[inline(always)]
     fn move_elements(&mut self, map: &FlowMap, y: usize, dt: f32) {
         let pixels = &map.pixels()[y * map.width..][..self.x.len()];
@@ -95,7 +96,7 @@ impl Row {
         }
     }
 
-    /// From the frame's camera to the view.
+    /// Projects the moved elements into the view, and computes their scales and weights.
     #[inline(always)]
     fn project(&mut self, to: &ToView, confidences: &[u8]) {
         let n = self.x.len();
@@ -107,7 +108,7 @@ impl Row {
             let q = inverse_depth[k];
             let [u, v, q_there] = to.projection.project(x[k], y[k], q);
             (x[k], y[k], inverse_depth[k]) = (u, v, q_there);
-            // Inverse depths that a rate has made negative are behind the camera.
+            // Inverse depths that the rate has made negative are behind the camera.
             let nearing = q_there / q.max(f32::MIN_POSITIVE);
             scale[k] = to.zoom * nearing.clamp(SCALES[0], SCALES[1]);
             let place = to.place_error * q_there;
@@ -133,8 +134,8 @@ multiversion! {
 }
 
 impl Splat {
-    /// A map, with its confidences, in rows of a view at an instant, frames of the reference since the capture's start.
-    /// `None` if the frame's camera has no inverse.
+    /// Splats a map into the rows `rows` of a view at `time`, in frames of the reference camera since the
+    /// capture's start. `None` if the intrinsic matrix of the frame's camera is singular.
     pub fn new(
         mapped: MappedFrame,
         confidences: &[u8],
@@ -189,7 +190,7 @@ impl Splat {
         }
     }
 
-    /// Adds one element of a row, of which a part may be in the view.
+    /// Adds the splat of element `x` of a row. Parts outside the view are clipped.
     #[inline(always)]
     fn add(&mut self, row: &Row, x: usize, y: usize, pixel: &FlowPixel) {
         let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);
@@ -217,7 +218,8 @@ impl Splat {
     }
 }
 
-/// Places of a pinhole camera as the view's lens distorts them. Those beyond the fold of its model lose their weight.
+/// Applies the view's lens distortion to positions of a pinhole camera. Positions beyond the range in which
+/// the lens model is monotonic get weight 0.
 fn distort(row: &mut Row, view: &Camera) {
     let (fx, fy, cx, cy) = view.model.intrinsics();
     for x in 0..row.x.len() {
@@ -232,9 +234,9 @@ fn distort(row: &mut Row, view: &Camera) {
     }
 }
 
-/// The pixels of a range whose centres lie between two positions, or on the second.
+/// The pixels of `range` whose centres lie in `from..=to`.
 #[inline(always)]
 fn pixels_between(from: f32, to: f32, range: Range<usize>) -> Range<usize> {
-    // Casts saturate: what is left of the image begins and ends at 0.
+    // Casts saturate, so that a splat left of the image is empty.
     ((from + 0.5) as usize).max(range.start)..((to + 0.5) as usize).min(range.end)
 }

@@ -1,6 +1,6 @@
-//! One pass of PatchMatch (Barnes et al. 2009; Bleyer et al. 2011) over a map. Its neighbours, the maps of other frames,
-//! random sampling, an affine fit and a Gauss–Newton step propose elements to every pixel. It takes the one that costs
-//! least.
+//! One pass of PatchMatch (Barnes et al. 2009; Bleyer et al. 2011) over a map. Each pixel's element competes
+//! with proposals from its neighbours, from the maps of other frames, from random sampling, from an affine
+//! fit and from a Gauss–Newton step. The element of least cost wins.
 
 use super::consistency::OtherMaps;
 use super::element::Element;
@@ -11,44 +11,46 @@ use super::matching::{
 use super::transfer::Proposals;
 use crate::random::Random;
 
-/// Cost of a pixel of distance ([`PatchMatcher::distance`]) between the elements of two neighbours.
+/// Smoothness cost per pixel of distance ([`PatchMatcher::distance`]) between the elements of two neighbours.
 const SMOOTHNESS: f32 = 0.004;
-/// Distance between neighbours above which the cost grows no more, pixels of the level.
+/// Distance between two neighbours' elements at which the smoothness cost is truncated, pixels of the level.
 const MAX_ROUGHNESS_PX: f32 = 2.0;
-/// Difference of two neighbours' colours at which smoothness between them counts for 1/e.
+/// Colour difference of two neighbours at which the colour term of the smoothness weight falls to 1/e.
 const COLOR: f32 = 0.08;
-/// Part of the smoothness that no difference of colour takes away.
+/// Added to the colour term, so that neighbours of any colour have some smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Cost of a match below which no random elements are tried.
+/// Matching cost below which no random elements are tried.
 const MATCHED: f32 = 0.012;
-/// Distance below which two elements are the same, pixels of the level.
+/// Distance ([`PatchMatcher::distance`]) below which two elements count as equal, pixels of the level.
 const SAME_PX: f32 = 0.08;
-/// Speed below which a pixel is at rest, pixels a frame.
+/// Speed below which an element counts as static, pixels per frame.
 const STILL_PX: f32 = 0.3;
-/// Speed above which the element at rest is not tried at the finest level, pixels a frame.
+/// Speed above which, at the finest level, the static element is not tried, pixels per frame.
 const MAX_SPEED_TO_REST_PX: f32 = 4.0;
-/// Fraction of the random elements that are drawn from the whole range of the search, at coarse levels.
+/// At coarse levels, the fraction of random elements that are drawn from the whole search range. The others
+/// are near the current element.
 const ANYWHERE: f32 = 0.7;
-/// Fraction of these that are at rest.
+/// Fraction of the elements drawn from the whole range that are static.
 const AT_REST: f32 = 0.15;
-/// Fraction of these that keep the pixel's depth.
+/// Fraction of the elements drawn from the whole range that keep the pixel's current depth.
 const KEEP_DEPTH: f32 = 0.3;
-/// Largest random change of an element, pixels of the level.
+/// Maximum size of a random change of an element, pixels of the level.
 const MAX_CHANCE_PX: f32 = 4.0;
-/// Finest level at which random elements are drawn from the whole range.
+/// Finest level at which random elements are drawn from the whole search range.
 const COARSE_LEVEL: usize = 2;
 
-/// Cost of a pixel of difference from the other maps ([`OtherMaps::difference`]).
+/// Cost per pixel of difference from the other frames' maps ([`OtherMaps::difference`]).
 const INCONSISTENCY: f32 = 0.02;
-/// Difference from the other maps up to which they agree with an element, and their differences cost nothing, pixels.
+/// Difference from the other frames' maps up to which an element is consistent, pixels: then the maps add no
+/// cost.
 const CONSISTENT_PX: f32 = 1.5;
 
-/// Ranges of the search.
+/// The search range.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// 1/m.
+    /// Minimum and maximum inverse depth, 1/m.
     pub inverse_depth: [f32; 2],
-    /// Pixels a frame.
+    /// Maximum speed, pixels per frame.
     pub max_speed: f32,
 }
 
@@ -59,16 +61,16 @@ impl Limits {
     }
 }
 
-/// What one pass does.
+/// The parameters of one pass.
 pub struct Pass<'a> {
     pub limits: Limits,
-    /// Number of passes before this one at this level.
+    /// Number of passes already done at this level.
     pub turn: usize,
     pub is_last: bool,
-    /// Number of random elements a pixel.
+    /// Number of random elements per pixel.
     pub chances: usize,
     pub proposals: Option<&'a Proposals>,
-    /// The other maps, if the pass compares elements with them.
+    /// The maps of the other frames, if this pass has a consistency cost.
     pub others: Option<OtherMaps<'a>>,
     pub seed: u64,
 }
@@ -79,7 +81,7 @@ impl Pass<'_> {
     }
 }
 
-/// A pixel's best element so far.
+/// The best element of a pixel so far, with its costs.
 struct Best<'a, 'b> {
     matcher: &'a PatchMatcher<'b>,
     map: &'a ElementMap,
@@ -90,12 +92,13 @@ struct Best<'a, 'b> {
     match_cost: f32,
     cost: f32,
     costs: Costs,
-    /// The maps that contradict the pixel's element, if they do.
+    /// The maps of the other frames, if they contradict the pixel's initial element. Else the pixel has no
+    /// consistency cost.
     others: Option<&'a OtherMaps<'a>>,
 }
 
 impl Best<'_, '_> {
-    /// Takes a proposal if it costs less.
+    /// Replaces the element by a proposal of lower total cost: match, smoothness and consistency.
     #[inline(always)]
     fn consider(&mut self, proposal: Element) {
         if !self.limits.contain(&proposal) {
@@ -119,7 +122,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers the elements of the neighbours that the pass has visited, and of two farther ones at coarse levels.
+    /// Considers the elements of two adjacent pixels that this pass has visited already, and at coarse levels
+    /// of two farther ones.
     fn consider_neighbors(&mut self, pass: &Pass) {
         let (x, y) = self.pixel;
         let sign = if pass.is_backward() { 1 } else { -1 };
@@ -134,7 +138,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers what other maps propose for pixel `k`.
+    /// Considers the elements that other frames' maps propose for pixel `k`.
     fn consider_proposals(&mut self, pass: &Pass, k: usize) {
         for proposal in pass.proposals.iter().flat_map(|p| p.at(k)) {
             if self.differs(&proposal) {
@@ -143,7 +147,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers the affine fit to the neighbours, once there is one.
+    /// Considers the affine fit to the neighbours, except in a level's first pass.
     fn consider_fit(&mut self, pass: &Pass) {
         let (x, y) = self.pixel;
         if pass.turn > 0
@@ -154,7 +158,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers a step of Gauss–Newton.
+    /// Considers a Gauss–Newton step from the current element.
     fn consider_step(&mut self) {
         if let Some(step) = self.matcher.step(&self.matched())
             && self.matcher.distance(&step, &self.element) > 0.1 * SAME_PX
@@ -163,14 +167,15 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers a step in the last pass, where the pixel's element has changed, and where later passes skip the pixel.
+    /// Considers a Gauss–Newton step in the last pass, and for a pixel whose element has changed or that
+    /// later passes will skip as settled.
     fn step_if_due(&mut self, before: &Element, is_settled: bool, pass: &Pass) {
         let has_changed = self.matcher.distance(before, &self.element) > 0.0;
         if !(pass.is_last || has_changed || (is_settled && pass.turn == 0)) {
             return;
         }
         if pass.turn > 0 && !has_changed {
-            // The pass before has left the observations' mean alone.
+            // The costs in the observing frames are missing: the previous pass stored only their mean.
             let element = self.element;
             self.matcher.cost(&element, self.pixel, self.patch, f32::INFINITY, &mut self.costs);
         }
@@ -188,7 +193,7 @@ impl Best<'_, '_> {
 }
 
 impl PatchMatcher<'_> {
-    /// The cost of an element that differs from its four neighbours'.
+    /// The smoothness cost of an element: truncated, colour-weighted distances from the four neighbours.
     #[inline(always)]
     fn roughness(&self, map: &ElementMap, e: &Element, x: usize, y: usize) -> f32 {
         let center = self.own.pixel(x, y);
@@ -209,14 +214,15 @@ impl PatchMatcher<'_> {
         (u < self.own.width && v < self.own.height).then_some((u, v))
     }
 
-    /// The element of a neighbour, `(dx, dy)` away, continued to the pixel.
+    /// The element of the neighbour `(u, v)`, which is `(dx, dy)` away, extrapolated to the pixel.
     #[inline(always)]
     fn continued(&self, map: &ElementMap, (u, v): (usize, usize), (dx, dy): (i32, i32)) -> Element {
         let element = &map.elements[v * self.own.width + u];
         element.at(-dx as f32 * self.scale, -dy as f32 * self.scale)
     }
 
-    /// Whether a pixel is matched and at rest, and so are those around it.
+    /// Whether a pixel is settled: well matched and static, with neighbours that have nearly the same
+    /// element.
     fn is_settled(&self, map: &ElementMap, x: usize, y: usize) -> bool {
         let k = y * self.own.width + x;
         let own = &map.elements[k];
@@ -230,8 +236,9 @@ impl PatchMatcher<'_> {
             })
     }
 
-    /// Gives a settled pixel the element of the upper left one of the four that began with the same element, if that is
-    /// settled too. The pass goes forward.
+    /// Copies to a pixel the element of the top-left pixel of its 2×2 block, if that pixel is settled;
+    /// returns whether it did. The four pixels began with one element of the coarser level. Requires a
+    /// forward pass.
     fn is_copied(&self, map: &mut ElementMap, x: usize, y: usize) -> bool {
         let (dx, dy) = (x % 2, y % 2);
         let first = (y - dy) * self.own.width + x - dx;
@@ -271,7 +278,7 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// One pass over a map. Odd turns go from the last pixel to the first.
+    /// Runs one pass over a map, in place. Odd passes visit the pixels in reverse order.
     pub fn pass(&self, map: &mut ElementMap, pass: &Pass) {
         let (width, pixels) = (map.width, map.elements.len());
         let mut random = Random::new(pass.seed);
@@ -289,7 +296,7 @@ impl PatchMatcher<'_> {
             self.fill_patch(x, y, &mut patch);
             let element = map.elements[k];
             let mut costs = [0.0; MAX_OBSERVATIONS];
-            // Costs of this level are known from the pass before.
+            // After a level's first pass, matching costs are known from the pass before.
             let is_known = pass.turn > 0;
             let match_cost = if is_known {
                 map.costs[k]
@@ -330,7 +337,7 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Whether a patch of one element is elsewhere than that of another.
+    /// Whether two elements put a patch at noticeably different positions.
     fn changes_patch(&self, a: &Element, b: &Element) -> bool {
         let r = 3.0 * self.scale;
         self.distance(a, b) > 0.4 * SAME_PX

@@ -23,22 +23,23 @@ fn camera_at(x: f64, y: f64) -> Camera {
     }
 }
 
-/// A wall parallel to the image planes.
+/// A textured square in a plane parallel to the image planes.
 #[derive(Clone, Copy)]
 struct Wall {
     depth_m: f64,
-    /// Metres a frame.
+    /// Metres per frame.
     velocity: [f64; 2],
-    /// Half of its width and height, metres.
+    /// Half of its side, metres.
     half_m: f64,
 }
 
-/// Fills the image behind everything else.
+/// A static wall behind everything else, which fills the image.
 const STILL: Wall = Wall { depth_m: 3.0, velocity: [0.0; 2], half_m: f64::INFINITY };
 const MOVING: Wall = Wall { depth_m: 2.0, velocity: [0.06, -0.03], half_m: 0.3 };
 
 impl Wall {
-    /// Where a ray of a camera meets the wall, in the wall's own coordinates. `None` beside it.
+    /// The position where a camera's ray through `pixel` meets the wall at `time`, in the wall's own
+    /// coordinates, metres. `None` if it misses.
     fn hit(&self, camera: &Camera, pixel: [f64; 2], time: f64) -> Option<[f64; 2]> {
         let ray = camera.ray_world(&Point2::from(pixel)).unwrap();
         let point = camera.center() + ray * self.depth_m;
@@ -66,7 +67,8 @@ fn filmed(camera: &Camera, walls: &[Wall], time: f64) -> Image {
     Image::from_data(SIZE[0], SIZE[1], 3, data)
 }
 
-/// Four cameras in a line that film three frames each, a quarter of a frame apart.
+/// Four cameras in a line that film three frames each, with offsets that are multiples of a quarter of a
+/// frame.
 fn recording(walls: &[Wall]) -> Vec<[FlowFrame; 3]> {
     let frames = |c: usize| {
         let camera = camera_at(SPACING_M * c as f64, 0.0);

@@ -1,18 +1,19 @@
-//! Elements that the maps of other frames propose for a frame.
+//! Proposals: elements of other frames' maps, transferred to a frame.
 
 use super::element::Element;
 use super::frame::FlowFrame;
 use super::geometry::Projection;
 use super::map::ElementMap;
 
-/// Frames farther away in time propose nothing.
+/// Maximum time between two frames that propose elements to each other, frames of the reference camera.
 const MAX_PROPOSAL_DT: f32 = 1.1;
-/// Cost of a frame's distance in time, so that of equal matches the nearer frame proposes.
+/// Cost per frame of time between the two frames, which favours the nearer frame among equal matches.
 const COST_PER_FRAME: f32 = 0.01;
-/// Largest cost of an element that is proposed because it is the nearest.
+/// Maximum cost of an element that is proposed for being the frontmost.
 const MAX_NEAR_COST: f32 = 0.1;
 
-/// Elements that other frames' maps propose for a map's pixels: the cheapest, and the nearest.
+/// The elements of other frames' maps that project to each pixel of a map: the one of least cost, and the
+/// frontmost one.
 pub struct Proposals {
     cheapest: Vec<Option<(f32, Element)>>,
     nearest: Vec<Option<Element>>,
@@ -23,7 +24,7 @@ impl Proposals {
         self.cheapest[k].map(|(_, e)| e).into_iter().chain(self.nearest[k])
     }
 
-    /// What all other maps propose for one of them.
+    /// The proposals of all other maps for the map of frame `to`.
     pub fn new(frames: &[&FlowFrame], maps: &[ElementMap], to: usize) -> Self {
         let target = &maps[to];
         let pixels = target.elements.len();

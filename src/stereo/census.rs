@@ -1,15 +1,15 @@
-//! Descriptors of pixels in eight bytes: the census transform (Zabih and Woodfill 1994), and the range of grey
-//! values within half a pixel (Birchfield and Tomasi 1998).
+//! Descriptors of pixels, eight bytes each: the census transform (Zabih and Woodfill 1994), and the range of
+//! grey values within half a pixel (Birchfield and Tomasi 1998).
 
 use super::StereoImage;
 use crate::camera::Camera;
 use crate::raster::Image;
 
-/// Half the side of the census window, pixels.
+/// Half-width of the census window, pixels.
 const RADIUS: isize = 2;
-/// Smallest difference of grey values, 0..=1, that sets a census bit: half a step of 8 bits.
+/// Minimum difference of grey values, 0..=1, that sets a census bit: half a step of 8 bits.
 const MIN_DIFFERENCE: f32 = 0.5 / 255.0;
-/// Largest cost of a difference of grey values, in 8-bit steps.
+/// Maximum cost of a difference of grey values, in 8-bit steps.
 const MAX_GRAY_COST: i32 = 24;
 /// Cost of one differing census bit, in 8-bit steps of grey values.
 const BIT_COST: u32 = 2;
@@ -32,10 +32,10 @@ impl Descriptor {
         Self { code, grays: u32::from_le_bytes([value, min, max, 0]) }
     }
 
-    /// Matching cost: [`BIT_COST`] for every differing census bit, plus the distance of the grey value from the
-    /// other pixel's range, at most [`MAX_GRAY_COST`].
+    /// Matching cost: [`BIT_COST`] for every differing census bit, plus the distance of the grey value from
+    /// the other pixel's range, at most [`MAX_GRAY_COST`].
     ///
-    /// Only 32-bit integers and no branches, so that eight pixels are compared at a time.
+    /// It uses only 32-bit integers and no branches, so that eight pixels are compared at a time.
     #[inline(always)]
     pub fn cost(&self, Self { code, grays }: Self) -> u8 {
         let [min, max] = [8, 16].map(|shift| (grays >> shift & 255) as i32);
@@ -60,7 +60,8 @@ impl CensusImage {
         Self { camera, gray, descriptors }
     }
 
-    /// The image at half the size; the last row or column is dropped if their number is odd.
+    /// The image at half its width and height; an odd last row or column is dropped. `None` if it would be
+    /// too small.
     fn halved(&self) -> Option<Self> {
         Some(Self::new(halved(&self.camera)?, crate::registration::halved(&self.gray)))
     }
@@ -71,8 +72,8 @@ pub(super) fn halved(camera: &Camera) -> Option<Camera> {
     camera.halved().filter(|c| c.width > 1 && c.height > 1)
 }
 
-/// An image with descriptors, halved `halvings` times, or until it is too small: from fine to coarse, at least
-/// one.
+/// The pyramid of an image with descriptors, from fine to coarse. The image is halved `halvings` times, or
+/// until it is too small; there is at least one level.
 pub(super) fn census_pyramid(view: &StereoImage, halvings: usize) -> Vec<CensusImage> {
     let full = CensusImage::new(view.camera.clone(), view.image.to_gray());
     std::iter::successors(Some(full), CensusImage::halved).take(halvings + 1).collect()
@@ -123,7 +124,7 @@ mod tests {
         assert_eq!(own.cost(Descriptor::OUTSIDE), 255);
     }
 
-    /// Where a filmed image is constant, an interpolated image is constant but for rounding.
+    /// In a constant image, interpolation leaves differences by rounding, which must not set census bits.
     #[test]
     fn rounding_is_no_texture() {
         let filmed = Image::filled(9, 7, 1, 0.8);

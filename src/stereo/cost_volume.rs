@@ -1,5 +1,5 @@
-//! Matching cost of every pixel of a camera at every inverse depth, from the images of its partners: the cameras that
-//! it is matched with.
+//! The cost volume: matching cost of every pixel of a camera at every inverse depth, from the images of its
+//! partners, which are the cameras that it is matched with.
 
 use super::census::{CensusImage, Descriptor};
 use super::relative_pose::RelativePose;
@@ -8,38 +8,39 @@ use crate::lumigraph::RayRow;
 use crate::simd::multiversion;
 use rayon::prelude::*;
 
-/// Largest number of levels.
+/// Maximum number of levels.
 const MAX_LEVELS: usize = 1024;
-/// Cost where no partner sees the point: that of a poor match.
+/// Cost where no partner sees the point, equal to that of a poor match.
 const UNSEEN_COST: u8 = 40;
 
-/// Depth hypotheses: evenly spaced inverse depths, 1/m, which are even steps of disparity.
+/// Depth hypotheses: evenly spaced inverse depths, 1/m. They correspond to even steps of disparity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct DepthLevels {
-    /// Smallest inverse depth: the farthest surface.
+    /// Smallest inverse depth, that of the farthest surface, 1/m.
     pub first: f32,
-    /// Distance between two levels.
+    /// Difference between two successive levels, 1/m.
     pub step: f32,
     /// Number of levels, at least 1.
     pub count: usize,
 }
 
 impl DepthLevels {
-    /// Levels from `low` to `high`, 1/m, at most `step` apart unless [`MAX_LEVELS`] are too few.
+    /// Levels from `low` to `high`, 1/m. They are at most `step` apart, unless this takes more than
+    /// [`MAX_LEVELS`].
     pub fn new([low, high]: [f64; 2], step: f64) -> Self {
-        // The step is positive, so that the quotient is finite; an empty range has one level.
+        // The step is positive, so that the quotient is finite. An empty range has one level.
         let count = ((high - low) / step).ceil().clamp(0.0, (MAX_LEVELS - 1) as f64) as usize + 1;
         let step = if count > 1 { (high - low) / (count - 1) as f64 } else { step };
         Self { first: low as f32, step: step as f32, count }
     }
 
-    /// Inverse depth of a level, which may be fractional.
+    /// The inverse depth of a level, 1/m; the level may be fractional.
     pub fn at(&self, level: f32) -> f32 {
         self.first + self.step * level
     }
 }
 
-/// A reference image and the partners that it is matched with.
+/// A reference image, and the partners with which it is matched.
 pub(super) struct StereoSet<'a> {
     pub image: &'a CensusImage,
     pub partners: Vec<Partner<'a>>,
@@ -61,7 +62,8 @@ impl<'a> StereoSet<'a> {
 
 /// Costs of all levels at every pixel of the reference, pixel by pixel.
 ///
-/// A cost is the mean over the better half of the partners: in the others the point may be occluded.
+/// A cost is the mean over the half of the partners with the smaller costs, since the point may be occluded
+/// in the others.
 pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     let camera = &set.image.camera;
     let (w, n) = (camera.width, levels.count);
@@ -77,8 +79,8 @@ pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     out
 }
 
-/// Inverse depths at twice the resolution of `coarse`: each pixel's candidates are those of the four coarse pixels
-/// around it, and the one of the smallest cost is taken.
+/// Upsamples inverse depths, 1/m, from the resolution of `coarse` to twice that. A pixel's candidates are the
+/// values of the four coarse pixels around it; the one of the smallest cost is taken.
 pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec<f32> {
     let camera = &set.image.camera;
     let w = camera.width;
@@ -106,7 +108,7 @@ pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec
                     scratch.compare(&set.image.descriptors[y * w + x], image, k);
                 }
                 scratch.better_half(costs);
-                // The first of equals is the nearest.
+                // Of equal costs, the first is that of the nearest coarse pixel.
                 let best = (0..4).min_by_key(|&n| costs[n]).unwrap_or(0);
                 *out = candidates[best];
             }
@@ -153,17 +155,17 @@ struct MatchScratch<'a> {
     x: Vec<f32>,
     /// Vertical positions in a partner's image, by level, pixels.
     y: Vec<f32>,
-    /// Indices of the partner's pixels at these positions, by level; [`OUTSIDE`] beyond its image.
+    /// Indices of the partner's pixels at these positions, by level; [`OUTSIDE`] outside its image.
     at: Vec<u32>,
     descriptors: Vec<Descriptor>,
     partners: usize,
-    /// Costs, partner by partner; 255 where a partner doesn't see the point. With three partners, a fourth row stays
-    /// 255, so that the code for four serves.
+    /// Costs by level, partner by partner; 255 where a partner doesn't see the point. For three partners
+    /// there is a fourth row of 255, so that the code for four partners is used.
     costs: Vec<u8>,
     sorted: Vec<u8>,
 }
 
-/// Index of a pixel outside any image.
+/// Index for positions outside the image.
 const OUTSIDE: u32 = u32::MAX;
 
 impl<'a> MatchScratch<'a> {
@@ -191,7 +193,7 @@ impl<'a> MatchScratch<'a> {
             // Also false for NaN.
             let is_seen = (x >= 0.0) & (y >= 0.0) & (x < wf) & (y < hf);
             let (x, y) = if is_seen { (x, y) } else { (0.0, 0.0) };
-            // SAFETY: both are finite and within the image. `as` would check that again.
+            // SAFETY: both are finite and inside the image. `as` would check this again.
             let pixel =
                 unsafe { y.to_int_unchecked::<i32>() * w as i32 + x.to_int_unchecked::<i32>() };
             *at = if is_seen { pixel as u32 } else { OUTSIDE };
@@ -199,18 +201,19 @@ impl<'a> MatchScratch<'a> {
         for (descriptor, &at) in self.descriptors.iter_mut().zip(&self.at) {
             *descriptor = *partner.descriptors.get(at as usize).unwrap_or(&Descriptor::OUTSIDE);
         }
-        // Apart from the loads, so that it is vectorized.
+        // In a separate loop from the loads, so that it vectorizes.
         let n = self.at.len();
         for (cost, other) in self.costs[k * n..(k + 1) * n].iter_mut().zip(&self.descriptors) {
             *cost = own.cost(*other);
         }
     }
 
-    /// Writes, level by level, the mean cost over the better half of the partners that see the point.
+    /// Writes, for each level, the mean over the half with the smaller costs among the partners that see the
+    /// point.
     #[inline(always)]
     fn better_half(&mut self, out: &mut [u8]) {
         let n = out.len();
-        // Three and four partners, the usual numbers, without branches.
+        // Three and four partners, the usual numbers, are computed without branches.
         if self.costs.len() == 4 * n {
             let (a, rest) = self.costs.split_at(n);
             let (b, rest) = rest.split_at(n);
@@ -255,7 +258,7 @@ mod tests {
         CensusImage::new(camera, Image::from_data(41, 30, 1, data))
     }
 
-    /// The very same numbers with every instruction set.
+    /// The results are equal to the bit with every instruction set.
     #[test]
     fn costs_depend_on_no_instruction_set() {
         let mut random = Random::new(5);
@@ -282,7 +285,7 @@ mod tests {
             (&[255, 40, 20, 60], 30),
             (&[255, 40, 255, 255], 40),
             (&[255; 4], UNSEEN_COST),
-            // Of three that see the point, two count.
+            // If three see the point, two count.
             (&[40, 20, 60], 30),
             (&[40, 255, 20], 20),
             (&[255, 70, 255], 70),

@@ -1,5 +1,6 @@
-//! Depths of any view, from those of all cameras (Merrell et al., ICCV 2007): the cameras' depths are splatted
-//! into the view, and the nearest that enough cameras confirm is taken.
+//! Depths of any view, from those of all cameras (Merrell et al., ICCV 2007). The cameras' depths are
+//! splatted into the view, and of the candidates at a pixel, the nearest that enough cameras confirm is
+//! taken.
 
 use super::InverseDepths;
 use super::relative_pose::RelativePose;
@@ -8,26 +9,27 @@ use crate::lumigraph::{DepthMap, RayRow};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// A camera and its depths.
+/// A camera and its inverse depths.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface<'a> {
     /// Lens and pose.
     pub camera: &'a Camera,
-    /// Depths of its pixels.
+    /// Inverse depths of its pixels.
     pub depths: &'a InverseDepths,
 }
 
-/// Pixels of the view that are fused at once: about 60 MB for eight cameras.
+/// Number of pixels of the view that are fused at once. This takes about 60 MB for eight cameras.
 const BAND_PIXELS: usize = 1 << 20;
-/// Radius of a splat, pixels of the view, or of the camera where those are larger.
+/// Radius of a splat, in pixels of the view or of the camera, whichever are larger in the view.
 const RADIUS_PX: f32 = 0.8;
-/// Of the candidate depths whose votes, times this, reach the maximum of all candidates' votes, the nearest is taken.
+/// The accepted candidate is the nearest of those that have at least the largest number of votes divided by
+/// this.
 const MAX_VOTE_RATIO: i32 = 2;
-/// Number of votes that at least one candidate must have. Mismatches beside outlines have fewer.
+/// Minimum number of votes of the best candidate. Mismatches beside outlines have fewer.
 const MIN_VOTES: i32 = 1;
 
-/// Computes the depths of a view, metres, from those of several cameras. Pixels that no camera sees have the depth of
-/// the background around them.
+/// Computes the depths of a view, metres, from those of several cameras. Pixels that no camera sees get the
+/// depth of the background around them.
 pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     let tolerance = surfaces.iter().map(|s| s.depths.tolerance).fold(0.0, f32::max);
     let (w, h) = (target.width, target.height);
@@ -42,7 +44,7 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     DepthMap::from_data(w, h, filled.iter().map(|v| 1.0 / v).collect())
 }
 
-/// Fuses some rows of the view: their inverse depths, 1/m, NaN where no camera sees a surface.
+/// Fuses the rows `rows` of the view. `fused` gets inverse depths, 1/m, NaN where no camera sees a surface.
 fn fuse_rows(
     target: &Camera,
     surfaces: &[Surface],
@@ -66,7 +68,7 @@ fn fuse_rows(
                     *fused = mean_of(candidates, candidates[0], tolerance);
                     continue;
                 }
-                // The nearest first.
+                // In descending order of inverse depth: the nearest first.
                 candidates.sort_by(|a, b| b.total_cmp(a));
                 let ray = [rays.x[x] as f32, rays.y[x] as f32];
                 votes.clear();
@@ -78,9 +80,9 @@ fn fuse_rows(
     );
 }
 
-/// Votes for a surface at the point on the view's ray (x, y, 1) at an inverse depth: the number of cameras that see a
-/// surface there, minus the number of cameras that see through it. `poses` are the poses of the surfaces' cameras
-/// relative to the view.
+/// The votes for a surface at a point: the number of cameras that see a surface there, minus the number of
+/// cameras that see through it. The point is on the view's ray (x, y, 1), at inverse depth `inverse`. `poses`
+/// are the poses of the surfaces' cameras relative to the view.
 fn votes_of(
     surfaces: &[Surface],
     poses: &[RelativePose],
@@ -102,16 +104,16 @@ fn votes_of(
     surfaces.iter().zip(poses).map(vote).sum()
 }
 
-/// Whether more than half of the cameras have candidates, and all candidates agree within the tolerance: then no vote
-/// is needed.
+/// Whether the candidates need no vote: more than half of the cameras have one, and all agree within the
+/// tolerance.
 fn are_one_surface(candidates: &[f32], cameras: usize, tolerance: f32) -> bool {
     let (low, high) =
         candidates.iter().fold((f32::INFINITY, 0.0_f32), |(l, h), v| (l.min(*v), h.max(*v)));
     2 * candidates.len() > cameras && high - low <= tolerance
 }
 
-/// Fuses a pixel's candidate inverse depths, sorted with the nearest first: the mean on the nearest surface with enough
-/// votes. NaN if no candidate has [`MIN_VOTES`].
+/// The inverse depth of a pixel from its candidates, which are sorted with the nearest first: the mean of the
+/// candidates on the nearest surface with enough votes. NaN if no candidate has [`MIN_VOTES`].
 fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     let most = votes.iter().copied().max().unwrap_or(0);
     match votes.iter().position(|&v| v * MAX_VOTE_RATIO >= most) {
@@ -120,7 +122,7 @@ fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     }
 }
 
-/// The mean of the candidates within the tolerance of `first`, which is one of them.
+/// The mean of the candidates within the tolerance of the candidate `first`.
 fn mean_of(candidates: &[f32], first: f32, tolerance: f32) -> f32 {
     let (mut sum, mut count) = (0.0, 0.0);
     for c in candidates.iter().filter(|c| (*c - first).abs() <= tolerance) {
@@ -129,8 +131,8 @@ fn mean_of(candidates: &[f32], first: f32, tolerance: f32) -> f32 {
     first + sum / count
 }
 
-/// Fills NaN with the farthest of the nearest values to the left, to the right, above and below: what the cameras
-/// don't see lies behind.
+/// Replaces each NaN by the smallest inverse depth among the next known values to the left, to the right,
+/// above and below. A part of the scene that the cameras don't see is assumed to be background.
 fn filled_from_background(values: &[f32], width: usize) -> Vec<f32> {
     let mut filled = values.to_vec();
     let mut fill_along = |line: &mut dyn Iterator<Item = usize>| {
@@ -155,19 +157,19 @@ fn filled_from_background(values: &[f32], width: usize) -> Vec<f32> {
     filled
 }
 
-/// A camera's pixel, projected into the view.
+/// The surface point at a camera's pixel, projected into the view.
 struct Splat {
-    /// Projection of the surface point into the view, pixels; NaN if the view doesn't see the point.
+    /// Position in the view, pixels; NaN if the view doesn't see the point.
     x: f32,
     y: f32,
-    /// Size of a pixel of the view in pixels of the camera; at most 1.
+    /// Size of the view's pixels, in pixels of the camera; at most 1.
     step: f32,
     /// Inverse depth in the view, 1/m.
     inverse: f32,
 }
 
-/// Inverse depth of a camera's nearest surface at every pixel of rows of the view, 1/m, by splatting with a depth buffer;
-/// 0 without surface.
+/// The inverse depth, 1/m, of a camera's nearest surface at every pixel of the rows `rows` of the view, by
+/// splatting with a depth buffer; 0 without a surface.
 fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32) -> Vec<f32> {
     let (w, h) = (target.width, target.height);
     let camera = surface.camera;
@@ -182,7 +184,8 @@ fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32)
             let rotated = pose.rotated(rays.x[x] as f32, rays.y[x] as f32);
             let q = pose.point(&rotated, inverse);
             let [x, y] = pose.pixel(&q);
-            // Behind the view q.z is not positive, and the pixel is NaN. Just before it, a pixel fills the view.
+            // Behind the view q.z is not positive, and the pixel is NaN. Close in front of the view, a pixel
+            // would fill it, so that its size is bounded.
             let step = (q.z * focal_ratio).clamp(1.0 / w.max(h) as f32, 1.0);
             splats.push(Splat { x, y, step, inverse: inverse * (1.0 / q.z) });
         }
@@ -199,7 +202,8 @@ fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32)
     sums.iter().map(|[sum, weight]| if *weight > 0.0 { sum / weight } else { 0.0 }).collect()
 }
 
-/// Visits the pixels of rows of the view within the radius of each splat, with weights that fall bilinearly with distance.
+/// Calls `visit` for the pixels of the rows `rows` of the view within the radius of each splat, with a weight
+/// that falls bilinearly with distance.
 fn for_each_pixel(
     splats: &[Splat],
     w: usize,
@@ -208,7 +212,7 @@ fn for_each_pixel(
 ) {
     for splat in splats {
         let radius = RADIUS_PX / splat.step;
-        // Pixels whose centres are within the radius. Casts round down, saturate, and give 0 for NaN.
+        // The pixels whose centres are within the radius. Casts round down, saturate, and give 0 for NaN.
         let span = |at: f32, range: &Range<usize>| {
             let first = (at + 0.5 - radius) as usize;
             first.max(range.start)..((at + 0.5 + radius) as usize).min(range.end)
@@ -228,7 +232,8 @@ fn for_each_pixel(
 mod tests {
     use super::*;
 
-    /// A point that one camera alone claims and another sees through is no surface: what is behind fills it.
+    /// A point that only one camera shows, and another sees through, is no surface. The background fills its
+    /// place.
     #[test]
     fn a_mismatch_where_no_camera_sees_anything_is_no_surface() {
         let [near, far] = [1.0, 0.5];

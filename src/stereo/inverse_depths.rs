@@ -1,4 +1,5 @@
-//! Inverse depths of one camera, from its own image and those of its partners: the cameras that it is matched with.
+//! Inverse depths of one camera, from its own image and those of its partners, the cameras that it is matched
+//! with.
 
 use super::census::{CensusImage, census_pyramid, halved};
 use super::cost_volume::{DepthLevels, StereoSet, cost_volume, upsampled};
@@ -9,11 +10,11 @@ use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
 use rayon::prelude::*;
 
-/// Largest difference of two cameras' measurements of one surface point, depth levels.
+/// Maximum difference between two cameras' measurements of one surface point, depth levels.
 const TOLERANCE_LEVELS: f32 = 1.5;
-/// Largest distance of a partner, as a multiple of the nearest partner's distance.
+/// Maximum distance of a partner, as a multiple of the nearest partner's distance.
 const MAX_PARTNER_DISTANCE: f64 = 2.5;
-/// Largest size of a cost volume, pixels times levels; each takes three bytes.
+/// Maximum size of a cost volume, pixels times levels; each element takes three bytes.
 const MAX_COSTS: usize = 1 << 26;
 
 /// Inverse depths of a camera's pixels, row by row; NaN where unknown.
@@ -21,21 +22,21 @@ const MAX_COSTS: usize = 1 << 26;
 pub struct InverseDepths {
     /// Inverse depths, 1/m.
     pub values: Vec<f32>,
-    /// Largest difference of two cameras' measurements of one surface point, 1/m.
+    /// Maximum difference between two cameras' measurements of one surface point, 1/m.
     pub tolerance: f32,
 }
 
 impl InverseDepths {
-    /// The depths, metres.
+    /// The depths along the camera's axis, metres.
     pub fn depth_map(&self, camera: &Camera) -> DepthMap {
         let depths = self.values.iter().map(|v| 1.0 / v).collect();
         DepthMap::from_data(camera.width, camera.height, depths)
     }
 }
 
-/// The images of several cameras at one instant, ready to be matched.
+/// The images of several cameras at one instant, prepared for matching.
 pub struct Matcher {
-    /// Each image from fine to coarse.
+    /// The pyramid of each image, from fine to coarse.
     pyramids: Vec<Vec<CensusImage>>,
     /// Indices of each camera's partners, nearest first.
     partners: Vec<Vec<usize>>,
@@ -43,7 +44,7 @@ pub struct Matcher {
 }
 
 impl Matcher {
-    /// Computes the images' descriptors. `range` is the minimum and maximum inverse depth over all cameras, 1/m.
+    /// Computes the images' descriptors. `range` is the minimum and maximum inverse depth in any camera, 1/m.
     pub fn new(views: &[StereoImage], range: [f64; 2], options: &StereoOptions) -> Self {
         let cameras: Vec<&Camera> = views.iter().map(|v| v.camera).collect();
         let partners: Vec<Vec<usize>> =
@@ -53,8 +54,8 @@ impl Matcher {
         Self { pyramids, partners, step_px: options.step_px }
     }
 
-    /// Estimates the inverse depths of camera `index`, between the minimum and maximum in `range`, 1/m. `None` without
-    /// a camera at another place.
+    /// Estimates the inverse depths of camera `index`, within the minimum and maximum `range`, 1/m. `None` if
+    /// no other camera stands at another place.
     pub fn depths(&self, index: usize, range: [f64; 2]) -> Option<InverseDepths> {
         let (reference, partners) = (&self.pyramids[index], &self.partners[index]);
         let set = |k: usize| {
@@ -80,13 +81,13 @@ impl Matcher {
     }
 }
 
-/// Selects at most `count` cameras that camera `index` is matched with: the nearest ones at another place, without
-/// those that are much farther than the nearest.
+/// The cameras with which camera `index` is matched: the `count` nearest ones at another place, except those
+/// that are much farther than the nearest.
 fn partners(cameras: &[&Camera], index: usize, count: usize) -> Vec<usize> {
     let center = cameras[index].center();
     let distance = |k: &usize| (cameras[*k].center() - center).norm();
     let mut order: Vec<usize> = (0..cameras.len()).filter(|k| distance(k) > 0.0).collect();
-    // Stable, so that ties keep the cameras' order.
+    // The sort is stable, so that equally distant cameras keep their order.
     order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
     let limit = order.first().map_or(0.0, |k| MAX_PARTNER_DISTANCE * distance(k));
     order.retain(|k| distance(k) <= limit);
@@ -94,8 +95,8 @@ fn partners(cameras: &[&Camera], index: usize, count: usize) -> Vec<usize> {
     order
 }
 
-/// Decides how many times all images are halved: at least as often as the options say, and until every cost volume fits
-/// into memory.
+/// The number of times that all images are halved: at least that of the options, and so many that every cost
+/// volume has at most [`MAX_COSTS`] elements.
 fn halvings(
     cameras: &[&Camera],
     partners: &[Vec<usize>],
@@ -119,7 +120,7 @@ fn halvings(
     }
 }
 
-/// Depth hypotheses of a camera, at even steps of the disparity in its farthest partner.
+/// The depth hypotheses of a camera, at steps of `step_px` of disparity in its farthest partner.
 fn depth_levels(own: &Camera, farthest: &Camera, range: [f64; 2], step_px: f64) -> DepthLevels {
     let baseline = (farthest.center() - own.center()).norm();
     DepthLevels::new(range, step_px / (own.focal_px() * baseline))

@@ -4,9 +4,9 @@
 //! images ── census ── cost volume ── semi-global ── refinement ── InverseDepths of each camera ── fuse(view)
 //! ```
 //!
-//! Known limits: foreground swells over its outline by one or two pixels where the background has little
-//! texture. Where synchronization failed, the images have no common geometry, and depths are wrong. Depths
-//! are not smoothed over time.
+//! Known limits: where the background has little texture, foreground extends one or two pixels beyond its
+//! outline. Where synchronization fails, the images have no common geometry, and depths are wrong. Depths are
+//! not smoothed over time.
 //!
 //! | file | step |
 //! |---|---|
@@ -32,8 +32,8 @@ use crate::camera::Camera;
 use crate::option::options;
 use crate::raster::Image;
 
-/// Number of cameras beyond [`StereoOptions::cameras`] that others are only matched with; their own depths are not
-/// estimated.
+/// Number of cameras, in addition to [`StereoOptions::cameras`], that only serve as partners: others are
+/// matched with them, but their own depths are not estimated.
 pub const FURTHER_CAMERAS: usize = 2;
 
 options! {

@@ -1,27 +1,28 @@
-//! Sub-level inverse depths: Gauss–Newton steps (Lucas and Kanade 1981) that match the partners' grey values to the
-//! reference's.
+//! Refines inverse depths between levels: Gauss–Newton steps (Lucas and Kanade 1981) that match the partners'
+//! grey values to the reference's.
 
 use super::cost_volume::{Partner, StereoSet};
 use crate::lumigraph::RayRow;
 use crate::raster::{Image, Sampling, box_filter, sample};
 use rayon::prelude::*;
 
-/// Half the side of the window whose pixels determine a step, pixels.
+/// Half-width of the window over which a step's equations are summed, pixels.
 const RADIUS: usize = 2;
 /// Number of pixels of the window.
 const WINDOW: f32 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f32;
 /// Number of Gauss–Newton steps.
 const STEPS: usize = 2;
-/// Longest step, levels.
+/// Maximum step, levels.
 const MAX_STEP: f32 = 0.75;
-/// Largest difference of grey values, 0..=1, of a pixel that counts: beyond it, the point is occluded.
+/// Maximum difference of grey values, 0..=1, of a pixel that is used. With a larger one, the point is taken
+/// as occluded.
 const MAX_DIFFERENCE: f32 = 0.06;
-/// Standard error of a grey value, 0..=1, by noise, resampling and synchronization.
+/// Standard error of a grey value, 0..=1, due to noise, resampling and synchronization.
 const GRAY_STD_ERR: f32 = 0.01;
-/// Prior information of every pixel, from smoothness, as an inverse variance in levels⁻².
+/// Information of the smoothness prior at every pixel: an inverse variance in levels⁻².
 const PRIOR: f32 = 4.0;
 
-/// Refines inverse depths in place, 1/m, whose levels are `level` apart.
+/// Refines inverse depths, 1/m, in place. `level` is the difference between two levels, 1/m.
 pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) {
     let (w, h) = (set.image.camera.width, set.image.camera.height);
     let prior = PRIOR / (level * level);
@@ -32,15 +33,15 @@ pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) {
             box_filter(&plane, w, h, RADIUS)
         });
         for ((value, slope), info) in values.iter_mut().zip(&slope).zip(&info) {
-            // The prior is positive.
+            // The divisor is positive, since the prior is.
             let step = slope / (info + prior / WINDOW);
             *value += step.clamp(-MAX_STEP * level, MAX_STEP * level);
         }
     }
 }
 
-/// At every pixel, the sums over the partners of g·r/σ² and g²/σ²: r is the difference of the grey values, g the
-/// derivative of the partner's by inverse depth.
+/// At every pixel, the sums over the partners of g·r/σ² and g²/σ², where r is the difference of the grey
+/// values, g is the derivative of the partner's grey value by inverse depth, and σ is [`GRAY_STD_ERR`].
 fn normal_equations(values: &[f32], set: &StereoSet, level: f32) -> Vec<[f32; 2]> {
     let camera = &set.image.camera;
     let w = camera.width;

@@ -3,10 +3,10 @@
 use crate::camera::{Camera, CameraModel};
 use nalgebra::{Matrix3, Point2, Vector3};
 
-/// Pose of a camera relative to a reference camera.
+/// The pose of a camera relative to a reference camera.
 ///
-/// A point is `r / ρ` in the reference camera's axes, with r = (x, y, 1) its ray and ρ its inverse depth. Points are
-/// computed times ρ, which is finite for points at infinity too.
+/// A point is `r / ρ` in the reference camera's axes, with r = (x, y, 1) its ray and ρ its inverse depth.
+/// Points are multiplied by ρ, so that they are finite at infinity too.
 pub(super) struct RelativePose {
     rotation: Matrix3<f32>,
     shift: Vector3<f32>,
@@ -35,14 +35,14 @@ impl RelativePose {
         self.rotation * Vector3::new(x, y, 1.0)
     }
 
-    /// The point times its inverse depth, in the other camera's axes, from the rotated ray.
+    /// The point on a rotated ray at inverse depth `inverse`, multiplied by that, in the other camera's axes.
     #[inline(always)]
     pub fn point(&self, rotated: &Vector3<f32>, inverse: f32) -> Vector3<f32> {
         rotated + self.shift * inverse
     }
 
-    /// Projects a point times its inverse depth ([`Self::point`]) into the other camera, pixels; NaN or infinite if it
-    /// has no pixel.
+    /// Projects a point, multiplied by its inverse depth ([`Self::point`]), into the other camera, pixels.
+    /// NaN or infinite if the camera doesn't see it.
     #[inline(always)]
     pub fn pixel(&self, q: &Vector3<f32>) -> [f32; 2] {
         if !(q.z > 0.0) {
@@ -54,7 +54,8 @@ impl RelativePose {
             return [fx * nx + cx, fy * ny + cy];
         }
         let normalized = Point2::new(f64::from(nx), f64::from(ny));
-        // Beyond its fold, the lens polynomial would project the point back into the image.
+        // Outside the range in which the lens polynomial is monotonic, it would map the point back into the
+        // image.
         if !self.model.is_short_of_fold(&normalized) {
             return [f32::NAN; 2];
         }
@@ -62,7 +63,8 @@ impl RelativePose {
         [pixel.x as f32, pixel.y as f32]
     }
 
-    /// Projects a ray's points at these inverse depths; NaN or infinite where a point has no pixel.
+    /// Projects the points of a ray (x, y, 1) at these inverse depths into the other camera: `xs` and `ys`,
+    /// pixels. NaN or infinite where the camera doesn't see a point.
     #[inline(always)]
     pub fn path(&self, [x, y]: [f32; 2], inverses: &[f32], xs: &mut [f32], ys: &mut [f32]) {
         let rotated = self.rotated(x, y);

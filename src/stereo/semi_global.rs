@@ -6,17 +6,18 @@ use crate::simd::multiversion;
 
 /// Penalty of a change by one level between neighbouring pixels (Hirschmüller's P1), in units of the costs.
 const STEP_PENALTY: i16 = 6;
-/// Penalty of a change by more levels (P2) where the image is flat.
+/// Penalty of a change by more than one level (P2) where the image is flat.
 const JUMP_PENALTY: i16 = 70;
-/// Smallest penalty of a larger change, at strong image edges.
+/// Minimum of the penalty P2, at strong image edges.
 const MIN_JUMP_PENALTY: i16 = 14;
-/// Difference of grey values, 0..=1, that halves the penalty of a larger change.
+/// Difference of neighbouring grey values, 0..=1, at which the penalty P2 is halved.
 const EDGE_DIFFERENCE: f32 = 0.03;
 
-/// Cost beyond that of any path.
+/// A cost larger than that of any path.
 const UNREACHABLE: i16 = i16::MAX / 4;
 
-/// Costs aggregated along eight directions and summed over them, pixel by pixel, level by level.
+/// The costs aggregated along eight directions and summed over them, pixel by pixel and level by level.
+/// `levels` is the number of levels.
 pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
     let mut sums = vec![0_i16; costs.len()];
     for backward in [false, true] {
@@ -26,7 +27,8 @@ pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
 }
 
 multiversion! {
-    /// Adds the costs along four directions: from the left and from above, or the opposite ones.
+    /// Adds the costs aggregated along four directions: from the left and from above, or with `backward` from
+    /// the right and from below.
     fn sweep(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) = sweep_by
 }
 
@@ -34,8 +36,8 @@ multiversion! {
 fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) {
     let (w, h) = (gray.width(), gray.height());
     let back = if backward { 1 } else { -1 };
-    // A path holds its costs by level, a padding level before and after them, and then their minimum. A row of paths
-    // has a zero path at both ends, where paths start.
+    // A path has its costs by level, with one element of padding before and after them, and then their
+    // minimum. A row of paths has a zero path at both ends, from which paths start.
     let len = n + 3;
     let mut zero = vec![0; len];
     (zero[0], zero[n + 1]) = (UNREACHABLE, UNREACHABLE);
@@ -76,7 +78,7 @@ fn jump_penalty(gray: &Image, [x, y]: [usize; 2], from: [usize; 2]) -> i16 {
     ((f32::from(JUMP_PENALTY) / (1.0 + difference / EDGE_DIFFERENCE)) as i16).max(MIN_JUMP_PENALTY)
 }
 
-/// Extends a path by one pixel: writes its costs and their minimum, and adds the costs to the sums.
+/// Extends a path by one pixel: writes the new costs and their minimum to `out`, and adds the costs to `sum`.
 #[inline(always)]
 fn extend(before: &[i16], jump: i16, cost: &[u8], out: &mut [i16], sum: &mut [i16]) {
     let n = cost.len();
@@ -95,17 +97,17 @@ fn extend(before: &[i16], jump: i16, cost: &[u8], out: &mut [i16], sum: &mut [i1
     out[n + 2] = min;
 }
 
-/// The inverse depth of the minimum cost at every pixel, interpolated between levels by a parabola.
+/// At every pixel, the inverse depth, 1/m, of the minimum cost, interpolated between levels by a parabola.
 pub(super) fn winner_takes_all(sums: &[i16], levels: &DepthLevels) -> Vec<f32> {
     let n = levels.count;
     let of = |sums: &[i16]| {
-        // The minimum first, then its first index: both searches are vectorized.
+        // First the minimum, then its first index: both searches vectorize.
         let min = sums.iter().copied().min();
         let best = sums.iter().position(|sum| Some(*sum) == min).unwrap_or(0);
         let mut level = best as f32;
         if best > 0 && best + 1 < n {
             let [a, b, c] = [sums[best - 1], sums[best], sums[best + 1]].map(f32::from);
-            // Not negative, since b is the minimum.
+            // The curvature is not negative, since b is the minimum.
             let curvature = a - 2.0 * b + c;
             if curvature > 0.0 {
                 level += 0.5 * (a - c) / curvature;
@@ -121,7 +123,7 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// The very same numbers with every instruction set.
+    /// The results are equal to the bit with every instruction set.
     #[test]
     fn sums_depend_on_no_instruction_set() {
         let mut random = Random::new(4);

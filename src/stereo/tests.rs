@@ -1,4 +1,5 @@
-//! The stage as a whole, on scenes known in closed form, and its kernels against naive ones.
+//! Tests of stereo as a whole, on scenes known in closed form, and of its kernels against naive reference
+//! implementations.
 
 use super::cost_volume::DepthLevels;
 use super::semi_global::aggregate;
@@ -13,7 +14,7 @@ const H: usize = 96;
 const FOCAL_PX: f64 = 150.0;
 const WALL_M: f64 = 2.0;
 const BOARD_M: f64 = 1.2;
-/// The board's left, right, upper and lower edge, metres.
+/// The left, right, upper and lower edge of the board, metres.
 const BOARD: [f64; 4] = [-0.16, 0.14, -0.12, 0.15];
 
 fn camera_at(center: [f64; 3]) -> Camera {
@@ -36,7 +37,7 @@ fn texture(x: f64, y: f64, seed: f64) -> f32 {
     (0.5 + 0.14 * sum) as f32
 }
 
-/// Depth and grey value of a pixel: a wall, and a board before it.
+/// Depth and grey value at a pixel of a camera that sees a board in front of a wall.
 fn seen(camera: &Camera, x: usize, y: usize) -> (f64, f32) {
     let center = camera.center();
     let rx = (x as f64 + 0.5 - W as f64 / 2.0) / camera.focal_px();
@@ -73,8 +74,8 @@ fn depths_of_all(options: &StereoOptions) -> (Vec<Camera>, Vec<InverseDepths>) {
     (cameras, depths)
 }
 
-/// Errors of a camera's inverse depths, sorted, in pixels of disparity at a baseline of 6 cm: of pixels at least
-/// `margin` from the image's border and from the board's outline.
+/// Errors of a camera's inverse depths, sorted, in pixels of disparity at a baseline of 6 cm. Only pixels at
+/// least `margin` away from the image's border and from the board's outline are included.
 fn errors(camera: &Camera, inverse: impl Fn(usize) -> f64, margin: usize) -> Vec<f64> {
     let truth = |x: usize, y: usize| 1.0 / seen(camera, x, y).0;
     let mut px = Vec::new();
@@ -114,7 +115,7 @@ fn outlines_are_right_to_two_pixels() {
     }
 }
 
-/// Views from places where no camera stands, also of the wall behind the board, which no camera sees.
+/// Views from places without a camera. They include the wall behind the board, which no camera sees.
 #[test]
 fn the_fused_surface_is_that_of_the_scene_in_any_view() {
     let (cameras, depths) = depths_of_all(&StereoOptions::default());
@@ -130,7 +131,7 @@ fn the_fused_surface_is_that_of_the_scene_in_any_view() {
     }
 }
 
-/// Where a camera's pixel covers several of the view's, the wall doesn't show through between the board's splats.
+/// If a camera's pixel covers several pixels of the view, the wall must not show between the board's splats.
 #[test]
 fn the_fused_surface_has_no_holes_where_the_view_enlarges() {
     let (cameras, depths) = depths_of_all(&StereoOptions::default());
@@ -159,7 +160,8 @@ fn without_a_camera_at_another_place_there_is_no_depth() {
     }
 }
 
-/// Flat images, tiny images, and images of NaN; also a range from the sky to the lens.
+/// Flat images, tiny images, and images of NaN; the range of depths may be empty or extend from the sky to
+/// the lens.
 #[test]
 fn whatever_the_images_depths_are_within_the_range() {
     for (w, h) in [(1, 1), (2, 3), (17, 1), (40, 30)] {
@@ -181,7 +183,7 @@ fn whatever_the_images_depths_are_within_the_range() {
     }
 }
 
-/// Hirschmüller's recursion, direction by direction.
+/// Reference implementation: Hirschmüller's recursion, direction by direction.
 fn naive(costs: &[u8], [w, h, n]: [usize; 3], jump: impl Fn(usize, usize) -> i32) -> Vec<i32> {
     let mut sums = vec![0; costs.len()];
     for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)] {
@@ -221,7 +223,7 @@ fn semi_global_matching_equals_the_recursion() {
     let mut random = Random::new(3);
     for (w, h, n) in [(1, 1, 1), (7, 5, 9), (12, 9, 33)] {
         let costs: Vec<u8> = (0..w * h * n).map(|_| (random.unit() * 72.0) as u8).collect();
-        // Flat: every jump costs the same.
+        // In a flat image, every jump has the same penalty.
         let gray = Image::filled(w, h, 1, 0.5);
         let sums: Vec<i32> = aggregate(&costs, &gray, n).into_iter().map(i32::from).collect();
         assert_eq!(sums, naive(&costs, [w, h, n], |_, _| 70));

@@ -1,7 +1,8 @@
-//! Runs the Python programs: filming, the calibration check, the review, and the set-up of their
-//! environment. Each is a child process, with progress on stdout and one-sentence errors on stderr.
+//! Runs the Python programs: filming, the calibration check, the review in Blender, and the set-up of their
+//! environment. Each is a child process that reports progress on stdout, and errors as one sentence on
+//! stderr.
 //!
-//! Known limits: Linux and macOS only. Children of a killed parent are ended on Linux only.
+//! Known limits: Linux and macOS only. If the parent process is killed, its children are ended only on Linux.
 
 mod programs;
 mod script;
@@ -12,10 +13,10 @@ pub use programs::{
 };
 pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};
 
-/// Why a script or the set-up failed: one sentence, with the command that helps if there is one.
+/// Why a script or the set-up failed: one sentence, including the command that repairs it if there is one.
 #[derive(Debug, thiserror::Error)]
 pub enum ToolchainError {
-    /// An input is wrong.
+    /// An input is invalid.
     #[error("{0}")]
     BadInput(String),
     /// The work failed.

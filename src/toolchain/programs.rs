@@ -1,5 +1,5 @@
-//! Calls the Python programs: they film a capture, check a calibration, lay out the review of a comparison in Blender,
-//! and pack the Blender extension into one file to install.
+//! Calls the Python programs, which film a capture, check a calibration, lay out the review of a comparison
+//! in Blender, and package the Blender extension as one file to install.
 
 use super::setup::{self, Environment};
 use super::{ToolchainError, script};
@@ -12,37 +12,40 @@ use serde_json::Value;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// What to film, and how. `None` is the filming script's default.
+/// Options of filming. For `None`, the filming script's default is used.
 #[derive(Clone, Debug)]
 pub struct FilmOptions {
-    /// The rig's file.
+    /// The rig file.
     pub rig: PathBuf,
     pub scene: FilmedScene,
-    /// The capture's folder. An interrupted recording with the same options is resumed there.
+    /// The capture's folder. Filming that was interrupted is resumed there if the options are the same.
     pub capture: PathBuf,
     /// Width and height in pixels, for all cameras.
     pub size_px: Option<(u32, u32)>,
-    /// Frames of the reference camera.
+    /// Number of frames of the reference camera.
     pub frames: Option<u32>,
-    /// Samples a pixel.
+    /// Number of render samples per pixel.
     pub samples: Option<u32>,
     /// `cycles` or `workbench`.
     pub engine: Option<String>,
-    /// Number of instants with truth.
+    /// Number of instants at which truth is rendered.
     pub instants: Option<u32>,
-    /// Instants with truth, seconds on the reference's clock; empty for `instants` evenly spaced ones.
+    /// The instants at which truth is rendered, seconds on the reference's clock; if empty, `instants` evenly
+    /// spaced ones.
     pub instants_s: Vec<f64>,
-    /// Number of points with true tracks.
+    /// Number of points whose true tracks are written.
     pub tracks: Option<u32>,
-    /// Number of frames of the true slow motion.
+    /// Number of frames of the true slow-motion video.
     pub truth_video: Option<u32>,
     /// Whether to write `truth/`.
     pub truth: bool,
-    /// Whether to store each camera's frames as one lossless video.
+    /// Whether to store the frames of each camera as one lossless video.
     pub video: bool,
-    /// Parts of the images, such as `3-6/100`; `None` for all, and what makes a capture of them.
+    /// The part of the images that is filmed, such as `3-6/100`. `None`: all images, and then the files that
+    /// complete the capture.
     pub part: Option<String>,
-    /// Seconds without a sign of life after which another process's images are filmed.
+    /// Time without a sign of life, seconds, after which images that another process has begun are filmed
+    /// here.
     pub silence_s: Option<u32>,
 }
 
@@ -59,7 +62,7 @@ impl FilmOptions {
         Ok(())
     }
 
-    /// The arguments of `stlfr capture`, which are those of its script too.
+    /// The arguments of `stlfr capture`, which are also those of the script.
     pub fn arguments(&self) -> Vec<OsString> {
         let mut arguments =
             vec![self.rig.clone().into(), "-o".into(), self.capture.clone().into_os_string()];
@@ -81,7 +84,7 @@ impl FilmOptions {
             ("--part", self.part.clone()),
             ("--silence", text(self.silence_s)),
         ] {
-            // Flag and value are one argument, so that a negative value isn't read as a flag.
+            // Flag and value are one argument, so that a negative value isn't taken for a flag.
             arguments.extend(value.map(|value| format!("{flag}={value}").into()));
         }
         for (flag, is_given) in [("--no-truth", !self.truth), ("--video", self.video)] {
@@ -91,16 +94,16 @@ impl FilmOptions {
     }
 }
 
-/// The source of a scene.
+/// The scene to film.
 #[derive(Clone, Debug)]
 pub enum FilmedScene {
-    /// A scene of `blender/scenes`.
+    /// A scene of `blender/scenes`, by name.
     Named(String),
     /// A `.blend` file.
     Blend(PathBuf),
 }
 
-/// Films the frames that are missing; a finished capture is not changed.
+/// Films the frames that are missing. A complete capture is not changed.
 pub fn film(
     environment: &Environment,
     options: &FilmOptions,
@@ -114,27 +117,28 @@ pub fn film(
 /// The result of a calibration check.
 #[derive(Clone, Debug)]
 pub struct Check {
-    /// Measured values: the JSON object that `blender/check.py` prints.
+    /// The measured values: the JSON object that `blender/check.py` prints.
     pub values: Value,
     pub verdict: CheckVerdict,
-    /// A table of the values, line by line. The last line is the verdict in a sentence.
+    /// The lines of a table of the values. The last line is a sentence with the verdict.
     pub table: Vec<String>,
 }
 
-/// What a calibration check found.
+/// The result of a calibration check in one word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CheckVerdict {
     Right,
     Off,
-    /// The images can't tell.
+    /// The images do not suffice to tell.
     Unknown,
-    /// The program's own projections differ from pycolmap's or Blender's, so that nothing can be told.
+    /// The program's own projections differ from pycolmap's or Blender's, so that no verdict is possible.
     Inconsistent,
 }
 
 impl CheckVerdict {
-    /// Whether the calibration is off, or the program itself. Images that can't tell refute nothing.
+    /// Whether the check failed: the calibration is wrong, or the program itself is. Images that do not
+    /// suffice are no failure.
     pub fn is_failure(self) -> bool {
         matches!(self, Self::Off | Self::Inconsistent)
     }
@@ -180,10 +184,10 @@ pub fn review(
     Ok(layout.with_file_name("review.blend"))
 }
 
-/// Name of a path's file inside its temporary folder.
+/// Name of the path file inside its temporary folder.
 const PATH_FILE: &str = "path.json";
 
-/// The animated scene camera of a `.blend` file as a path: the text of the path's file.
+/// The animated scene camera of a `.blend` file as a camera path: the text of the path file.
 pub fn blend_path(
     environment: &Environment,
     blend: &Path,
@@ -198,11 +202,11 @@ pub fn blend_path(
     read_text(&file, json::MAX_BYTES).map_err(failed)
 }
 
-/// Name of the extension's zip inside its temporary folder.
+/// Name of the extension's zip file inside its temporary folder.
 const EXTENSION_FILE: &str = "extension.zip";
 
-/// Writes the extension's zip for this platform, with the wheel of the Python module inside, validated
-/// by Blender's own tool.
+/// Writes the extension's zip file for this platform. It contains the wheel of the Python module, and is
+/// validated by Blender's own tool.
 pub fn build_extension(
     environment: &Environment,
     zip: &Path,
@@ -219,7 +223,7 @@ pub fn build_extension(
         let ended = script::ended(&mut command, |_| {});
         let ended = ended.map_err(|e| ToolchainError::Failure(format!("package.py: {e}")))?;
         script::verdict("package.py", &ended).map_err(|error| match error {
-            // Blender's message has the extension's temporary path.
+            // Blender's message contains the zip file's temporary path.
             ToolchainError::Failure(sentence) => ToolchainError::Failure(
                 sentence.replace(&*whole.to_string_lossy(), &zip.to_string_lossy()),
             ),

@@ -1,5 +1,6 @@
-//! Runs a script of `blender/`. Its JSON lines `{"done", "total", "what"}` on stdout are progress, and may have a
-//! `note` for the user; other lines are output. An error is one sentence on stderr, with exit code 2 for bad input.
+//! Runs a script of `blender/`. Lines of JSON `{"done", "total", "what"}` on its stdout are progress, and may
+//! have a `note` for the user; other lines are output. An error is one sentence on stderr, with exit code 2
+//! for invalid input.
 
 use super::ToolchainError;
 use super::setup::Environment;
@@ -19,14 +20,15 @@ struct Progress {
     note: Option<String>,
 }
 
-/// A Python command that ignores the user's packages and variables.
+/// A Python command that ignores the user's own packages and environment variables.
 pub(super) fn command(environment: &Environment, script: &str) -> Command {
     let mut command = Command::new(&environment.python);
     command.arg("-I").arg(environment.project_root.join("blender").join(script));
     command
 }
 
-/// Runs a script to its end with a progress bar; lines that are not progress go to `on_text`.
+/// Runs a script to its end, with a progress bar. Lines of output that are not progress are passed to
+/// `on_text`.
 pub(super) fn run(
     command: &mut Command,
     label: &str,
@@ -56,14 +58,14 @@ pub(super) fn run(
     verdict(&name, &ended)
 }
 
-/// Runs a script to its end; calls `on_line` with every line of its stdout. Blender's temporary folders, which it leaves
-/// where it is killed, are removed.
+/// Runs a script to its end, and calls `on_line` with every line of its stdout. Then removes Blender's
+/// temporary folders, which a killed Blender leaves behind.
 pub(super) fn ended(command: &mut Command, on_line: impl FnMut(&str)) -> std::io::Result<Ended> {
     let temporary = Temporary::inside(&std::env::temp_dir())?;
     process::run(command.env("TMPDIR", temporary.path()), on_line)
 }
 
-/// Success, or the error that the script ended with.
+/// Success, or the error that the script reported.
 pub(super) fn verdict(name: &str, ended: &Ended) -> Result<(), ToolchainError> {
     let sentence = || ended.stderr.lines().rev().find(|l| !l.trim().is_empty()).map(str::to_owned);
     match ended.status.code() {

@@ -1,4 +1,4 @@
-//! The combinations that are measured.
+//! The combinations of methods and parameters that are measured.
 
 use crate::interpolation::SyncMethod;
 use crate::lumigraph::BlendMethod;
@@ -6,15 +6,15 @@ use crate::method::Method;
 use crate::offset::OffsetMethod;
 use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 
-/// The proxies that are combined.
+/// The proxies that are measured.
 const PROXIES: &[ProxyMethod] = &[ProxyMethod::Plane, ProxyMethod::Mesh, ProxyMethod::Depth];
 
 /// All combinations of sync, proxy and blend methods. Other options are those of `base`.
 ///
-/// The offset method is not varied here but in [`variations`], like a parameter: offsets are estimated once, and then
-/// take no time. [`SyncMethod::AllCameras`] computes depth per pixel in any case, so that it is combined with
-/// [`ProxyMethod::Depth`] alone. [`ProxyMethod::SceneFlow`] is left out: most of its time belongs to frames, which views
-/// of several instants share.
+/// The offset method is varied in [`variations`], like a parameter, since offsets are estimated once and then
+/// take no time. [`SyncMethod::AllCameras`] computes depth per pixel in any case, so that it is combined only
+/// with [`ProxyMethod::Depth`]. [`ProxyMethod::SceneFlow`] is left out: most of its time is spent on frames,
+/// whose results the views of several instants share.
 pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     for &sync in SyncMethod::ALL {
@@ -41,7 +41,7 @@ pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
     options
 }
 
-/// Which parameters can matter on a capture.
+/// Which parameters can have an effect on a capture.
 #[derive(Clone, Copy, Debug)]
 pub struct Variable {
     /// Whether offsets are estimated.
@@ -50,8 +50,8 @@ pub struct Variable {
     pub cameras: usize,
 }
 
-/// Copies of the options with one main parameter changed, for every value of every main parameter that the
-/// options' methods use.
+/// Copies of the options in which one main parameter is changed: one copy for every value of every main
+/// parameter that the options' methods use.
 pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     let mut add = |change: &dyn Fn(&mut RenderOptions)| {
@@ -80,7 +80,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
             add(&|o| o.interpolation.max_edge_length_px = max_length_px);
         }
     }
-    // A plane at a set depth needs no points.
+    // A plane at a given depth needs no points.
     if options.proxy.method == ProxyMethod::Depth {
         for (cameras, halvings) in [(4, 1), (4, 0), (6, 1), (6, 0)] {
             add(&|o| (o.proxy.depth.cameras, o.proxy.depth.halvings) = (cameras, halvings));
@@ -99,7 +99,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
     found
 }
 
-/// The name of a combination: its methods, and the main parameters that differ from their defaults.
+/// The name of a combination: its methods, and the main parameters whose values are not the defaults.
 pub fn name(options: &RenderOptions) -> String {
     let default = RenderOptions::default();
     let (sync, proxy, blend) = (options.sync, &options.proxy, &options.blend);
@@ -137,7 +137,7 @@ mod tests {
     fn every_combination_is_one_and_can_be_worked_with() {
         let base = RenderOptions::default();
         let mut all = methods(&base);
-        // All-cameras has one proxy.
+        // `all-cameras` is combined with only one proxy.
         let images_and_proxies = (SyncMethod::ALL.len() - 1) * PROXIES.len() + 1;
         assert_eq!(all.len(), images_and_proxies * BlendMethod::ALL.len());
         assert!(all.contains(&most_accurate(&base)));

@@ -1,4 +1,4 @@
-//! Measures combinations: the quality once, the time in several runs, which alternate between combinations.
+//! Measures combinations: the quality once, the time in several runs that alternate between combinations.
 
 use super::store::{CachedPoint, Store};
 use super::targets::{Against, Target, TargetScene, View};
@@ -9,7 +9,7 @@ use crate::method::Method;
 use crate::options::RenderOptions;
 use crate::progress::{Reporter, Task, in_words};
 
-/// The bench that combinations are measured on.
+/// The targets, the timed view and the cache with which combinations are measured.
 pub(super) struct Bench<'a> {
     pub store: Store,
     pub targets: Vec<Target>,
@@ -20,7 +20,8 @@ pub(super) struct Bench<'a> {
     pub reporter: &'a Reporter,
 }
 
-/// Time of one thread for a pixel of a view from one camera, in the mean over all methods of the scene `magazine`.
+/// Time, seconds, that one thread takes per pixel of a view and camera: the mean over all methods on the
+/// scene `magazine`. The expected duration of a measurement is computed from it.
 const SAMPLE_S: f64 = 4e-7;
 
 impl Bench<'_> {
@@ -31,7 +32,7 @@ impl Bench<'_> {
         order.into_iter().find(there).unwrap_or(Against::MostAccurate)
     }
 
-    /// Measures whatever isn't stored of the combinations, and returns all their measurements.
+    /// Measures what is not in the cache for these combinations, and returns all their measurements.
     pub fn measure(
         &self,
         label: &str,
@@ -56,7 +57,7 @@ impl Bench<'_> {
         Ok(points)
     }
 
-    /// Whether a combination can be rendered and lacks runs.
+    /// Whether a combination can be rendered and has fewer timed runs than required.
     fn is_untimed(&self, point: &CachedPoint) -> bool {
         point.reason.is_none() && point.runs.len() < self.runs
     }
@@ -82,7 +83,8 @@ impl Bench<'_> {
             if lacking.is_empty() {
                 continue;
             }
-            // Sorted, since successive combinations with one sync method share cached synchronized images.
+            // Sorted, so that successive combinations with the same sync method share cached synchronized
+            // images.
             lacking.sort_by_key(|&k| points[k].options.sync.name());
             if open.as_ref().is_none_or(|(held_out, _)| *held_out != target.held_out) {
                 open = Some((target.held_out, scene.field(target.held_out)));
@@ -119,8 +121,8 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Times a view of each combination in turns, so that other load on the machine affects all alike. Frames are
-    /// registered beforehand, and no result of the instant is cached.
+    /// Times a view of each combination in turns, so that other load on the machine affects all combinations
+    /// alike. Frames are registered before, and no result of the instant is cached.
     fn time(
         &self,
         field: &LightField,
@@ -129,7 +131,7 @@ impl Bench<'_> {
         task: &Task,
     ) -> Result<(), TradeoffError> {
         let View { camera, time_s } = &self.timed;
-        // Results that all views between two frames share are computed here, and not timed.
+        // Results that all views between two frames share are computed here, outside the timed runs.
         for &k in untimed {
             field.register(*time_s, &points[k].options)?;
             field.view(camera, *time_s, &points[k].options)?;
@@ -159,7 +161,7 @@ impl CachedPoint {
     }
 }
 
-/// Indices of combinations that share registered frames and offsets.
+/// Groups of combinations, as indices, that share registered frames and offsets.
 fn groups(points: &[CachedPoint]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (k, CachedPoint { options, .. }) in points.iter().enumerate() {

@@ -1,24 +1,24 @@
-//! Speed for accuracy: time and quality of every sensible combination of methods and main parameters on one
-//! capture.
+//! The trade-off of speed and accuracy: time and quality of every useful combination of methods and main
+//! parameters on one capture.
 //!
-//! [`tradeoff`] measures, into one folder:
+//! [`tradeoff`] measures, and writes into one folder:
 //!
 //! - `tradeoff.json`: every combination with its options, quality, time and preparation
-//! - `tradeoff.svg`: time against quality, the Pareto front numbered
+//! - `tradeoff.svg`: time against quality, with a numbered Pareto front
 //! - `recommended.json`: the recommended options, for `--options`
 //!
 //! Measurements are cached with the capture, so that an interrupted run is resumed.
 //!
-//! **Combinations** ([`methods`], [`variations`]): every sync method with every proxy and blend; the
-//! presets and what `auto` chooses; then around the Pareto front every main parameter, and the offsets'
-//! method where clocks are unknown, one at a time, as many rounds as asked for.
+//! **Combinations** ([`methods`], [`variations`]): every sync method with every proxy and blend method; the
+//! presets, and the choice of `auto`. Then the points on the Pareto front are varied in rounds: every main
+//! parameter, and the offset method where clocks are unknown, one at a time.
 //!
-//! **Quality**: the mean PSNR of the moving part over views of the truth. Without truth: over frames of
-//! held-out cameras, rendered from the other cameras at the frames' own times. PSNR of all pixels and
-//! FLIP are also written. Quality is the same from run to run.
+//! **Quality**: the mean PSNR of the moving part over views of the truth. Without truth, it is that over
+//! frames of held-out cameras, rendered from the other cameras at the frames' own times. PSNR of all pixels
+//! and FLIP are also written. Quality is the same from run to run.
 //!
-//! **Time**: seconds for one view at a new instant between frames that are registered already: the
-//! median of several runs. Registration and offsets are preparation, and timed separately.
+//! **Time**: seconds for one view at a new instant between frames that are already registered: the median of
+//! several runs. Registration and offsets are preparation, and timed separately.
 //!
 //! | file | what |
 //! |---|---|
@@ -30,8 +30,8 @@
 //! | `summary.rs` | from measurements to points |
 //! | `plot.rs` | the drawing |
 //!
-//! Known limits: where clocks are shared, a held-out camera's frame has the time of the others' frames,
-//! and measures proxy and blend but not synchronization. Preparation is timed once.
+//! Known limits: where clocks are shared, a held-out camera's frame has the time of the others' frames, so
+//! that it measures proxy and blend but not synchronization. Preparation is timed once.
 
 mod combination;
 mod measure;
@@ -63,7 +63,7 @@ use store::{CachedPoint, Store};
 use summary::{summarized, trade};
 use targets::TargetScene;
 
-/// The files that a trade-off's folder holds.
+/// The names of the files in a trade-off's folder.
 pub const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json"];
 
 /// Options of a trade-off.
@@ -71,12 +71,12 @@ pub const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json
 pub struct TradeoffOptions {
     /// Number of timed runs of each view.
     pub runs: usize,
-    /// How many rounds of variations of the Pareto front by single parameters; 0 measures the methods
-    /// alone.
+    /// Number of rounds in which the points on the Pareto front are varied by single parameters. With 0, only
+    /// combinations of methods are measured.
     pub rounds: usize,
-    /// Options that all combinations start from.
+    /// Options that are common to all combinations.
     pub base: RenderOptions,
-    /// Further combinations to measure.
+    /// Additional combinations to measure.
     pub also: Vec<RenderOptions>,
     pub clock: TimingClock,
 }
@@ -113,7 +113,8 @@ impl Default for TradeoffOptions {
     }
 }
 
-/// Largest loss of quality of the recommended point against the best one, decibels: an invisible difference.
+/// Maximum loss of quality of the recommended point, relative to the best one, decibels. The difference is
+/// invisible.
 pub const SLACK_DB: f64 = 0.2;
 
 /// Why a trade-off can't be measured: one sentence.
@@ -167,7 +168,7 @@ pub fn schema() -> serde_json::Value {
 }
 
 impl Tradeoff {
-    /// The point with a label: a preset's name, or `auto`.
+    /// The point with this label: a preset's name, or [`AUTO`].
     pub fn labelled(&self, label: &str) -> Option<&Point> {
         self.points.iter().find(|p| p.labels.iter().any(|l| l == label))
     }
@@ -178,7 +179,7 @@ impl Tradeoff {
     }
 }
 
-/// Label of the planned combination.
+/// Label of the combination that `auto` chooses.
 pub const AUTO: &str = "auto";
 
 /// Measures time and quality of views by many combinations of options, and writes the results into the folder `out`.
@@ -224,7 +225,7 @@ pub fn tradeoff(
     Ok(tradeoff)
 }
 
-/// Adds combinations that aren't in the list yet.
+/// Adds combinations that are not in the list yet.
 fn add(wanted: &mut Vec<RenderOptions>, more: impl IntoIterator<Item = RenderOptions>) {
     for options in more {
         if !wanted.contains(&options) {
@@ -245,7 +246,7 @@ fn gathered(
     })?;
     let front = pareto_front(&trades);
     let mut order: Vec<usize> = (0..points.len()).collect();
-    // Points that can't be rendered have NaN, and come last.
+    // The times of points that can't be rendered are NaN, which is sorted last.
     order.sort_by(|&a, &b| trades[a].seconds.total_cmp(&trades[b].seconds));
     let recommended = order.iter().position(|&k| k == best).unwrap_or_default();
     let points =
@@ -278,13 +279,13 @@ fn write(tradeoff: &Tradeoff, out: &Path) -> Result<(), TradeoffError> {
     write_json(&out.join("tradeoff.json"), tradeoff)
 }
 
-/// Writes a value as a JSON file, whole or not at all.
+/// Writes a value as a JSON file, atomically.
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), TradeoffError> {
     let failed = |source| TradeoffError::Write { path: path.to_owned(), source };
     crate::host::write_json(path, value).map_err(failed)
 }
 
-/// Refuses a folder that exists and holds anything but a trade-off.
+/// Refuses an existing folder that contains other files than those of a trade-off.
 fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
     let refused = |reason: String| Err(TradeoffError::Folder { folder: folder.to_owned(), reason });
     if folder.join(CAPTURE_FILE).exists() {
@@ -296,7 +297,7 @@ fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
     }
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     for name in entries.map(|entry| entry.file_name()) {
-        // Temporary files belong to a trade-off that is running.
+        // Temporary files belong to a trade-off that another process is computing.
         let name_text = name.to_string_lossy();
         if !FILES.contains(&&*name_text) && !is_temporary(&name) {
             return refused(format!(

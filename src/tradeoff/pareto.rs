@@ -1,16 +1,16 @@
 //! The Pareto front of time and quality.
 
-/// Cost and quality of a point.
+/// Time and quality of a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trade {
     pub seconds: f64,
-    /// Larger is better.
+    /// Quality; larger is better.
     pub quality: f64,
 }
 
-/// The indices of the points that no other point dominates, fastest first: no other is at least as good
-/// and faster, or at least as fast and better. Of equal points the first is taken; points that aren't
-/// finite are on no front.
+/// The indices of the points that no other point dominates, fastest first. A point dominates another if it is
+/// faster and at least as good, or better and at least as fast. Of equal points, the first is returned;
+/// points that aren't finite never are.
 pub fn pareto_front(points: &[Trade]) -> Vec<usize> {
     let finite = |k: &usize| points[*k].seconds.is_finite() && points[*k].quality.is_finite();
     let mut order: Vec<usize> = (0..points.len()).filter(finite).collect();
@@ -45,7 +45,7 @@ mod tests {
             && (a.seconds < b.seconds || a.quality > b.quality)
     }
 
-    /// By the definition, on points with many ties.
+    /// The reference applies the definition of dominance, to points with many equal values.
     #[test]
     fn the_front_is_what_nothing_dominates() {
         let mut random = Random::new(11);

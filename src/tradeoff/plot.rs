@@ -22,8 +22,8 @@ fn time(tradeoff: &Tradeoff, point: &Point) -> Option<Spread> {
     }
 }
 
-/// The chart as SVG: all points, the Pareto front with its numbers, presets and `auto` by name, and
-/// a key to the numbers.
+/// The chart as SVG: all points, the Pareto front with numbers, presets and `auto` with their names, and a
+/// key to the numbers.
 pub(super) fn svg(tradeoff: &Tradeoff) -> String {
     let place = |point: &Point| {
         let (time, y) = (time(tradeoff, point)?, point.quality_db?);
@@ -42,7 +42,7 @@ pub(super) fn svg(tradeoff: &Tradeoff) -> String {
     let series = vec![
         series("other combinations", |p| !p.on_front && p.labels.is_empty(), false, true),
         series("Pareto front", |p| p.on_front, true, false),
-        // The last series covers the others.
+        // Drawn last, so that it covers the other series.
         series("presets and auto", is_named, false, false),
     ];
     let named = tradeoff.points.iter().filter(|p| is_named(p));
@@ -71,7 +71,7 @@ pub(super) fn svg(tradeoff: &Tradeoff) -> String {
     chart::svg(&[chart], 1)
 }
 
-/// The key: what the Pareto front's numbers mean, then the named points.
+/// The key: the names of the Pareto front's numbered points, then of the labelled points.
 fn key(tradeoff: &Tradeoff, front: &[&Point]) -> Vec<String> {
     let line = |mark: &str, point: &Point| {
         let seconds = time(tradeoff, point).map_or(f64::NAN, |s| s.median);

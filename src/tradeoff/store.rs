@@ -1,5 +1,5 @@
-//! Measurements in the capture's cache, one entry a combination, so that an interrupted run is resumed and a larger run
-//! adds to a smaller one.
+//! Measurements in the capture's cache, with one entry per combination. So an interrupted run is resumed, and
+//! a larger run adds to a smaller one.
 
 use super::TradeoffError;
 use crate::capture::{Capture, Truth};
@@ -28,23 +28,23 @@ pub(super) struct CachedPoint {
     pub options: RenderOptions,
     /// Scores by the target's id.
     pub scores: BTreeMap<String, RegionScores>,
-    /// Why a view can't be rendered; there are no scores then.
+    /// Why no view can be rendered; then there are no scores.
     pub reason: Option<String>,
-    /// One time for each run of the timed view.
+    /// The time of each run of the timed view.
     pub runs: Vec<Elapsed>,
 }
 
-/// The offsets by one registration and offset method, with the preparation times.
+/// The offsets for one choice of registration options and offset method, with the times of preparation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Prepared {
     pub offsets: Offsets,
-    /// Time of the estimation; `None` where the clocks are known.
+    /// Time of the estimation; `None` if the clocks are known.
     pub offsets_took: Option<Elapsed>,
     pub registration_took: Elapsed,
 }
 
-/// The plan for `auto`, and its time.
+/// The plan by which `auto` is replaced, and the time of planning.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Planned {
@@ -52,16 +52,19 @@ pub(super) struct Planned {
     pub took: Elapsed,
 }
 
-/// A capture, and its cache of measurements. Keys hold the options and everything else that measurements depend on.
+/// A capture and its cache of measurements. Cache keys contain the options and everything else that
+/// measurements depend on.
 pub(super) struct Store {
     pub capture: Arc<Capture>,
     cache: DiskCache,
     reporter: Reporter,
-    /// Whether a note was shown that the cache can't be written.
+    /// Whether the note that the cache can't be written has been shown.
     noted: AtomicBool,
 }
 
 impl Store {
+    /// The store of a capture's measurements.
+    ///
     /// # Errors
     /// If a file of the capture or of the truth can't be read.
     pub fn open(
@@ -84,7 +87,7 @@ impl Store {
         Ok(Self { capture: capture.clone(), cache, reporter: *reporter, noted })
     }
 
-    /// Offsets and registered frames for these options: cached from before, or computed now.
+    /// Offsets and registered frames for these options: from the cache, else computed.
     pub fn prepared(&self, options: &RenderOptions) -> Result<Prepared, TradeoffError> {
         let capture = &self.capture;
         let still_change = options.interpolation.still_change;
@@ -103,7 +106,7 @@ impl Store {
             Offsets::known(capture)
         };
         let offsets_took = estimates.then(|| watch.elapsed());
-        // A light field without decoded frames, so that the time of registration includes decoding.
+        // This light field has no decoded frames, so that the time of registration includes decoding.
         let field = LightField::new(capture.clone(), offsets.clone());
         let middle_s = middle_s(&field);
         let watch = Stopwatch::start();
@@ -114,7 +117,7 @@ impl Store {
         Ok(prepared)
     }
 
-    /// The planned methods for options with `auto`, and the planning time.
+    /// The options `asked` with every `auto` replaced by the planned method, and the time of planning.
     pub fn planned(&self, asked: &RenderOptions) -> Result<Planned, TradeoffError> {
         if asked.auto.stages().is_empty() {
             let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
@@ -134,7 +137,7 @@ impl Store {
         Ok(planned)
     }
 
-    /// Cached measurements of a combination.
+    /// The cached measurements of a combination; empty if there are none.
     pub fn point(&self, options: &RenderOptions) -> CachedPoint {
         let cached = self.load::<CachedPoint>(POINTS, options);
         cached.filter(|cached| cached.options == *options).unwrap_or_else(|| CachedPoint {
@@ -149,12 +152,12 @@ impl Store {
         self.save(POINTS, &point.options, point);
     }
 
-    /// A measurement of this kind with these options, if it is cached.
+    /// The cached measurement of this kind with these options; `None` if there is none.
     fn load<T: DeserializeOwned>(&self, kind: CacheKind, options: &impl Serialize) -> Option<T> {
         self.cache.load_json(kind, options)
     }
 
-    /// Caches a measurement. Notes once if that can't be, as in a read-only capture.
+    /// Caches a measurement. If that fails, as in a read-only capture, a note is shown once.
     fn save(&self, kind: CacheKind, options: &impl Serialize, value: &impl Serialize) {
         let saved = self.cache.save_json(kind, options, value);
         if let Err(error) = saved
@@ -166,7 +169,8 @@ impl Store {
     }
 }
 
-/// The middle of the span that all cameras cover; if there is none, of the reference camera's span.
+/// The middle of the time span that all cameras cover, seconds; if there is none, that of the reference
+/// camera's span.
 pub(super) fn middle_s(field: &LightField) -> f64 {
     let own_span = || field.span_s(field.capture().reference);
     let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();

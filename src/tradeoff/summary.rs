@@ -11,7 +11,7 @@ use crate::options::RenderOptions;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// One combination.
+/// A point of the trade-off: one measured combination.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
@@ -75,20 +75,20 @@ impl PreparationTime {
     }
 }
 
-/// PSNR of identical images in means, decibels, in place of infinity.
+/// PSNR, in decibels, that replaces the infinite value of identical images in means.
 const IDENTICAL_DB: f64 = 99.0;
 
-/// Qualities are rounded to this before points are compared, decibels.
+/// Step to which qualities are rounded before points are compared, decibels.
 const STEP_DB: f64 = 0.01;
 
-/// Time and quality of a combination; not finite where it can't be rendered.
+/// Time and quality of a combination; NaN where it can't be rendered or wasn't measured.
 pub(super) fn trade(bench: &Bench, point: &CachedPoint) -> Trade {
     let seconds = spread(point, |elapsed| bench.clock.of(elapsed)).map_or(f64::NAN, |s| s.median);
     let quality = quality_db(bench, point).unwrap_or(f64::NAN);
     Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
 }
 
-/// Summarizes a measured combination. `on_front` says whether it is on the Pareto front of all combinations.
+/// Summarizes a measured combination. `on_front`: whether it is on the Pareto front of all combinations.
 pub(super) fn summarized(
     bench: &Bench,
     cached: &CachedPoint,
@@ -148,7 +148,7 @@ fn mean(
     }
 }
 
-/// The times of a view; `None` if it can't be rendered or wasn't timed.
+/// Statistics of the times of a view; `None` if it can't be rendered or wasn't timed.
 fn spread(point: &CachedPoint, seconds: impl Fn(&Elapsed) -> f64) -> Option<Spread> {
     if point.reason.is_some() {
         return None;

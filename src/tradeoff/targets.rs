@@ -1,4 +1,5 @@
-//! Reference images: the truth, held-out cameras, or the most accurate view.
+//! Reference images for measuring quality: true images, frames of held-out cameras, or the view by the most
+//! accurate methods.
 
 use super::TradeoffError;
 use super::combination::most_accurate;
@@ -38,24 +39,24 @@ pub(super) struct Target {
     pub id: String,
     pub view: View,
     pub against: Against,
-    /// If the reference image is a frame of a held-out camera: this camera, which isn't used for rendering.
+    /// The held-out camera, if the reference image is one of its frames. It isn't used for rendering.
     pub held_out: Option<usize>,
     reference: ReferenceImage,
-    /// The moving pixels, row by row.
+    /// For each pixel, row by row, whether it moves.
     moving: Vec<bool>,
-    /// The pixels that the most accurate methods cover, row by row.
+    /// For each pixel, row by row, whether the view by the most accurate methods covers it.
     covered: Vec<bool>,
     depth: BitDepth,
 }
 
-/// A place and a time, seconds from the capture's start.
+/// A camera, and a time in seconds from the capture's start.
 #[derive(Clone, Debug)]
 pub(super) struct View {
     pub camera: Camera,
     pub time_s: f64,
 }
 
-/// Number of cameras that are held out in turn if there is no truth.
+/// Number of cameras that are held out, one after the other, if there is no truth.
 const HELD_OUT: usize = 2;
 
 /// A capture with its truth, from which targets are made.
@@ -66,8 +67,8 @@ pub(super) struct TargetScene<'a> {
 }
 
 impl Target {
-    /// The scores of a rendered view. Pixels that the most accurate methods don't cover aren't
-    /// measured; pixels that only this view doesn't cover are black.
+    /// The scores of a rendered view. Pixels that the most accurate methods don't cover are not measured.
+    /// Pixels that only this view doesn't cover count as black.
     pub fn score(&self, rendered: &Rendered) -> RegionScores {
         let truth = self.reference.image();
         let image = as_written(&rendered.image, truth.channels(), self.depth);
@@ -77,7 +78,7 @@ impl Target {
 }
 
 impl TargetScene<'_> {
-    /// The light field of all cameras but the held-out one, if any.
+    /// The light field of all cameras except the held-out one, if there is one.
     pub fn field(&self, held_out: Option<usize>) -> LightField {
         let Some(index) = held_out else {
             return LightField::new(self.capture.clone(), self.offsets.clone());
@@ -86,7 +87,7 @@ impl TargetScene<'_> {
         field_of(self.capture, self.offsets, &others)
     }
 
-    /// The targets, and the view to time.
+    /// The targets, and the view that is timed.
     pub fn targets(&self, truth: Option<&Truth>) -> Result<(Vec<Target>, View), TradeoffError> {
         let mut found = truth.map_or(Ok(Vec::new()), |truth| self.true_views(truth))?;
         if let Some(first) = found.first() {
@@ -94,7 +95,8 @@ impl TargetScene<'_> {
             return Ok((found, timed));
         }
         found = self.held_out_frames()?;
-        // Halfway from the reference to its nearest neighbour, in the middle of the recording.
+        // The view is halfway between the reference camera and its nearest neighbour, in the middle of the
+        // recording.
         let field = self.field(None);
         let camera = halfway_to_neighbor(self.capture, self.capture.reference);
         let timed = View { camera, time_s: middle_s(&field) };
@@ -107,7 +109,7 @@ impl TargetScene<'_> {
         Ok((found, timed))
     }
 
-    /// A target with a true image. `rendered` is the view by the most accurate methods.
+    /// A target with a true image. `rendered` is the same view by the most accurate methods.
     fn target(&self, id: String, view: View, truth: TrueImage, rendered: Rendered) -> Target {
         let pixels_per_degree = CompareOptions::default().pixels_per_degree;
         Target {
@@ -122,12 +124,13 @@ impl TargetScene<'_> {
         }
     }
 
-    /// A view by the most accurate methods; `None` if they can't render it.
+    /// A view by the most accurate methods; `None` if it can't be rendered.
     fn rendered(&self, field: &LightField, view: &View) -> Result<Option<Rendered>, TradeoffError> {
         Ok(rendered(field, &view.camera, view.time_s, &most_accurate(self.base))?)
     }
 
-    /// Targets from the truth: views that no camera filmed or, if there are none, the filming cameras' views.
+    /// Targets with true images: of views that no camera filmed; if there are none, of the filming cameras'
+    /// views.
     fn true_views(&self, truth: &Truth) -> Result<Vec<Target>, TradeoffError> {
         let field = self.field(None);
         let instants = truths::instants(truth, self.capture)?;
@@ -143,7 +146,7 @@ impl TargetScene<'_> {
         Ok(found)
     }
 
-    /// Middle frames of inner cameras, as held-out targets.
+    /// Targets of held-out cameras: the middle frames of inner cameras.
     fn held_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
         let frames = FrameStore::new(self.capture.clone(), &self.base.registration);

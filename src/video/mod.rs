@@ -1,4 +1,5 @@
-//! Video files, read and written by ffmpeg as a child process, without a shell. No file name is taken for an option.
+//! Video files, read and written by ffmpeg as a child process, without a shell. File names are passed so that
+//! none is taken for an option.
 
 mod reader;
 mod writer;
@@ -12,7 +13,7 @@ use std::path::PathBuf;
 /// An error of a video file. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// ffmpeg failed to write; the reason is its own message.
+    /// ffmpeg failed to write; the reason is ffmpeg's own message.
     #[error("{path}: can't be written ({reason})")]
     Encode { path: PathBuf, reason: String },
     /// ffmpeg was built without an encoder.
@@ -20,7 +21,7 @@ pub enum VideoError {
         "{ffmpeg}: has no encoder {encoder}, which .{suffix} needs; install an ffmpeg with it, or write .mkv"
     )]
     NoEncoder { ffmpeg: PathBuf, encoder: &'static str, suffix: &'static str },
-    /// A file can't be decoded; the reason is a sentence without its subject.
+    /// A file can't be decoded. `reason` is a sentence without its subject, which the caller puts before it.
     #[error("{reason}")]
     Decode { reason: String },
     /// A file can't be read or written, or ffmpeg can't be started.
@@ -28,13 +29,13 @@ pub enum VideoError {
     File { path: PathBuf, source: std::io::Error },
 }
 
-/// The first ffmpeg on `PATH`; `None` if there is none.
+/// The path of the first ffmpeg on `PATH`; `None` if there is none.
 pub fn ffmpeg_on_path() -> Option<PathBuf> {
     let paths = std::env::var_os("PATH")?;
     std::env::split_paths(&paths).map(|p| p.join("ffmpeg")).find(|p| p.is_file())
 }
 
-/// Strips "[name @ address]" from the start of an ffmpeg message.
+/// Strips a prefix such as "[name @ address]" from an ffmpeg message.
 fn without_address(line: &str) -> &str {
     let mut line = line.trim();
     while let Some((_, rest)) = line.strip_prefix('[').and_then(|l| l.split_once("] ")) {

@@ -1,8 +1,8 @@
-//! Decoding a video into numbered images.
+//! Decodes a video into numbered images.
 //!
-//! ffmpeg converts colours to full-range grey or RGB, with 8 bits where the video has 8, and 16 where it has more. A
-//! rotation in the file's metadata is applied, as by a player. Interlaced video is refused: the two fields of a frame are
-//! of two instants.
+//! ffmpeg converts colours to full-range grey or RGB, with 8 bits if the video has 8, and with 16 if it has
+//! more. A rotation in the file's metadata is applied, as players do. Interlaced video is refused, since the
+//! two fields of a frame were filmed at two instants.
 
 use super::{VideoError, without_address};
 use crate::host::process::{Ended, Process};
@@ -12,25 +12,25 @@ use std::io;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// Containers that are read. A playlist or a script would make ffmpeg open other files.
+/// The container formats that are read. A playlist or a script would make ffmpeg open other files.
 const CONTAINERS: &str =
     "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,mxf,nut,yuv4mpegpipe,ogg,asf,flv,ivf";
 
-/// The file in which ffmpeg lists the size of the images, and the time stamps in microseconds.
+/// The file to which ffmpeg writes the size of the images, and the time stamps in microseconds.
 const STAMPS_FILE: &str = "stamps.txt";
 
-/// The file in which ffmpeg lists the first interlaced frame, if any.
+/// The file to which ffmpeg writes the first interlaced frame, if there is one.
 const FIELDS_FILE: &str = "fields.txt";
 
-/// The name of a decoded frame.
+/// The file name of a decoded frame.
 pub(crate) fn frame_name(index: usize) -> String {
     format!("{index:06}.png")
 }
 
-/// Codecs store images in blocks, of at most so many pixels a side.
+/// Maximum side of the blocks in which codecs store images, pixels.
 const BLOCK_PX: usize = 128;
 
-/// What a video may hold; more is refused before it is decoded.
+/// Limits on a video; a video beyond them is refused before it is decoded.
 #[derive(Clone, Copy, Debug)]
 pub struct VideoLimits {
     pub max_frames: usize,
@@ -38,27 +38,27 @@ pub struct VideoLimits {
     pub size: [usize; 2],
 }
 
-/// Largest side of an image, pixels.
+/// Maximum side of an image, pixels.
 const MAX_SIDE_PX: usize = 65_536;
 
-/// The open file on the child's standard input: the child reads it wherever its path leads meanwhile.
+/// The open file on the child's standard input. The child reads this file even if its path changes meanwhile.
 const INPUT: &str = "file:/proc/self/fd/0";
 
-/// The size of a video's images as they are decoded, a rotation applied, and the file's time stamps.
+/// The size of a video's images after decoding and rotation, and the file's time stamps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VideoFacts {
     /// Width and height, pixels.
     pub size: [usize; 2],
-    /// Time stamp of every frame, seconds; the file starts at 0.
+    /// Time stamp of every frame, seconds from the file's start.
     pub times_s: Vec<f64>,
 }
 
-/// Decodes the first video stream into `folder` as 000000.png, 000001.png and so on, in constant memory. Returns the
-/// file's time stamp of every frame, seconds.
+/// Decodes the first video stream into `folder` as 000000.png, 000001.png and so on, in constant memory.
+/// Returns the file's time stamp of every frame, seconds.
 ///
 /// # Errors
-/// If there are more frames or larger images than `limits` has, if frames are interlaced, and for any error in the file:
-/// ffmpeg would conceal damaged frames.
+/// If there are more frames or larger images than `limits` allow, if frames are interlaced, and for any error
+/// in the file, since ffmpeg would conceal damaged frames.
 pub fn decode(
     ffmpeg: &Path,
     video: &File,
@@ -72,14 +72,15 @@ pub fn decode(
         .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-noautoscale"])
         .args(["-frames:v", &(limits.max_frames + 1).to_string()])
         .args(["-sws_flags", "accurate_rnd+full_chroma_int+bitexact"])
-        // A cache is compressed fast rather than well.
+        // The images are for a cache, so that fast compression is better than small files.
         .args(["-c:v", "png", "-compression_level", "1"])
         .args(["-start_number", "0", "-f", "image2", "%06d.png"]);
     let ended = run(&mut command, ffmpeg, video, limits.max_frames)?;
     Ok(facts(&ended, folder, limits.max_frames, limits.size)?.times_s)
 }
 
-/// Decodes the first video stream without writing its images. `folder` is for temporary files. Errors: as [`decode`].
+/// Decodes the first video stream without writing its images. `folder` is for temporary files. The errors are
+/// those of [`decode`].
 pub fn inspect(
     ffmpeg: &Path,
     video: &File,
@@ -92,11 +93,11 @@ pub fn inspect(
     facts(&ended, folder, max_frames, [MAX_SIDE_PX; 2])
 }
 
-/// The ffmpeg that reads its standard input, and stops at the first error.
+/// The ffmpeg command that reads its standard input, and stops at the first error.
 fn command(ffmpeg: &Path, folder: &Path, max_pixels: usize) -> Command {
     let mut command = Command::new(ffmpeg);
     command
-        // Names of the outputs are relative, so that a `%` in the folder's own isn't a pattern.
+        // Names of outputs are relative, since a `%` in the folder's name would be taken for a pattern.
         .current_dir(folder)
         .env_remove("FFREPORT")
         .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-xerror"])
@@ -106,7 +107,7 @@ fn command(ffmpeg: &Path, folder: &Path, max_pixels: usize) -> Command {
     command
 }
 
-/// Adds the listings to ffmpeg's outputs, and runs it to its end.
+/// Adds the two listings to ffmpeg's outputs, and runs it to its end.
 fn run(
     command: &mut Command,
     ffmpeg: &Path,
@@ -125,7 +126,7 @@ fn run(
         .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })
 }
 
-/// What ffmpeg's listings say. `size` is for the message if images are too large.
+/// The content of ffmpeg's listings. `size` is used in the message if images are too large.
 fn facts(
     ended: &Ended,
     folder: &Path,
@@ -151,14 +152,14 @@ fn facts(
     Ok(VideoFacts { size, times_s })
 }
 
-/// The size in the head of a framecrc listing, pixels.
+/// The image size, pixels, in the header of a framecrc listing.
 fn dimensions(listing: &str) -> Option<[usize; 2]> {
     let line = listing.lines().find_map(|line| line.strip_prefix("#dimensions 0: "))?;
     let (width, height) = line.trim().split_once('x')?;
     Some([width.parse().ok()?, height.parse().ok()?])
 }
 
-/// The error that ffmpeg ended with, or any that it reports.
+/// The error with which ffmpeg ended, or any that it reports; `Ok` if there is none.
 fn succeeded(ended: &Ended, folder: &Path, size: [usize; 2]) -> Result<(), VideoError> {
     if let Some(found) = too_large(&ended.stderr) {
         let [width, height] = size;
@@ -175,13 +176,13 @@ fn succeeded(ended: &Ended, folder: &Path, size: [usize; 2]) -> Result<(), Video
     Ok(())
 }
 
-/// The size of the images, as ffmpeg reports it for larger ones than are allowed.
+/// If ffmpeg reports images larger than allowed, their size.
 fn too_large(messages: &str) -> Option<&str> {
     let before = &messages[..messages.find(" exceeds specified max pixel count")?];
     Some(before.rsplit_once("Picture size ")?.1)
 }
 
-/// The disk's error that ffmpeg reports, if any.
+/// The error of a full or read-only disk, if ffmpeg reports one.
 fn full_disk(messages: &str) -> Option<io::Error> {
     [libc::ENOSPC, libc::EDQUOT, libc::EFBIG, libc::EROFS].into_iter().find_map(|number| {
         let error = io::Error::from_raw_os_error(number);

@@ -1,4 +1,4 @@
-//! Writing a video file.
+//! Writes video files.
 
 use super::{VideoError, without_address};
 use crate::host::process::{Ended, Process};
@@ -9,51 +9,51 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
 
-/// The compression of a video, and its container.
+/// The codec of a video, with its container.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Codec {
-    /// FFV1 in Matroska: lossless, every frame on its own and with a checksum.
+    /// FFV1 in Matroska: lossless; every frame is coded by itself and has a checksum.
     Ffv1,
     /// H.264 in MP4, which browsers play: 8 bits, 4:2:0, visually lossless.
     H264,
     /// VP9 in WebM, which browsers play: 8 bits, 4:2:0.
     Vp9,
-    /// GIF, with a palette of 256 colours a frame. It repeats without end.
+    /// GIF with a palette of 256 colours per frame. It loops forever.
     Gif,
-    /// H.264 in MP4 without loss, in RGB of 8 bits, which other programs' readers of videos decode.
+    /// Lossless H.264 in MP4, with RGB of 8 bits, which video readers of other programs decode.
     H264Lossless,
 }
 
 /// The format of a video file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VideoFormat {
-    /// Bits a channel of the encoded frames.
+    /// Bits per channel of the encoded frames.
     pub depth: BitDepth,
-    /// Frames a second, hertz.
+    /// Frame rate, hertz.
     pub rate_hz: f64,
-    /// Compression and container.
+    /// Codec and container.
     pub codec: Codec,
 }
 
-/// Filter of the 4:2:0 codecs: even sides, and BT.709 colours that are labelled as such.
+/// Filter for the 4:2:0 codecs: it makes the sides even, converts to BT.709, and labels the colours so.
 const BROWSER_COLORS: &str = "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p,\
      setparams=range=tv:color_primaries=bt709:color_trc=iec61966-2-1:colorspace=bt709";
 
-/// Filter of GIF. Palettes of single frames need no memory for the whole video.
+/// Filter for GIF. With one palette per frame, the video isn't held in memory.
 const FRAME_PALETTES: &str =
     "split[a][b];[a]palettegen=stats_mode=single[palette];[b][palette]paletteuse=new=1";
 
 impl Codec {
-    /// All codecs.
+    /// The codecs that a file's suffix can choose.
     pub const ALL: [Self; 4] = [Self::H264, Self::Vp9, Self::Gif, Self::Ffv1];
 
-    /// H.264 if the given ffmpeg supports it, else FFV1. Starts ffmpeg, so that one that can't run is found before
-    /// rendering begins.
+    /// H.264 if the given ffmpeg supports it, else FFV1. It starts ffmpeg, so that one that can't run is
+    /// found before rendering begins.
     pub fn for_browsers(ffmpeg: &Path) -> Result<Self, VideoError> {
         Ok(if Self::H264.is_supported(ffmpeg)? { Self::H264 } else { Self::Ffv1 })
     }
 
-    /// The codec of files with a suffix, in lower case; `None` if there is none.
+    /// The codec of files with this suffix, which is in lower case; `None` if there is none.
     pub fn of_suffix(suffix: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|codec| codec.suffix() == suffix)
     }
@@ -68,7 +68,7 @@ impl Codec {
         }
     }
 
-    /// Whether frames of 16 bits a channel keep them.
+    /// Whether the codec stores 16 bits per channel.
     pub fn is_deep(self) -> bool {
         self == Self::Ffv1
     }
@@ -125,10 +125,12 @@ impl Codec {
     }
 }
 
-/// A video file that is being written. It appears at its path when it is finished; dropped before, it leaves no file.
+/// A video file that is being written. It appears at its path when it is finished. If it is dropped before,
+/// no file is left.
 pub struct VideoWriter {
     path: PathBuf,
-    /// The pipe to ffmpeg. Declared before the process, which ends when the pipe is closed.
+    /// The pipe to ffmpeg. It is declared before the process, so that it is dropped first; ffmpeg ends when
+    /// the pipe is closed.
     stdin: Option<ChildStdin>,
     process: Option<Process>,
     size: (usize, usize, usize),
@@ -137,7 +139,7 @@ pub struct VideoWriter {
     temporary: Temporary,
 }
 
-/// The video in its temporary folder.
+/// Name of the video file in its temporary folder.
 const FILE: &str = "video";
 
 impl VideoWriter {
@@ -167,7 +169,7 @@ impl VideoWriter {
             (_, BitDepth::Eight) => "rgb24",
             (_, BitDepth::Sixteen) => "rgb48le",
         };
-        // A name may begin with `-`, or look like a protocol.
+        // The prefix protects names that begin with `-` or look like a protocol.
         let mut output = std::ffi::OsString::from("file:");
         output.push(temporary.path().join(FILE));
         let mut command = Command::new(ffmpeg);
@@ -177,7 +179,7 @@ impl VideoWriter {
             .args(["-video_size", &format!("{}x{}", size.0, size.1)])
             .args(["-framerate", &format!("{rate_hz}"), "-i", "pipe:0"])
             .args(codec.arguments())
-            // Equal frames give equal bytes on every machine.
+            // These flags make the bytes of equal frames equal on every machine.
             .args(["-fflags", "+bitexact", "-flags:v", "+bitexact", "-threads", "1"])
             .arg(output);
         let mut process = Process::start(&mut command, Stdio::piped())
@@ -195,15 +197,15 @@ impl VideoWriter {
     /// Appends a frame.
     ///
     /// # Panics
-    /// If its size or channels differ from those of the first.
+    /// If its size or channels differ from those of the video.
     pub fn push(&mut self, image: &Image) -> Result<(), VideoError> {
         self.push_quantized(&Quantized::new(image, None, self.depth))
     }
 
-    /// Appends a frame of the video's bit depth.
+    /// Appends a frame that already has the video's bit depth.
     ///
     /// # Panics
-    /// If its size or channels differ from those of the first.
+    /// If its size or channels differ from those of the video.
     pub fn push_quantized(&mut self, frame: &Quantized) -> Result<(), VideoError> {
         assert_eq!((frame.width, frame.height, frame.channels), self.size, "one size a video");
         let bytes = match &frame.samples {
@@ -212,12 +214,12 @@ impl VideoWriter {
         };
         match self.stdin.as_mut().map(|pipe| pipe.write_all(&bytes)) {
             Some(Ok(())) => Ok(()),
-            // ffmpeg has ended; its message says why.
+            // ffmpeg has ended, and its message tells why.
             _ => Err(self.end().err().unwrap_or_else(|| self.broken("ffmpeg ended early"))),
         }
     }
 
-    /// Ends the video and renames it to its path.
+    /// Finishes the video, and renames it to its path.
     pub fn finish(mut self) -> Result<(), VideoError> {
         self.end()?;
         self.temporary

@@ -4,6 +4,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
+use std::path::Path;
 use std::sync::Arc;
 use stlfr::camera::{Camera, CameraFormat};
 use stlfr::capture::Capture;
@@ -215,4 +216,31 @@ pub fn estimate_by(capture: &Arc<Capture>, options: &RenderOptions) -> Offsets {
 /// The camera of a view.
 pub fn view(camera: &Value) -> Camera {
     serde_json::from_value::<CameraFormat>(camera.clone()).unwrap().camera().unwrap()
+}
+
+/// Writes the truth of a view from the middle camera, with its depth and its motion, pixels a frame.
+pub fn write_truth(root: &Path, scene: &Scene) {
+    let image = scene.image(scene.centers_m[1], 0.05);
+    write_image(&root.join("truth/0.png"), &image, None, BitDepth::Eight).unwrap();
+    for (name, value) in [("0.npy", 2.0), ("depth.npy", scene.depth_m as f32)] {
+        let values: Vec<u8> = (0..W * H).flat_map(|_| f32::to_le_bytes(value)).collect();
+        std::fs::write(root.join("truth").join(name), [npy([H, W]), values].concat()).unwrap();
+    }
+    let offsets: Vec<Value> =
+        (0..3).map(|c| json!({"id": format!("cam{c}"), "offset_s": 0.0})).collect();
+    let truth = json!({"format": "stlfr-truth", "version": 1, "scene": "wall", "rig": "row",
+        "offsets": offsets, "shutter": [], "views": [{"id": "a", "time_s": 0.05, "like": "cam1",
+            "camera": scene.camera(scene.centers_m[1]), "image": "0.png", "depth": "depth.npy",
+            "motion": "0.npy"}]});
+    std::fs::write(root.join("truth/truth.json"), truth.to_string()).unwrap();
+}
+
+/// The head of an array of float32.
+pub fn npy([height, width]: [usize; 2]) -> Vec<u8> {
+    let header =
+        format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({height}, {width}), }}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.bytes());
+    bytes
 }

@@ -91,7 +91,7 @@ def test_a_release_knows_no_folder_of_the_machine_that_built_it(
     assert b"/registry/src/" in module  # messages of panics
     assert os.fsencode(Path.home()) + b"/" not in module
     assert os.fsencode(ROOT) + b"/" not in module
-    check = [installed / "stlfr", "check", capture_dir]
+    check: list[str | Path] = [installed / "stlfr", "check", capture_dir]
     ended = subprocess.run(check, capture_output=True, text=True, check=False)
     assert ended.returncode == 1 and len(ended.stderr.splitlines()) == 1
     assert "set STLFR_HOME" in ended.stderr
@@ -167,7 +167,8 @@ def test_signals_end_the_command_as_they_end_the_program(
     installed: Path, capture_dir: Path, outside: Path, stop: signal.Signals
 ) -> None:
     capture = shutil.copytree(capture_dir, outside / "capture")
-    command: list[str | Path] = [installed / "stlfr", "view", capture, "--no-open"]
+    command: list[str | Path] = [installed / "stlfr", "view", capture]
+    command += ["--no-open", "--preset", "draft"]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as run:

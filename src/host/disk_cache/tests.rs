@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 const NUMBERS: CacheKind = CacheKind { name: "numbers", version: 1 };
 
-/// A cache, and how many notes it gave.
+/// A cache, and a counter of its notes.
 fn cache(folder: &Path) -> (DiskCache, Arc<AtomicUsize>) {
     let notes = Arc::new(AtomicUsize::new(0));
     let count = notes.clone();
@@ -86,7 +86,7 @@ fn entries_unused_for_longest_are_removed_first() {
         age(&cache, n, 10 - u64::from(n));
     }
     cache.load(NUMBERS, &0).unwrap();
-    // An entry's files count with it, and are removed with it.
+    // The files of an entry count in its size, and are removed together with it.
     let files = cache.files(NUMBERS, &1).unwrap();
     std::fs::create_dir(&files).unwrap();
     std::fs::write(files.join("0.png"), [0; 20]).unwrap();
@@ -98,7 +98,7 @@ fn entries_unused_for_longest_are_removed_first() {
     assert_eq!(there, [true, false, true, true]);
     assert!(!files.exists());
 
-    // What is recent or pinned stays.
+    // Recently used entries and pinned entries are not removed.
     age(&cache, 2, 5);
     cache.pin(&cache.path(NUMBERS, &2).unwrap());
     for n in 4..8 {
@@ -161,7 +161,7 @@ fn a_read_only_capture_is_read_all_the_same() {
     };
     allow(0o555);
     assert!(cache.load(NUMBERS, &1).is_some());
-    // An administrator may write all the same.
+    // The superuser can write in spite of the permissions.
     let _ = cache.save(NUMBERS, &2, b"2");
     allow(0o755);
 }

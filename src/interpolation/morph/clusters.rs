@@ -1,20 +1,20 @@
 //! A treecode (Barnes and Hut 1986) for the sums of eq. (7): far edges are approximated by clusters.
 //!
-//! Displacements are linear in the position, so that the sum of a cluster's displacements is one linear map.
-//! Only the edges' weights are approximated: a cluster has the weight of one edge of no length at its centre,
-//! with the sum of the strengths.
+//! An edge's displacement is linear in the position, so that the strength-weighted sum of a cluster's
+//! displacements is one linear map, without error. Only the edges' weights are approximated: all edges of a
+//! cluster have the weight of an edge of length 0 at its centre.
 //!
 //! **The error.** Let `e` be the largest error of a cluster's weight, `d` an edge's displacement, `D′` the
-//! approximate mean, and `W` the exact sum of weights. Then the error of the mean is at most
-//! Σ strength·e·|d − D′| / W. With the approximate sum of weights `W′`, and a fixed displacement `D₀` near the
-//! tile, the bound needs no single edge:
+//! approximate mean, and `W` the exact sum of weights. Then the error of the mean is at most Σ strength·e·|d
+//! − D′| / W. With the approximate sum of weights `W′`, and a reference displacement `D₀` near the tile, this
+//! bound can be computed from sums per cluster:
 //!
 //! ```text
 //! error ≤ (P + Q·|D′ − D₀|) / (W′ − Q),   P = Σ strength·e·|d − D₀|,   Q = Σ strength·e
 //! ```
 //!
-//! The clusters with the largest terms are opened until the bound is at most [`TOLERANCE_PX`] at every node of
-//! a tile.
+//! The clusters with the largest terms are opened, that is, replaced by their children, until the bound is at
+//! most [`TOLERANCE_PX`] at every node of a tile.
 //!
 //! Known limit: the bound leaves out the rounding of f32, about 1e-4 px.
 
@@ -31,11 +31,11 @@ const LEAF_SIZE: usize = 8;
 
 /// A cluster of edges: a node of a binary tree over their midpoints.
 struct Cluster {
-    /// The approximating edge; `p` is the cluster's centre.
+    /// The edge that stands for the cluster; its `p` is the cluster's centre.
     line: Line,
     /// Maximum distance of the edges' ends from the centre, pixels.
     radius: f64,
-    /// Σ strength·|displacement at the centre − mean displacement|.
+    /// Σ strength·|displacement at the centre − the cluster's mean displacement|.
     deviation: f64,
     /// Σ strength·‖linear part of the displacement‖.
     slope: f64,
@@ -51,16 +51,16 @@ pub(super) struct Clusters {
     clusters: Vec<Cluster>,
 }
 
-/// Coordinates of the grid's nodes that share one selection of clusters.
+/// The coordinates of a tile of grid nodes, all of which use the same clusters.
 pub(super) struct Tile {
     pub xs: [f32; LANES],
     pub ys: Vec<f32>,
-    /// Number of `xs` that are nodes of the grid.
+    /// Number of entries of `xs` that are nodes of the grid; the others are padding.
     pub lanes: usize,
 }
 
 impl Tile {
-    /// Bounds of the nodes' distances from a point: minimum and maximum.
+    /// Lower and upper bound of the distances of the tile's nodes from a point, pixels.
     fn distances(&self, [px, py]: [f32; 2]) -> (f64, f64) {
         let along = |first: f32, last: f32, p: f32| {
             let (before, after) = (f64::from(first - p), f64::from(p - last));
@@ -72,17 +72,17 @@ impl Tile {
     }
 }
 
-/// A cluster that approximates its edges at a tile.
+/// A cluster that is far from a tile, with its terms of the error bound.
 #[derive(Clone, Copy)]
 struct FarCluster {
     cluster: usize,
-    /// The cluster's term of P (module head).
+    /// The cluster's term of P, in the module's documentation.
     p: f64,
-    /// The cluster's term of Q.
+    /// The cluster's term of Q, in the module's documentation.
     q: f64,
     /// Lower bound of the cluster's weight at the tile's nodes.
     weight: f64,
-    /// The cluster's term of the bound's numerator, at the expected distance of the mean from D₀.
+    /// The cluster's term P + Q·|D′ − D₀| of the bound's numerator, for the expected distance |D′ − D₀|.
     bound: f64,
 }
 
@@ -111,7 +111,7 @@ impl Clusters {
         let far_cluster =
             |cluster: usize| self.far_cluster(cluster, tile, reference, near_farthest);
         let mut terms: Vec<FarCluster> = far.into_iter().map(far_cluster).collect();
-        // Bounds are not negative, so that their bits are in their order.
+        // Bounds are not negative, so that the order of their bits is their order as numbers.
         let by_bound = |(n, term): (usize, &FarCluster)| (term.bound.to_bits(), term.cluster, n);
         let mut far: BinaryHeap<(u64, usize, usize)> =
             terms.iter().enumerate().map(by_bound).collect();
@@ -124,7 +124,7 @@ impl Clusters {
                 bound += terms[n].bound;
                 weight += terms[n].weight - terms[n].q;
             }
-            // Negated, so that NaN opens clusters too.
+            // Negated, so that a NaN bound opens clusters too.
             while !(bound <= budget * weight) {
                 let Some((.., n)) = far.pop() else { break };
                 let open = terms[n];
@@ -157,12 +157,13 @@ impl Clusters {
             if far.is_empty() || is_within {
                 return all;
             }
-            // The mean is farther from D₀ than was expected.
+            // |D′ − D₀| is larger than expected: repeat with a smaller tolerance.
             budget *= 0.5;
         }
     }
 
-    /// Splits a cluster into edges near the tile and clusters far from it.
+    /// Collects the edges of cluster `k` that are near the tile, and the clusters below it that are far from
+    /// it.
     fn near(&self, k: usize, tile: &Tile, near: &mut Vec<Line>, far: &mut Vec<usize>) {
         let cluster = &self.clusters[k];
         let (min, _) = tile.distances(cluster.line.p);
@@ -175,15 +176,15 @@ impl Clusters {
         }
     }
 
-    /// A cluster's contribution to the bound on the error of a tile's displacements, assuming that their weighted mean is
-    /// within `farthest` of `reference`.
+    /// Cluster `k` with its terms of the error bound at a tile, where D₀ is `reference` and |D′ − D₀| is at
+    /// most `farthest`, pixels.
     fn far_cluster(&self, k: usize, tile: &Tile, reference: [f32; 2], farthest: f64) -> FarCluster {
         let cluster = &self.clusters[k];
         let line = &cluster.line;
         let strength = f64::from(line.strength);
         let weight = |distance: f64| (f64::from(A_PX) + distance).powi(-4);
         let (min, max) = tile.distances(line.p);
-        // The weight is convex and decreases with distance, so that its error is largest at the nearest node.
+        // The weight is convex and decreasing in distance, so that its error is largest at the nearest node.
         let error = weight((min - cluster.radius).max(0.0)) - weight(min.max(cluster.radius));
         let from_reference = distance(line.shift, reference);
         let p = error * (strength * from_reference + cluster.deviation + cluster.slope * max);
@@ -193,8 +194,8 @@ impl Clusters {
     }
 }
 
-/// Over the nodes of a tile, the minimum sum of weights, and the maximum distance of a displacement from the
-/// reference, pixels.
+/// The minimum sum of weights over a tile's nodes, and the maximum distance of a node's mean displacement
+/// from `reference`, pixels.
 fn node_bounds(rows: &[WarpSums], tile: &Tile, reference: [f32; 2]) -> (f64, f64) {
     let (mut weight, mut farthest) = (f64::INFINITY, 0.0_f64);
     for row in rows {
@@ -237,7 +238,7 @@ fn midpoint(line: &Line) -> [f64; 2] {
         .map(|k| f64::from(line.p[k]) + 0.5 * f64::from(line.length) * f64::from(line.direction[k]))
 }
 
-/// Length of a vector in an image, whose squares do not overflow.
+/// Length of a vector between pixels of an image; its squares do not overflow.
 fn norm([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
 }
@@ -250,13 +251,13 @@ fn distance(a: [f32; 2], b: [f32; 2]) -> f64 {
 impl Cluster {
     fn new(edges: &[Midpoint], range: Range<usize>, children: Option<[usize; 2]>) -> Self {
         let with_strengths = || edges.iter().map(|edge| (f64::from(edge.line.strength), edge));
-        // Strengths are at least 1, so that their sum isn't 0.
+        // Strengths are at least 1, so that their sum is positive.
         let strength: f64 = with_strengths().map(|(strength, _)| strength).sum();
         let mut centre = [0.0; 2];
         for (strength, edge) in with_strengths() {
             centre = [0, 1].map(|k| centre[k] + strength * edge.at[k]);
         }
-        // Rounded to f32 as in the sums, so that the radius is about the same point.
+        // Rounded to f32 as in the sums, so that the radius is measured from the same centre.
         let centre = centre.map(|sum| f64::from((sum / strength) as f32));
         let (mut maps, mut shifts) = ([0.0; 4], [0.0; 2]);
         let (mut slope, mut radius) = (0.0, 0.0_f64);

@@ -1,9 +1,9 @@
 //! §5.3: Beier and Neely's morph (SIGGRAPH '92) with boosted real edges, eqs. (7) and (8).
 //!
 //! Each edge maps the plane by the similarity that takes its line at the instant to its line in the source
-//! frame. A pixel's source is the weighted mean of the sources by all edges. The warp is evaluated at the
-//! nodes of a grid, and bilinearly interpolated between them. At a node, near edges are summed one by one and
-//! far ones by [`clusters`].
+//! frame. A pixel's source position is the weighted mean of the positions by all edges. The warp is evaluated
+//! at the nodes of a grid, and bilinearly interpolated between them. At a node, near edges are summed one by
+//! one and far ones by [`clusters`].
 
 mod clusters;
 
@@ -21,9 +21,9 @@ const MIN_LENGTH_PX: f64 = 1e-3;
 pub const EDGE_BOOST: f64 = 4.0;
 /// Largest exponent of the boost, eq. (8), for which f32 holds all weights: 2^4 · 2^32 = 7e10.
 const MAX_BOOST: f64 = 32.0;
-/// Nodes that are computed at once: the lanes of an AVX2 register.
+/// Number of nodes that are computed at once: the f32 lanes of an AVX2 register.
 const LANES: usize = 8;
-/// Nodes along each side of a tile, which share one selection of clusters.
+/// Number of nodes along each side of a tile; all nodes of a tile use the same clusters.
 const TILE: usize = LANES;
 
 /// The warp (§5.3) from the instant to a source frame of this width and height, by the edges' lines in both.
@@ -59,8 +59,8 @@ pub fn morph_warp(edges: &[Edge], size: [usize; 2], boost: f64, grid_px: usize) 
     warp
 }
 
-/// The nodes at which a warp is evaluated. They lie on pixel centres, the first on the first pixel's; the last
-/// may lie beyond the image.
+/// The grid of nodes at which a warp is evaluated. Nodes lie on pixel centres, the first on the centre of the
+/// top-left pixel; the last may lie beyond the image.
 struct NodeGrid {
     step: usize,
     /// Number of nodes across and down.
@@ -72,12 +72,13 @@ impl NodeGrid {
         Self { step, nodes: size.map(|size| (size - 1).div_ceil(step) + 1) }
     }
 
-    /// The coordinate of a node, pixels.
+    /// The coordinate of node `node` along either axis, pixels.
     fn at(&self, node: usize) -> f32 {
         (node * self.step) as f32 + 0.5
     }
 
-    /// The nodes before and after a pixel along an axis, and its fraction between them.
+    /// The indices of the nodes before and after a pixel along an axis (0: x, 1: y), and its fraction of the
+    /// way between them.
     fn nodes_around(&self, pixel: usize, axis: usize) -> (usize, usize, f32) {
         let before = pixel / self.step;
         let after = (before + 1).min(self.nodes[axis] - 1);
@@ -85,7 +86,7 @@ impl NodeGrid {
     }
 }
 
-/// The displacements at the nodes of one row of tiles.
+/// The displacements, pixels, at the nodes of row `tile_row` of tiles, row by row.
 fn tile_row(clusters: &Clusters, grid: &NodeGrid, tile_row: usize) -> Vec<[f32; 2]> {
     let [across, down] = grid.nodes;
     let first_row = tile_row * TILE;
@@ -105,22 +106,22 @@ fn tile_row(clusters: &Clusters, grid: &NodeGrid, tile_row: usize) -> Vec<[f32; 
     displacements
 }
 
-/// An edge in the inner loop: the displacement at X is map·(X − p) + shift.
+/// An edge as the inner loop needs it: its displacement of a position X is map·(X − p) + shift.
 #[derive(Clone, Copy, Debug)]
 struct Line {
     p: [f32; 2],
     /// Unit direction at the instant.
     direction: [f32; 2],
     length: f32,
-    /// Linear part of the displacement, row by row.
+    /// Linear part of the displacement, a 2×2 matrix row by row.
     map: [f32; 4],
-    /// Displacement of p.
+    /// Displacement at `p`, pixels.
     shift: [f32; 2],
     /// The boost of eq. (8); 1 for a virtual edge.
     strength: f32,
 }
 
-/// The edges that have a direction, with the boost of eq. (8).
+/// The edges as lines with the boost of eq. (8), without those that are too short to have a direction.
 fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
     let fitness = || edges.iter().filter_map(|e| e.mean_fitness);
     let min = fitness().fold(f64::INFINITY, f64::min);
@@ -132,8 +133,8 @@ fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
         if !(length >= MIN_LENGTH_PX && source_length >= MIN_LENGTH_PX) {
             return None;
         }
-        // Beier and Neely's u runs with the edge's length, their v is in pixels:
-        // X' = P' + e'·(e·(X−P))/L² + e'⊥·(e⊥·(X−P))/(L·L').
+        // Beier and Neely's u is relative to the edge's length, their v is in pixels: X' = P' +
+        // e'·(e·(X−P))/L² + e'⊥·(e⊥·(X−P))/(L·L').
         let (along, across) = (length * length, length * source_length);
         let map = [
             e_source.x * e.x / along + e_source.y * e.y / across - 1.0,
@@ -159,7 +160,8 @@ fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
     edges.iter().filter_map(line).collect()
 }
 
-/// The sums of eq. (7) at eight positions of a row: of the weights, and of the weighted displacements.
+/// The sums of eq. (7) at eight positions of a row: the sum of the weights, and of the weighted
+/// displacements.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct WarpSums {
     weights: [f32; LANES],
@@ -174,8 +176,8 @@ impl WarpSums {
         Self { weights: add(self.weights, other.weights), x, y }
     }
 
-    /// The weighted mean displacements. A line's weight is at least 1/(2^16)^4 ≥ 5e-20, so that the divisor
-    /// isn't 0; without lines they are NaN.
+    /// The weighted mean displacements, pixels. A line's weight is at least 1/(2^16)^4 ≥ 5e-20, so that the
+    /// divisor isn't 0; without lines the means are NaN.
     fn means(&self) -> [[f32; 2]; LANES] {
         std::array::from_fn(|l| [self.x[l] / self.weights[l], self.y[l] / self.weights[l]])
     }
@@ -298,7 +300,7 @@ mod tests {
         }
     }
 
-    /// Triangles over an image, some with a boost, whose features move as if filmed with noise.
+    /// The edges of triangles over a square image. Some have a boost, and the features' motion has noise.
     fn many(size: f64, spacing: f64, noise: f64) -> Vec<Edge> {
         let count = (size / spacing) as usize;
         let mut random = Random::new(5);
@@ -329,7 +331,7 @@ mod tests {
     fn clusters_are_within_their_tolerance_and_are_used() {
         for (size, spacing, noise) in [(200.0, 8.0, 0.0), (200.0, 6.0, 2.0), (90.0, 30.0, 5.0)] {
             let mut edges = many(size, spacing, noise);
-            // An edge that outweighs the rest of its cluster, away from the cluster's centre.
+            // An edge far from its cluster's centre that outweighs the cluster's other edges.
             edges[0].mean_fitness = Some(9.0);
             for (boost, grid_px) in [(4.0, 4), (0.0, 1), (10.0, 7)] {
                 let warp = morph_warp(&edges, [150, 130], boost, grid_px);
@@ -347,7 +349,7 @@ mod tests {
                     }
                 }
                 assert!(!is_exact, "clusters count: {size} {spacing} {boost}");
-                // Beside the tolerance, the sums' rounding.
+                // In addition to the tolerance, the rounding of the sums.
                 assert!(worst <= clusters::TOLERANCE_PX + 1e-3, "{size} {boost}: {worst}");
             }
         }
@@ -358,7 +360,7 @@ mod tests {
         let edges = scattered(|p| p + Vector2::new(1.0, 1.0));
         for boost in [0.0, 10.0, 32.0, 1e9] {
             let mut edges = edges.clone();
-            // As long as the largest image.
+            // An edge as long as the largest image.
             edges.push(edge([0.0, 0.0], [1e4, 0.0], Some(0.3), |p| p));
             let warp = morph_warp(&edges, [40, 30], boost, 4);
             assert!(warp.source.iter().flatten().all(|v| v.is_finite()), "{boost}");

@@ -1,33 +1,34 @@
-//! Overlapping blocks of pixels, and the weights by which they fade into each other.
+//! Overlapping blocks of pixels, and the weights by which they are blended.
 
 use nalgebra::Point2;
 use std::ops::Range;
 
 /// Minimum side of a block, pixels. It is at least four times a window's radius.
 const MIN_SIDE_PX: usize = 16;
-/// Ratio of a block's side to its overlap with a neighbour. (With 2, images of six scenes are 0.03 dB better in the
-/// mean, and take twice as long to refine.)
+/// Ratio of a block's side to its overlap with a neighbour. (With a ratio of 2, images of six scenes are 0.03
+/// dB better in the mean, and take twice as long to refine.)
 const SIDES_PER_OVERLAP: usize = 4;
 
-/// Blocks of one size that overlap and cover an image.
+/// A grid of overlapping square blocks of one size that cover an image.
 #[derive(Clone, Copy, Debug)]
 pub struct BlockGrid {
     /// Width and height of the image.
     pub image: [usize; 2],
     /// Side of a block, pixels.
     pub side: usize,
-    /// Overlap of two neighbours, pixels.
+    /// Overlap of two neighbouring blocks, pixels.
     overlap: usize,
 }
 
 impl BlockGrid {
-    /// The grid for an image of this width and height, and for windows of this radius.
+    /// The grid for an image of this width and height; the windows around pixels have radius
+    /// `window_radius_px`.
     pub fn new(image: [usize; 2], window_radius_px: usize) -> Self {
         let side = MIN_SIDE_PX.max(4 * window_radius_px);
         Self { image, side, overlap: side / SIDES_PER_OVERLAP }
     }
 
-    /// Distance between the origins of neighbours, pixels.
+    /// Distance between the origins of neighbouring blocks, pixels.
     fn step(&self) -> usize {
         self.side - self.overlap
     }
@@ -42,7 +43,7 @@ impl BlockGrid {
         self.along_axis(0) * self.along_axis(1)
     }
 
-    /// The pixels of a block.
+    /// The square of pixels of block number `block`, row by row of blocks.
     pub fn area(&self, block: usize) -> BlockArea {
         let across = self.along_axis(0);
         let at = |n: usize| (n * self.step()) as isize - self.overlap as isize;
@@ -50,8 +51,8 @@ impl BlockGrid {
         BlockArea { origin, side: self.side, image: self.image }
     }
 
-    /// The weights of a block's columns; its rows have the same. A pixel's weight is that of its column times that of
-    /// its row. At each pixel, the weights of the overlapping blocks sum to 1.
+    /// The weights of a block's columns, which are also those of its rows. A pixel's weight is that of its
+    /// column times that of its row. At each pixel, the weights of the overlapping blocks sum to 1.
     pub fn weights(&self) -> Vec<f32> {
         let ramp = |k: usize| (k as f32 + 0.5) / self.overlap as f32;
         let weight = |k: usize| match k.checked_sub(self.step()) {
@@ -66,7 +67,7 @@ impl BlockGrid {
 /// A block's square of pixels, part of which may be outside the image.
 #[derive(Clone, Copy)]
 pub struct BlockArea {
-    /// The top-left pixel.
+    /// The top-left pixel, column and row of the image; negative if it is outside.
     pub origin: [isize; 2],
     /// Pixels along a side.
     pub side: usize,
@@ -75,13 +76,13 @@ pub struct BlockArea {
 }
 
 impl BlockArea {
-    /// The centre, to half a pixel.
+    /// The centre, rounded to half a pixel.
     pub fn center(self) -> Point2<f64> {
         Point2::from(self.origin.map(|v| (v + self.side as isize / 2) as f64))
     }
 
-    /// The part of each of the block's rows that is inside the image: the index in the block of its first pixel, its
-    /// columns of the image, and its row of the image.
+    /// The parts of the block's rows that are inside the image: the index in the block of the part's first
+    /// pixel, the range of its columns in the image, and its row in the image.
     pub fn rows(self) -> impl Iterator<Item = (usize, Range<usize>, usize)> {
         let Self { origin, side, image } = self;
         let inside = move |n: usize| {
@@ -94,14 +95,15 @@ impl BlockArea {
         inside(1).map(move |y| (index(y), columns.clone(), y))
     }
 
-    /// This block's values, row by row, without its part outside of the image. `values` holds one value for each pixel of
-    /// the image.
+    /// The values at the block's pixels, row by row, without pixels outside the image. `values` holds one
+    /// value for each pixel of the image.
     pub fn rows_of<T>(self, values: &[T]) -> impl Iterator<Item = &[T]> {
         let width = self.image[0];
         self.rows().map(move |(_, columns, y)| &values[y * width..][columns])
     }
 
-    /// The interleaved values of the block's pixels, from those of all pixels of the image; 0 outside the image.
+    /// The values at the block's pixels, row by row, channels interleaved; 0 outside the image. `values`
+    /// holds those of the whole image.
     pub fn crop(self, values: &[f32], channels: usize) -> Vec<f32> {
         let mut all = vec![0.0; self.side * self.side * channels];
         for (first, columns, y) in self.rows() {

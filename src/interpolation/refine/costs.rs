@@ -1,5 +1,6 @@
-//! Costs of motions: differences of motion-compensated frames, averaged over a window. A window's mean hardly changes
-//! from a pixel to the next, so that costs are computed at a few points and interpolated between them.
+//! Costs of motions: differences of motion-compensated frames, averaged over a window. A window's mean
+//! changes little from pixel to pixel, so that costs are computed at a coarser grid of points and
+//! interpolated.
 
 use super::FourFrames;
 use super::motions::{AffineMotion, MotionHypotheses};
@@ -10,27 +11,28 @@ use crate::raster::{Image, box_filter, sample_all};
 use nalgebra::{Point2, Vector2};
 use std::sync::OnceLock;
 
-/// Minimum number of points along a window's radius. (At 640×480, with costs at every pixel, images of six scenes
-/// are 0.02 dB better in the mean, −0.12 to +0.14, and take twice as long to refine.)
+/// Minimum number of points along a window's radius. (With costs at every pixel, images of six scenes at
+/// 640×480 are 0.02 dB better in the mean, −0.12 to +0.14, and take twice as long to refine.)
 const MIN_POINTS_IN_RADIUS: usize = 2;
 /// Minimum side of the cells of [`FrameCosts`], pixels. It is at least four times a window's radius.
 const MIN_CELL_PX: usize = 16;
 
-/// A square grid of points in the centres of pixels, which may extend beyond the image.
+/// A square grid of points at pixel centres; it may extend beyond the image.
 #[derive(Clone, Copy)]
 pub struct PointGrid {
     /// The top-left corner of the first point's pixel.
     pub corner: Point2<f64>,
-    /// The position that affine motions are relative to, pixels.
+    /// The centre of the affine motions: the position to which their offsets are relative, pixels.
     pub center: Point2<f64>,
-    /// Points along a side.
+    /// Number of points along a side.
     pub side: usize,
     /// Distance of neighbouring points, pixels.
     pub step: usize,
 }
 
 impl PointGrid {
-    /// The positions that a motion takes the points to in a frame (0 to 3: before, earlier, later, after), row by row.
+    /// The positions in a frame (0 to 3: before, earlier, later, after) to which a motion takes the points,
+    /// pixels, row by row.
     pub fn positions(&self, motion: &AffineMotion, frame: usize) -> Vec<[f32; 2]> {
         let mut positions = Vec::with_capacity(self.side * self.side);
         for row in 0..self.side {
@@ -47,7 +49,7 @@ impl PointGrid {
         positions
     }
 
-    /// Samples the image of a frame (0 to 3) at [`Self::positions`]: one pixel a point.
+    /// Samples a frame's image (0 to 3) at [`Self::positions`]. The result has one pixel per point.
     pub fn sample(&self, image: &Image, motion: &AffineMotion, frame: usize) -> Image {
         let mut samples = vec![0.0; self.side * self.side * image.channels()];
         sample_all(image, self.positions(motion, frame).into_iter(), &mut samples);
@@ -55,7 +57,8 @@ impl PointGrid {
     }
 }
 
-/// The points at which costs are computed: those in a block, and those in the windows around its pixels.
+/// The grid of points at which the costs of a block are computed. It covers the block and the windows around
+/// its pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct CostPoints {
     /// Distance of neighbouring points, pixels.
@@ -73,7 +76,7 @@ impl CostPoints {
         Self { step, radius: (window_radius_px + step / 2) / step, block }
     }
 
-    /// Distance of the first point from the block's first pixel, pixels.
+    /// Distance from the first point to the block's first pixel along each axis, pixels.
     pub fn margin_px(&self) -> usize {
         self.radius * self.step
     }
@@ -83,7 +86,7 @@ impl CostPoints {
         (self.block - 1).div_ceil(self.step) + 1 + 2 * self.radius
     }
 
-    /// The mean of the points' values over the window around each point.
+    /// For each point, the mean of `values` over the window around it; one value per point, row by row.
     pub fn window_means(&self, values: &[f32]) -> Vec<f32> {
         box_filter(values, self.side(), self.side(), self.radius)
     }
@@ -97,7 +100,7 @@ impl CostPoints {
             rows.for_each(|row| out.extend_from_slice(&row[radius..][..self.block]));
             return out;
         }
-        // The neighbour after the last point has no weight.
+        // Where this is the last point, the neighbour has weight 0.
         let next = |k: usize| (k + 1).min(side - 1);
         let mut row = vec![0.0; side];
         for y in 0..self.block {
@@ -115,24 +118,25 @@ impl CostPoints {
     }
 }
 
-/// How well motion explains the two frames of a pair: for each point of the earlier and of the later frame, the
-/// smallest difference from an adjacent frame, over the motions of nearby tracks.
+/// Lower bounds on the cost of motion in the two frames of a pair: for each point of the earlier and of the
+/// later frame, the smallest difference from an adjacent frame, over the motions of nearby tracks.
 ///
-/// The costs are the same at all instants. They depend on the inputs of [`Self::new`], on the pair's images, and on
-/// those of the frames before and after the pair. Only parts of the frames are needed, so that the costs are computed
-/// in square cells, each when it is first read.
+/// The costs are the same at all instants. They depend on the inputs of [`Self::new`], on the pair's images,
+/// and on the frames before and after the pair. Only parts of the frames are needed, so that costs are
+/// computed in square cells, each when it is first read.
 pub struct PairCosts([FrameCosts; 2]);
 
 impl PairCosts {
-    /// The costs of a frame pair of this width and height, by the motions of its tracks, not computed yet.
+    /// The costs of a frame pair of this width and height, for the motions of its tracks. They are computed
+    /// when they are read.
     pub fn new(tracked: &TrackedPair, size: [usize; 2], options: &InterpolationOptions) -> Self {
         let earlier = tracked.motions(options.curved, |_, track| track.earlier);
         let later = tracked.motions(options.curved, |_, track| track.later);
         Self::of_motions(size, [earlier, later], options)
     }
 
-    /// As [`Self::new`], by two sets of motions: from the tracks' positions in the earlier frame, and from those in the
-    /// later frame.
+    /// [`Self::new`] from two lists of motions: one from the tracks' positions in the earlier frame, the
+    /// other from those in the later frame.
     pub(super) fn of_motions(
         size: [usize; 2],
         [earlier, later]: [Vec<TrackMotion>; 2],
@@ -150,7 +154,7 @@ impl PairCosts {
         }))
     }
 
-    /// The costs of the earlier frame (0) or the later one (1).
+    /// The costs of the earlier frame (`n` = 0) or of the later one (1).
     pub(super) fn of(&self, n: usize) -> &FrameCosts {
         &self.0[n]
     }
@@ -166,15 +170,16 @@ impl PairCosts {
     }
 }
 
-/// The minimum cost at each point of a frame. A cost is the mean difference, over the window around the point, between
-/// this frame and one of the two adjacent frames, compensated by the motion of nearby tracks. The minimum is over the
-/// motions and both adjacent frames. Where it is small, one of the motions explains the point.
+/// The minimum cost at each point of a frame. A cost is the mean difference, over the window around the
+/// point, between this frame and one of the two adjacent frames, compensated by the motion of nearby tracks.
+/// The minimum is over the motions and both adjacent frames. A small minimum means that one of the motions
+/// explains the point.
 pub(super) struct FrameCosts {
-    /// The frame: 1 the earlier, 2 the later.
+    /// The frame's number: 1 the earlier, 2 the later.
     frame: usize,
     /// Width and height of the frame.
     size: [usize; 2],
-    /// The tracks' motions from their positions in the frame.
+    /// The motions to be tried, found by a track's position in this frame.
     motions: MotionHypotheses,
     /// The points of a cell: a square of pixels, for all of which the same motions are tried.
     points: CostPoints,
@@ -207,7 +212,7 @@ impl FrameCosts {
     /// of the pixels that it represents.
     fn cell(&self, frames: &FourFrames, corner: Point2<f64>) -> Vec<f32> {
         let images = frames.images();
-        // The two adjacent frames: one outer frame, and the other middle frame.
+        // The two adjacent frames: an outer one, and the other frame of the pair.
         let neighbors = if self.frame == 1 { [0, 2] } else { [1, 3] };
         let CostPoints { radius, step, .. } = self.points;
         let points = self.points_per_side();
@@ -245,7 +250,7 @@ mod tests {
 
     const SIZE: usize = 60;
 
-    /// Vertical stripes that are `shift` px to the right, in front of which a bright square hides some.
+    /// Vertical stripes that are `shift` px to the right. If `square`, a bright square occludes some of them.
     fn stripes(shift: f32, square: bool) -> Image {
         let value = |k: usize| {
             let (x, y) = ((k % SIZE) as f32, (k / SIZE) as f32);
@@ -276,15 +281,15 @@ mod tests {
         };
         let [alone, with_before] = [None, Some(&before)].map(of);
         assert!(alone(10.5, 10.5) < 1e-3 && alone(50.5, 30.5) < 1e-3);
-        // The later frame hides this point; the frame before shows it.
+        // The later frame occludes this point; the frame before the pair shows it.
         assert!(alone(27.5, 30.5) > 0.1);
         assert!(with_before(27.5, 30.5) < 1e-3);
-        // Outside the image, the cost of the nearest pixel.
+        // Outside the image, the cost is that of the nearest pixel.
         assert!(alone(-5.0, 10.5) == alone(0.5, 10.5));
     }
 
-    /// The image has several cells, and its size is no multiple of a cell's. The larger window is sampled at every
-    /// second pixel.
+    /// The image has several cells, and its size is not a multiple of a cell's. For the larger window, costs
+    /// are at every second pixel.
     #[test]
     fn costs_equal_direct_ones() {
         let (w, h) = (41, 37);
@@ -336,7 +341,7 @@ mod tests {
         {
             let points = CostPoints::new(radius, block);
             let side = points.side();
-            // At the pixel of the first point, and from there on.
+            // At the pixel of the first point, and at others after it.
             let value = |x: f32, y: f32| 0.5 + 0.25 * x - 0.125 * y;
             let at = |k: usize| (k * points.step) as f32 - points.margin_px() as f32;
             let values: Vec<f32> =

@@ -1,5 +1,5 @@
-//! Compositing of four frames: the outer two are averaged into the middle ones where they agree, which halves
-//! the noise variance.
+//! Compositing of four frames: the outer two are averaged with the composite of the middle two where they
+//! agree, which halves the noise variance.
 
 use super::FourFrames;
 use super::blocks::BlockArea;
@@ -9,27 +9,28 @@ use crate::interpolation::warp::difference;
 use crate::raster::Image;
 use std::cell::OnceCell;
 
-/// Excess of an outer frame's cost over the middle frames' up to which the outer frame has full weight, values 0..=1.
+/// Difference between an outer frame's cost and the middle frames' up to which the outer frame has full
+/// weight, values 0..=1.
 const OUTER_SLACK: f32 = 0.01;
-/// Further excess by which an outer frame's weight falls to 1/e.
+/// Further difference by which an outer frame's weight falls to 1/e.
 const OUTER_SOFTNESS: f32 = 0.01;
-/// Maximum mean excess in a static block, as a fraction of [`OUTER_SLACK`].
+/// Maximum mean of this difference in a static block, as a fraction of [`OUTER_SLACK`].
 const STATIC_EXCESS_FRACTION: f32 = 0.25;
-/// Maximum weight that is neglected, relative to the largest one.
+/// Weights below this fraction of the largest weight are neglected.
 pub const NEGLIGIBLE_WEIGHT: f32 = 1e-3;
 
 impl FourFrames<'_> {
-    /// The weight of an outer frame among four that agree: 0 at a frame, which stays as filmed, and 1/4 halfway
-    /// between two.
+    /// The weight of each outer frame where all four agree: 0 at a frame's time, so that the frame stays as
+    /// filmed, and 1/4 halfway between two.
     pub fn outer_weight(&self) -> f32 {
         0.25 * (4.0 * self.fraction * (1.0 - self.fraction))
     }
 }
 
-/// A block of the four frames, motion-compensated. It is sampled at the points of costs, and on demand at the
-/// pixels.
+/// A block of the four frames, compensated by one motion. Frames are sampled on the grid of cost points, and
+/// at the block's pixels when that is first needed.
 pub struct CompensatedFrames<'a> {
-    /// The motion, about the block's centre.
+    /// The motion, relative to the block's centre.
     pub motion: AffineMotion,
     frames: [Option<&'a Image>; 4],
     pixels: PointGrid,
@@ -38,7 +39,7 @@ pub struct CompensatedFrames<'a> {
 }
 
 impl<'a> CompensatedFrames<'a> {
-    /// Samples the given frames.
+    /// Samples the frames that are not `None` at `points`.
     pub fn new(
         motion: AffineMotion,
         frames: [Option<&'a Image>; 4],
@@ -49,12 +50,12 @@ impl<'a> CompensatedFrames<'a> {
         Self { motion, frames, pixels, at_points, at_pixels: Default::default() }
     }
 
-    /// Frame 0 to 3 at the points of costs, if given.
+    /// Frame 0 to 3 on the grid of cost points; `None` if it was not given.
     pub fn at_points(&self, frame: usize) -> Option<&Image> {
         self.at_points[frame].as_ref()
     }
 
-    /// Frame 0 to 3 at the block's pixels, if given.
+    /// Frame 0 to 3 at the block's pixels; `None` if it was not given.
     pub fn at_pixels(&self, frame: usize) -> Option<&Image> {
         let image = self.frames[frame]?;
         let sample = || self.pixels.sample(image, &self.motion, frame);
@@ -62,8 +63,7 @@ impl<'a> CompensatedFrames<'a> {
     }
 }
 
-/// A block's composite of the two middle frames, warped or motion-compensated, at the pixels and at the points of
-/// costs.
+/// A block's composite of the two middle frames, at its pixels and on the grid of cost points.
 pub struct MiddleFrames<'a> {
     pub at_pixels: Image,
     pub at_points: Image,
@@ -71,8 +71,9 @@ pub struct MiddleFrames<'a> {
     pub costs: &'a [f32],
 }
 
-/// Averages the outer frames into the composite of the middle ones, with a weight of at most `outer_weight` each. At
-/// each pixel, an outer frame is compensated by the motion with which it differs least from the composite.
+/// Averages the outer frames into the composite of the middle frames, with a weight of at most `outer_weight`
+/// each. At each pixel, an outer frame is compensated by that of the motions for which it differs least from
+/// the composite.
 pub fn fuse(
     MiddleFrames { at_pixels: middle, at_points, costs }: MiddleFrames,
     compensated: &[CompensatedFrames],
@@ -85,7 +86,7 @@ pub fn fuse(
     let mut fused = middle.clone();
     let channels = fused.channels();
     for frame in [0, 3] {
-        // Each pixel's motion of the smallest cost, and this cost.
+        // For each pixel the motion of smallest cost, and this cost.
         let mut best = vec![(0, f32::INFINITY); costs.len()];
         for (index, frames) in compensated.iter().enumerate() {
             let Some(outer) = frames.at_points(frame) else { continue };
@@ -121,8 +122,8 @@ pub fn fuse(
 }
 
 /// Whether nothing moves in a block: the outer frames' costs exceed those of the middle frames by at most
-/// [`OUTER_SLACK`] at each pixel, and by at most [`STATIC_EXCESS_FRACTION`] of that in the mean. Both kinds of costs
-/// are given for all pixels of the image.
+/// [`OUTER_SLACK`] at each pixel, and on average by at most [`STATIC_EXCESS_FRACTION`] of that. `outer_costs`
+/// and `costs` have one value for each pixel of the image.
 pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: BlockArea) -> bool {
     outer_costs.iter().flatten().all(|outer| {
         let (mut sum, mut count) = (0.0, 0.0);
@@ -139,7 +140,7 @@ pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: Block
     })
 }
 
-/// The mean of the four frames in a static block, without resampling; black outside the image.
+/// The mean of the four frames in a static block, without motion compensation; 0 outside the image.
 pub fn static_mean(frames: &FourFrames, cross_faded: &Image, area: BlockArea) -> Vec<f32> {
     let weight = frames.outer_weight();
     let crop = |image: &Image| area.crop(image.data(), image.channels());

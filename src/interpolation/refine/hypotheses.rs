@@ -1,4 +1,5 @@
-//! Hypotheses of a block's pixels: motion and visibility, their costs and weights, and the weighted mean.
+//! Hypotheses about a block's pixels: each is a motion with a visibility. Their costs, their weights, and the
+//! weighted mean.
 
 use super::blocks::BlockArea;
 use super::costs::PointGrid;
@@ -12,26 +13,28 @@ use std::borrow::Cow;
 
 /// Increase of a hypothesis's cost, values 0..=1, by which its weight falls to 1/e.
 const SOFTNESS: f32 = 0.02;
-/// Minimum weight of a hypothesis, so that their sum is positive.
+/// Minimum weight of a hypothesis, so that the sum of weights is positive.
 const MIN_WEIGHT: f32 = 1e-30;
-/// Prior cost of visibility in one frame alone, halfway between the frames.
+/// Prior cost of the hypothesis that only one frame sees the surface, at an instant halfway between the
+/// frames.
 const ONE_FRAME_COST: f32 = 0.1;
-/// Lower bound of 2f, by which [`ONE_FRAME_COST`] is divided. f is the distance in time from a frame as a fraction of
-/// the interval, and 0 at the frame.
+/// Lower bound of the divisor 2f of [`ONE_FRAME_COST`]. f is the time to the frame that misses the surface,
+/// as a fraction of the interval.
 const MIN_DOUBLE_FRACTION: f32 = 1e-3;
-/// Weight of the difference in cost by which another motion explains a frame's pixels better.
+/// Weight, in a hypothesis's cost, of the amount by which another motion explains a frame's pixels better.
 const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
-/// Motion, pixels per frame, below which a surface is at rest.
+/// Motion below which a surface counts as static, pixels per frame.
 const AT_REST_PX: f32 = 1.0;
 
-/// The visibility of a surface in the two middle frames.
+/// Which of the two middle frames see the surface, by a hypothesis.
 enum Visibility {
-    /// The cross-fade of the two warped frames.
+    /// No surface: the cross-fade of the two warped frames.
     CrossFade,
-    /// A surface that both middle frames see: the index of its motion, and the frames' difference at the
-    /// pixels.
+    /// Both middle frames see the surface: the index of its motion, and the difference of the compensated
+    /// frames at the block's pixels.
     BothFrames(usize, Vec<f32>),
-    /// A surface that one middle frame sees: the index of its motion; the earlier frame (1) or the later (2).
+    /// Only one middle frame sees the surface: the index of its motion, and the frame's number, 1 earlier or
+    /// 2 later.
     OneFrame(usize, usize),
 }
 
@@ -49,16 +52,17 @@ impl Hypothesis {
     }
 }
 
-/// A block and its hypotheses of motion.
+/// A block with the motions that are tried in it.
 pub struct BlockHypotheses<'a> {
     shared: &'a SharedInputs<'a>,
     area: BlockArea,
     compensated: Vec<CompensatedFrames<'a>>,
-    /// The points at which costs are computed.
+    /// The grid of points at which costs are computed.
     points: PointGrid,
     /// Mean difference of the two warped frames over the window around each of the block's pixels.
     costs: Vec<f32>,
-    /// Whether the warped frames agree. Then only the outer frames are motion-compensated, to average them in.
+    /// Whether the warped frames agree in the block. Then the outer frames are averaged in, and no other
+    /// visibility is tried.
     agree: bool,
 }
 
@@ -86,7 +90,7 @@ impl<'a> BlockHypotheses<'a> {
         Self { shared, area, compensated, points, costs: area.crop(shared.costs, 1), agree }
     }
 
-    /// The mean of all hypotheses, by their weights at each pixel.
+    /// The weighted mean of all hypotheses, with their weights at each pixel.
     pub fn mean(&self) -> RefinedBlock {
         let mut hypotheses = vec![Hypothesis::new(Visibility::CrossFade, self.costs.clone())];
         for index in (0..self.compensated.len()).filter(|_| !self.agree) {
@@ -121,8 +125,9 @@ impl<'a> BlockHypotheses<'a> {
         RefinedBlock { colors, motions }
     }
 
-    /// Adds the hypotheses of a motion: both middle frames see the surface, and agree; or only the earlier does,
-    /// and agrees with the frame before; or only the later does, and agrees with the frame after.
+    /// Adds the three hypotheses of one motion: both middle frames see the surface, and agree; or only the
+    /// earlier does, and agrees with the frame before it; or only the later does, and agrees with the frame
+    /// after it.
     fn add_hypotheses(&self, index: usize, all: &mut Vec<Hypothesis>) {
         let (compensated, points) = (&self.compensated[index], &self.shared.points);
         let cost = |a: usize, b: usize| {
@@ -146,7 +151,7 @@ impl<'a> BlockHypotheses<'a> {
         let fraction = self.shared.frames.fraction;
         for (n, fraction) in [1.0 - fraction, fraction].into_iter().enumerate() {
             let Some(costs) = &one[n] else { continue };
-            // The nearer the other frame, the less likely does it miss the surface.
+            // A surface is less likely to be missing in a frame that is nearer to the instant.
             let prior = ONE_FRAME_COST / (2.0 * fraction).max(MIN_DOUBLE_FRACTION);
             let mut costs = at_pixels(costs, &better_explained[n]);
             costs.iter_mut().for_each(|cost| *cost += prior);
@@ -154,10 +159,10 @@ impl<'a> BlockHypotheses<'a> {
         }
     }
 
-    /// How much better another motion explains the middle frame `n` (0 earlier, 1 later) than `motion`: the
-    /// difference in cost at each of the block's points, 0 where none is better. `costs` are the costs of `motion` by
-    /// the point's index. Each difference is the minimum over a window, because windows at a surface's outline
-    /// contain background.
+    /// For each cost point of the block, the amount by which another motion has a smaller cost than `motion`
+    /// in the middle frame `n` (0 earlier, 1 later); 0 where none has. `costs(k)` is the cost of `motion` at
+    /// point `k`. Each amount is the minimum over a window, because windows at a surface's outline contain
+    /// background.
     fn better_explained(
         &self,
         n: usize,
@@ -173,7 +178,7 @@ impl<'a> BlockHypotheses<'a> {
         excess
     }
 
-    /// The block's colours if a hypothesis is right.
+    /// The block's colours according to a hypothesis.
     fn colors(&self, hypothesis: &Hypothesis) -> Cow<'_, Image> {
         let given = "the middle frames are compensated unless they agree";
         let (middle, compensated) = match &hypothesis.visibility {
@@ -205,8 +210,8 @@ impl<'a> BlockHypotheses<'a> {
         Cow::Owned(fuse(middle, compensated, &self.shared.points, outer_weight))
     }
 
-    /// The cross-fade of the two warped frames at a square of pixels, `step` apart. Outside the image its border
-    /// is repeated.
+    /// The cross-fade of the two warped frames on a square grid of `side`×`side` pixels, `step` apart, from
+    /// pixel `first` on. Outside the image its border is repeated.
     fn cross_faded(&self, first: [isize; 2], side: usize, step: usize) -> Image {
         let image = self.shared.cross_faded;
         let clamp = |at: isize, size: usize| at.clamp(0, size as isize - 1) as usize;
@@ -219,7 +224,7 @@ impl<'a> BlockHypotheses<'a> {
         Image::from_data(side, side, image.channels(), data)
     }
 
-    /// The motions of the block's pixels if a hypothesis is right, [`MOTION_CHANNELS`] a pixel.
+    /// The motions of the block's pixels according to a hypothesis, [`MOTION_CHANNELS`] values per pixel.
     fn motions(&self, hypothesis: &Hypothesis) -> Vec<f32> {
         let (Visibility::BothFrames(index, _) | Visibility::OneFrame(index, _)) =
             hypothesis.visibility
@@ -236,7 +241,8 @@ impl<'a> BlockHypotheses<'a> {
         let motion_px = steps[1].norm() as f32;
         let change_px = change_px(0, 0).max(change_px(3, 1));
         let of_pixel = |(&cost, &of_warps): (&f32, &f32)| {
-            // At rest, frames may agree although something passes between them.
+            // For a static surface, frames may agree although another body passes between them: the warped
+            // frames' cost is a lower bound.
             let cost = if motion_px < AT_REST_PX { cost.max(of_warps) } else { cost };
             [motion_px, change_px, cost]
         };
@@ -244,7 +250,7 @@ impl<'a> BlockHypotheses<'a> {
     }
 }
 
-/// Adds the interleaved values of pixels, times the pixels' weights, to `sums`.
+/// Adds pixels' interleaved values, multiplied by the pixels' weights, to `sums`.
 fn add_weighted(sums: &mut [f32], weights: &[f32], values: &[f32]) {
     let channels = sums.len() / weights.len();
     let values = values.chunks_exact(channels);

@@ -1,28 +1,28 @@
 //! Beyond the paper: motion and visibility per pixel where the two warped frames disagree, and the mean of
 //! four frames, which has less noise, where they agree.
 //!
-//! Beside a moving outline the warp interpolates between the motions on both sides, and the cross dissolve
-//! mixes a frame that shows the background with one that does not. The method, in the order of the files:
+//! At a moving outline, the paper's warp interpolates between the motions on both sides, and its cross
+//! dissolve mixes a frame that shows the background with one that does not. This method has these steps, in
+//! the order of the files:
 //!
-//! 1. [`blocks`]: the image is divided into overlapping blocks, which fade into each other.
-//! 2. [`motions`]: a block's hypotheses of motion are affine motions, each fitted to nearby tracks that move
-//!    alike.
+//! 1. [`blocks`]: the image is divided into overlapping blocks, which are blended.
+//! 2. [`motions`]: a block's candidate motions are affine, each fitted to nearby tracks that move alike.
 //! 3. [`costs`]: a motion's cost is the difference of the compensated frames, averaged over a window. It is
-//!    computed at points, a few in a window, and interpolated between them.
+//!    computed on a grid of points, and interpolated between them.
 //! 4. [`hypotheses`]: each motion has three hypotheses of visibility. Either both middle frames see the
 //!    surface, and agree. Or only the earlier does, and agrees with the frame before it. Or only the later
 //!    does, and agrees with the frame after it. The latter two have a prior cost, which grows towards the
 //!    frame that misses the surface. Every hypothesis costs more where another motion explains its pixels
-//!    better: otherwise two similar bodies, at one position in successive frames, are matched to each other. A
-//!    pixel is the mean of all hypotheses and of the warped frames' cross-fade, with weights that fall
-//!    exponentially with cost.
+//!    better. Without this, two similar bodies that take the same position in successive frames are matched
+//!    to each other. A pixel is the mean of all hypotheses and of the warped frames' cross-fade, with weights
+//!    that fall exponentially with cost.
 //! 5. [`four_frames`]: the outer frames are averaged in where they agree with the middle ones. Static blocks
 //!    are the mean of the four frames.
 //!
-//! Each pixel's motion and its cost are means of all hypotheses too, with the weights of step 4.
+//! Each pixel's motion, and its cost, are averaged with the weights of step 4 too.
 //!
-//! Known limits: a surface that none of the four frames shows is not found. One that a single frame shows
-//! can't be verified. Outlines are accurate to about two pixels, because costs are means over windows.
+//! Known limits: a surface that none of the four frames shows is not found. A surface that only one frame
+//! shows can't be verified. Outlines are accurate to about two pixels, because costs are means over windows.
 
 mod blocks;
 mod costs;
@@ -44,21 +44,22 @@ use hypotheses::BlockHypotheses;
 use motions::MotionHypotheses;
 use rayon::prelude::*;
 
-/// Maximum cost of the two warped frames at the pixels of a block in which they agree: their mean difference over the
-/// window around a pixel, values 0..=1.
+/// Maximum cost of the two warped frames in a block in which they agree: their mean difference over the
+/// window around each pixel, values 0..=1.
 const MAX_AGREEING_COST: f32 = 0.03;
-/// Maximum number of motions by which the outer frames are compensated in a block in which the warped frames agree.
+/// Maximum number of motions by which the outer frames are compensated, in a block in which the warped frames
+/// agree.
 const MAX_AGREEING_MOTIONS: usize = 2;
-/// Channels of an image of motions, each the weighted mean of a pixel's hypotheses:
+/// Channels of an image of motions. Each is the weighted mean over a pixel's hypotheses:
 ///
 /// 1. The motion between the earlier and the later frame, pixels.
-/// 2. The change of the motion from one frame to the next, pixels per frame: the larger of the changes at the
-///    two frames. 0 where it is unknown.
-/// 3. The cost of the hypotheses, 0..=1: the mean difference of frames over a window, and prior costs. At rest
-///    it is at least the warped frames' difference. 0 if the frames agree.
+/// 2. The change of the motion from one frame interval to the next, pixels per frame: the larger of the
+///    changes at the two frames. 0 where it is unknown.
+/// 3. The cost of the hypotheses, 0..=1: the mean difference of frames over a window, plus prior costs. For a
+///    static surface it is at least the warped frames' difference. 0 if the frames agree.
 pub(super) const MOTION_CHANNELS: usize = 3;
 
-/// The frames around an instant. All images have the same size and channels.
+/// The four frames around an instant. All images have the same size and channels.
 pub(super) struct FourFrames<'a> {
     /// The frame before the earlier one, if it exists.
     pub before: Option<&'a Image>,
@@ -70,12 +71,12 @@ pub(super) struct FourFrames<'a> {
     pub after: Option<&'a Image>,
     /// (t' − t)/Δt of the instant t': 0 at the earlier frame, 1 at the later.
     pub fraction: f32,
-    /// The tiles of the image that are needed, `None` for all. Tiles far from them are black.
+    /// The tiles of the image that are needed; `None` for all. Tiles far from them are black.
     pub parts: Option<&'a Tiles>,
 }
 
 impl<'a> FourFrames<'a> {
-    /// The frames 0 to 3: before, earlier, later, after.
+    /// The four frames in order of time: before, earlier, later, after.
     fn images(&self) -> [Option<&'a Image>; 4] {
         [self.before, Some(self.earlier), Some(self.later), self.after]
     }
@@ -90,28 +91,28 @@ struct SharedInputs<'a> {
     cross_faded: &'a Image,
     /// Mean difference of the two warped frames over the window around each pixel.
     costs: &'a [f32],
-    /// The pixels' motions by the warps, [`MOTION_CHANNELS`] a pixel.
+    /// The pixels' motions according to the warps, [`MOTION_CHANNELS`] values per pixel.
     warp_motions: &'a Image,
-    /// Mean differences of the frame before and of the frame after, without motion compensation, from the cross-fade,
-    /// over the window around each pixel. `None` if the frame does not exist or has no weight.
+    /// For the frame before and the frame after: its mean difference, without motion compensation, from the
+    /// cross-fade over the window around each pixel. `None` if the frame does not exist or has no weight.
     outer_costs: [Option<Vec<f32>>; 2],
     grid: BlockGrid,
     points: CostPoints,
 }
 
-/// A refined block, row by row. Pixels outside the image are undefined.
+/// A refined block, row by row. Values at pixels outside the image are undefined.
 struct RefinedBlock {
     colors: Vec<f32>,
-    /// [`MOTION_CHANNELS`] values a pixel; `None` if the pixels' motions are those by the warps.
+    /// [`MOTION_CHANNELS`] values per pixel; `None` if the pixels' motions are those of the warps.
     motions: Option<Vec<f32>>,
 }
 
 /// The image at the instant: the cross dissolve of the two warped frames, refined where they disagree, and
-/// averaged with the outer frames where these agree. Values are in 0..=1. The second image holds the pixels' motions,
-/// [`MOTION_CHANNELS`] a pixel.
+/// averaged with the outer frames where these agree. Values are in 0..=1. The second image holds the pixels'
+/// motions, [`MOTION_CHANNELS`] per pixel.
 ///
-/// `warps` take the earlier and the later frame to the instant. `motions` are the tracks' motions from their positions
-/// at the instant; without any, only static blocks are averaged.
+/// `warps` take the earlier and the later frame to the instant. `motions` are the tracks' motions from their
+/// positions at the instant. If there are none, only static blocks change.
 pub(super) fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
@@ -123,8 +124,8 @@ pub(super) fn refined(
     let options = options.scaled_to([w, h]);
     let radius = options.window_radius_px;
     let grid = BlockGrid::new([w, h], radius);
-    // Needed tiles, grown by the blocks that touch them, the windows around the blocks' pixels, and the windows around
-    // the pixels of these windows.
+    // The needed tiles, grown by the blocks that touch them, by the windows around the blocks' pixels, and by
+    // the windows around these windows' pixels.
     let near = frames.parts.map(|parts| parts.grown(grid.side + 2 * radius));
     let warped = [(frames.earlier, warps[0]), (frames.later, warps[1])]
         .map(|(image, warp)| warped(image, warp, near.as_ref()));
@@ -157,8 +158,9 @@ pub(super) fn refined(
     (image, motions)
 }
 
-/// The pixels' motions by two warps, [`MOTION_CHANNELS`] a pixel, with these costs. A motion is the distance between a
-/// pixel's sources in the two frames, and its change is unknown.
+/// An image of the pixels' motions according to two warps, [`MOTION_CHANNELS`] per pixel. A motion is the
+/// distance between the pixel's positions in the two frames; its change is unknown, 0. `costs` has the third
+/// channel, row by row.
 pub(super) fn warp_motions(warps: [&Warp; 2], costs: &[f32]) -> Image {
     let sources = warps[0].source.iter().zip(&warps[1].source);
     let motions = sources.map(|([ax, ay], [bx, by])| (ax - bx).hypot(ay - by));
@@ -166,8 +168,8 @@ pub(super) fn warp_motions(warps: [&Warp; 2], costs: &[f32]) -> Image {
     Image::from_data(warps[0].width, warps[0].height, MOTION_CHANNELS, data)
 }
 
-/// Refines one block. `None` if the block keeps the cross-fade of the two warped frames: no track is near, its pixels are
-/// not needed, or there is no frame before or after the pair.
+/// Refines block number `block`. `None` if the block keeps the cross-fade of the two warped frames: no track
+/// is near, its pixels are not needed, or there is no frame before or after the pair.
 fn refined_block(shared: &SharedInputs, block: usize) -> Option<RefinedBlock> {
     let area = shared.grid.area(block);
     if shared.frames.parts.is_some_and(|parts| !parts.touches(area.origin, area.side)) {
@@ -192,8 +194,8 @@ fn refined_block(shared: &SharedInputs, block: usize) -> Option<RefinedBlock> {
     Some(BlockHypotheses::new(shared, area, motions, agree).mean())
 }
 
-/// Blends overlapping blocks into a copy of an image, by the weights of the grid. `block` gives the values of the block
-/// with an index; where it gives `None`, the image's own values count.
+/// A copy of `image` with the refined blocks blended in, by the weights of the grid. `block` returns the
+/// values of a block by its number; for `None`, the image's own values are blended.
 fn blended<'a>(
     image: &Image,
     block: impl Fn(usize) -> Option<&'a [f32]>,

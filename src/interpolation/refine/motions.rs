@@ -1,22 +1,22 @@
-//! Hypotheses of motion: affine motions around a block, each fitted to nearby tracks that move alike.
+//! Candidate motions of a block: affine motions, each fitted to nearby tracks that move alike.
 
 use crate::interpolation::tracked_pair::TrackMotion;
 use crate::registration::Neighbors;
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
 
-/// Maximum difference of two tracks' motions in one hypothesis, pixels per frame.
+/// Maximum difference between two tracks' motions that are fitted together, pixels per frame.
 const SAME_MOTION_PX: f64 = 1.5;
-/// Minimum number of tracks of a hypothesis; at 1, mismatches would be tried too.
+/// Minimum number of tracks to which a motion is fitted. With 1, mismatched tracks would be tried too.
 const MIN_TRACKS: usize = 2;
-/// Maximum number of hypotheses per block, nearest first.
+/// Maximum number of candidate motions per block; the nearest are taken.
 const MAX_MOTIONS: usize = 6;
-/// Exponent by which a track's weight falls with its distance.
+/// Power of its distance by which a track's weight falls.
 const DISTANCE_POWER: i32 = 3;
-/// Ridge regularization of the fitted gradient: an extra spread of the tracks, pixels.
+/// Ridge regularization of the fitted gradient, pixels: the fit is damped as if the tracks had this
+/// additional spread.
 const RIDGE_PX: f64 = 2.0;
 
-/// An affine motion around a centre, to each of four frames: the displacement of the centre, and its derivative by
-/// position.
+/// An affine motion to each of four frames: the displacement of a centre, and its derivative by position.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AffineMotion {
     to: [Vector2<f64>; 4],
@@ -24,8 +24,8 @@ pub struct AffineMotion {
 }
 
 impl AffineMotion {
-    /// The weighted least-squares fit to tracks, weighted by nearness to `center`. `None` without tracks,
-    /// or if a coordinate is not finite.
+    /// The least-squares fit to tracks, weighted by nearness to `center`. `None` without tracks, or if a
+    /// coordinate is not finite.
     pub fn fit(tracks: &[&TrackMotion], center: &Point2<f64>) -> Option<Self> {
         let mut normal = Matrix3::zeros();
         let mut right = [Matrix3x2::zeros(); 4];
@@ -38,7 +38,7 @@ impl AffineMotion {
                 *right += weight * row * to.transpose();
             }
         }
-        // With any track the diagonal is positive, and the system well-conditioned.
+        // With at least one track, the diagonal is positive and the system well-conditioned.
         let ridge = normal[(0, 0)] * RIDGE_PX.powi(2);
         normal[(1, 1)] += ridge;
         normal[(2, 2)] += ridge;
@@ -50,14 +50,14 @@ impl AffineMotion {
         })
     }
 
-    /// The displacement, pixels, to frame 0 to 3 (before, earlier, later, after), at an offset from the
-    /// centre.
+    /// The displacement to frame 0 to 3 (before, earlier, later, after) at `from_center`, an offset from the
+    /// centre; both in pixels.
     pub fn at(&self, frame: usize, from_center: Vector2<f64>) -> Vector2<f64> {
         self.to[frame] + self.per_px[frame] * from_center
     }
 }
 
-/// Tracks by position, which give the hypotheses of motion around any point.
+/// Tracks, indexed by position, from which the candidate motions around any point are fitted.
 pub struct MotionHypotheses {
     pub motions: Vec<TrackMotion>,
     positions: Neighbors,
@@ -65,14 +65,15 @@ pub struct MotionHypotheses {
 }
 
 impl MotionHypotheses {
-    /// Indexes tracks. Those within `search_radius_px` of a point give the hypotheses around it.
+    /// Indexes tracks. The motions around a point are fitted to tracks within `search_radius_px` of it.
     pub fn new(motions: Vec<TrackMotion>, search_radius_px: f64) -> Self {
         let positions = Neighbors::new(motions.iter().map(|m| m.at));
         Self { motions, positions, search_radius_px }
     }
 
-    /// The hypotheses of motion around a point, by the distance of their nearest tracks. Tracks are clustered
-    /// greedily: each that is not assigned yet seeds a hypothesis with those that move alike.
+    /// The candidate motions around a point, ordered by the distance of their nearest tracks. Tracks are
+    /// clustered greedily: each track that is not assigned yet starts a cluster with the tracks that move
+    /// alike.
     pub fn around(&self, center: &Point2<f64>) -> Vec<AffineMotion> {
         let near = self.positions.nearest(center, usize::MAX, self.search_radius_px);
         let mut assigned = vec![false; near.len()];

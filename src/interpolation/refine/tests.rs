@@ -79,7 +79,7 @@ fn motions() -> Vec<TrackMotion> {
     all
 }
 
-/// Tracks at the same positions, without motion.
+/// Tracks at the positions of [`motions`], without motion.
 fn at_rest() -> Vec<TrackMotion> {
     motions().into_iter().map(|m| TrackMotion { to: [Vector2::zeros(); 4], ..m }).collect()
 }
@@ -101,7 +101,7 @@ fn outlines_are_right_where_a_cross_fade_shows_both_frames() {
     let truth = scene(0.5);
     let four = around(&frames, 0.5);
     let still = Warp::identity(W, H);
-    // With costs at every pixel, and at every second one.
+    // The costs are at every pixel for the first radius, and at every second pixel for the other.
     for window_radius_px in [2, 4] {
         let options = InterpolationOptions { window_radius_px, ..InterpolationOptions::default() };
         let (result, _) = refined(&four, [&still, &still], &motions(), &options);
@@ -117,7 +117,7 @@ fn noisy(image: &Image, amplitude: f32, random: &mut Random) -> Image {
     Image::from_data(W, H, 1, data)
 }
 
-/// Four frames of a static scene have half of two frames' noise variance, without tracks too.
+/// In a static scene, four frames have half the noise variance of two, also without tracks.
 #[test]
 fn static_scenes_are_averaged() {
     let mut random = Random::new(3);
@@ -132,8 +132,8 @@ fn static_scenes_are_averaged() {
     assert!((2.7..3.3).contains(&(four - two)), "{two} {four}");
 }
 
-/// Two dark wagons, in front of a light wall that only a gap of 8 px between them shows, move right by 8 px
-/// per frame.
+/// Two dark wagons in front of a light wall move right by 8 px per frame. The wall is visible only in the gap
+/// of 8 px between them.
 fn train(frame: f32) -> Image {
     let left = 12.0 + 8.0 * frame;
     let value = |k: usize| {
@@ -158,7 +158,7 @@ fn motions_of_train() -> Vec<TrackMotion> {
     still.chain(moving).collect()
 }
 
-/// Without motion, the gap's place is dark in both frames, in each by another wagon.
+/// Without motion, both frames are dark at the gap's place, each because of another wagon.
 #[test]
 fn what_other_motions_explain_does_not_fill_a_gap() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(train);
@@ -188,7 +188,7 @@ fn pixels_move_as_their_tracks_and_cost_more_without() {
     assert!(at(&followed, 5, 5) == PixelMotion::default(), "{:?}", at(&followed, 5, 5));
 }
 
-/// Before the earlier frame, the square moved the other way.
+/// Between the frame before and the earlier frame, the square moved the other way.
 #[test]
 fn the_change_of_a_bouncing_bodys_motion_is_known() {
     let frames = [1.0, 0.0, 1.0, 2.0].map(scene);
@@ -208,7 +208,7 @@ fn the_change_of_a_bouncing_bodys_motion_is_known() {
     assert!((bouncing.change_px - 12.0).abs() < 0.5, "{bouncing:?}");
 }
 
-/// Frames are averaged along the trajectory, or in place where the difference is small.
+/// Outer frames are averaged in along the trajectory, or without compensation where the difference is small.
 #[test]
 fn slow_motion_is_not_blurred() {
     for (step, min_db) in [(0.02, 50.0), (0.08, 45.0), (0.33, 45.0)] {
@@ -242,8 +242,7 @@ fn panned(step: f32) -> f64 {
     psnr(&result, &pan(0.5))
 }
 
-/// No track follows the square. The wall that only the later frame shows in its place must not appear
-/// yet.
+/// No track follows the square. The wall behind it, which only the later frame shows, must not appear yet.
 #[test]
 fn near_a_frame_what_only_the_other_shows_does_not_appear() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
@@ -287,7 +286,7 @@ fn four_frames_have_less_noise_than_two_and_a_frame_stays_as_filmed() {
     }
 }
 
-/// Equal to the bit.
+/// The tiles are equal to the bit.
 #[test]
 fn needed_tiles_equal_those_of_the_whole_image() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);

@@ -1,22 +1,22 @@
-//! The temporal activity of a recording, interval by interval: the signal that rough alignment
-//! correlates. It costs far less than tracking.
+//! The temporal activity of a recording in each frame interval: the signal that rough alignment correlates.
+//! It costs far less than tracking.
 //!
-//! Two successive frames are downsampled to about 80 pixels across. A coarse grid sums the energy of the
-//! temporal derivative, `Σ I_t²`, and its correlation with the gradient, `−Σ I_t ∇I`, which points in
-//! the direction of motion. Cells between corresponding epipolar lines of two nearby cameras see the
-//! same energy and the same motion across the lines. Energy alone does not distinguish a motion from
-//! its reverse.
+//! Two successive frames are downsampled to about 80 pixels across. For each cell of a coarse grid, two sums
+//! are computed over its pixels: the energy of the temporal derivative, `Σ I_t²`, and its correlation with
+//! the gradient, `−Σ I_t ∇I`, which points in the direction of motion. Cells between corresponding epipolar
+//! lines of two nearby cameras see the same energy, and the same motion across the lines. Energy alone does
+//! not distinguish a motion from its reverse.
 //!
-//! Known limit: motion along the epipolar lines contributes energy only.
+//! Known limit: motion along the epipolar lines contributes only energy.
 
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{Capture, CaptureError};
 use nalgebra::{Point2, Vector2};
 use std::collections::BTreeMap;
 
-/// The grid's cells across.
+/// The number of the grid's cells across.
 const COLUMNS: usize = 16;
-/// The grid's cells down.
+/// The number of the grid's cells down.
 const ROWS: usize = 12;
 /// The width of the downsampled frames, pixels.
 const WIDTH: usize = 80;
@@ -30,17 +30,17 @@ pub struct Activity {
     pub times_s: Vec<f64>,
     /// The total energy of each interval.
     pub energies: Vec<f64>,
-    /// By the index of a pair, for each interval: the root of each band's energy, followed by the signed root of each band's
-    /// motion across the epipolar lines.
+    /// By the index of a pair: for each interval, the square root of each band's energy, followed by the
+    /// signed square root of each band's motion across the epipolar lines.
     pub signals: BTreeMap<usize, Vec<[f32; 2 * BANDS]>>,
 }
 
-/// By cell: the energy, and the correlation with the gradient in x and in y, per second.
+/// By cell, row by row: the energy, and the correlation with the gradient in x and in y, per second.
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {
-    /// The activity of a camera, from all its frames. `bands` holds the index of each of its pairs, with the camera's
-    /// bands in that pair.
+    /// The activity of a camera from all its frames. `bands` has an entry for each pair of this camera: the
+    /// index of the pair, and this camera's bands in it.
     pub fn new(
         capture: &Capture,
         camera: usize,
@@ -52,7 +52,7 @@ impl Activity {
         for (k, &time_s) in times.iter().enumerate() {
             let current = Downsampled::new(&capture.read_frame(camera, k)?.to_gray());
             if let Some(before) = before {
-                // Positive, since times ascend.
+                // The interval is positive, since times ascend.
                 let interval = time_s - times[k - 1];
                 activity.times_s.push(time_s - 0.5 * interval);
                 let cells = cells(&before, &current, interval as f32);
@@ -67,7 +67,7 @@ impl Activity {
     }
 }
 
-/// A grey frame, averaged over square blocks.
+/// A grey frame, downsampled by averaging square blocks.
 struct Downsampled {
     width: usize,
     height: usize,
@@ -91,7 +91,7 @@ impl Downsampled {
     }
 }
 
-/// The grid of sums for two successive frames, `interval` seconds apart.
+/// The sums of all cells for two successive frames, `interval` seconds apart.
 fn cells(before: &Downsampled, current: &Downsampled, interval: f32) -> Cells {
     let (w, h) = (current.width, current.height);
     let mut cells = [[0.0; 3]; COLUMNS * ROWS];
@@ -112,32 +112,33 @@ fn cells(before: &Downsampled, current: &Downsampled, interval: f32) -> Cells {
     cells
 }
 
-/// The epipolar band of each cell of a camera's grid, and the direction across the band, of equal sense
-/// in both cameras of a pair.
+/// The epipolar band of each cell of a camera's grid, and the direction across the band. This direction has
+/// the same sense in both cameras of a pair.
 #[derive(Clone, Debug)]
 pub struct Bands {
     of_cell: Vec<Option<(usize, Vector2<f64>)>>,
 }
 
 impl Bands {
-    /// The epipolar bands of two cameras, in each of them. `None` for cameras with a common centre.
+    /// The epipolar bands of a pair, for camera a and camera b. `None` for cameras with a common centre.
     pub fn of_pair(a: &Camera, b: &Camera) -> Option<[Self; 2]> {
         let (b_from_a, a_from_b) = (EpipolarGeometry::new(a, b)?, EpipolarGeometry::new(b, a)?);
         let middle = |c: &Camera| Point2::new(0.5 * c.width as f64, 0.5 * c.height as f64);
         let (in_a, in_b) = (middle(a), middle(b));
-        // Epipolar lines are numbered by their distance from camera b's middle: the same number for both
-        // images of a point.
+        // Epipolar lines are identified by their signed distance from the middle of camera b's image. Both
+        // images of a point give the same number.
         let of_a = |p: &Point2<f64>| Some(b_from_a.line_in_j(p)?.distance(&in_b));
         let of_b = |q: &Point2<f64>| of_a(&a_from_b.line_in_j(q)?.nearest(&in_a));
         let max_distance = cell_centers(b)
             .filter_map(|q| of_b(&q))
             .fold(0.0_f64, |max, distance| max.max(distance.abs()));
-        // Slightly more, so that the outermost lines lie inside the outermost bands.
+        // Enlarged slightly, so that the outermost lines are inside the outermost bands.
         let max_distance = max_distance * (1.0 + 1e-3);
         Some([Self::new(a, of_a, max_distance), Self::new(b, of_b, max_distance)])
     }
 
-    /// The signal of an interval: the root of each band's energy, then the signed root of its motion.
+    /// The signal of an interval: the square root of each band's energy, then the signed square root of its
+    /// motion.
     fn signal(&self, cells: &Cells) -> [f32; 2 * BANDS] {
         let mut sums = [0.0; 2 * BANDS];
         for (cell, of_cell) in cells.iter().zip(&self.of_cell) {
@@ -205,7 +206,7 @@ mod tests {
             assert!(across.x.abs() < 1e-6 && (across.y.abs() - 1.0).abs() < 1e-6);
             assert!((b.of_cell[k].unwrap().1 - across).norm() < 1e-6);
         }
-        // A camera rolled by 180° has its bands in the reverse order.
+        // In a camera rolled by 180°, the order of bands is reversed.
         let [a, b] =
             Bands::of_pair(&camera(0.0, 0.0), &camera(0.06, std::f64::consts::PI)).unwrap();
         for (k, cell) in a.of_cell.iter().enumerate() {

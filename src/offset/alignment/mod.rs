@@ -1,12 +1,11 @@
-//! Rough alignment of recordings that were started by hand, seconds apart: a pair's offset to about a
-//! frame.
+//! Rough alignment of recordings that were started by hand, seconds apart: a pair's offset, to about a frame.
 //!
-//! The normalized cross-correlation of activity signals ([`activity`]) proposes a few offsets. Each is
-//! verified by the epipolar candidates (eq. (10)) of a few frame triples, and the one with the largest
+//! Peaks of the normalized cross-correlation of activity signals ([`activity`]) propose a few offsets. Each
+//! is verified by the epipolar candidates, eq. (10), of a few frame triples. The offset with the largest
 //! fraction of inliers is chosen.
 //!
-//! Known limits: recordings of less than 2 s are taken to be aligned to about a frame, and periodic
-//! motion has no unique alignment.
+//! Known limits: recordings of less than 2 s are assumed to be aligned to about a frame, and periodic motion
+//! has no unique alignment.
 
 mod activity;
 
@@ -25,11 +24,12 @@ const MIN_OVERLAP_S: f64 = 2.0;
 const MAX_CANDIDATES: usize = 5;
 /// The number of frame triples that verify an offset.
 const TESTED_FRAMES: usize = 6;
-/// The agreement from which on an offset rivals the best one, as a fraction of the best one's.
+/// Fraction of the best offset's agreement at or above which another offset counts as equally plausible: a
+/// rival.
 const RIVAL_FRACTION: f64 = 0.8;
 
-/// By camera: its activity, from all its frames; empty for a camera of which no pair needs alignment.
-/// Pairs of short recordings and pairs of cameras with a common centre have no signals.
+/// The activity of each camera from all its frames; empty for a camera without pairs that need alignment.
+/// There are no signals for pairs with a short recording, and for pairs with a common centre.
 pub fn activities(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -65,8 +65,8 @@ fn is_long(recording: &Recording, pair: [usize; 2]) -> bool {
     recording.options.search_s > 0.0 && pair.iter().all(|&c| duration_s(c) > MIN_OVERLAP_S)
 }
 
-/// The offset of a pair to about a frame; 0, by the nominal clocks, for short recordings. `n` is the index
-/// of the pair, by which `activities` hold its signals.
+/// The offset of a pair to about a frame; 0, the nominal clocks' offset, for short recordings. `n` is the
+/// index of the pair, by which its signals are found in `activities`.
 pub fn rough_offset(
     recording: &Recording,
     [a, b]: [usize; 2],
@@ -92,8 +92,8 @@ pub fn rough_offset(
     Ok(choose(&agreements, frame_s))
 }
 
-/// Chooses the offset of the largest agreement among (offset, agreement) pairs. If the nominal clocks'
-/// offset is among several rivals, it is chosen.
+/// Chooses the offset of largest agreement among (offset, agreement) pairs. If there are several rivals, and
+/// the nominal clocks' offset is one of them, it is chosen.
 fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFailure> {
     let max = agreements.iter().map(|a| a.1).fold(0.0, f64::max);
     let rivals: Vec<f64> = agreements
@@ -112,16 +112,16 @@ fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFai
         return Err(PairFailure::NoConsensus);
     }
     if max == 0.0 {
-        // No offset has inliers; the pair's own estimate determines why.
+        // No offset has inliers. The estimation of the pair will determine the reason.
         return Ok(ClockModel::default());
     }
     let is_unique = rivals.iter().all(|&other| near(other, best.0));
     if is_unique { Ok(ClockModel::constant(best.0)) } else { Err(PairFailure::PeriodicMotion) }
 }
 
-/// The inliers near an offset, as a fraction of the features that move across their epipolar lines; 0
-/// for fewer inliers than a pair requires. The triples have camera a's most active frames, spread over
-/// the overlap.
+/// The number of inliers near an offset, as a fraction of the features that move across their epipolar lines;
+/// 0 if there are fewer inliers than a pair requires. The frame triples are those at camera a's most active
+/// frames, spread over the overlap.
 fn agreement(
     recording: &Recording,
     [a, b]: [usize; 2],
@@ -171,13 +171,14 @@ impl Signal<'_> {
     }
 }
 
-/// The offsets `offset_b − offset_a` of the highest local maxima of the correlation within the search
-/// range, seconds, highest first.
+/// The offsets `offset_b − offset_a` at the highest local maxima of the correlation within ±`search_s`,
+/// seconds, highest first.
 fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<f64> {
     // A peak is about a frame wide.
     let step = 0.5 * frame_s;
     let max_steps = (search_s / step).ceil();
-    // Only shifts at which the recordings overlap: the search range may have billions of steps.
+    // Only shifts at which the recordings overlap are tried, since the search range may have billions of
+    // steps.
     let ends = |s: &Signal| Some((*s.times_s.first()?, *s.times_s.last()?));
     let [Some(a), Some(b)] = signals.each_ref().map(ends) else { return Vec::new() };
     let first = ((a.0 - b.1) / step).floor().max(-max_steps) as i64;
@@ -194,9 +195,9 @@ fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<f64> {
     peaks.into_iter().take(MAX_CANDIDATES).map(|(_, k)| k as f64 * step).collect()
 }
 
-/// The mean of the normalized cross-correlations of energy and motion, each over all bands, every band
-/// about its own mean. `None` if the recordings overlap by less than [`MIN_OVERLAP_S`], or one of them is
-/// constant.
+/// The mean of two normalized cross-correlations, of energy and of motion, each over all bands. Every band is
+/// taken relative to its own mean. `None` if the recordings overlap by less than [`MIN_OVERLAP_S`], or if one
+/// of them is constant.
 fn correlation([a, b]: &[Signal; 2], offset_s: f64) -> Option<f64> {
     let mut overlap: Vec<([f32; 2 * BANDS], [f32; 2 * BANDS])> = Vec::new();
     let (mut first_s, mut last_s) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -206,8 +207,8 @@ fn correlation([a, b]: &[Signal; 2], offset_s: f64) -> Option<f64> {
             (first_s, last_s) = (first_s.min(*time_s), last_s.max(*time_s));
         }
     }
-    // Samples are the middles of intervals: half an interval at either end belongs to the overlap. One
-    // interval more keeps rounding from excluding the bound itself.
+    // Samples are at the middles of intervals, so that half an interval at either end belongs to the overlap.
+    // One more interval is added, so that rounding does not exclude the bound itself.
     let interval = (last_s - first_s) / (overlap.len().max(2) - 1) as f64;
     if !(last_s - first_s + 2.0 * interval >= MIN_OVERLAP_S) {
         return None;
@@ -229,7 +230,7 @@ fn correlation([a, b]: &[Signal; 2], offset_s: f64) -> Option<f64> {
             sums[2] += q * q;
         }
     }
-    // Energy and motion have different units: each is normalized by itself.
+    // Energy and motion have different units, so that each is normalized separately.
     let parts = sums.map(|[both, x, y]| both / (x * y).sqrt());
     let finite: Vec<f64> = parts.into_iter().filter(|p| p.is_finite()).collect();
     (!finite.is_empty()).then(|| finite.iter().sum::<f64>() / finite.len() as f64)
@@ -270,7 +271,7 @@ mod tests {
     fn a_hundred_recordings_are_aligned_to_a_frame() {
         let random = &mut Random::new(6);
         for seed in 0..100 {
-            // Started up to 5 s apart, overlapping by 2 s or more.
+            // Recordings that start up to 5 s apart and overlap by at least 2 s.
             let offset_s = 10.0 * random.unit() - 5.0;
             let rates = [30.0, 15.0 + 15.0 * random.unit()];
             let duration_s = offset_s.abs() + 2.2 + 3.0 * random.unit();

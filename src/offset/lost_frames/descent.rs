@@ -1,21 +1,21 @@
-//! Block-coordinate fitting of the clock models of all cameras to timing observations.
+//! Fits the clock models of all cameras to timing observations by block-coordinate descent.
 //!
-//! The models are fitted in turn, each to all others, until none changes (block-coordinate descent). For
-//! a given offset and rate, the optimal set of lost frames is a shortest path through a trellis of
-//! images and loss counts, found by dynamic programming ([`super::fit`]).
+//! The models are fitted in turn, each with all others held fixed, until none changes. For a given offset and
+//! rate, the optimal set of lost frames is a shortest path through a trellis of images and loss counts, found
+//! by dynamic programming ([`super::fit`]).
 //!
-//! The objective is a sum of truncated squared residuals plus a penalty per lost frame. An outlier
-//! costs 1 under any model, so that penalties are counted in outliers. Residuals within an interval
-//! with lost frames are weighted by its length. Further frames lost in one place cost less than the
-//! first.
+//! The objective is a sum of truncated squared residuals plus a penalty per lost frame. An outlier costs 1
+//! under any model, so that penalties are stated in units of outliers. Residuals within an interval with lost
+//! frames are weighted by its length. Further frames lost in one place have a smaller penalty than the first.
 //!
-//! Neighbours that lose frames at about the same time hide each other's losses: their images can move
-//! by a frame together at little cost. [`super::jumps`] finds such moves, for any set of images. A move
-//! that lowers the objective is made. If a move costs less than an outlier, its cameras are undecided.
+//! Cameras that lose frames at about the same time hide each other's losses: their images can move by a frame
+//! together at little cost. [`super::jumps`] finds such moves, for any set of images. A move that lowers the
+//! objective is made. If a move raises it by less than an outlier costs, the cameras that it moves are
+//! undecided.
 //!
-//! Known limits: frames that all cameras lose at the same time leave no trace. If observations
-//! contradict each other, a cheap move may be missed. The camera of the common clock keeps its offset
-//! of 0 even if it is undecided.
+//! Known limits: frames that all cameras lose at the same time leave no trace. If observations contradict
+//! each other, a move of low cost may be missed. The camera that defines the common clock keeps its offset of
+//! 0 even if it is undecided.
 
 use super::fit::{ClockFit, LagObservation, LagProblem, gap_penalty};
 use super::jumps::{Component, Jumps};
@@ -23,14 +23,14 @@ use super::{FittedClock, TimingObservation};
 use crate::offset::clock::{ClockModel, NominalClock};
 use nalgebra::Vector2;
 
-/// The penalty of one lost frame while cameras are added one after the other, in outliers. It is higher
-/// than the final one, since few other cameras contradict a false loss yet.
+/// The penalty of one lost frame while cameras are added one after the other, in outliers. It is higher than
+/// the final one, since only few fitted cameras can contradict a false loss.
 const START_LOSS_PENALTY: f64 = 1.8;
-/// The penalty of one lost frame in the final models, in outliers: the log odds against a loss at a
-/// given image over the log odds against an outlier.
+/// The penalty of one lost frame in the final models, in outliers. It is the ratio of two log odds: against a
+/// loss at a given image, and against an outlier.
 const LOSS_PENALTY: f64 = 0.75;
-/// The outliers by which a model must be better than any other with images a frame off: a single
-/// outlier must not decide.
+/// The margin, in outliers, by which a model must be better than every model with some images a frame off. At
+/// 1, a single outlier does not decide.
 const DECISIVE_OUTLIERS: f64 = 1.0;
 /// The numbers of frames by which jump moves shift images in time.
 const JUMPS: [i32; 4] = [1, -1, 2, -2];
@@ -38,15 +38,15 @@ const JUMPS: [i32; 4] = [1, -1, 2, -2];
 const MIN_IMPROVEMENT: f64 = 1e-6;
 /// The maximum number of sweeps over all cameras, and of jump moves.
 const MAX_SWEEPS: usize = 12;
-/// The change of an offset, frames, below which a model has converged.
+/// The change of an offset, in frames, below which a model has converged.
 const OFFSET_TOLERANCE_FRAMES: f64 = 1e-3;
-/// The fraction of outliers among the observations beyond which a model is ambiguous.
+/// The fraction of outliers among a camera's observations above which its model is ambiguous.
 const MAX_OUTLIER_FRACTION: f64 = 0.4;
 
 /// Fits the clock model of every camera to all timing observations.
 ///
-/// The common clock of a connected component is that of its first camera: the reference, if it is a
-/// member. The result is `None` for a camera without observations.
+/// Cameras that observations connect form a component. Its common clock is that of the reference, if it is a
+/// member, else of its first camera. The result is `None` for a camera without observations.
 pub fn fit_clock_models(
     clocks: &[NominalClock],
     reference: usize,
@@ -92,8 +92,8 @@ impl<'a> Component<'a> {
         Self { clocks, observations, root, models, loss_penalty: START_LOSS_PENALTY }
     }
 
-    /// The next camera to fit: among the cameras without a model that are observed together with a
-    /// fitted one, those that lose no frames first, then the one with the most observations.
+    /// The next camera to fit, among the cameras without a model that have an observation together with a
+    /// fitted one. Cameras that lose no frames come first, then the one with the most observations.
     fn next_camera(&self) -> Option<usize> {
         let observation_count = |c: usize| {
             let to_fitted =
@@ -112,8 +112,8 @@ impl<'a> Component<'a> {
 
     /// Fits a further camera to the models of its component.
     ///
-    /// If an unconstrained fit steps back by a frame, all cameras fitted so far may have lost a frame
-    /// there. This alternative replaces the constrained fit if its total cost is lower.
+    /// If a fit without constraints steps back by a frame, all cameras fitted so far may have lost a frame
+    /// there. This alternative is taken if its total cost is lower.
     fn add_camera(&mut self, camera: usize) {
         let unconstrained = self.fit(camera, true);
         let before = self.models.clone();
@@ -168,7 +168,7 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// Whether a camera's model explains too few observations.
+    /// Whether a camera's model explains too small a fraction of its observations.
     fn is_ambiguous(&self, camera: usize) -> bool {
         let lost = self.models[camera].as_ref().map_or(0, |model| model.lost_before.len());
         let losses = self.loss_penalty * lost as f64;
@@ -176,7 +176,8 @@ impl<'a> Component<'a> {
         self.fit(camera, false).cost - losses > MAX_OUTLIER_FRACTION * count
     }
 
-    /// Moves images of several cameras at once by a frame, as long as that lowers the objective.
+    /// Makes jump moves, in which images of several cameras move by whole frames at once, until none lowers
+    /// the objective.
     fn improve_by_jumps(&mut self) {
         self.loss_penalty = LOSS_PENALTY;
         self.converge();
@@ -197,8 +198,8 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// By camera: whether it has images that could move by whole frames, alone or together with others,
-    /// at nearly the same objective.
+    /// By camera: whether some of its images could move by whole frames, alone or together with images of
+    /// other cameras, at almost no increase of the objective.
     fn undecided(&self) -> Vec<bool> {
         let mut undecided = vec![false; self.clocks.len()];
         for frames in JUMPS {
@@ -223,8 +224,8 @@ impl<'a> Component<'a> {
         undecided
     }
 
-    /// The objective: the cost of all observations and of the lost frames. An observation between two
-    /// cameras is added once, not once a camera.
+    /// The objective: the cost of all observations and of all lost frames. An observation between two cameras
+    /// is counted once.
     fn total_cost(&self) -> f64 {
         let camera_cost = |(c, model): (usize, &ClockModel)| {
             let line = Vector2::new(model.offset_s / self.clocks[c].frame_s, model.rate);
@@ -241,7 +242,7 @@ impl<'a> Component<'a> {
         models.filter_map(|(c, model)| Some((c, model.as_ref()?))).map(camera_cost).sum()
     }
 
-    /// A camera's model on the clock of the root.
+    /// A camera's model relative to the clock of the root.
     fn rebased(&self, camera: usize) -> ClockModel {
         let [model, root] = [camera, self.root].map(|c| self.models[c].clone().unwrap_or_default());
         let (offset_s, rate) = (model.offset_s - root.offset_s, model.rate - root.rate);
@@ -256,8 +257,8 @@ impl<'a> Component<'a> {
         LagProblem { lags: &lags, clock, loss_penalty, allow_steps_back }.fit()
     }
 
-    /// Converts a timing observation to the lag of one of its cameras behind the common clock, given the
-    /// other camera's model; `None` if the other camera has no model yet.
+    /// Converts a timing observation to a lag of one of its cameras relative to the common clock, by the
+    /// other camera's model. `None` if the other camera has no model yet.
     fn lag(&self, camera: usize, observation: &TimingObservation) -> Option<LagObservation> {
         let [a, b] = observation.cameras;
         let [k, m] = observation.images;

@@ -1,11 +1,11 @@
-//! The clock model of one camera, fitted to its lag observations by alternating two exact steps:
-//! lost frames for a given line (a shortest path, by dynamic programming), and the line for given
-//! lost frames (least squares over the inliers).
+//! The clock model of one camera, fitted to its lag observations. Two exact steps alternate: lost frames for
+//! a given line (a shortest path, by dynamic programming), and the line for given lost frames (least squares
+//! over the inliers).
 //!
-//! A lag, in frames, is modelled as `offset + rate · elapsed + lost(image)`, where `lost` counts the
-//! frames missing up to an image. It is a step function of the image that only ascends.
+//! A lag, in frames, is modelled as `offset + rate · elapsed + lost(image)`, where `lost` counts the frames
+//! missing up to an image: a step function that never descends.
 //!
-//! Costs and penalties are counted in outliers: an outlier costs 1.
+//! Costs and penalties are in units of outliers: an outlier costs 1.
 
 use crate::capture::MAX_DRIFT_PPM;
 use crate::offset::clock::{ClockModel, NominalClock};
@@ -16,33 +16,33 @@ use std::collections::BTreeMap;
 const SIGMA_FRAMES: f64 = 0.08;
 /// The residual beyond which an observation is an outlier, frames: three standard deviations.
 pub const INLIER_BOUND_FRAMES: f64 = 3.0 * SIGMA_FRAMES;
-/// The interval, frames, up to which the uncertainty of observations grows with its length.
+/// The length of an interval, frames, above which the uncertainty of its observations no longer grows.
 const MAX_LENGTH_FRAMES: f64 = 2.0;
-/// The longest interval whose observations determine a camera's offset and rate, frames. It allows for
-/// jitter of time stamps.
+/// The maximum length of an interval, frames, whose observations are used to fit offset and rate. It allows
+/// for jitter of time stamps.
 const MAX_INTERVAL_FRAMES: f64 = 1.5;
-/// The standard deviation of the prior on a drifting clock's rate, seconds a second.
+/// The standard deviation of the prior on a drifting clock's rate, seconds per second.
 const RATE_SIGMA: f64 = 5e-4;
 /// The standard deviation that holds the rate of a clock without drift at 0.
 const NO_DRIFT_SIGMA: f64 = 1e-9;
-/// The largest rate that is tried as a start, seconds a second.
+/// The largest rate from which a fit is started, seconds per second.
 const MAX_RATE: f64 = 1e-6 * MAX_DRIFT_PPM;
-/// The maximum number of rate steps to either side of 0.
+/// The maximum number of starting rates on either side of 0.
 const MAX_RATE_STEPS: f64 = 1e3;
 /// The weight, in observations, of the prior that holds the offset if no observation is an inlier.
 const OFFSET_PRIOR_WEIGHT: f64 = 1e-3;
 /// The penalty of each further frame lost at the same image, in outliers.
 const FURTHER_LOSS_PENALTY: f64 = 0.3;
-/// The largest loss count relative to the line. Computing time grows with its square.
+/// The maximum loss count relative to the line. Computing time grows with its square.
 const MAX_LOST: i32 = 40;
 /// The maximum number of observed lags that are tried as initial offsets.
 const MAX_STARTS: usize = 64;
-/// The maximum number of alternations of the two steps.
+/// The maximum number of iterations of the two steps.
 const MAX_ALTERNATIONS: usize = 12;
 /// The decrease of the cost below which the alternation has converged.
 const COST_TOLERANCE: f64 = 1e-9;
 
-/// The penalty of a number of frames lost between two images, in outliers.
+/// The penalty of a gap in which this number of frames is lost, in outliers.
 pub fn gap_penalty(frames: u32, loss_penalty: f64) -> f64 {
     match frames {
         0 => 0.0,
@@ -50,20 +50,20 @@ pub fn gap_penalty(frames: u32, loss_penalty: f64) -> f64 {
     }
 }
 
-/// The lags of a camera that its clock model is fitted to, and the admissible loss sequences.
+/// The lags to which a camera's clock model is fitted, and the constraints on its lost frames.
 pub struct LagProblem<'a> {
     pub lags: &'a [LagObservation],
     pub clock: &'a NominalClock<'a>,
     /// The penalty of one lost frame, in outliers.
     pub loss_penalty: f64,
-    /// Whether the loss count may also descend, where the other cameras lost a frame.
+    /// Whether the loss count may also descend. It does where the other cameras lost a frame.
     pub allow_steps_back: bool,
 }
 
 /// A fitted clock model with its cost.
 pub struct ClockFit {
     pub clock: ClockModel,
-    /// The sum of truncated squares and penalties, in outliers.
+    /// The sum of truncated squared residuals and penalties, in outliers.
     pub cost: f64,
     /// The images before which the loss count descends, one entry for each frame; empty unless
     /// [`LagProblem::allow_steps_back`] is set.
@@ -71,15 +71,15 @@ pub struct ClockFit {
 }
 
 impl ClockFit {
-    /// The nominal clock, with an offset of 0.
+    /// The nominal clock: offset and cost are 0.
     pub fn nominal(clock: &NominalClock) -> Self {
         let clock = ClockModel { reference_s: clock.times_s[0], ..ClockModel::default() };
         Self { clock, cost: 0.0, steps_back: Vec::new() }
     }
 }
 
-/// The lag of a camera at a point of its recording: at `fraction` of the interval from `image` to the
-/// next one (0: at the image itself).
+/// The lag of a camera at one point of its recording. The point is at `fraction` of the interval from `image`
+/// to the next image (0: at `image` itself).
 #[derive(Clone, Copy, Debug)]
 pub struct LagObservation {
     pub image: usize,
@@ -88,45 +88,46 @@ pub struct LagObservation {
     pub lag_frames: f64,
     /// Nominal time since the camera's first image, frames.
     pub elapsed_frames: f64,
-    /// The length of the interval in which the time was interpolated, frames. If the interval is the
-    /// camera's own, frames lost in it do not count.
+    /// The length of the interval in which the point's time was interpolated, frames. For an interval of the
+    /// camera itself, frames lost in it are not counted.
     pub interval_frames: f64,
 }
 
 impl LagObservation {
-    /// The lag minus the line's offset and rate, frames.
+    /// The lag minus the lag of the line, frames.
     fn lag_beyond(&self, line: &Vector2<f64>) -> f64 {
         self.lag_frames - line.x - line.y * self.elapsed_frames
     }
 
-    /// The residual, frames, for the given numbers of frames lost up to the image and up to the next
-    /// one.
+    /// The residual, frames, for the loss counts `lost`: the numbers of frames missing up to the image, and
+    /// up to the next one.
     pub fn residual(&self, line: &Vector2<f64>, lost: [i32; 2]) -> f64 {
         let [before, after] = lost.map(f64::from);
         self.lag_beyond(line) - before - self.fraction * (after - before)
     }
 
-    /// The robust loss for the given numbers of frames lost up to the image and up to the next one.
+    /// The robust loss for the loss counts `lost`: the numbers of frames missing up to the image, and up to
+    /// the next one.
     pub fn cost(&self, line: &Vector2<f64>, lost: [i32; 2]) -> f64 {
         let interval_frames = self.interval_frames + f64::from(lost[1] - lost[0]);
         robust_loss(self.residual(line, lost), interval_frames)
     }
 }
 
-/// The robust loss of a residual, frames, of a time interpolated in an interval of a number of frames:
-/// the negative log-likelihood of a Gaussian over that of an outlier, truncated at 1.
+/// The robust loss of a residual, frames, whose time was interpolated in an interval of `interval_frames`. It
+/// is the negative log-likelihood of a Gaussian relative to that of an outlier, truncated at 1.
 ///
-/// Trajectories are curves of third order, fitted as if no frame were missing. The standard deviation
-/// of times in a longer interval grows with the third power of its length.
+/// Trajectories are cubic curves, fitted as if no frame were missing. In a longer interval the standard
+/// deviation of times therefore grows with the third power of the interval's length.
 pub fn robust_loss(residual: f64, interval_frames: f64) -> f64 {
     let factor = interval_frames.clamp(1.0, MAX_LENGTH_FRAMES).powi(3);
     let variance_term = 2.0 * factor.ln() / (INLIER_BOUND_FRAMES / SIGMA_FRAMES).powi(2);
     ((residual / (factor * INLIER_BOUND_FRAMES)).powi(2) + variance_term).min(1.0)
 }
 
-/// A line plus a step function, fitted to a camera's lags.
+/// A camera's lags as a line plus a step function.
 struct StepFit {
-    /// Offset in frames, and rate in frames a frame.
+    /// Offset in frames, and rate in frames per frame.
     line: Vector2<f64>,
     /// The images at which lags are observed, ascending.
     images: Vec<usize>,
@@ -150,8 +151,8 @@ impl LagProblem<'_> {
         best.map_or_else(|| ClockFit::nominal(self.clock), |fit| fit.into_clock_fit(self.clock))
     }
 
-    /// The starting rates, spaced so that one of them is within the inlier bound over the whole
-    /// recording; 0 alone for a clock without drift.
+    /// The starting rates. They are so close that one of them is within the inlier bound over the whole
+    /// recording; only 0 for a clock without drift.
     fn rate_grid(&self) -> Vec<f64> {
         if !self.clock.drifts {
             return vec![0.0];
@@ -166,8 +167,8 @@ impl LagProblem<'_> {
         (-steps..=steps).map(|n| f64::from(n) * step).collect()
     }
 
-    /// The observed lag of minimum robust loss at a given rate, frames; `None` without observations. For
-    /// a camera that may lose frames, residuals are modulo whole frames.
+    /// The observed lag of minimum robust loss at a given rate, frames; `None` without observations. For a
+    /// camera that may lose frames, residuals are taken modulo whole frames.
     fn initial_offset(&self, rate: f64) -> Option<f64> {
         let line = Vector2::new(0.0, rate);
         let mut values: Vec<f64> = self.lags.iter().map(|o| o.lag_beyond(&line)).collect();
@@ -204,9 +205,9 @@ impl LagProblem<'_> {
         fit
     }
 
-    /// The loss counts of minimum cost for a given line: the shortest path through a trellis with
+    /// The loss counts of minimum cost for a given line. They are the shortest path through a trellis with
     /// one column for each observed image and one node for each loss count. Observations at an image are
-    /// costs of nodes, those between two images costs of edges.
+    /// costs of nodes, those between two images are costs of edges.
     fn shortest_path(&self, line: Vector2<f64>) -> StepFit {
         let mut by_image: BTreeMap<usize, [Vec<LagObservation>; 2]> = BTreeMap::new();
         for o in self.lags {
@@ -216,7 +217,7 @@ impl LagProblem<'_> {
         }
         let counts = self.candidate_loss_counts(&line);
         let rate = if self.clock.drifts { line.y / RATE_SIGMA } else { 0.0 };
-        // The prior of the rate, in the units of `robust_loss`: the bound is 3 σ.
+        // The prior on the rate, scaled as in `robust_loss`, where 3 σ cost 1.
         let mut costs = vec![rate * rate / 9.0; counts.len()];
         let mut predecessors: Vec<Vec<usize>> = Vec::with_capacity(by_image.len());
         for [at_image, between] in by_image.values() {
@@ -233,7 +234,7 @@ impl LagProblem<'_> {
                 costs[from] + observed + gap_penalty(frames, self.loss_penalty)
             };
             let cheapest_edge = |to: usize| {
-                // Lost frames do not come back: the count never descends.
+                // Without steps back, the loss count never descends.
                 let end = if self.allow_steps_back { counts.len() } else { to + 1 };
                 let edges = (0..end).map(|from| (edge(from, to), from));
                 edges.min_by(|x, y| x.0.total_cmp(&y.0)).unwrap_or((0.0, to))
@@ -253,8 +254,8 @@ impl LagProblem<'_> {
         StepFit { line, images: by_image.into_keys().collect(), loss_counts, cost }
     }
 
-    /// The range of the observed loss counts, relative to the line, with 0; 0 alone for a camera that
-    /// loses no frames.
+    /// All loss counts from the smallest to the largest observed, relative to the line, including 0; only 0
+    /// for a camera that loses no frames.
     fn candidate_loss_counts(&self, line: &Vector2<f64>) -> Vec<i32> {
         if !self.clock.may_lose_frames {
             return vec![0];
@@ -266,7 +267,7 @@ impl LagProblem<'_> {
         (min..=max).collect()
     }
 
-    /// The least-squares line through a fit's inliers, with Gaussian priors on offset and rate.
+    /// The least-squares line through the inliers of a fit, with Gaussian priors on offset and rate.
     fn refit_line(&self, fit: &StepFit) -> Vector2<f64> {
         let rate_sigma = if self.clock.drifts { RATE_SIGMA } else { NO_DRIFT_SIGMA };
         let mut normal =
@@ -276,7 +277,7 @@ impl LagProblem<'_> {
             let lost = fit.lost_around(o);
             let residual = o.residual(&fit.line, lost);
             let interval_frames = o.interval_frames + f64::from(lost[1] - lost[0]);
-            // Times in longer intervals are too uncertain to add anything.
+            // Times in longer intervals are too uncertain to contribute.
             if residual.abs() < INLIER_BOUND_FRAMES && interval_frames < MAX_INTERVAL_FRAMES {
                 let row = Vector2::new(1.0, o.elapsed_frames) / SIGMA_FRAMES;
                 let value = (residual + fit.line.x + fit.line.y * o.elapsed_frames) / SIGMA_FRAMES;
@@ -290,7 +291,7 @@ impl LagProblem<'_> {
 }
 
 impl StepFit {
-    /// The frames lost up to an observation's image, and up to the next one.
+    /// The numbers of frames lost up to an observation's image, and up to the next one.
     fn lost_around(&self, o: &LagObservation) -> [i32; 2] {
         let n = self.images.partition_point(|n| *n < o.image);
         [n, n + usize::from(o.fraction != 0.0)].map(|n| self.loss_counts[n])

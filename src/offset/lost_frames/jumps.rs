@@ -1,14 +1,14 @@
-//! Jump moves (Veksler 1999): some images of some cameras move by whole frames, all others stay. A
-//! minimum cut finds a move of low cost among all sets of images, including those of several cameras. It
-//! is the cheapest move if all terms are submodular.
+//! Jump moves (Veksler 1999): some images of some cameras move by whole frames, and all others stay. A
+//! minimum cut finds a move of low cost among all sets of images, including sets from several cameras. It is
+//! the move of minimum cost if all terms are submodular.
 //!
-//! Block-coordinate descent changes one camera at a time. If neighbours lose frames at about the same
-//! time, a better model differs in all of them at once. A move of negative cost is an improvement. The
-//! cost of a given image's move bounds that image's min-marginal (Kohli and Torr, CVIU 112(1), 2008)
-//! from above: if it is near 0, the image's time is undecided.
+//! Block-coordinate descent changes one camera at a time. If neighbours lose frames at about the same time, a
+//! better model differs in all of them at once. A move of negative cost is an improvement. The cost of a move
+//! that contains a given image is an upper bound of that image's min-marginal (Kohli and Torr, CVIU 112(1),
+//! 2008). If it is near 0, the image's time is undecided.
 //!
-//! Known limits: offsets within a frame and rates stay as they are. Observations that contradict each
-//! other give terms that are not submodular ([`super::min_cut`]), and a move through them may be missed.
+//! Known limits: rates, and offsets within a frame, do not change. Observations that contradict each other
+//! give terms that are not submodular ([`super::min_cut`]), and a move through them may be missed.
 
 use super::TimingObservation;
 use super::fit::{gap_penalty, robust_loss};
@@ -19,11 +19,11 @@ use std::ops::Range;
 /// The cameras of one connected component, and their clock models.
 pub struct Component<'a> {
     pub clocks: &'a [NominalClock<'a>],
-    /// By camera: the observations that it takes part in.
+    /// By camera: the observations in which it takes part.
     pub observations: &'a [Vec<TimingObservation>],
-    /// The camera whose first image keeps its time.
+    /// The camera whose first image keeps its time, which fixes the common clock.
     pub root: usize,
-    /// By camera; `None` for cameras of other components, and for those that are not added yet.
+    /// By camera: its model. `None` for cameras of other components, and for those that are not fitted yet.
     pub models: Vec<Option<ClockModel>>,
     /// The penalty of one lost frame, in outliers.
     pub loss_penalty: f64,
@@ -35,14 +35,14 @@ impl Component<'_> {
         (0..self.clocks.len()).filter(|&c| self.models[c].is_some()).collect()
     }
 
-    /// The observations of all fitted cameras, each once: at its second camera.
+    /// The observations among fitted cameras. Each is stored with both cameras, and returned once.
     pub fn fitted_observations(&self) -> impl Iterator<Item = &TimingObservation> {
         let as_second = |c: usize| self.observations[c].iter().filter(move |o| o.cameras[1] == c);
         self.members().into_iter().flat_map(as_second)
     }
 }
 
-/// Images of a camera that move together: from `image` up to the image of the camera's next node.
+/// A run of a camera's images that move together: from `image` up to the image of the camera's next node.
 struct MoveNode {
     camera: usize,
     image: usize,
@@ -54,17 +54,18 @@ struct MoveNode {
 pub struct Move {
     /// By node: whether it moves.
     moves: Vec<bool>,
-    /// The change of the objective.
+    /// The increase of the objective by the move, in outliers.
     pub cost: f64,
 }
 
-/// All moves of a component's images by a given number of frames.
+/// The possible moves of a component's images by a given number of frames.
 pub struct Jumps<'a> {
     component: &'a Component<'a>,
     nodes: Vec<MoveNode>,
     /// By camera: its nodes, ascending by image.
     of_camera: Vec<Range<usize>>,
-    /// The nodes of each observation's three images, and its costs by the labels of these nodes.
+    /// For each observation: the nodes of its three images, and its cost for each combination of their
+    /// labels.
     terms: Vec<([usize; 3], TripleCosts)>,
     /// The number of frames by which nodes move.
     frames: i32,
@@ -78,14 +79,14 @@ impl<'a> Jumps<'a> {
         jumps
     }
 
-    /// The node of a camera's image; `None` for a camera without nodes.
+    /// The node that contains a camera's image; `None` for a camera without nodes.
     fn node(&self, camera: usize, image: usize) -> Option<usize> {
         let range = self.of_camera[camera].clone();
         let within = self.nodes[range.clone()].partition_point(|n| n.image <= image);
         (!range.is_empty()).then(|| range.start + within.saturating_sub(1))
     }
 
-    /// An observation's nodes and costs.
+    /// The nodes of an observation, and its costs by their labels.
     fn term(&self, o: &TimingObservation) -> Option<([usize; 3], TripleCosts)> {
         let ([a, b], [k, m]) = (o.cameras, o.images);
         let [clock_a, clock_b] = o.cameras.map(|c| &self.component.clocks[c]);
@@ -107,8 +108,8 @@ impl<'a> Jumps<'a> {
         Some(([self.node(a, k)?, self.node(a, k + 1)?, self.node(b, m)?], costs))
     }
 
-    /// The nodes whose times decide whether a camera is undecided: the first and the last one, and those
-    /// on both sides of each of its lost frames.
+    /// The nodes of which one could move if the camera is undecided: the first and the last, and those on
+    /// both sides of each of its lost frames.
     pub fn decisive_nodes(&self, camera: usize) -> Vec<usize> {
         let range = self.of_camera[camera].clone();
         let at_loss = range.clone().filter(|n| self.nodes[*n].lost > 0);
@@ -120,8 +121,8 @@ impl<'a> Jumps<'a> {
         decisive
     }
 
-    /// The cheapest move that the minimum cut finds, among those that contain a node if one is given.
-    /// `None` if nothing moves, or all such moves are impossible.
+    /// The move of lowest cost that the minimum cut finds; if `containing` is given, among the moves of that
+    /// node. `None` if nothing moves, or if all such moves are impossible.
     pub fn cheapest(&self, containing: Option<usize>) -> Option<Move> {
         let mut energy = Energy::new(self.nodes.len());
         let origin = self.of_camera[self.component.root].start;
@@ -133,7 +134,7 @@ impl<'a> Jumps<'a> {
             energy.add_triple(*nodes, costs);
         }
         for (before, after) in self.neighbours() {
-            // The time between the two nodes grows if `up` moves alone, and shrinks if `down` does.
+            // The gap between the two nodes grows if only `up` moves, and shrinks if only `down` does.
             let (up, down) = if self.frames > 0 { (after, before) } else { (before, after) };
             let (lost, frames) = (self.nodes[after].lost, self.frames.unsigned_abs());
             if let Some(less) = lost.checked_sub(frames) {
@@ -158,7 +159,7 @@ impl<'a> Jumps<'a> {
         (0..self.nodes.len().saturating_sub(1)).filter(same_camera).map(|n| (n, n + 1))
     }
 
-    /// The change of the objective by a move; `None` if a loss count would descend.
+    /// The increase of the objective by a move; `None` if a loss count would descend.
     fn cost(&self, moves: &[bool]) -> Option<f64> {
         let mut cost = 0.0;
         for ([x, y, z], costs) in &self.terms {
@@ -177,12 +178,12 @@ impl<'a> Jumps<'a> {
         gap_penalty(lost, self.component.loss_penalty)
     }
 
-    /// The change of the number of frames lost between two neighbouring nodes by a move.
+    /// The change, by a move, of the number of frames lost between two neighbouring nodes.
     fn further_losses(&self, moves: &[bool], (before, after): (usize, usize)) -> i32 {
         self.frames * (i32::from(moves[after]) - i32::from(moves[before]))
     }
 
-    /// Marks the cameras with images that move.
+    /// Sets `marked` for the cameras with images that move.
     pub fn mark_moved(&self, of: &Move, marked: &mut [bool]) {
         for (range, marked) in self.of_camera.iter().zip(marked) {
             *marked |= of.moves[range.clone()].contains(&true);
@@ -218,10 +219,10 @@ impl<'a> Jumps<'a> {
     }
 }
 
-/// The nodes of all cameras, and their ranges by camera.
+/// The nodes of all cameras, and each camera's range among them.
 ///
-/// A camera that loses no frames moves as a whole. For another camera, each image with an observation
-/// starts a node, and so do the first and the last image that other cameras could observe.
+/// A camera that loses no frames is one node. For another camera, a node starts at each image with an
+/// observation, and at the first and the last image that other cameras could observe.
 fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     let mut images: Vec<Vec<usize>> = vec![Vec::new(); component.models.len()];
     for o in component.fitted_observations() {
@@ -230,7 +231,7 @@ fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
         images[b].push(m);
     }
     for (images, model) in images.iter_mut().zip(&component.models) {
-        // No image without a node may lie between the two images around a loss.
+        // The two images around a loss start nodes, so that the loss is between neighbouring nodes.
         let lost_before = model.iter().flat_map(|m| &m.lost_before);
         images.extend(lost_before.flat_map(|n| [n.saturating_sub(1), *n]));
     }
@@ -256,8 +257,8 @@ fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     (nodes, of_camera)
 }
 
-/// By camera: the first and the last image within a frame of an image of the cameras that observations
-/// connect it with; `None` if there are none.
+/// By camera: the first and the last of its images that are within a frame of an image of a camera with
+/// common observations; `None` if there are none.
 fn observable_ends(component: &Component) -> Vec<Option<[usize; 2]>> {
     let image_times_s = |(model, clock): (&Option<ClockModel>, &NominalClock)| {
         model.as_ref().map_or_else(Vec::new, |m| m.image_times_s(clock))

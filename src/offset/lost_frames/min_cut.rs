@@ -13,14 +13,15 @@ use petgraph::visit::EdgeRef;
 pub struct Energy {
     /// By variable: the cost of the label 1.
     unary: Vec<f64>,
-    /// Two variables, and the cost of the label 1 for the first and 0 for the second.
+    /// By edge: two variables, and the cost if the first has the label 1 and the second 0.
     edges: Vec<(usize, usize, f64)>,
 }
 
-/// The energies of three variables' labels: `[x][y][z]`.
+/// The cost of each combination of three variables' labels: `[x][y][z]`.
 pub type TripleCosts = [[[f64; 2]; 2]; 2];
 
-/// The cost of a forbidden label, or of a forbidden pair of labels: more than the sum of all other terms.
+/// The cost of a forbidden label, or of a forbidden pair of labels. It is larger than the sum of all other
+/// terms.
 pub const FORBIDDEN: f64 = 1e7;
 /// The capacity that represents a cost of 1. Capacities are integers, so that flows are exact.
 const UNITS: f64 = (1_u64 << 30) as f64;
@@ -48,7 +49,7 @@ impl Energy {
         }
     }
 
-    /// Adds a term of three variables, which need not be distinct.
+    /// Adds a term of three variables; some of them may be the same.
     pub fn add_triple(&mut self, [x, y, z]: [usize; 3], e: &TripleCosts) {
         let variables = [x, y, z];
         let single = [e[1][0][0], e[0][1][0], e[0][0][1]].map(|v| v - e[0][0][0]);
@@ -63,8 +64,8 @@ impl Energy {
         for (variable, cost) in variables.into_iter().zip(single) {
             self.unary[variable] += cost;
         }
-        // The cubic term is a minimum over an auxiliary variable w: of −2cw + cw (x + y + z) if it is
-        // negative, otherwise of cw − cw (x + y + z) + c (xy + xz + yz).
+        // The cubic term is replaced by a minimum over an auxiliary variable w: of −2cw + cw (x + y + z) if c
+        // is negative, otherwise of cw − cw (x + y + z) + c (xy + xz + yz).
         if cubic.abs() > 1.0 / UNITS {
             let further = self.unary.len();
             self.unary.push(if cubic < 0.0 { -2.0 * cubic } else { cubic });
@@ -77,29 +78,30 @@ impl Energy {
             if coefficient <= 0.0 {
                 self.add_product(variables[i], variables[j], coefficient);
             } else {
-                // The product is not submodular: a cost of the dearer variable bounds it.
+                // The product is not submodular. It is replaced by an upper bound: its coefficient as a cost
+                // of one variable, the one with the higher cost.
                 let dearer = if single[i] > single[j] { i } else { j };
                 self.unary[variables[dearer]] += coefficient;
             }
         }
     }
 
-    /// Minimizes the energy, and returns the labels of the first `count` variables. Among several minima
-    /// it is the one with the fewest labels of 1.
+    /// Minimizes the energy, and returns the labels of the first `count` variables. Of several minima, it
+    /// returns the one with the fewest labels 1.
     pub fn minimize(&self, count: usize) -> Vec<bool> {
         let (source, sink) = (self.unary.len(), self.unary.len() + 1);
         let terminal = |(variable, &cost): (usize, &f64)| match cost > 0.0 {
             true => (variable, sink, cost),
             false => (source, variable, -cost),
         };
-        // The first edge makes sure that there are both terminals.
+        // An edge of capacity 0 makes sure that both terminals exist.
         let edges = std::iter::once((source, sink, 0.0))
             .chain(self.unary.iter().enumerate().map(terminal))
             .chain(self.edges.iter().copied())
             .map(|(x, y, cost)| (x as u32, y as u32, (UNITS * cost).round() as u64));
         let network = DiGraph::<(), u64>::from_edges(edges);
         let (_, flow) = dinics(&network, NodeIndex::new(source), NodeIndex::new(sink));
-        // Variables that the source still reaches have the label 1.
+        // Variables that can still be reached from the source have the label 1.
         let mut reached = vec![false; network.node_count()];
         let mut open = vec![NodeIndex::new(source)];
         while let Some(node) = open.pop() {
@@ -121,8 +123,8 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// Random energies of up to eight variables whose triples are all truncated distances between two
-    /// of their variables, as submodular ones are: the labels have the minimum energy of all.
+    /// Random energies of up to eight variables. All triple terms are truncated distances between two of the
+    /// variables, which are submodular. The labels must have the minimum energy.
     #[test]
     fn the_minimum_of_submodular_energies_is_found() {
         let random = &mut Random::new(4);

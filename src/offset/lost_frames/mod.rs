@@ -1,16 +1,14 @@
-//! Lost frames: a camera that drops a frame without a trace is one frame late from there on.
+//! Detection of lost frames. A camera that drops a frame without a trace is one frame late from there on.
 //!
-//! One triple of frames gives a pair's offset at one instant (eq. (10)). Tracked along the recording,
-//! a pair's offset jumps up by a frame where the camera of the single frame lost one, and down where
-//! the other camera did. Jumps are bracketed by bisection, so that images on both sides of each are
-//! observed. The clock models of all cameras are then fitted to the observations of all pairs
-//! ([`descent`]).
+//! One triple of frames gives a pair's offset at one instant, eq. (10). When it is tracked along the
+//! recording, a pair's offset jumps up by a frame where the camera of the single frame lost one, and down
+//! where the other camera did. Jumps are bracketed by bisection, so that images on both sides of each are
+//! observed. The clock models of all cameras are then fitted to the observations of all pairs ([`descent`]).
 //!
-//! Known limits: a frame lost while nothing moves is attributed to the next image that shows motion.
-//! A frame lost after the first or before the last image of a recording may be missed; these images
-//! are then a frame off. The offset of a camera is unknown if too few of its observations agree, or if
-//! other losses fit nearly as well: cameras that lose frames within a frame or two of each other hide
-//! each other's losses.
+//! Known limits: a frame lost while nothing moves is attributed to the next image that shows motion. A frame
+//! lost after the first or before the last image of a recording may be missed; that image's time is then a
+//! frame off. The offset of a camera is unknown if too few of its observations agree, or if other losses fit
+//! nearly as well: cameras that lose frames within a frame or two of each other hide each other's losses.
 
 mod descent;
 mod fit;
@@ -31,18 +29,18 @@ use rayon::prelude::*;
 pub struct TimingObservation {
     pub cameras: [usize; 2],
     pub images: [usize; 2],
-    /// A fraction of 0 to 1, or slightly outside for an extrapolated trajectory.
+    /// From 0 to 1; slightly outside if the trajectory was extrapolated.
     pub fraction: f64,
 }
 
-/// A camera's clock model on the common clock of its component, fitted to timing observations.
+/// A camera's clock model relative to the common clock of its component, fitted to timing observations.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FittedClock {
     pub clock: ClockModel,
-    /// Whether too many of the observations contradict the model.
+    /// Whether too many observations contradict the model.
     pub ambiguous: bool,
-    /// Whether other lost frames, of this camera and of others, explain the observations nearly as well:
-    /// times of some of its images are then off by a frame.
+    /// Whether other losses, of this camera and of others, explain the observations nearly as well. Then the
+    /// times of some of its images may be a frame off.
     pub undecided: bool,
     /// The connected component of the observation graph that the camera belongs to. Only models of
     /// the same component share a common clock.
@@ -55,40 +53,41 @@ struct TripleOffset {
     timing: TimingObservation,
     /// `offset_b − offset_a`, seconds.
     offset_s: f64,
-    /// The MSAC score: about the number of inliers.
+    /// The MSAC score, which is about the number of inliers.
     score: f64,
-    /// The score over the number of features that move across their epipolar lines.
+    /// The score divided by the number of features that move across their epipolar lines.
     agreement: f64,
 }
 
-/// The offsets that are tried, in frames from the offset observed last, in order of preference.
+/// The offsets that are tried, in order of preference: differences from the offset observed last, in frames.
 const STEPS: [f64; 6] = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0];
-/// The offsets that are tried at the start of a recording, in frames from the initial offset. That is
-/// the offset of the recording's main part, which may be several losses later.
+/// The offsets that are tried at the start of a recording: differences from the initial offset, in frames.
+/// The initial offset is that of the recording's main part, which may be several losses later.
 const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
-/// The minimum score of a triple, as a fraction of the minimum inliers of a pair.
+/// The minimum score of a triple, as a fraction of [`MIN_INLIERS`].
 const MIN_SCORE_FRACTION: f64 = 0.5;
 /// The minimum score of a triple, as a fraction of its candidates.
 const MIN_INLIER_FRACTION: f64 = 0.3;
-/// The distance of a time from a frame, as a fraction of the interval, within which a triple requires
-/// [`MIN_AGREEMENT`]: occluded features and T-junctions agree on the time of one of the two frames.
+/// The distance in time from a frame, as a fraction of the interval, within which a triple requires
+/// [`MIN_AGREEMENT`]. Occluded features and T-junctions agree on the time of one of the two frames.
 const NEAR_FRAME: f64 = 0.2;
-/// The maximum distance of camera b's image from camera a's interval, as a fraction of the interval.
+/// The maximum time by which camera b's image may be outside camera a's interval, as a fraction of the
+/// interval.
 const MAX_OUTSIDE: f64 = 0.25;
-/// The change of the offset, frames, beyond which it is a jump by whole frames.
+/// The minimum change of the offset, in frames, that counts as a jump by whole frames.
 const MIN_JUMP_FRAMES: f64 = 0.6;
-/// The difference from the expected offset, frames, within which an offset of enough agreement ends the
+/// The maximum difference from the expected offset, frames, at which an offset of enough agreement ends the
 /// search.
 const EXPECTED_WITHIN_FRAMES: f64 = 0.4;
 /// The number of images on either side of a lost frame that are observed again.
 const IMAGES_AROUND_LOSS: usize = 2;
-/// The maximum number of rounds of observing again by the fitted clock models.
+/// The maximum number of rounds in which observations are repeated with the fitted clock models.
 const MAX_ROUNDS: usize = 3;
 
 /// Detects the lost frames of all cameras; the result is by camera.
 ///
-/// `starts` holds each pair's initial offset. Offsets of pairs with fitted clock models are replaced by
-/// those of the models. A camera that may lose frames and is never observed is ambiguous.
+/// `starts` holds each pair's initial offset. For pairs with fitted clock models, it is replaced by the
+/// models' offset. A camera that may lose frames but is in no observation is ambiguous.
 pub fn detect_lost_frames(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -169,8 +168,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Self { recording, cameras, frame_s, offsets: Vec::new() }
     }
 
-    /// Tracks the offset along the recording, from the initial offset of its main part, and brackets its
-    /// jumps.
+    /// Tracks the offset along the recording and brackets its jumps. `initial_offset_s` is the offset of the
+    /// recording's main part.
     fn track_offset(&mut self, initial_offset_s: f64) -> Result<(), CaptureError> {
         let mut expected_s = initial_offset_s;
         for k in self.sampled_images() {
@@ -181,7 +180,7 @@ impl<'a, 'b> PairScan<'a, 'b> {
                     && (o.offset_s - expected_s).abs() < EXPECTED_WITHIN_FRAMES * self.frame_s
             };
             if let Some(observed) = self.best_observation(k, tried_s, is_expected)? {
-                // An offset of low agreement is an observation, but does not move the search.
+                // An offset of low agreement is stored as an observation, but the search does not follow it.
                 if self.offsets.is_empty() || observed.agreement >= MIN_AGREEMENT {
                     expected_s = observed.offset_s;
                 }
@@ -194,9 +193,9 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(())
     }
 
-    /// Adds observations of the triples that the fitted clock models predict, and returns whether there
-    /// are any new ones. At the recordings' ends and on either side of lost frames, each image of camera
-    /// a is observed with every plausible image of camera b.
+    /// Adds observations of the triples that the fitted clock models predict, and returns whether any is new.
+    /// At the recordings' ends and on either side of lost frames, each image of camera a is observed with
+    /// every plausible image of camera b.
     fn observe_again(
         &mut self,
         clocks: &[NominalClock],
@@ -207,7 +206,7 @@ impl<'a, 'b> PairScan<'a, 'b> {
         };
         let times_a = model_a.clock.image_times_s(&clocks[self.cameras[0]]);
         let times_b = model_b.clock.image_times_s(&clocks[self.cameras[1]]);
-        // Few images show a loss next to a recording's end: all of them are observed.
+        // Only few images show a loss near a recording's end: all of them are observed.
         let mut decisive_times = Vec::new();
         for (model, times) in [(model_a, &times_a), (model_b, &times_b)] {
             decisive_times.extend([times[0], times[times.len() - 1]]);
@@ -233,15 +232,15 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(self.offsets.len() > count_before)
     }
 
-    /// The images of camera a that are observed first, evenly spread.
+    /// The evenly spread images of camera a that are observed first.
     fn sampled_images(&self) -> Vec<usize> {
         let count = self.recording.clocks[self.cameras[0]].times_s.len() - 1;
         spread(count, self.recording.options.max_frames)
     }
 
-    /// The observation of the highest score at image k of camera a, among the images of camera b that lie
-    /// between images k and k + 1 by one of the offsets; the first of two with equal scores. No further
-    /// offsets are tried after an observation that is enough.
+    /// The observation of the highest score at image k of camera a. The tried images of camera b are those
+    /// that one of the offsets puts between images k and k + 1. The first observation for which `is_enough`
+    /// is true ends the search; of equal scores the first counts.
     fn best_observation(
         &self,
         k: usize,
@@ -262,8 +261,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(best)
     }
 
-    /// The offset observed from images k and k + 1 of camera a and image m of camera b. `None` if
-    /// too few candidates agree, or on a time outside camera a's interval.
+    /// The offset observed at images k and k + 1 of camera a and image m of camera b. `None` if too few
+    /// candidates agree, or if they agree on a time outside camera a's interval.
     fn observe(&self, k: usize, m: usize) -> Result<Option<TripleOffset>, CaptureError> {
         let [times, times_b] = self.cameras.map(|c| &self.recording.clocks[c].times_s);
         let triple = self.recording.triple((self.cameras, [k, m]))?;
@@ -285,7 +284,7 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(valid.then_some(TripleOffset { timing, offset_s, score, agreement }))
     }
 
-    /// Bisects the images between two observations that are a jump apart, until the observations on both
+    /// Bisects the images between two observations that differ by a jump, until the observations on both
     /// sides of the jump are neighbours.
     fn bisect_jump(&mut self, from: TripleOffset, to: TripleOffset) -> Result<(), CaptureError> {
         let jump = (to.offset_s - from.offset_s) / self.frame_s;
@@ -298,7 +297,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         self.bisect_jump(between, to)
     }
 
-    /// An observation of an image between two others, as near to their middle as possible.
+    /// An observation of an image between two observations, as near to the middle as possible. `None` if no
+    /// image between them can be observed.
     fn observe_between(
         &self,
         from: TripleOffset,

@@ -8,8 +8,8 @@ use crate::random::Random;
 
 const FRAME_S: f64 = 1.0 / 30.0;
 
-/// A row of cameras that record for equally long; each is observed with its two neighbours on
-/// either side.
+/// A row of cameras whose recordings have the same length. Each is observed together with its two neighbours
+/// on either side.
 struct Recordings {
     times_s: Vec<Vec<f64>>,
     true_models: Vec<ClockModel>,
@@ -44,7 +44,7 @@ impl Recordings {
             .collect()
     }
 
-    /// All timing observations, with noise, a fraction of which is off by up to two frames.
+    /// All timing observations, with noise. A fraction of them are outliers, off by up to two frames.
     fn observations(&self, random: &mut Random, outlier_fraction: f64) -> Vec<TimingObservation> {
         let clocks = self.clocks();
         let all: Vec<Vec<f64>> =
@@ -90,7 +90,7 @@ fn no_loss_is_invented_among_hundreds_of_recordings_with_outliers() {
         for (model, truth) in recordings.fit(&observations).into_iter().zip(&recordings.true_models)
         {
             let model = model.unwrap();
-            // With two cameras, both observations at an end may be outliers that agree.
+            // With two cameras, both observations at an end may be outliers that agree with each other.
             assert!(model.clock.lost_before.is_empty() || model.undecided, "{n}: {model:?}");
             let error = (model.clock.offset_s - truth.offset_s) / FRAME_S;
             assert!(error.abs() < 0.1, "{n}: {error} frame");
@@ -98,8 +98,8 @@ fn no_loss_is_invented_among_hundreds_of_recordings_with_outliers() {
     }
 }
 
-/// The reference camera loses frames too. The losses are five frames apart, since two cameras
-/// that lose a frame at the same time leave no trace in their observations.
+/// The reference camera loses frames too. Losses are five frames apart, since two cameras that lose a frame
+/// at the same time leave no trace.
 #[test]
 fn all_losses_of_hundreds_of_recordings_are_found() {
     let random = &mut Random::new(9);
@@ -143,7 +143,7 @@ fn two_losses_at_one_image_and_a_camera_without_observations() {
     assert_eq!(recordings.fit(&[]), [None, None, None]);
 }
 
-/// Cameras of which no observation connects the halves: each half is fitted as if it were alone.
+/// No observation connects the two halves of the cameras. Each half is fitted as if it were alone.
 #[test]
 fn components_do_not_touch_each_other() {
     let random = &mut Random::new(11);
@@ -166,8 +166,8 @@ fn components_do_not_touch_each_other() {
     }
 }
 
-/// One observation is too few to decide on a loss and two are enough. Two of which one is half an inlier
-/// bound off neither prove a loss nor rule it out.
+/// One observation is too few to decide on a loss, and two are enough. If one of two is off by half the
+/// inlier bound, they neither prove a loss nor exclude it.
 #[test]
 fn weak_evidence_of_a_loss_makes_a_model_ambiguous() {
     let times_s: Vec<f64> = (0..20).map(|n| f64::from(n) * FRAME_S).collect();

@@ -12,22 +12,22 @@ use crate::offset::recording::{FrameTriple, Recording, Sample, TripleFrames};
 use crate::offset::uncertainty::{Sandwich, effective_number, std_err_inflation};
 use std::sync::Arc;
 
-/// The RANSAC tolerance d of §7, as a fraction of Δt.
+/// The RANSAC tolerance d of §7, as a fraction of the frame interval Δt.
 const TOLERANCE_FRACTION: f64 = 0.05;
-/// γ of eq. (12), times Δt.
+/// The product γ·Δt, with γ of eq. (12).
 const GAMMA: f64 = 70.0;
-/// The minimum fraction of inliers among a pair's candidates. Candidates by chance spread over a few
-/// frames, and every window of 2 × tolerance contains a fraction of them.
+/// The minimum fraction of inliers among a pair's candidates. Wrong candidates spread over a few frames, so
+/// that every window of 2 × tolerance contains a small fraction of them.
 const MIN_INLIER_FRACTION: f64 = 0.15;
-/// The minimum number of moving features, as a fraction of all tracked ones: fewer may be mismatches.
+/// The minimum number of moving features, as a fraction of all tracked ones. Fewer may be mismatches.
 const MIN_MOVING_FRACTION: f64 = 0.01;
-/// The minimum number of inliers, as a fraction of the moving features. If the motion runs along the
-/// epipolar lines, T-junctions and occluded features seem to cross them, and agree on wrong times.
+/// The minimum number of inliers, as a fraction of the moving features. If all motion is along the epipolar
+/// lines, T-junctions and occluded features seem to cross the lines, and agree on wrong times.
 const MIN_ACROSS_FRACTION: f64 = 0.05;
-/// The standard deviation of the correspondences' common error across the epipolar lines, as a
-/// fraction of the residuals' standard deviation. The common error biases the offset in proportion to
-/// the mean signed speed of the features, and does not average out. Filmed scenes have 0.001 to
-/// 0.006 px at residuals of 0.03 px.
+/// The standard deviation of the part of correspondences' errors across the epipolar lines that is common to
+/// all features, relative to the residuals' standard deviation. It biases the offset in proportion to the
+/// mean signed speed of the features, and does not average out. In filmed scenes it is 0.001 to 0.006 px, at
+/// residuals of 0.03 px.
 const COMMON_ERROR_FRACTION: f64 = 0.2;
 
 /// A pair's frame triples, with their candidates.
@@ -53,7 +53,7 @@ impl PairTriples {
         self.triples.iter().map(|(_, triple)| count(triple)).sum()
     }
 
-    /// The reason for too few candidates.
+    /// Why there are too few candidates.
     fn too_few_candidates(&self) -> PairFailure {
         let tracks = self.total(|t| t.tracks);
         let min_moving = MIN_INLIERS.max((MIN_MOVING_FRACTION * tracks as f64) as usize);
@@ -68,8 +68,9 @@ impl PairTriples {
 }
 
 impl PairTriples {
-    /// Whether nothing that is tracked moves in one of the two cameras, where the other one sees motion: its frames are copies
-    /// of one image. Candidates of the other camera's frames would agree on the time of that image.
+    /// Whether one camera is frozen, its frames being copies of one image: nothing that is tracked in it
+    /// moves, while the other camera sees motion. Candidates of the other camera would all agree on the time
+    /// of that image.
     fn is_frozen(&self) -> bool {
         let count = |camera: usize, count: fn(&FrameTriple) -> usize| -> usize {
             let own = self.triples.iter().filter(|(([a, _], _), _)| *a == camera);
@@ -84,7 +85,7 @@ impl PairTriples {
     }
 }
 
-/// The candidates of a pair's triples as observations of a line: offset by time.
+/// A pair's candidates as observations of a line: the offset as a function of time.
 struct PairObservations {
     samples: Vec<Sample>,
     /// In the order of `samples`: `offset_j − offset_i` by time since `center_s` on camera i's clock.
@@ -120,7 +121,7 @@ impl PairObservations {
 
 /// Estimates a pair's offset, and its rate if `with_rate`, from the candidates of its triples.
 ///
-/// The failure is the first condition on features, motion and inliers that the triples violate.
+/// The failure is the first condition on features, motion and inliers that is not met.
 pub fn fit_pair(
     recording: &Recording,
     pair: &PairTriples,
@@ -166,8 +167,8 @@ pub fn fit_pair(
     Ok(estimate)
 }
 
-/// Fits the mixture to a pair's observations, and checks that features, motion across the epipolar
-/// lines and inliers suffice.
+/// Fits the mixture to a pair's observations, and checks that there are enough features, motion across the
+/// epipolar lines, and inliers.
 fn checked_mixture(
     pair: &PairTriples,
     data: &PairObservations,
@@ -193,8 +194,8 @@ fn checked_mixture(
     Ok(mixture)
 }
 
-/// Fits the mixture from the value of highest consensus. With a rate, the initial rate is first
-/// subtracted: no single value has a consensus while the offset changes.
+/// Fits the mixture, starting at the value of highest consensus. If `with_rate`, the initial rate is
+/// subtracted first, since no single value has a consensus while the offset changes.
 fn fit_line(data: &PairObservations, initial: &ClockModel, with_rate: bool) -> Option<Mixture> {
     let rate = if with_rate { initial.rate } else { 0.0 };
     let relative = |o: &Observation| Observation { value_s: o.value_s - rate * o.at_s, ..*o };
@@ -204,8 +205,8 @@ fn fit_line(data: &PairObservations, initial: &ClockModel, with_rate: bool) -> O
     Some(Mixture { rate: mixture.rate + rate, ..mixture })
 }
 
-/// RANSAC and WLS, eqs. (11) to (13), on one frame triple, and the mixture's estimate; `None` for too few
-/// inliers.
+/// The estimates from one frame triple: by RANSAC and WLS, eqs. (11) to (13), and by the mixture. `None` for
+/// too few inliers.
 fn frame_estimate(
     recording: &Recording,
     pair: &PairTriples,
@@ -233,7 +234,7 @@ fn frame_estimate(
     Some(FrameEstimate { camera, frame, offset_s, by_information_s: mixture.value_s })
 }
 
-/// The mean of the frames' offsets and its standard error from their scatter, seconds. `None` for
+/// The mean of the frames' offsets, and its standard error from their scatter; both in seconds. `None` for
 /// fewer than two frames.
 fn mean_of_frames(frames: &[FrameEstimate]) -> Option<(f64, f64)> {
     let n = frames.len() as f64;
@@ -245,8 +246,8 @@ fn mean_of_frames(frames: &[FrameEstimate]) -> Option<(f64, f64)> {
     Some((mean, (variance / n).sqrt()))
 }
 
-/// The cluster-robust standard error of a pair's offset, combined with the correspondences' common
-/// error, seconds. `None` if it is not determined.
+/// The standard error of a pair's offset, seconds: the cluster-robust one, combined with the one due to the
+/// common error. `None` if it can't be determined.
 fn std_err(
     estimate: &PairEstimate,
     observations: &[Observation],
@@ -267,8 +268,9 @@ fn std_err(
     (variance > 0.0).then(|| variance.sqrt().hypot(common_error_s(observations, estimate)))
 }
 
-/// The effective number of tracker windows that determine the offset at one instant, averaged over
-/// instants by their information. `weights` are those of all triples' samples, in their order.
+/// The effective number of independent tracker windows that determine the offset at one instant, averaged
+/// over instants with their information as weight. `weights` are those of all triples' samples, in their
+/// order.
 fn independent_windows(pair: &PairTriples, weights: &[f64]) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     let mut weights = weights.iter();
@@ -286,12 +288,12 @@ fn independent_windows(pair: &PairTriples, weights: &[f64]) -> f64 {
     if total > 0.0 { sum / total } else { 0.0 }
 }
 
-/// The standard error from the correspondences' common error across the epipolar lines
+/// The standard error due to the correspondences' common error across the epipolar lines
 /// ([`COMMON_ERROR_FRACTION`]), seconds; 0 without information.
 fn common_error_s(observations: &[Observation], estimate: &PairEstimate) -> f64 {
     let (mut signed, mut squared) = (0.0, 0.0);
     for (o, (sample, weight)) in observations.iter().zip(estimate.samples.iter()) {
-        // The positive sides of the epipolar lines are opposite in the two directions.
+        // The positive side of the epipolar lines is opposite for triples of the other direction.
         let sign = if sample.cameras == estimate.cameras { 1.0 } else { -1.0 };
         signed += sign * weight * o.across_px_s;
         squared += weight * o.across_px_s * o.across_px_s;

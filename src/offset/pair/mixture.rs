@@ -1,14 +1,14 @@
-//! A robust line through candidates: maximum likelihood under a mixture model of inliers and
-//! outliers, fitted by expectation maximization (EM).
+//! A robust line fit to candidates: maximum likelihood under a mixture model of inliers and outliers, fitted
+//! by expectation maximization (EM).
 //!
-//! Beyond the paper. RANSAC counts candidates within a tolerance in time, although a slow feature's
-//! candidate is far less certain than a fast one's, and eqs. (11) to (13) weight by agreement alone.
-//! Here the error of an inlier is a scale mixture of three Gaussians in pixels, so that a candidate's
-//! information grows with the square of its speed across the epipolar line. The time of an outlier is
-//! uniform. EM starts at the candidate of highest consensus, by MSAC's truncated squares.
+//! Beyond the paper. RANSAC counts candidates within a tolerance in time, although a slow feature's candidate
+//! is far less certain than a fast one's, and the weights of eqs. (11) to (13) depend only on agreement. Here
+//! the error of an inlier is a scale mixture of three Gaussians in pixels, so that a candidate's information
+//! is proportional to the square of its speed across the epipolar line. The time of an outlier is uniformly
+//! distributed. EM starts at the candidate of highest consensus, by MSAC's truncated squares.
 //!
-//! Known limit: EM converges to a local maximum, so that the start decides between two equally large
-//! groups of candidates.
+//! Known limit: EM converges to a local maximum. Of two equally large groups of candidates, the start
+//! decides.
 
 use crate::offset::recording::Sample;
 use nalgebra::{Matrix2, Vector2};
@@ -18,15 +18,15 @@ use nalgebra::{Matrix2, Vector2};
 pub struct Observation {
     /// The observed value, seconds.
     pub value_s: f64,
-    /// The position on the line, which multiplies the rate, seconds.
+    /// The position on the line, seconds; the rate is multiplied by it.
     pub at_s: f64,
-    /// The feature's signed speed across the epipolar line, pixels a second: a residual in seconds
-    /// times this is one in pixels.
+    /// The feature's signed speed across the epipolar line, pixels per second. It converts a residual in
+    /// seconds to pixels.
     pub across_px_s: f64,
 }
 
 impl From<&Sample> for Observation {
-    /// `offset_b − offset_a` by a sample, at position 0.
+    /// The observation `offset_b − offset_a` of a sample, at position 0.
     fn from(sample: &Sample) -> Self {
         Self { value_s: sample.offset_s(), at_s: 0.0, across_px_s: sample.across_px_s }
     }
@@ -37,7 +37,7 @@ impl From<&Sample> for Observation {
 pub struct Mixture {
     /// The line's value at position 0, seconds.
     pub value_s: f64,
-    /// The line's slope, seconds a second; 0 if it is not fitted.
+    /// The line's slope, seconds per second; 0 if it is not fitted.
     pub rate: f64,
     /// The standard deviation of the narrowest component, pixels.
     pub sigma_px: f64,
@@ -49,38 +49,39 @@ pub struct Mixture {
     pub weights: Vec<f64>,
 }
 
-/// The standard deviations of the inliers' components, over that of the narrowest one. Features on
-/// depth edges and under changing light have several times the error of others, those of thin
-/// structures many times.
+/// The standard deviations of the inliers' three components, relative to the narrowest. Features on depth
+/// edges and under changing light have several times the error of others, features of thin structures many
+/// times.
 const SCALES: [f64; 3] = [1.0, SCALE_RATIO, SCALE_RATIO * SCALE_RATIO];
 /// The ratio of successive scales; its square is an integer, which `gaussians` uses as an exponent.
 const SCALE_RATIO: f64 = 4.0;
 /// The expected standard deviation of features' distances from their epipolar lines, at which the fit
 /// starts, pixels.
 const START_PX: f64 = 0.5;
-/// The smallest standard deviation of the narrowest component, pixels: no tracker resolves less.
+/// The minimum standard deviation of the narrowest component, pixels; trackers are not more precise.
 const MIN_PX: f64 = 0.01;
-/// The largest standard deviation of the narrowest component, pixels.
+/// The maximum standard deviation of the narrowest component, pixels.
 const MAX_PX: f64 = 2.0;
-/// The range of times that outliers are uniform over, frames. Only its order of magnitude matters.
+/// The width of the uniform distribution of outliers' times, frames. Only its order of magnitude matters.
 const OUTLIER_RANGE_FRAMES: f64 = 3.0;
-/// The initial fractions of the three components and of the outliers.
+/// The initial fractions of the three components, then of the outliers.
 const INITIAL_FRACTIONS: Fractions = [0.5, 0.15, 0.05, 0.3];
-/// The smallest fraction of a component: one of 0 would stay 0.
+/// The minimum fraction of a component, since a fraction of 0 would remain 0.
 const MIN_FRACTION: f64 = 1e-3;
 /// The maximum number of EM iterations.
 const MAX_ITERATIONS: usize = 60;
-/// The change of the line, over the range of outliers, below which EM may have converged.
+/// The change of the line, relative to the width of the outliers' distribution, below which EM may have
+/// converged.
 const LINE_TOLERANCE: f64 = 1e-9;
 /// The relative change of the standard deviation below which EM may have converged.
 const SIGMA_TOLERANCE: f64 = 1e-4;
-/// The maximum number of observed values that are scored as starts.
+/// The maximum number of observed values that are tried as starts.
 const MAX_STARTS: usize = 400;
 /// The bound of MSAC's truncated squares, pixels.
 const MSAC_BOUND_PX: f64 = 3.0 * START_PX;
 
-/// The MSAC score of a constant line: 1 for each observation without residual, 0 for each beyond the
-/// bound.
+/// The MSAC score of a constant line: the sum over observations of a value that falls from 1, at a residual
+/// of 0, to 0 at [`MSAC_BOUND_PX`].
 fn score(observations: &[Observation], value_s: f64) -> f64 {
     let squares = observations.iter().map(|o| {
         let r = (o.value_s - value_s) * o.across_px_s / MSAC_BOUND_PX;
@@ -102,11 +103,11 @@ pub fn consensus_value(observations: &[Observation]) -> Option<(f64, f64)> {
 }
 
 impl Mixture {
-    /// Fits the mixture by EM from a constant line, with a slope if `with_rate`, for cameras whose frames
-    /// are `frame_s` seconds apart.
+    /// Fits the mixture by EM, starting from a constant line. A slope is fitted if `with_rate`. The cameras'
+    /// frames are `frame_s` seconds apart.
     ///
-    /// `None` if the observations do not determine the line: there are none, all have a speed of 0, or
-    /// all have the same position although a slope is fitted.
+    /// `None` if the observations do not determine the line: there are none, all have a speed of 0, or all
+    /// have the same position although a slope is fitted.
     pub fn fit(
         observations: &[Observation],
         frame_s: f64,
@@ -159,14 +160,14 @@ fn expect(
     let outlier = fractions[SCALES.len()] / range_s;
     for o in observations {
         let r = (o.value_s - line.x - line.y * o.at_s) * o.across_px_s;
-        // Densities in time: those in pixels times the speed.
+        // Densities per second: densities per pixel, times the speed.
         let peak = o.across_px_s.abs() / (sigma * std::f64::consts::TAU.sqrt());
         let gaussians = gaussians(r / sigma);
         let densities: [f64; SCALES.len()] =
             std::array::from_fn(|k| fractions[k] * peak / SCALES[k] * gaussians[k]);
-        // Positive, since the outliers' fraction is.
+        // Positive, since the fraction of outliers is.
         let total = outlier + densities.iter().sum::<f64>();
-        // The expected precision, in units of the narrowest component's.
+        // The expected precision, relative to that of the narrowest component.
         let mut precision = 0.0;
         for (k, density) in densities.iter().enumerate() {
             sums.counts[k] += density / total;
@@ -179,17 +180,18 @@ fn expect(
     sums
 }
 
-/// The components' Gaussians, each with a peak of 1, at `z` standard deviations of the narrowest one.
+/// The components' Gaussians, each with a maximum of 1, at a residual of `z` standard deviations of the
+/// narrowest component.
 fn gaussians(z: f64) -> [f64; SCALES.len()] {
     const POWER: i32 = (SCALE_RATIO * SCALE_RATIO) as i32;
     let z = z / SCALES[2];
-    // Each is a power of the next wider one, which costs less than its exponential.
+    // Each is a power of the next wider one, which costs less than computing its exponential.
     let wide = (-0.5 * z * z).exp();
     let middle = wide.powi(POWER);
     [middle.powi(POWER), middle, wide]
 }
 
-/// One number for each component, then one for the outliers.
+/// The fraction of each component, then that of the outliers.
 type Fractions = [f64; SCALES.len() + 1];
 
 /// The sums over the observations that the maximization step needs.
@@ -197,8 +199,8 @@ type Fractions = [f64; SCALES.len() + 1];
 struct MixtureSums {
     /// The expected number of observations in each component.
     counts: Fractions,
-    /// The sum of squared residuals, px², each over its component's variance relative to the narrowest
-    /// one's.
+    /// The sum of squared residuals, px². Each is divided by the ratio of its component's variance to the
+    /// narrowest one's.
     squares: f64,
     /// By observation: its weight, 1 / px².
     weights: Vec<f64>,
@@ -210,7 +212,7 @@ impl MixtureSums {
     }
 }
 
-/// The weighted least-squares line, as value and slope; `None` if it is not determined.
+/// The weighted least-squares line, as value and slope. `None` if it is not determined.
 fn weighted_line(
     observations: &[Observation],
     weights: &[f64],
@@ -256,8 +258,8 @@ mod tests {
             .collect()
     }
 
-    /// The standard error of an efficient estimate is √(σ² / Σ v²). Over thousands of problems with as
-    /// many outliers as inliers, this estimate's is at most a quarter larger.
+    /// The standard error of an efficient estimate is √(σ² / Σ v²). In thousands of problems with as many
+    /// outliers as inliers, that of this estimate is at most a quarter larger.
     #[test]
     fn thousands_of_random_problems_are_solved_efficiently() {
         let random = &mut Random::new(1);
@@ -307,7 +309,7 @@ mod tests {
         let one = Observation { value_s: 0.4, at_s: 1.0, across_px_s: 5.0 };
         let mixture = Mixture::fit(&[one; 3], 1.0, 0.4, false).unwrap();
         assert!((mixture.value_s - 0.4).abs() < 1e-12 && mixture.sigma_px == MIN_PX);
-        // All at one position: the slope is undetermined.
+        // All observations are at one position, so that the slope is undetermined.
         assert_eq!(Mixture::fit(&[one; 3], 1.0, 0.4, true), None);
         let still = Observation { across_px_s: 0.0, ..one };
         assert_eq!(Mixture::fit(&[still; 3], 1.0, 0.4, false), None);

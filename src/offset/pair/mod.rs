@@ -1,4 +1,4 @@
-//! Pairs of cameras: their selection, their frame triples, and the estimate of each pair alone.
+//! Pairs of cameras: their selection, their frame triples, and the separate estimate of each pair.
 
 mod fit;
 mod mixture;
@@ -16,13 +16,13 @@ use super::{OffsetMethod, OffsetOptions};
 use crate::capture::Capture;
 use std::sync::Arc;
 
-/// The estimate from one pair of cameras, (i, j), alone.
+/// The estimate of one pair of cameras, (i, j), by itself.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PairEstimate {
     /// The indices of cameras i and j.
     pub cameras: [usize; 2],
-    /// `offset_j − offset_i` by time on camera i's clock. Its reference time is the middle of all
-    /// candidates; its rate is 0 if neither clock drifts.
+    /// `offset_j − offset_i` as a function of time on camera i's clock. Its reference time is the middle of
+    /// all candidates' times. Its rate is 0 if neither clock drifts.
     pub clock: ClockModel,
     /// The standard error of the offset, seconds.
     pub std_err_s: f64,
@@ -30,14 +30,14 @@ pub struct PairEstimate {
     pub inliers: usize,
     /// The number of candidates, outliers included.
     pub candidates: usize,
-    /// The inliers over all features that move across their epipolar lines, 0 to 1.
+    /// The number of inliers as a fraction of all features that move across their epipolar lines, 0 to 1.
     pub agreement: f64,
     /// The standard deviation of the inliers' distances from their epipolar lines, pixels.
     pub sigma_px: f64,
     /// One estimate for each frame triple: two successive frames of camera i and a frame of camera j.
     pub frames: Vec<FrameEstimate>,
-    /// The factor on standard errors for the few independent windows that the candidates come from, at
-    /// least 1. Its square is a variance inflation factor.
+    /// The factor, at least 1, on standard errors of candidates that come from few independent windows. Its
+    /// square is a variance inflation factor.
     pub(super) std_err_inflation: f64,
     /// All candidates, each with its weight in the mixture, 1 / px².
     pub(super) samples: Arc<[(Sample, f64)]>,
@@ -53,13 +53,13 @@ pub struct FrameEstimate {
     pub frame: usize,
     /// `offset_j − offset_i` by RANSAC and WLS, eqs. (11) to (13), seconds.
     pub offset_s: f64,
-    /// `offset_j − offset_i` by a mixture model of inliers and outliers, seconds. Every candidate counts by its information:
-    /// the squared speed across the epipolar line over the residual's variance.
+    /// `offset_j − offset_i` by a mixture model of inliers and outliers, seconds. Every candidate is weighted
+    /// by its information: the squared speed across the epipolar line, divided by the residual's variance.
     pub by_information_s: f64,
 }
 
-/// Why a pair has no estimate, in the order of the stages that fail. Its text is the reason of an unknown
-/// offset, for a camera without any estimated pair.
+/// Why a pair has no estimate, in the order of the stages. For a camera without any estimated pair, the text
+/// is the reason of its unknown offset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
 pub enum PairFailure {
     /// By the clocks, no frame of one camera lies between two frames of the other.
@@ -87,27 +87,27 @@ pub enum PairFailure {
     PeriodicMotion,
 }
 
-/// The error of nominal clocks, frames, up to which they are taken to be right.
+/// The maximum error of nominal clocks that are considered right, frames.
 pub const NOMINAL_CLOCK_FRAMES: f64 = 1.5;
-/// The inliers that an offset beyond [`NOMINAL_CLOCK_FRAMES`] requires, as a fraction of all features
-/// that move across their epipolar lines. Swinging parts have inliers a period from the true offset.
+/// The minimum agreement ([`PairEstimate::agreement`]) of an offset beyond [`NOMINAL_CLOCK_FRAMES`]. Swinging
+/// parts have inliers a period away from the true offset.
 pub const MIN_AGREEMENT: f64 = 0.5;
 /// The minimum number of inliers of a pair.
 pub const MIN_INLIERS: usize = 12;
-/// The largest standard error of a pair that is used, and of an offset that is reported, frames.
+/// The maximum standard error of a pair that is used, and of an offset that is reported, frames.
 pub const MAX_STD_ERR_FRAMES: f64 = 0.1;
 /// The cosine between two baselines above which their epipolar lines count as parallel.
 const MAX_ALIGNMENT: f64 = 0.9;
-/// The number of cameras in other directions that each camera is paired with: a column and a diagonal
-/// of a grid.
+/// The number of cameras in other directions with which each camera is paired: on a grid, one of its column
+/// and one of its diagonal.
 const OTHER_DIRECTIONS: usize = 2;
 
 /// The pairs of cameras to estimate, as ascending pairs of indices in ascending order.
 ///
-/// Every camera is paired with its `neighbors` nearest cameras, all of those at equal distances, and
-/// with the nearest ones in other directions: motion along the epipolar lines of a grid's rows runs
-/// across those of its columns and diagonals. For [`OffsetMethod::Pairwise`] every camera is paired
-/// with the reference alone (§7). Cameras that share a clock or a centre form no pair.
+/// Every camera is paired with its `neighbors` nearest cameras, including all at equal distances, and with
+/// the nearest ones in other directions. On a grid, motion along the epipolar lines of the rows is across
+/// those of the columns and diagonals. For [`OffsetMethod::Pairwise`], every camera is paired only with the
+/// reference (§7). Cameras that share a clock or a centre form no pair.
 pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs: Vec<[usize; 2]> = Vec::new();
@@ -119,7 +119,7 @@ pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec
             others.retain(|&b| b == capture.reference);
         }
         others.sort_by(|&x, &y| to(x).norm().total_cmp(&to(y).norm()).then(x.cmp(&y)));
-        // Ties count once: both sides of a line, all diagonals of a grid.
+        // Cameras at equal distances count as one: both sides of a line, all diagonals of a grid.
         let reach = others
             .get(options.neighbors.saturating_sub(1).min(others.len().wrapping_sub(1)))
             .map_or(0.0, |&b| to(b).norm());
@@ -151,14 +151,14 @@ pub fn choose_triples(
         let times = &recording.clocks[a].times_s;
         let offset_at = |k: usize| {
             let middle = 0.5 * (times[k] + times[k + 1]);
-            // Rates are so small that they are the same on either clock.
+            // Rates are so small that they are equal on either clock.
             sign * initial.offset_at(if sign > 0.0 { middle } else { middle + initial.offset_s })
         };
         let possible: Vec<(usize, usize)> = (0..times.len() - 1)
             .filter_map(|k| Some((k, recording.image_between([a, b], k, offset_at(k))?)))
             .collect();
-        // All pairs of a camera share frames, so that each is tracked once. If few of these lie in the
-        // overlap of two recordings, the pair has frames of its own.
+        // All pairs of a camera use the same frames, so that each frame is tracked once. If too few of these
+        // are in the overlap of two recordings, the pair uses frames of its own.
         let common = spread(times.len() - 1, max_frames);
         let mut chosen: Vec<(usize, usize)> =
             possible.iter().filter(|(k, _)| common.binary_search(k).is_ok()).copied().collect();

@@ -1,13 +1,13 @@
-//! The robust mean of the candidates of one frame triple (§7): exhaustive RANSAC, then weighted
-//! least squares (WLS), eqs. (11) to (13).
+//! The robust mean of the candidates of one frame triple (§7): exhaustive RANSAC, then weighted least squares
+//! (WLS), eqs. (11) to (13).
 //!
-//! Known limit: all candidates count alike, whatever the speed of their features.
+//! Known limit: all candidates have the same weight, whatever the speed of their features.
 
-/// The inliers of the value that has the most of them within `tolerance`, as a range of `values`.
+/// The largest set of values within `tolerance` of one of them, as a range of `values`.
 ///
-/// `values` must be ascending and share the tolerance's unit. Every value is tried as the model; the
-/// first of several with equally many inliers wins. A negative tolerance counts as 0. Without values
-/// the range is empty.
+/// `values` must be ascending and have the tolerance's unit. Every value is tried as the model; of several
+/// with equally many inliers, the first is taken. A negative tolerance counts as 0. Without values the range
+/// is empty.
 pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
     let tolerance = tolerance.max(0.0);
     let mut best = 0..0;
@@ -28,7 +28,7 @@ pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
 
 /// The maximum number of WLS iterations.
 const MAX_ITERATIONS: usize = 100;
-/// The change of the mean, times γ, at which WLS has converged.
+/// The change of γ times the mean at which WLS has converged.
 const TOLERANCE: f64 = 1e-9;
 
 /// Iterated weighted least squares, eqs. (11) to (13): starting at the mean, the weighted mean with

@@ -1,9 +1,10 @@
-//! All pairs: rounds of choosing frame triples by the estimates, and estimating from them.
+//! Estimation of all pairs, in rounds: frame triples are chosen by the current offset, and the offset is
+//! estimated from them.
 //!
-//! §7 requires camera j's frame to lie between two of camera i. Which frame does depends on the offset,
-//! so triples and offset are determined in turn. The first round of a longer recording has only the
-//! triples in its middle: the initial offset is right to about a frame, so that about half of the triples
-//! chosen by it are wrong.
+//! §7 requires camera j's frame to lie between two frames of camera i. Which frame does depends on the
+//! offset, so that triples and offset are determined in turn. The initial offset is right only to about a
+//! frame, so that about half of the triples that it chooses are wrong. In a longer recording, the first round
+//! therefore has only a few triples, in the recording's middle.
 //!
 //! A round computes the candidates of a group of pairs together. Large rigs are split into groups whose
 //! frames fit the cache. Results do not depend on the groups.
@@ -19,29 +20,29 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The maximum number of rounds of all triples from one initial offset.
+/// The maximum number of rounds with all triples that start from one initial offset.
 const MAX_ROUNDS: usize = 5;
-/// The number of triples of either direction in the first round.
+/// The number of triples in each direction in the first round.
 const FIRST_TRIPLES: usize = 4;
 
-/// The state of a pair (i, j) between two rounds. Its triples are of both directions: camera i's tracks
-/// against camera j's frames, and the reverse.
+/// The state of a pair (i, j) between two rounds. It has triples of both directions: camera i's tracks with
+/// camera j's frames, and the reverse.
 pub struct PairRounds {
     cameras: [usize; 2],
     /// The offset to about a frame, or the reason why there is none.
     start: Result<ClockModel, PairFailure>,
-    /// The offset that the next round starts from.
+    /// The offset by which the next round's triples are chosen.
     initial: ClockModel,
     with_rate: bool,
     stage: RoundStage,
-    /// The number of remaining rounds of all triples.
+    /// The number of remaining rounds with all triples.
     rounds: usize,
     /// The triples of the last round.
     frames: Vec<TripleFrames>,
     estimate: Result<PairEstimate, PairFailure>,
 }
 
-/// The triples of the next round, and the offset that they were first chosen by.
+/// Which triples the next round has, and by which offset they are chosen at first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RoundStage {
     /// The triples in the recording's middle, chosen by [`PairRounds::start`].
@@ -121,7 +122,7 @@ impl PairRounds {
         Ok(())
     }
 
-    /// The number of triples of one round of all triples.
+    /// The number of triples of a round with all triples.
     fn expected_triples(&self, recording: &Recording) -> usize {
         let max_frames = recording.options.max_frames;
         let count = |c: usize| (recording.clocks[c].times_s.len() - 1).min(max_frames);
@@ -129,15 +130,14 @@ impl PairRounds {
     }
 }
 
-/// Whether an estimate is certain, and within the frame that the start may be off by.
+/// Whether an estimate is certain, and differs from the start by at most the frame that the start may be off.
 fn is_near(recording: &Recording, start: &ClockModel, pair: &PairEstimate) -> bool {
     let [i, j] = pair.cameras.map(|c| recording.clocks[c].frame_s());
     pair.std_err_s <= MAX_STD_ERR_FRAMES * i.min(j)
         && (pair.clock.offset_s - start.offset_at(pair.clock.reference_s)).abs() <= i.max(j)
 }
 
-/// The triples in the middle of each direction. `None` if a direction has at most 2·FIRST_TRIPLES
-/// triples.
+/// The triples in the middle of each direction. `None` if some direction has at most 2·FIRST_TRIPLES triples.
 fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     let (forward, backward) = frames.split_at(frames.partition_point(|([a, _], _)| *a == i));
     let mut chosen = Vec::new();
@@ -193,11 +193,11 @@ pub fn estimate_pairs(
     Ok(pairs.into_iter().map(|pair| pair.estimate).collect())
 }
 
-/// The number of leading pairs that form a group: their frames at an instant fit the frame cache, and
-/// their candidates of two rounds the candidate cache. It is at least 1.
+/// The number of pairs, from the first on, that form a group: their frames at an instant fit the frame cache,
+/// and their candidates of two rounds fit the candidate cache. At least 1.
 fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     let options = recording.options;
-    // Two directions, two rounds.
+    // The factor 4 is for two directions and two rounds.
     let samples = options.max_frames.saturating_mul(options.max_features).saturating_mul(4);
     let max_pairs = (MAX_CACHED_SAMPLES / samples.max(1)).clamp(1, pairs.len());
     let mut cameras = BTreeSet::new();
@@ -208,8 +208,8 @@ fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     pairs[..max_pairs].iter().take_while(fits).count().max(1)
 }
 
-/// By camera: its clock's offset relative to that of another camera of the group, seconds. It is 0 for
-/// cameras that no pair with an initial offset connects to others.
+/// By camera: its clock's offset, seconds, relative to that of one camera of the group. It is 0 for cameras
+/// that no pair with an initial offset connects to others.
 fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
     let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_ok()).collect();
     let mut clocks_s: Vec<Option<f64>> = vec![None; cameras];
@@ -251,8 +251,8 @@ mod tests {
 
     const DELAYS_FRAMES: [f64; 3] = [0.3, 0.0, -0.2];
 
-    /// Three cameras of a row before a plane that moves upwards, slower and slower. Their clocks have
-    /// these rates.
+    /// Writes a capture of three cameras in a row, in front of a plane that moves upwards and decelerates.
+    /// Their clocks have these rates.
     fn write_capture(folder: &Path, rates: [f64; 3]) -> Arc<Capture> {
         let (w, h, rate_hz) = (128, 96, 30.0);
         let mut cameras = Vec::new();
@@ -287,7 +287,7 @@ mod tests {
         Arc::new(Capture::open(folder).unwrap())
     }
 
-    /// Pair by pair, all triples in every round.
+    /// Reference implementation: pair by pair, all triples in every round.
     fn naive(recording: &Recording, cameras: [usize; 2]) -> Result<PairEstimate, PairFailure> {
         let mut initial = ClockModel::default();
         let mut estimate = Err(PairFailure::NoOverlap);
@@ -311,7 +311,7 @@ mod tests {
         let capture = write_capture(folder.path(), [0.0; 3]);
         let options = OffsetOptions::default();
         let (pairs, frame_s) = ([[0, 1], [0, 2], [1, 2]], capture.frame_s());
-        // All pairs in one group, and each in its own.
+        // All pairs are in one group, then each is in its own.
         for max_bytes in [192 << 20, 0] {
             let registration = RegistrationOptions::default();
             let frames = FrameStore::with_memo(
@@ -452,7 +452,7 @@ mod tests {
         let computed = || {
             count.fetch_add(1, Ordering::Relaxed);
         };
-        // Two threads may decode the same frame at once.
+        // With more threads, two could decode the same frame at once.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         for _ in 0..2 {
             pool.install(|| compute_triples(&recording, triples.clone(), &clocks_s, &computed))

@@ -1,20 +1,21 @@
-//! The candidates of many frame triples, computed in order of time.
+//! Computes the candidates of many frame triples in order of time.
 //!
-//! Pairs share cameras. In order of time, a frame that is read for one pair is still cached when the
-//! other pairs of its group need it. Results do not depend on the order.
+//! Pairs share cameras. In order of time, a frame that is read for one pair is still cached when the other
+//! pairs of its group need it. Results do not depend on the order.
 
 use crate::capture::{CaptureError, Clock};
 use crate::offset::recording::{Recording, TripleFrames};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// The number of a camera's frames that the tracks of an instant read: the two of a track, and one
-/// before and after.
+/// The number of a camera's frames that its tracks at an instant read: the two frames of a track, one before
+/// and one after.
 pub const FRAMES_AT_ONCE: usize = 4;
 
-/// Computes and caches the candidates of those triples that are not cached yet, in order of time.
+/// Computes and caches the candidates of the triples that are not cached yet, in order of time.
 ///
-/// `clocks_s` are the offsets of the cameras' clocks. `computed` is called after each triple.
+/// `clocks_s` are the offsets of the cameras' clocks, seconds, by which times are compared. `computed` is
+/// called after each triple.
 pub fn compute_triples(
     recording: &Recording,
     mut triples: Vec<TripleFrames>,
@@ -33,7 +34,8 @@ pub fn compute_triples(
             Ok(())
         })
     };
-    // The tracks of one instant beside the candidates of the one before, so that no thread waits.
+    // The tracks of one instant are computed in parallel with the candidates of the instant before, so that
+    // no thread waits.
     let mut before = Vec::new();
     for now in instants(&recording.clocks, triples, clocks_s) {
         let (candidates, tracks) = rayon::join(|| candidates(&before), || tracks(&now));
@@ -43,8 +45,8 @@ pub fn compute_triples(
     candidates(&before)
 }
 
-/// Groups triples by instant, in order of time. An instant is as long as the shortest frame period of
-/// their cameras.
+/// Groups triples by instant, in order of time. An instant is an interval as long as the shortest frame
+/// period of the triples' cameras.
 fn instants(
     clocks: &[Clock],
     triples: Vec<TripleFrames>,
@@ -56,7 +58,7 @@ fn instants(
     let timed = |triple: TripleFrames| {
         let ([a, _], [k, _]) = triple;
         let time_s = clocks[a].times_s[k] + clocks_s[a];
-        // Off the multiples of half a frame, near which rounding would split an instant.
+        // Shifted away from multiples of half a frame, where rounding would split an instant.
         let instant = (time_s / period_s + 0.25).floor() as i64;
         (instant, time_s, triple)
     };

@@ -14,20 +14,20 @@ use nalgebra::Point2;
 /// One feature's candidate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
-    /// `t̃`: from camera i's earlier frame to camera j's frame, seconds.
+    /// `t̃`, seconds: the time of camera j's frame, relative to camera i's earlier frame.
     pub time_s: f64,
-    /// The feature's signed speed across the epipolar line at the crossing, pixels a second; negative
-    /// towards the line's negative side. An error of one pixel across the line is an error of
-    /// `1 / across_px_s` seconds in time.
+    /// The feature's signed speed across the epipolar line at the crossing, pixels per second; negative if it
+    /// moves towards the line's negative side. An error of one pixel across the line is an error of `1 /
+    /// across_px_s` seconds in time.
     pub across_px_s: f64,
-    /// The expected error of the trajectory across the line, because motion is not polynomial, pixels;
-    /// 0 for straight trajectories.
+    /// The expected error of the trajectory across the line because motion is not polynomial, pixels; 0 for
+    /// straight trajectories.
     pub trajectory_error_px: f64,
 }
 
 impl Candidate {
-    /// The speed across the line, reduced where the trajectory is uncertain, pixels a second. Its square
-    /// is proportional to the candidate's information.
+    /// The speed across the line, pixels per second, reduced where the trajectory is uncertain. Its square is
+    /// proportional to the candidate's information.
     pub fn effective_speed_px_s(&self) -> f64 {
         self.across_px_s / 1.0_f64.hypot(self.trajectory_error_px / TRAJECTORY_SIGMA_PX)
     }
@@ -36,21 +36,21 @@ impl Candidate {
 /// The trajectory error at which a candidate's information is halved, pixels: the localization error
 /// of good features.
 const TRAJECTORY_SIGMA_PX: f64 = 0.03;
-/// The expected error of a trajectory, as a fraction of the change that its highest order makes. At
-/// video rates each order of motion is about this fraction of the one before.
+/// The expected error of a trajectory, as a fraction of the contribution of its highest-order term. At video
+/// rates, each order of motion contributes about this fraction of the order before.
 const NEXT_ORDER_FRACTION: f64 = 0.2;
-/// The largest distance of a trajectory's last sample from the extrapolation of the others, pixels, without the part
-/// by [`MAX_PREDICTION_ERROR_FRACTION`].
+/// The constant part of the maximum prediction error of a trajectory, pixels. The prediction error is the
+/// distance of its last sample from the extrapolation of the others.
 const MAX_PREDICTION_ERROR_PX: f64 = 1.0;
-/// The part of the largest prediction error that grows with motion, as a fraction of a trajectory's largest step. Features
-/// with larger errors are rejected: features of the background that a moving body occludes, which would vote for a
-/// wrong time.
+/// The part of the maximum prediction error that is proportional to a trajectory's largest step, as a
+/// fraction. Features with larger errors are rejected: features of the background that a moving body
+/// occludes, which would support a wrong time.
 const MAX_PREDICTION_ERROR_FRACTION: f64 = 0.3;
 /// The maximum number of Newton steps.
 const MAX_NEWTON_STEPS: usize = 4;
 /// The step, as a fraction of the interval, at which Newton's method has converged.
 const NEWTON_TOLERANCE: f64 = 1e-9;
-/// The speed across the line that a crossing requires, as a fraction of `min_across_px` per interval.
+/// The minimum speed across the line at a crossing, as a fraction of `min_across_px` per interval.
 const MIN_SLOPE_FRACTION: f64 = 0.5;
 /// The relative rounding error of a motion's length.
 const ROUNDING: f64 = 1e-9;
@@ -67,26 +67,25 @@ pub struct ThreeFrames<'a> {
     pub index_i: usize,
     /// Whether trajectories are curves, which also pass through the frames before and after the two, if these exist.
     pub curved: bool,
-    /// The smallest motion across the epipolar line between the two frames, pixels.
+    /// The minimum motion across the epipolar line between the two frames, pixels.
     pub min_across_px: f64,
 }
 
 impl ThreeFrames<'_> {
-    /// Offset candidates of all features: where a trajectory in camera i crosses the epipolar line of the feature's
-    /// correspondence in camera j. `in_j` holds these correspondences, pixels.
+    /// The candidates of all features: where a trajectory in camera i crosses the epipolar line of the
+    /// feature's correspondence in camera j. `in_j` holds these correspondences, pixels.
     ///
-    /// A feature gives no candidate if it has no correspondence, lies at the epipole, moves too little across its
-    /// epipolar line, or crosses that line far from the track's two frames. Cameras with a common centre have no
-    /// epipolar lines, and give no candidates.
+    /// A feature gives no candidate if it has no correspondence, lies at the epipole, moves too little across
+    /// its epipolar line, or crosses that line far from the track's two frames. Cameras with a common centre
+    /// have no epipolar lines, and give no candidates.
     pub fn candidates(&self, tracks: &[&Track], in_j: &[Option<Point2<f64>>]) -> Vec<Candidate> {
         self.crossings(tracks, in_j).into_iter().filter_map(|(_, c)| c).collect()
     }
 
-    /// The index of every feature that moves enough across its epipolar line, with its candidate.
+    /// The features that move enough across their epipolar lines, as indices, each with its candidate.
     ///
     /// The candidate is `None` if the trajectory does not cross the line near the two frames, or if the
-    /// feature has no correspondence in camera j. In the latter case the line is that of the feature
-    /// itself.
+    /// feature has no correspondence in camera j. In the latter case the line is that of the feature itself.
     pub fn crossings(
         &self,
         tracks: &[&Track],
@@ -97,7 +96,8 @@ impl ThreeFrames<'_> {
         let Some((i_from_j, j_from_i)) = i_from_j.zip(j_from_i) else { return Vec::new() };
         let line = |track: &Track, p_j: Option<Point2<f64>>| match p_j {
             Some(p_j) => i_from_j.line_in_j(&self.camera_j.model.ideal_from_pixel(&p_j)?),
-            // The correspondence lies on the epipolar line of p_i: any of its points has the same line.
+            // Any point on the epipolar line of p_i has the same epipolar line in camera i as the
+            // correspondence.
             None => {
                 let p_i = self.camera_i.model.ideal_from_pixel(&track.earlier)?;
                 i_from_j.line_in_j(&j_from_i.line_in_j(&p_i)?.nearest(&p_i))
@@ -121,9 +121,9 @@ impl ThreeFrames<'_> {
             && self.samples(track).is_some()
     }
 
-    /// A feature's candidate for a given epipolar line: the crossing of trajectory and line by Newton's
-    /// method. The outer `None` means too little motion across the line, the inner one no crossing near
-    /// the two frames.
+    /// A feature's candidate for a given epipolar line: the crossing of trajectory and line, by Newton's
+    /// method. The outer `None` means too little motion across the line, the inner one no crossing near the
+    /// two frames.
     fn crossing(&self, line: &EpipolarLine, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let trajectory = Trajectory::new(samples.iter().copied())?;
@@ -133,16 +133,16 @@ impl ThreeFrames<'_> {
         if (far - near).abs() < self.min_across_px {
             return None;
         }
-        // The crossing of the chord; its slope is bounded from below by the check above.
+        // The crossing of the chord. The check above bounds its slope from below.
         let mut time_s = interval * near / (near - far);
-        // The span of the four frames: outside, the trajectory is an extrapolation.
+        // The time span of the four frames. Outside, the trajectory is an extrapolation.
         let span = -interval..=2.0 * interval;
         if !span.contains(&time_s) {
             return Some(None);
         }
         for _ in 0..MAX_NEWTON_STEPS {
             let slope = line.normal.dot(&trajectory.velocity(start + time_s));
-            // The trajectory turns back at the line: Newton's method would diverge.
+            // The trajectory turns around near the line, where Newton's method would diverge.
             if slope.abs() * interval < MIN_SLOPE_FRACTION * self.min_across_px {
                 return Some(None);
             }
@@ -164,10 +164,11 @@ impl ThreeFrames<'_> {
         Some(Some(Candidate { time_s, across_px_s, trajectory_error_px }))
     }
 
-    /// The trajectory's samples as (time, position), seconds and distortion-free pixels.
+    /// The trajectory's samples as (time, position): seconds from camera i's earlier frame, and pixels
+    /// without distortion.
     ///
-    /// `None` if a curved trajectory is required and the feature is not tracked into any of the
-    /// neighbouring frames that exist, or moves abruptly there.
+    /// `None` if trajectories are curved, and the feature is tracked into none of the neighbouring frames
+    /// that exist, or moves abruptly there.
     fn samples(&self, track: &Track) -> Option<Vec<(f64, Point2<f64>)>> {
         let k = self.index_i;
         let last = self.times_i.len() - 1;
@@ -186,7 +187,7 @@ impl ThreeFrames<'_> {
     }
 }
 
-/// The trajectory of the next lower order, through all samples but the one farthest from a time. `None`
+/// The trajectory of the next lower order, through all samples except the one farthest from `time_s`. `None`
 /// for two samples.
 fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Trajectory> {
     let distance = |s: &(f64, Point2<f64>)| (s.0 - time_s).abs();
@@ -198,7 +199,7 @@ fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Traje
     })
 }
 
-/// Whether the last of three or four samples is near the extrapolation of the others.
+/// Whether the last of three or four samples is close to the extrapolation of the others.
 fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
     let Some(((time_s, position), others)) = samples.split_last() else { return false };
     let Some(trajectory) = Trajectory::new(others.iter().copied()) else { return false };
@@ -214,7 +215,7 @@ mod tests {
     use crate::registration::FlowDirection;
     use nalgebra::{Isometry3, Matrix2, Point3};
 
-    /// A camera of a row along the x axis, at x metres.
+    /// A camera of a row along the x axis, at `x` metres.
     fn camera(x: f64) -> Camera {
         Camera {
             width: 640,
@@ -271,7 +272,8 @@ mod tests {
         }
     }
 
-    /// How many features of several speeds don't cross, and how many do, far from the image's middle.
+    /// For features of several speeds, far from the image's middle: the number without a crossing, and the
+    /// number with one.
     fn crossing_counts(model: CameraModel) -> [usize; 2] {
         let middle = Camera { model, ..camera(0.0) };
         let turned = |angle: f64| Camera {
@@ -283,7 +285,7 @@ mod tests {
             let n = f64::from(n);
             let (speed, angle) = (0.005 * n, 0.37 * n);
             let (sin, cos) = angle.sin_cos();
-            // Every seventh is not smooth.
+            // Every seventh trajectory is not smooth.
             let jump = if n % 7.0 == 0.0 { 9.0 } else { 0.0 };
             let at = |t: f64| {
                 let away = speed * t + if t > 1.5 { jump } else { 0.0 };

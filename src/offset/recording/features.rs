@@ -6,18 +6,18 @@
 use crate::registration::{Frame, PyramidLevel};
 use nalgebra::Point2;
 
-/// The smallest motion that counts as change, pixels, estimated from gradients.
+/// The minimum motion that counts as change, pixels; it is estimated from gradients.
 const MIN_MOTION_PX: f32 = 0.3;
 /// The half-width of the window around a feature, pixels.
 const RADIUS: usize = 4;
-/// The maximum number of static corners that are tracked too. They distinguish a recording without
-/// motion from one without features.
+/// The maximum number of static corners that are tracked too. With them, a recording without motion is
+/// distinguished from one without features.
 const MAX_STATIC: usize = 64;
 
-/// Selects the strongest corners whose neighbourhood changes from `frame` to `next`, then up to 64
-/// static ones, at most `count` in all.
+/// Selects the strongest corners around which the image changes from `frame` to `next`, then up to 64 static
+/// ones, at most `count` in all.
 ///
-/// `corners` are pixels inside the image, strongest first. Both groups preserve their order.
+/// `corners` are pixels inside the image, strongest first. Both groups keep their order.
 pub fn changing(
     frame: &Frame,
     next: &Frame,
@@ -38,8 +38,8 @@ pub fn changing(
     selected
 }
 
-/// The size of a small motion along the gradients in the window around p, pixels; 0 without a gradient.
-/// It is the root of the summed squared temporal change over the summed squared gradient.
+/// The length of a small motion along the gradients in the window around p, pixels; 0 without a gradient. It
+/// is the square root of a ratio: summed squared temporal change over summed squared gradient.
 fn motion_px([current, next]: [&PyramidLevel; 2], p: &Point2<f64>) -> f32 {
     // The corner is inside the image; the window is clipped so that its gradients are too.
     let range = |at: f64, size: usize| {
@@ -54,8 +54,8 @@ fn motion_px([current, next]: [&PyramidLevel; 2], p: &Point2<f64>) -> f32 {
         for x in columns.clone() {
             change += (later[x] - row[x]).powi(2);
             let (dx, dy) = (row[x + 1] - row[x - 1], below[x] - above[x]);
-            // 1/4, since central differences span two pixels; 1/2, since motion has one direction of
-            // two.
+            // A factor of 1/4, since central differences span two pixels, and of 1/2, since only one of two
+            // directions is along the gradient.
             gradient += 0.125 * (dx * dx + dy * dy);
         }
     }

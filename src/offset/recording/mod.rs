@@ -1,5 +1,4 @@
-//! The recordings under one hypothesis of their clocks: frames, tracks, and the candidates of frame
-//! triples.
+//! The recordings under one hypothesis of the clocks: frames, tracks, and the candidates of frame triples.
 
 mod candidates;
 mod features;
@@ -22,8 +21,8 @@ pub struct Sample {
     pub cameras: [usize; 2],
     pub time_a_s: f64,
     pub time_b_s: f64,
-    /// The feature's signed speed across the epipolar line, pixels a second, reduced where its
-    /// trajectory is uncertain. Its square over the residual variance is the candidate's information.
+    /// The feature's signed speed across the epipolar line, pixels per second, reduced where its trajectory
+    /// is uncertain. Its square divided by the residual variance is the candidate's information.
     pub across_px_s: f64,
     /// The cell of a coarse grid over camera a's image. Errors of features in one cell are correlated.
     pub cell: usize,
@@ -33,7 +32,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// `offset_b − offset_a` by this feature alone, seconds.
+    /// `offset_b − offset_a` according to this feature alone, seconds.
     pub fn offset_s(&self) -> f64 {
         self.time_a_s - self.time_b_s
     }
@@ -48,23 +47,24 @@ pub struct FrameTriple {
     /// The number of tracked features that move on a smooth trajectory and have a correspondence in
     /// camera b.
     pub moving: usize,
-    /// The number of features that move across their epipolar lines, with a candidate or without.
+    /// The number of features that move across their epipolar lines, with or without a candidate.
     pub across: usize,
 }
 
-/// A frame triple: cameras a and b, then frame k of a and frame m of b. The second frame of a is k + 1.
+/// A frame triple: cameras [a, b], then frames [k, m]. It consists of frames k and k + 1 of camera a, and
+/// frame m of camera b.
 pub type TripleFrames = ([usize; 2], [usize; 2]);
 
-/// The smallest motion across the epipolar line from frame to frame that a candidate requires, pixels.
+/// The minimum motion across the epipolar line between two frames for a candidate, pixels.
 const MIN_ACROSS_PX: f64 = 1.0;
 /// The coarse grid's cells across and down.
 const CELLS: [f64; 2] = [8.0, 6.0];
 /// The size of the fine grid's tiles, pixels: about two of the tracker's windows.
 const WINDOW_PX: f64 = 24.0;
-/// The distance of camera b's frame from camera a's interval, as a fraction of the interval, up to
-/// which a trajectory is extrapolated.
+/// The maximum time by which camera b's frame may be outside camera a's interval, as a fraction of the
+/// interval. Outside the interval, trajectories are extrapolated.
 const MAX_OUTSIDE: f64 = 0.5;
-/// The maximum number of cached tracks: 256 MB, which hold 100 cameras with 600 features each.
+/// The maximum number of cached tracks: 256 MB, enough for 100 cameras with 600 features each.
 const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
 /// The maximum number of cached candidates: 128 MB.
 pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
@@ -73,15 +73,15 @@ pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
 /// computed on demand and cached.
 pub struct Recording<'a> {
     pub frames: &'a FrameStore,
-    /// By camera: its clock, with frame times that account for the lost frames of the hypothesis.
+    /// By camera: its clock. Frame times are corrected for the lost frames of the hypothesis.
     pub clocks: Vec<Clock>,
     pub options: &'a OffsetOptions,
     track_cache: &'a TrackCache,
     triples: BoundedCache<TripleFrames, Arc<FrameTriple>>,
 }
 
-/// The cached tracks of one estimate, by camera and earlier frame. Tracks do not depend on times, so
-/// that all pairs of a camera and all hypotheses of the clocks share them.
+/// The cached tracks of one estimation, by camera and earlier frame. Tracks do not depend on times, so that
+/// all pairs of a camera and all hypotheses of the clocks share them.
 pub struct TrackCache(BoundedCache<(usize, usize), Arc<Vec<Track>>>);
 
 impl Default for TrackCache {
@@ -103,7 +103,7 @@ impl<'a> Recording<'a> {
 
     /// The tracks of a camera between frames k and k + 1.
     ///
-    /// Two threads that ask at the same time may both compute them, with equal results: waiting for
+    /// If two threads ask for them at the same time, both may compute them, with equal results. Waiting for
     /// each other could deadlock inside the thread pool.
     pub fn tracks(&self, camera: usize, k: usize) -> Result<Arc<Vec<Track>>, CaptureError> {
         let TrackCache(cache) = self.track_cache;
@@ -113,7 +113,7 @@ impl<'a> Recording<'a> {
         let (earlier, later) = (self.frames.get(camera, k)?, self.frames.get(camera, k + 1)?);
         let corners = earlier.corners(self.frames.options());
         let selected = features::changing(&earlier, &later, corners, self.options.max_features);
-        // §7 tracks the features selected on I_i(t) itself, without those of the backward flow.
+        // As in §7, only features selected on I_i(t) are tracked; there is no backward flow.
         let tracks = Arc::new(temporal_flow_of(self.frames, camera, k, [&selected, &[]])?);
         cache.insert((camera, k), tracks.clone(), tracks.len());
         Ok(tracks)
@@ -145,7 +145,7 @@ impl<'a> Recording<'a> {
         self.triples.get(&triple).is_some()
     }
 
-    /// Drops the cached candidates of a pair, in both directions.
+    /// Removes the candidates of a pair, in both directions, from the cache.
     pub fn release_pair(&self, [a, b]: [usize; 2]) {
         self.triples.retain(|(pair, _)| *pair != [a, b] && *pair != [b, a]);
     }
@@ -164,10 +164,10 @@ impl<'a> Recording<'a> {
             curved: self.options.method == OffsetMethod::JointCurved,
             min_across_px: MIN_ACROSS_PX,
         };
-        // The other tracks have no candidate and do not count as moving, whatever camera b shows.
+        // The other tracks have no candidate, and do not count as moving, whatever camera b shows.
         let tracks: Vec<&Track> =
             all_tracks.iter().filter(|track| three_frames.can_cross(track)).collect();
-        // The middle of the motion is a good start for any frame of b inside the interval.
+        // The middle of the motion is a good start for the search in any frame of b inside the interval.
         let starts: Vec<_> =
             tracks.iter().map(|t| (t.earlier, t.earlier + 0.5 * t.motion())).collect();
         let in_b: Vec<_> = flow(&source, &target, &starts, self.frames.options())

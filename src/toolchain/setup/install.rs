@@ -8,18 +8,18 @@ use crate::toolchain::ToolchainError;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// All packages in one process: the module must load beside Blender.
+/// Imports all packages in one process, since the module must load together with Blender.
 const IMPORTS: &str = "import bpy, pycolmap, numpy, stlfr";
 
-/// The step that builds the Python module.
+/// Name of the step that builds the Python module.
 const BUILDING: &str = "building the Python module stlfr";
 
-/// An installation in progress. The caller holds the lock.
+/// An installation in progress. The caller must hold the lock.
 pub(super) struct Installer<'a> {
     root: &'a Path,
     python: &'a Path,
     venv: PathBuf,
-    /// Temporary folder of the built wheel.
+    /// Temporary folder for the wheel that is built.
     wheels: PathBuf,
     reporter: &'a Reporter,
 }
@@ -31,7 +31,7 @@ impl<'a> Installer<'a> {
         Self { root, python, wheels: venv.join("wheels"), venv, reporter }
     }
 
-    /// Completes the environment.
+    /// Installs everything that the stamps report as missing.
     pub fn install(&self, stamps: &Stamps) -> Result<(), ToolchainError> {
         let wheel = if stamps.packages.found {
             self.reporter.note("Building the Python module stlfr: its sources have changed.");
@@ -51,10 +51,10 @@ impl<'a> Installer<'a> {
         Ok(())
     }
 
-    /// Creates an empty environment in place of an earlier one.
+    /// Creates an empty environment, which replaces an earlier one.
     fn make_venv(&self) -> Result<(), ToolchainError> {
         let base_python = system::find_python()?;
-        // The folder isn't left to Python, so that missing write permission has its own error.
+        // The folder is not created by Python, so that missing write permission has its own error.
         ignore_absent(std::fs::remove_dir_all(&self.venv))
             .and_then(|()| std::fs::create_dir(&self.venv))
             .map_err(|e| file_error(&self.venv, e))?;
@@ -63,7 +63,8 @@ impl<'a> Installer<'a> {
         self.step("making the Python environment", &mut command)
     }
 
-    /// Installs the build tool, then the other packages while the module compiles; returns the module's wheel.
+    /// Installs the build tool; then installs the other packages while the module compiles. Returns the path
+    /// of the module's wheel.
     fn install_packages_and_build(&self) -> Result<PathBuf, ToolchainError> {
         let requirements = self.root.join("blender/requirements.txt");
         let mut tool = self.pip();
@@ -79,14 +80,15 @@ impl<'a> Installer<'a> {
         })
     }
 
-    /// Builds the wheel of the Python module from this tree, into a folder of the environment that the caller removes.
+    /// Builds the wheel of the Python module from this source tree, into a folder of the environment. The
+    /// caller removes the folder.
     pub fn build_module(&self) -> Result<PathBuf, ToolchainError> {
         ignore_absent(std::fs::remove_dir_all(&self.wheels))
             .map_err(|e| file_error(&self.wheels, e))?;
         let mut command = Command::new(self.venv.join("bin/maturin"));
         command.args(["build", "--release", "--locked", "--quiet", "--interpreter"]);
-        // A target folder of its own: in the program's, builds with and without the Python feature would replace each
-        // other.
+        // A separate target folder. In the program's own, builds with and without the Python feature would
+        // replace each other.
         let target = self.root.join("target/python");
         command.arg(self.python).arg("--out").arg(&self.wheels).arg("--target-dir").arg(target);
         self.step(BUILDING, command.current_dir(self.root.join("blender")))?;
@@ -101,7 +103,7 @@ impl<'a> Installer<'a> {
         std::fs::remove_dir_all(&self.wheels).map_err(|e| file_error(&self.wheels, e))
     }
 
-    /// Imports all packages in one process, which finds missing system libraries.
+    /// Imports all packages in one process, by which missing system libraries are found.
     fn try_imports(&self) -> Result<(), ToolchainError> {
         let mut command = Command::new(self.python);
         command.args(["-I", "-c", IMPORTS]);
@@ -114,7 +116,8 @@ impl<'a> Installer<'a> {
         let mut command = Command::new(self.python);
         command
             .args(["-I", "-m", "pip", "install", "--disable-pip-version-check", "--no-input"])
-            // Python compiles a module when it is first imported. Compiling all of them takes longer.
+            // Python compiles each module when it is first imported. Compiling all of them now would take
+            // longer.
             .args(["--no-compile", "--progress-bar", "off"]);
         command
     }
@@ -123,8 +126,8 @@ impl<'a> Installer<'a> {
         self.explained_step(what, command, |_| None)
     }
 
-    /// Runs a command, and shows its last line of output as progress. If it fails, the error is what `explain` makes of
-    /// stderr, else a sentence that names a log.
+    /// Runs a command, and shows its last line of output as progress. If it fails, the error is the result of
+    /// `explain` for its stderr; if that is `None`, a sentence that names a log.
     fn explained_step(
         &self,
         what: &str,
@@ -134,7 +137,7 @@ impl<'a> Installer<'a> {
         let phase = self.reporter.phase(what);
         let mut output = String::new();
         let ended = process::run(command, |line| {
-            // "Downloading bpy-5.0.1-….whl (400 MB)" says what takes so long.
+            // A line such as "Downloading bpy-5.0.1-….whl (400 MB)" tells the user why this takes long.
             if let Some(file) = line.trim().strip_prefix("Downloading ") {
                 let file = file.rsplit('/').next().unwrap_or(file);
                 phase.describe(&format!("{what}: {}", file.chars().take(60).collect::<String>()));
@@ -151,7 +154,7 @@ impl<'a> Installer<'a> {
         Err(explain(&ended.stderr).unwrap_or_else(|| {
             let log = self.root.join(".venv.log");
             let text = format!("{command:?}\n{}\n{output}\n{}", ended.status, ended.stderr);
-            // The log only adds to the sentence that is returned.
+            // The log is optional, since the returned sentence states the error.
             let _ = write_atomically(&log, text.as_bytes());
             step_failed(what, &reason(&ended), &log)
         }))
@@ -163,8 +166,8 @@ fn step_failed(what: &str, reason: &str, log: &Path) -> ToolchainError {
     ToolchainError::Failure(format!("{what} failed: {reason} (all of its output is in {log})"))
 }
 
-/// The most informative line of stderr: the last that names an error, else the last. Without output,
-/// the exit status.
+/// The most informative line of stderr: the last line that contains an error, else the last line. Without
+/// output, the exit status.
 fn reason(ended: &Ended) -> String {
     let lines = || ended.stderr.lines().rev().map(str::trim).filter(|l| !l.is_empty());
     lines()

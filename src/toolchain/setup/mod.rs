@@ -1,9 +1,10 @@
-//! The pinned Python environment `.venv` of the project: created once; its `stlfr` module is built
-//! again when the library's sources change.
+//! The pinned Python environment `.venv` of the project. It is created once; its module `stlfr` is rebuilt
+//! when the library's sources change.
 //!
-//! Two stamp files record what is complete, each written last. The packages' stamp is a hash of the
-//! pinned versions, the Python and the folder; the module's stamp is a hash of its sources. A part that
-//! was interrupted has no stamp, and is done again. A file lock makes a second set-up wait.
+//! Two stamp files record what is complete; each is written after the part that it stands for. The packages'
+//! stamp is a hash of the pinned versions, the Python version and the folder's path; the module's stamp is a
+//! hash of its sources. A part that was interrupted has no stamp, and is installed again. A file lock makes a
+//! second set-up wait.
 
 mod install;
 mod stamp;
@@ -22,11 +23,11 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug)]
 pub struct Environment {
     pub project_root: PathBuf,
-    /// Its Python interpreter.
+    /// Path of its Python interpreter.
     pub python: PathBuf,
 }
 
-/// A failed file operation. Missing write permission has a sentence of its own.
+/// The error of a failed file operation. Missing write permission has its own sentence.
 fn file_error(path: &Path, source: Error) -> ToolchainError {
     ToolchainError::Failure(match source.kind() {
         ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {
@@ -39,27 +40,28 @@ fn file_error(path: &Path, source: Error) -> ToolchainError {
     })
 }
 
-/// The path of an entry of a folder whose name passes a test.
+/// The path of the first entry of a folder whose name passes a test.
 fn entry(folder: &Path, passes: impl Fn(&str) -> bool) -> Option<PathBuf> {
     let mut paths = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
     paths.find(|path| path.file_name().is_some_and(|name| passes(&name.to_string_lossy())))
 }
 
 impl Environment {
-    /// The environment if its packages are installed. This installs nothing.
+    /// The environment, if its packages are installed; `None` otherwise. Nothing is installed.
     pub fn find(project_root: &Path) -> Option<Self> {
         let stamps = Stamps::read(project_root).ok()?;
         stamps.packages.found.then(|| Self::inside(project_root))
     }
 
-    /// The environment, complete or not.
+    /// The environment of a project, whether complete or not.
     fn inside(project_root: &Path) -> Self {
         let python = project_root.join(".venv/bin/python");
         Self { project_root: project_root.to_owned(), python }
     }
 }
 
-/// The folder of stlfr's sources: `STLFR_HOME`, or where this program was built, unless it is built to be portable.
+/// The folder of stlfr's sources: `STLFR_HOME` if it is set, else where this program was built, which a portable program
+/// doesn't know.
 pub fn project_root() -> Result<PathBuf, ToolchainError> {
     let built_in = (!cfg!(feature = "portable")).then(|| env!("CARGO_MANIFEST_DIR").into());
     let Some(root) = std::env::var_os("STLFR_HOME").or(built_in).map(PathBuf::from) else {
@@ -76,7 +78,7 @@ pub fn project_root() -> Result<PathBuf, ToolchainError> {
     }
 }
 
-/// The system's ffmpeg, else that of the project's environment.
+/// The system's ffmpeg, else the one in the project's environment.
 pub fn find_ffmpeg() -> Option<PathBuf> {
     ffmpeg_on_path().or_else(|| {
         let binaries = ".venv/lib/python3.11/site-packages/imageio_ffmpeg/binaries";
@@ -84,8 +86,8 @@ pub fn find_ffmpeg() -> Option<PathBuf> {
     })
 }
 
-/// Creates the environment, or its missing parts. If it is complete, this takes milliseconds and starts
-/// no Python.
+/// Creates the environment, or the parts that are missing. If it is complete, this takes milliseconds and
+/// does not start Python.
 pub fn ensure_environment(
     project_root: &Path,
     reporter: &Reporter,
@@ -102,7 +104,7 @@ pub fn ensure_environment(
     Ok(environment)
 }
 
-/// Calls a function with a built wheel of the Python module, and removes the wheel.
+/// Builds a wheel of the Python module, calls a function with its path, and removes the wheel.
 pub(super) fn with_wheel<T>(
     environment: &Environment,
     reporter: &Reporter,
@@ -111,7 +113,7 @@ pub(super) fn with_wheel<T>(
     let _lock = lock(&environment.project_root, reporter)?;
     let wheel = Installer::new(environment, reporter).build_module()?;
     let result = call(&wheel);
-    // If files are left, the next build replaces them.
+    // If removal fails, the next build replaces the files.
     let _ = wheel.parent().map(std::fs::remove_dir_all);
     result
 }

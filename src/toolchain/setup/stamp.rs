@@ -1,20 +1,20 @@
-//! Stamps: hashes of everything that the environment was built from.
+//! Stamps: hashes of everything from which the environment was built.
 
 use super::file_error;
 use crate::host::{hash_file, ignore_absent, read_bytes, read_text, write_atomically};
 use crate::toolchain::ToolchainError;
 use std::path::{Path, PathBuf};
 
-/// Largest stamp or `pyvenv.cfg` that is read, bytes.
+/// Maximum size of a stamp or a `pyvenv.cfg` that is read, bytes.
 const MAX_STAMP_BYTES: u64 = 64 << 10;
 
-/// The expected stamps of a source tree.
+/// The stamps that a source tree's environment must have.
 pub(super) struct Stamps {
     pub packages: Stamp,
     pub module: Stamp,
 }
 
-/// A file that holds a hash.
+/// A stamp file, with the hash that it should contain.
 pub(super) struct Stamp {
     path: PathBuf,
     expected: String,
@@ -43,14 +43,16 @@ impl Stamp {
 impl Stamps {
     pub fn read(root: &Path) -> Result<Self, ToolchainError> {
         let venv = root.join(".venv");
-        // `pyvenv.cfg` names the Python of the environment; the environment's scripts contain the path of its folder.
+        // `pyvenv.cfg` identifies the environment's Python. The environment's scripts contain the path of its
+        // folder.
         let python = read_bytes(&venv.join("pyvenv.cfg"), MAX_STAMP_BYTES).unwrap_or_default();
         let mut packages = blake3::Hasher::new();
         add(&mut packages, root.as_os_str().as_encoded_bytes());
         add(&mut packages, &python);
         add_file(&mut packages, &root.join("blender/requirements.txt"))?;
 
-        // Packages aren't hashed: installing them again replaces the folder, and so removes this stamp.
+        // The packages are not hashed here: when they are installed again, the folder is replaced, and with
+        // it this stamp.
         let mut module = blake3::Hasher::new();
         for file in module_sources(root)? {
             add(&mut module, file.as_os_str().as_encoded_bytes());
@@ -60,7 +62,7 @@ impl Stamps {
             packages: Stamp::new(venv.join(".stlfr-packages"), &packages),
             module: Stamp::new(venv.join(".stlfr-module"), &module),
         };
-        // The interpreter is a link to the system's, which may be gone.
+        // The interpreter is a link to the system's Python, which may have been removed.
         stamps.packages.found &= venv.join("bin/python").exists();
         Ok(stamps)
     }
@@ -70,7 +72,7 @@ impl Stamps {
     }
 }
 
-/// Source files of the Python module, in a fixed order: all but the program's.
+/// The source files of the Python module, in a fixed order: all of `src` except the program's `main.rs`.
 fn module_sources(root: &Path) -> Result<Vec<PathBuf>, ToolchainError> {
     let mut files: Vec<PathBuf> =
         ["Cargo.toml", "Cargo.lock", "blender/pyproject.toml"].map(|f| root.join(f)).into();
@@ -110,7 +112,7 @@ fn add_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<(), ToolchainErr
 mod tests {
     use super::*;
 
-    /// A source tree with a finished environment.
+    /// A source tree with a complete environment.
     fn finished() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         for file in [
@@ -133,7 +135,7 @@ mod tests {
         folder
     }
 
-    /// Whether the packages and the whole environment still count as complete after a change to a file.
+    /// Whether the packages, and the whole environment, still count as complete after `file` has changed.
     fn after(file: &str) -> (bool, bool) {
         let folder = finished();
         std::fs::write(folder.path().join(file), "changed").unwrap();

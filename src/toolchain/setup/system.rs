@@ -1,5 +1,5 @@
-//! What the system must have: a Python 3.11 that can create environments, and Blender's libraries. An error names the
-//! command that installs what is missing.
+//! Requirements on the system: a Python 3.11 that can create environments, and Blender's libraries. If
+//! something is missing, the error names the command that installs it.
 
 use crate::toolchain::ToolchainError;
 use std::path::Path;
@@ -8,7 +8,8 @@ use std::process::{Command, Stdio};
 /// The Python version that `bpy` is built for.
 const VERSION: &str = "3.11";
 
-/// A program that prints Python's version, and whether there is `venv`, which Debian packages separately.
+/// A Python program that prints Python's version, and whether `venv` is installed, which Debian packages
+/// separately.
 const PROBE: &str = "import sys
 try:
     import ensurepip, venv
@@ -17,7 +18,7 @@ except ImportError:
     able = 'unable'
 print('%d.%d' % sys.version_info[:2], able)";
 
-/// The command that starts a Python that can create environments.
+/// The command that starts a Python 3.11 that can create environments.
 pub(super) fn find_python() -> Result<&'static str, ToolchainError> {
     let mut unable = None;
     for python in ["python3.11", "python3", "python"] {
@@ -41,19 +42,19 @@ pub(super) fn find_python() -> Result<&'static str, ToolchainError> {
     }))
 }
 
-/// The command that installs Debian packages.
+/// The command line that installs Debian packages.
 fn install_line(packages: &[&str]) -> String {
     // SAFETY: geteuid has no preconditions and can't fail.
     let sudo = if unsafe { libc::geteuid() } == 0 { "" } else { "sudo " };
     format!("{sudo}apt-get install -y {}", packages.join(" "))
 }
 
-/// The error for a missing shared library, if an import's output names one.
+/// The error for a missing shared library, if the output of an import names one; else `None`.
 pub(super) fn missing_library(root: &Path, stderr: &str) -> Option<ToolchainError> {
-    // "ImportError: libX.so.1: cannot open shared object file: …"
+    // The line has the form "ImportError: libX.so.1: cannot open shared object file: …".
     let line = stderr.lines().find(|l| l.contains("cannot open shared object file"))?;
     let library = line.split(": ").find(|part| part.contains(".so") && !part.contains(' '))?;
-    // One package a line; `#` starts a comment.
+    // The list has one package per line; `#` starts a comment.
     let list = std::fs::read_to_string(root.join("blender/system-packages.txt")).ok()?;
     let packages = list.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
     let packages: Vec<&str> = packages.filter(|name| !name.is_empty()).collect();
