@@ -1,7 +1,7 @@
 """Pack the Blender extension: `python -I blender/package.py WHEEL -o OUT.zip`.
 
-The zip holds the folder stlfr/, the filming script, the wheel of the compiled module, and the manifest
-with that wheel and its platform. Blender's own tool validates it. An error is one sentence on stderr,
+The zip holds the folder stlfr/, the filming script, the wheel of the compiled module as it is, and the
+manifest with that wheel and its platform, which is printed. Blender's own tool validates the zip. An error is one sentence on stderr,
 with exit code 2 for bad input and 1 for a failure.
 """
 
@@ -34,9 +34,10 @@ class PackageError(Exception):
     """One sentence for the user."""
 
 
-def pack(wheel: Path, output: Path) -> None:
-    """Write the zip, once it is whole and valid."""
-    manifest = manifest_with(wheel, (HERE / "stlfr" / "blender_manifest.toml"))
+def pack(wheel: Path, output: Path) -> str:
+    """Write the zip, once it is whole and valid; its platform."""
+    template = HERE / "stlfr" / "blender_manifest.toml"
+    platform, manifest = manifest_with(wheel, template)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "stlfr"
         shutil.copytree(
@@ -52,12 +53,13 @@ def pack(wheel: Path, output: Path) -> None:
         blender_tool("build", "--source-dir", folder, "--output-filepath", zip_file)
         blender_tool("validate", zip_file)
         shutil.copyfile(zip_file, output)
+    return platform
 
 
-def manifest_with(wheel: Path, manifest: Path) -> str:
-    """The manifest that lists the wheel and its platform; their versions have to be the same."""
+def manifest_with(wheel: Path, manifest: Path) -> tuple[str, str]:
+    """The wheel's platform, and the manifest that lists both; the versions have to be the same."""
     text = manifest.read_text(encoding="utf-8")
-    name, version, *_, platform = wheel.stem.split("-")
+    name, version, *_, tags = wheel.stem.split("-")
     expected = tomllib.loads(text)["version"]
     if (name, version) != ("stlfr", expected):
         raise PackageError(
@@ -65,15 +67,16 @@ def manifest_with(wheel: Path, manifest: Path) -> str:
         )
     platforms = {
         ours
-        for part in platform.split(".")
+        for part in tags.split(".")
         for pattern, ours in PLATFORMS.items()
         if re.fullmatch(pattern, part)
     }
     if len(platforms) != 1:
         raise PackageError(f"{wheel.name} is of no platform that Blender runs on")
-    added = f'platforms = ["{platforms.pop()}"]\nwheels = ["./wheels/{wheel.name}"]\n'
+    platform = platforms.pop()
+    added = f'platforms = ["{platform}"]\nwheels = ["./wheels/{wheel.name}"]\n'
     head, tables, rest = text.partition("\n[permissions]")
-    return f"{head}{added}{tables}{rest}"
+    return platform, f"{head}{added}{tables}{rest}"
 
 
 def blender_tool(*arguments: str | Path) -> None:
@@ -103,7 +106,7 @@ def main() -> None:
     if not arguments.wheel.is_file():
         parser.exit(2, f"{arguments.wheel}: no such wheel\n")
     try:
-        pack(arguments.wheel, arguments.output)
+        print(pack(arguments.wheel, arguments.output))
     except PackageError as error:
         sys.exit(str(error))
     except OSError as error:

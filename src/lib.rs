@@ -73,6 +73,7 @@
 //! compare
 //! tradeoff live farm publish
 //! toolchain
+//! cli
 //! python
 //! ```
 //!
@@ -98,6 +99,7 @@
 //! | [`publish`] | a light field as a site, for any static web server |
 //! | [`farm`] | jobs for render farms: Open Job Description, Slurm, Flamenco |
 //! | [`toolchain`] | the Python environment: set-up, filming, checking, finding and refining calibrations |
+//! | [`cli`] | the command line |
 //!
 //! # Adding to it
 //!
@@ -194,7 +196,9 @@
 //! # From Python
 //!
 //! `stlfr setup` installs the module `stlfr` into `.venv`; `pip install ./blender`, in this project's folder, builds it
-//! into any other Python from 3.11 on. It has type stubs, releases the GIL, and runs in one process with `bpy`.
+//! into any other Python from 3.11 on, with the command `stlfr`. It has type stubs, releases the GIL, and runs in one
+//! process with `bpy`. `.ci/release.py` builds a wheel for any Linux with glibc 2.17 or newer: `pip install` it there.
+//! The commands that film and check use the source folder; an installed wheel finds it by `STLFR_HOME`.
 //!
 //! ```python
 //! import numpy as np
@@ -255,6 +259,7 @@
 pub mod camera;
 pub mod capture;
 pub mod chart;
+pub mod cli;
 pub mod compare;
 pub mod display;
 pub mod exchange;

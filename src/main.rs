@@ -1,16 +1,8 @@
-//! The command line `stlfr`: clap, and one call per command.
+//! The program `stlfr`.
 
-mod cli;
-
-use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    stlfr::host::reuse_freed_memory();
-    // If this fails, the next run removes the files that an interrupted run leaves.
-    let _ = stlfr::host::remove_unfinished_on_signals();
-    match cli::Cli::try_parse() {
-        Ok(cli) => cli::exit(cli.run()),
-        Err(error) => cli::usage(&error),
-    }
+    let program = std::env::current_exe().unwrap_or_else(|_| "stlfr".into());
+    ExitCode::from(stlfr::cli::main(&program, std::env::args_os()))
 }

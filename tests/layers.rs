@@ -35,7 +35,7 @@ fn modules() -> BTreeMap<Module, String> {
         let relative = path.strip_prefix(&source).unwrap().with_extension("");
         let mut module: Module =
             relative.iter().map(|part| part.to_str().unwrap().to_owned()).collect();
-        if module[0] == "cli" || module == ["main"] || module.last().unwrap() == "tests" {
+        if module == ["main"] || module.last().unwrap() == "tests" {
             continue; // the program, which uses the library from outside; tests
         }
         if ["mod", "lib"].contains(&module.last().unwrap().as_str()) {

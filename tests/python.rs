@@ -48,6 +48,7 @@ fn formatting_and_lints() {
             "--no-cache",
             "--config",
             "blender/pyproject.toml",
+            ".ci",
             "blender",
             "tests/bench",
             "tests/farm",
@@ -65,6 +66,7 @@ fn types() {
             .args(["--config-file", "blender/pyproject.toml", "--cache-dir"])
             .arg(common::root().join("target/mypy"))
             .args([
+                ".ci/release.py",
                 "blender/calibrate.py",
                 "blender/capture.py",
                 "blender/check.py",

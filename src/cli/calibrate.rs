@@ -4,14 +4,14 @@ use super::CliError;
 use super::files::{CommandOutput, open_capture};
 use super::import::ClockArgs;
 use super::print::{Page, decimals};
-use std::path::{Path, PathBuf};
-use stlfr::camera::CameraFormat;
-use stlfr::capture::{CAPTURE_FILE, Capture, Opening};
-use stlfr::exchange::{self, Draft};
-use stlfr::progress::Reporter;
-use stlfr::toolchain::{
+use crate::camera::CameraFormat;
+use crate::capture::{CAPTURE_FILE, Capture, Opening};
+use crate::exchange::{self, Draft};
+use crate::progress::Reporter;
+use crate::toolchain::{
     Calibration, CalibrationRequest, calibrate, ensure_environment, find_ffmpeg, project_root,
 };
+use std::path::{Path, PathBuf};
 
 /// Make a capture from recordings without a calibration, or with one that is not trusted.
 ///

@@ -4,11 +4,11 @@ use super::CliError;
 use super::files::{CommandOutput, must_be_a_file};
 use super::print::Page;
 use super::values::{Parts, image_size};
+use crate::capture::MAX_FRAMES;
+use crate::progress::Reporter;
+use crate::rig::Rig;
+use crate::toolchain::{FilmOptions, FilmedScene, ensure_environment, film, project_root};
 use std::path::{Path, PathBuf};
-use stlfr::capture::MAX_FRAMES;
-use stlfr::progress::Reporter;
-use stlfr::rig::Rig;
-use stlfr::toolchain::{FilmOptions, FilmedScene, ensure_environment, film, project_root};
 
 /// Film a scene in Blender with a simulated camera rig. After an interruption, the same command
 /// continues.

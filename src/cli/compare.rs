@@ -3,22 +3,22 @@
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
 use super::print::{Page, decimals};
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use stlfr::capture::{Capture, Truth};
-use stlfr::compare::results::{Headline, MethodHeadline, ViewMethod};
-use stlfr::compare::video::VideoOptions;
-use stlfr::compare::{
+use crate::capture::{Capture, Truth};
+use crate::compare::results::{Headline, MethodHeadline, ViewMethod};
+use crate::compare::video::VideoOptions;
+use crate::compare::{
     CompareOptions, ComparedLightField, FILES, Renderer, Summary, compare, errors_frames,
     score_offsets,
 };
-use stlfr::json;
-use stlfr::method::Method;
-use stlfr::metrics::Scores;
-use stlfr::offset::{MAX_OFFSETS_BYTES, Offsets};
-use stlfr::options::RenderOptions;
-use stlfr::progress::Reporter;
-use stlfr::toolchain::{Environment, project_root, review};
+use crate::json;
+use crate::method::Method;
+use crate::metrics::Scores;
+use crate::offset::{MAX_OFFSETS_BYTES, Offsets};
+use crate::options::RenderOptions;
+use crate::progress::Reporter;
+use crate::toolchain::{Environment, project_root, review};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Compare rendered views with the truth, and with traditional light field rendering: pictures, metrics.json and
 /// report.html.
@@ -219,8 +219,8 @@ fn table(methods: &[MethodHeadline]) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stlfr::metrics::RegionScores;
-    use stlfr::options::ProxyMethod;
+    use crate::metrics::RegionScores;
+    use crate::options::ProxyMethod;
 
     #[test]
     fn the_table_has_one_baseline_and_marks_what_render_uses() {

@@ -3,12 +3,12 @@
 use super::CliError;
 use super::shots::Shots;
 use super::values::{ImageOutput, positive};
-use stlfr::camera::Camera;
-use stlfr::capture::NamedView;
-use stlfr::display::{QuiltLayout, covered_cone_deg, stereo};
-use stlfr::light_field::{LightField, Request, Viewpoint};
-use stlfr::options::RenderOptions;
-use stlfr::progress::Reporter;
+use crate::camera::Camera;
+use crate::capture::NamedView;
+use crate::display::{QuiltLayout, covered_cone_deg, stereo};
+use crate::light_field::{LightField, Request, Viewpoint};
+use crate::options::RenderOptions;
+use crate::progress::Reporter;
 
 /// Smallest angle of a quilt's view cone, degrees. A smaller angle shows no depth.
 const MIN_CONE_DEG: f64 = 1.0;

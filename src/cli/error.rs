@@ -1,22 +1,20 @@
 //! Errors of the command line: one sentence on stderr, and an exit code.
 
-use super::print::heard;
+use crate::capture::CaptureError;
+use crate::compare::CompareError;
+use crate::exchange::ExchangeError;
+use crate::json::JsonError;
+use crate::light_field::RenderError;
+use crate::publish::PublishError;
+use crate::text::printable;
+use crate::toolchain::ToolchainError;
+use crate::tradeoff::TradeoffError;
+use crate::video::VideoError;
 use clap::error::ErrorKind as UsageKind;
 use std::error::Error;
 use std::fmt::{Display, Formatter};
 use std::io::{ErrorKind, Write};
 use std::path::Path;
-use std::process::ExitCode;
-use stlfr::capture::CaptureError;
-use stlfr::compare::CompareError;
-use stlfr::exchange::ExchangeError;
-use stlfr::json::JsonError;
-use stlfr::light_field::RenderError;
-use stlfr::publish::PublishError;
-use stlfr::text::printable;
-use stlfr::toolchain::ToolchainError;
-use stlfr::tradeoff::TradeoffError;
-use stlfr::video::VideoError;
 
 /// Why a command failed. It doesn't implement [`Error`], so that every error of the library converts to it by `From`.
 #[derive(Debug)]
@@ -125,26 +123,36 @@ pub fn written<T>(path: &Path, result: std::io::Result<T>) -> Result<T, CliError
     of_io(path, "can't be written", result)
 }
 
+/// The result of printing. A closed pipe counts as success.
+pub fn heard(printed: std::io::Result<()>) -> Result<(), CliError> {
+    match printed {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(CliError::Failure(format!("stdout: can't be written ({error})")))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Prints the error, if there is one, and returns the exit code.
-pub fn exit(result: Result<(), CliError>) -> ExitCode {
-    let Err(error) = result else { return ExitCode::SUCCESS };
+pub fn exit(result: Result<(), CliError>) -> u8 {
+    let Err(error) = result else { return 0 };
     // If stderr can't be written, the exit code alone reports the error.
     let _ = writeln!(std::io::stderr(), "{}", printable(error.to_string().trim_end()));
-    ExitCode::from(match error {
+    match error {
         CliError::BadInput(_) => 2,
         CliError::Failure(_) => 1,
-    })
+    }
 }
 
 /// Prints help and version as clap does, and an error in the command line as one sentence.
-pub fn usage(error: &clap::Error) -> ExitCode {
+pub fn usage(error: &clap::Error) -> u8 {
     match error.kind() {
         UsageKind::DisplayHelp | UsageKind::DisplayVersion => {
             exit(heard(error.print().and_then(|()| std::io::stdout().flush())))
         }
         UsageKind::DisplayHelpOnMissingArgumentOrSubcommand => {
             let _ = error.print();
-            ExitCode::from(2)
+            2
         }
         _ => exit(Err(CliError::BadInput(sentence(&error.to_string())))),
     }

@@ -3,14 +3,14 @@
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
 use super::values::Times;
+use crate::camera::Camera;
+use crate::capture::Capture;
+use crate::exchange::{self, Dataset, DatasetFormat, NamedCamera, Undistortion};
+use crate::light_field::{Context, LightField};
+use crate::pipeline;
+use crate::progress::Reporter;
 use std::path::PathBuf;
 use std::sync::Arc;
-use stlfr::camera::Camera;
-use stlfr::capture::Capture;
-use stlfr::exchange::{self, Dataset, DatasetFormat, NamedCamera, Undistortion};
-use stlfr::light_field::{Context, LightField};
-use stlfr::pipeline;
-use stlfr::progress::Reporter;
 
 /// Write a capture's calibration for another program, also with synchronized images or with the filmed frames.
 ///
@@ -89,7 +89,7 @@ pub fn run(args: &ExportArgs, reporter: &Reporter) -> Result<(), CliError> {
         Format::Llff | Format::Nerf => CommandOutput::File(output),
     };
     let capture = open_capture(&args.capture, Some(written), reporter)?;
-    let named = |c: &stlfr::capture::FilmedCamera| NamedCamera {
+    let named = |c: &crate::capture::FilmedCamera| NamedCamera {
         name: format!("{}/0000.png", c.id),
         time_ns: None,
         camera: c.camera.clone(),
@@ -185,7 +185,7 @@ impl Writing<'_> {
         &mut self,
         k: usize,
         time_s: f64,
-        image: &stlfr::raster::Image,
+        image: &crate::raster::Image,
     ) -> Result<(), CliError> {
         let origin_ns = (1e9 * self.capture.time_origin_s).round() as i64;
         let time_ns = origin_ns.saturating_add((1e9 * time_s).round() as i64);

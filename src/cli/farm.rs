@@ -8,11 +8,11 @@ use super::print::Page;
 use super::shots::{InstantArgs, ShotArgs};
 use super::values::{ImageOutput, job_word};
 use super::viewpoint::ViewpointArgs;
+use crate::capture::Truth;
+use crate::farm::{FarmChunks, FarmJob, FarmNeeds, FarmStep};
+use crate::progress::Reporter;
+use crate::rig::Rig;
 use std::path::{Path, PathBuf, absolute};
-use stlfr::capture::Truth;
-use stlfr::farm::{FarmChunks, FarmJob, FarmNeeds, FarmStep};
-use stlfr::progress::Reporter;
-use stlfr::rig::Rig;
 
 /// Write a job for a render farm, which divides the work on captures among machines: Open Job Description, Slurm,
 /// Flamenco.
@@ -65,7 +65,13 @@ pub struct FarmArgs {
     options: OptionsArgs,
 }
 
-pub fn run(args: &FarmArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+/// `program` is the path that starts this program on the machines.
+pub fn run(
+    args: &FarmArgs,
+    program: &Path,
+    page: &mut Page,
+    reporter: &Reporter,
+) -> Result<(), CliError> {
     args.options.read()?;
     let wrong = |sentence: &str| Err(CliError::BadInput(sentence.into()));
     if args.rig.is_none() && args.scene != SceneArgs::default() {
@@ -75,7 +81,7 @@ pub fn run(args: &FarmArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
         return wrong("--rig: films one capture, and several are given");
     }
     let folder = written(&args.output, absolute(&args.output))?;
-    let job = args.job(&folder, reporter)?;
+    let job = args.job(program, &folder, reporter)?;
     let files = job.files();
     let names: Vec<&str> = files.iter().map(|(name, _)| &**name).collect();
     CommandOutput::Folder(&args.output, &names).check(None)?;
@@ -97,7 +103,7 @@ impl FarmArgs {
         Ok(Some(ShotArgs { viewpoint, instants }.shots(reporter)?.len() as u32))
     }
 
-    fn job(&self, folder: &Path, reporter: &Reporter) -> Result<FarmJob, CliError> {
+    fn job(&self, program: &Path, folder: &Path, reporter: &Reporter) -> Result<FarmJob, CliError> {
         let mut steps = Steps { args: self, reporter, suffix: String::new(), steps: Vec::new() };
         steps.add("setup", vec!["setup".into()], &[], None);
         for (index, capture) in self.captures.iter().enumerate() {
@@ -106,11 +112,10 @@ impl FarmArgs {
             }
             steps.add_capture(&written(capture, absolute(capture))?, folder)?;
         }
-        let program = written(folder, std::env::current_exe())?;
         let name = self.captures.iter().filter_map(|c| c.file_name()?.to_str()).take(3);
         Ok(FarmJob {
             name: name.collect::<Vec<_>>().join(", "),
-            program: job_word(&program)?,
+            program: job_word(program)?,
             steps: steps.steps,
         })
     }

@@ -3,17 +3,17 @@
 use super::CliError;
 use super::error::written;
 use super::values::{ImageOutput, method};
+use crate::camera::{Camera, ViewFormat};
+use crate::capture::{Capture, Opening, OutputGuard};
+use crate::host::{open_file, read_text, try_folder};
+use crate::json;
+use crate::method::Method;
+use crate::options::{Preset, RenderOptions};
+use crate::path::{CameraPath, PathFormat};
+use crate::progress::Reporter;
+use crate::toolchain::{Environment, blend_path, find_ffmpeg, project_root};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use stlfr::camera::{Camera, ViewFormat};
-use stlfr::capture::{Capture, Opening, OutputGuard};
-use stlfr::host::{open_file, read_text, try_folder};
-use stlfr::json;
-use stlfr::method::Method;
-use stlfr::options::{Preset, RenderOptions};
-use stlfr::path::{CameraPath, PathFormat};
-use stlfr::progress::Reporter;
-use stlfr::toolchain::{Environment, blend_path, find_ffmpeg, project_root};
 
 /// Size limit of options and view files, bytes.
 const MAX_BYTES: u64 = 1 << 20;

@@ -3,10 +3,10 @@
 use super::CliError;
 use super::error::written;
 use super::values::ImageOutput;
+use crate::host::{Claim, Claims, Taken};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use stlfr::host::{Claim, Claims, Taken};
 
 /// Interval at which the images of other processes are checked. Larger: the end is noticed later; smaller: more file
 /// access.

@@ -2,11 +2,11 @@
 
 use super::CliError;
 use super::files::CommandOutput;
+use crate::capture::Opening;
+use crate::exchange::{self, ImportClock, ImportRequest};
+use crate::progress::Reporter;
+use crate::toolchain::find_ffmpeg;
 use std::path::PathBuf;
-use stlfr::capture::Opening;
-use stlfr::exchange::{self, ImportClock, ImportRequest};
-use stlfr::progress::Reporter;
-use stlfr::toolchain::find_ffmpeg;
 
 /// Make a capture from another program's calibration and from videos or image sequences.
 ///

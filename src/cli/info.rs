@@ -5,14 +5,14 @@ use super::error::of_io;
 use super::files::must_be_a_file;
 use super::print::{Page, decimals};
 use super::viewpoint::{example, rounded};
+use crate::capture::{CAPTURE_FILE, Capture, CaptureError, CaptureFormat, Opening, Truth};
+use crate::host::{CacheUse, DiskCache};
+use crate::json;
+use crate::offset::{Offsets, SavedOffsets};
+use crate::progress::Reporter;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use stlfr::capture::{CAPTURE_FILE, Capture, CaptureError, CaptureFormat, Opening, Truth};
-use stlfr::host::{CacheUse, DiskCache};
-use stlfr::json;
-use stlfr::offset::{Offsets, SavedOffsets};
-use stlfr::progress::Reporter;
 
 /// Show what a capture contains, its offsets, and its cached results.
 ///
@@ -159,7 +159,7 @@ impl Info {
             |capture| capture.reference,
         );
         let spans = capture.as_ref().zip(offsets.as_ref()).map(|(c, o)| spans_s(c, o));
-        let camera = |(k, from): (usize, &stlfr::capture::FilmedCameraFormat)| {
+        let camera = |(k, from): (usize, &crate::capture::FilmedCameraFormat)| {
             let filmed = capture.as_ref().map(|capture| &capture.cameras[k]);
             let offset = offsets.as_ref().map(|offsets| &offsets.cameras[k]);
             let offset_s = offset.and_then(|offset| offset.offset_s);

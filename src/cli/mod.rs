@@ -1,4 +1,5 @@
-//! The command line. Each command has its arguments and calls the library.
+//! The command line. Each command has its arguments and calls the library. The program `stlfr` calls [`main`], and so
+//! does the command that the Python module installs.
 
 mod calibrate;
 mod capture;
@@ -27,12 +28,25 @@ mod view;
 mod view_writer;
 mod viewpoint;
 
-pub use error::{exit, usage};
-
+use crate::host::{remove_unfinished_on_signals, reuse_freed_memory};
+use crate::progress::Reporter;
 use clap::{Parser, Subcommand};
 use error::CliError;
 use print::Page;
-use stlfr::progress::Reporter;
+use std::ffi::OsString;
+use std::path::Path;
+
+/// Runs a command line, whose first argument is the program's name, and returns the exit code. `program` is the path
+/// that starts the same again: `stlfr farm` writes it. From here on, SIGINT, SIGTERM and SIGHUP end the process.
+pub fn main(program: &Path, arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    reuse_freed_memory();
+    // If this fails, the next run removes the files that an interrupted run leaves.
+    let _ = remove_unfinished_on_signals();
+    match Cli::try_parse_from(arguments) {
+        Ok(cli) => error::exit(cli.run(program)),
+        Err(error) => error::usage(&error),
+    }
+}
 
 /// The view from anywhere, at any instant, from cameras that are not synchronized.
 #[derive(Debug, Parser)]
@@ -44,7 +58,7 @@ use stlfr::progress::Reporter;
     after_help = "Exit codes: 0 done, 2 something given is wrong, 1 the work failed.\n\
                   Times are seconds on the reference camera's clock."
 )]
-pub struct Cli {
+struct Cli {
     #[command(subcommand)]
     command: Command,
     /// No progress and no notes; errors still go to stderr.
@@ -78,13 +92,13 @@ enum Command {
 
 impl Cli {
     /// Runs the command. Its output is printed even if the command fails.
-    pub fn run(&self) -> Result<(), CliError> {
+    fn run(&self, program: &Path) -> Result<(), CliError> {
         let mut page = Page::default();
-        let result = self.run_on(&mut page);
+        let result = self.run_on(program, &mut page);
         result.and(page.print())
     }
 
-    fn run_on(&self, page: &mut Page) -> Result<(), CliError> {
+    fn run_on(&self, program: &Path, page: &mut Page) -> Result<(), CliError> {
         let reporter = Reporter::new(self.quiet);
         match &self.command {
             Command::Demo(args) => toolchain::run_demo(args, page, &reporter),
@@ -106,7 +120,7 @@ impl Cli {
             Command::Options(args) => options::run(args, page),
             Command::Import(args) => import::run(args, &reporter),
             Command::Export(args) => export::run(args, &reporter),
-            Command::Farm(args) => farm::run(args, page, &reporter),
+            Command::Farm(args) => farm::run(args, program, page, &reporter),
         }
     }
 }

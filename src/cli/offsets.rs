@@ -3,10 +3,10 @@
 use super::CliError;
 use super::files::{OptionsArgs, open_capture};
 use super::print::{Page, decimals};
+use crate::offset::{Offsets, offsets_from_images};
+use crate::progress::Reporter;
+use crate::registration::FrameStore;
 use std::path::PathBuf;
-use stlfr::offset::{Offsets, offsets_from_images};
-use stlfr::progress::Reporter;
-use stlfr::registration::FrameStore;
 
 /// Estimate the offset of each camera's clock from the reference's clock, with its standard error, from the images
 /// alone.

@@ -3,8 +3,8 @@
 use super::CliError;
 use super::files::OptionsArgs;
 use super::print::Page;
-use stlfr::option::DeclaredOption;
-use stlfr::options::RenderOptions;
+use crate::option::DeclaredOption;
+use crate::options::RenderOptions;
 
 /// List all options of an options file, with their values, ranges and units
 ///

@@ -4,12 +4,12 @@ use super::CliError;
 use super::error::written;
 use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
+use crate::host::write_json;
+use crate::options::AutoOptions;
+use crate::pipeline;
+use crate::plan::{Decision, Plan};
+use crate::progress::Reporter;
 use std::path::PathBuf;
-use stlfr::host::write_json;
-use stlfr::options::AutoOptions;
-use stlfr::pipeline;
-use stlfr::plan::{Decision, Plan};
-use stlfr::progress::Reporter;
 
 /// Choose for every stage the cheapest method whose error on this capture is within a budget, and say why.
 ///

@@ -4,13 +4,13 @@ use super::CliError;
 use super::error::of_io;
 use super::files::{OptionsArgs, must_be_a_file, open_capture};
 use super::print::Page;
+use crate::capture::CAPTURE_FILE;
+use crate::host::DiskCache;
+use crate::light_field::PREPARED;
+use crate::pipeline;
+use crate::progress::Reporter;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use stlfr::capture::CAPTURE_FILE;
-use stlfr::host::DiskCache;
-use stlfr::light_field::PREPARED;
-use stlfr::pipeline;
-use stlfr::progress::Reporter;
 
 /// Register all frame pairs of a capture beforehand, so that rendering is faster. With --set proxy.method=scene-flow,
 /// also estimate depth and motion of all frames.

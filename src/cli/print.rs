@@ -1,9 +1,10 @@
 //! Output of commands on stdout.
 
 use super::CliError;
+use super::error::heard;
+use crate::text::printable;
 use std::fmt::Display;
-use std::io::{ErrorKind, Result, Write};
-use stlfr::text::printable;
+use std::io::Write;
 
 /// The output of a command, collected and printed at the command's end.
 #[derive(Debug, Default)]
@@ -21,7 +22,7 @@ impl Page {
         self.0 += &text.to_string();
     }
 
-    pub fn json(&mut self, value: &impl serde::Serialize) -> std::result::Result<(), CliError> {
+    pub fn json(&mut self, value: &impl serde::Serialize) -> Result<(), CliError> {
         let json = serde_json::to_string_pretty(value);
         let json = json.map_err(|e| CliError::Failure(e.to_string()))?;
         self.text(format_args!("{json}\n"));
@@ -29,7 +30,7 @@ impl Page {
     }
 
     /// Prints the output.
-    pub fn print(&self) -> std::result::Result<(), CliError> {
+    pub fn print(&self) -> Result<(), CliError> {
         let mut stdout = std::io::stdout().lock();
         heard(stdout.write_all(self.0.as_bytes()).and_then(|()| stdout.flush()))
     }
@@ -39,16 +40,6 @@ impl Page {
 pub fn decimals(std_err: Option<f64>) -> usize {
     let digits = |error: f64| (1.0 - error.log10().floor()).clamp(0.0, 4.0) as usize;
     std_err.filter(|error| *error > 0.0).map_or(4, digits)
-}
-
-/// The result of printing. A closed pipe counts as success.
-pub fn heard(printed: Result<()>) -> std::result::Result<(), CliError> {
-    match printed {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(CliError::Failure(format!("stdout: can't be written ({error})")))
-        }
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]

@@ -5,12 +5,12 @@ use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
 use super::values::{TimeSpan, image_size};
 use super::viewpoint::rounded;
+use crate::light_field::check_times_before_offsets;
+use crate::options::ProxyMethod;
+use crate::pipeline;
+use crate::progress::Reporter;
+use crate::publish::{Publication, PublishOptions, check_folder, publish};
 use std::path::{Path, PathBuf};
-use stlfr::light_field::check_times_before_offsets;
-use stlfr::options::ProxyMethod;
-use stlfr::pipeline;
-use stlfr::progress::Reporter;
-use stlfr::publish::{Publication, PublishOptions, check_folder, publish};
 
 /// Publish the light field as a folder that any static web server shows.
 ///

@@ -8,16 +8,16 @@ use super::shots::{InstantArgs, ShotArgs, Shots, viewpoint};
 use super::values::{AUTO, ImageFile, ImageOutput, Parts, method, method_or_auto};
 use super::view_writer::{View, ViewWriter};
 use super::viewpoint::ViewpointArgs;
+use crate::capture::NamedView;
+use crate::host::Claim;
+use crate::interpolation::SyncMethod;
+use crate::light_field::{Context, LightField, Request, render, render_with_depths};
+use crate::lumigraph::BlendMethod;
+use crate::options::{ProxyMethod, RenderOptions, TrailMode};
+use crate::pipeline;
+use crate::progress::Reporter;
 use std::ops::Range;
 use std::path::PathBuf;
-use stlfr::capture::NamedView;
-use stlfr::host::Claim;
-use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{Context, LightField, Request, render, render_with_depths};
-use stlfr::lumigraph::BlendMethod;
-use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
-use stlfr::pipeline;
-use stlfr::progress::Reporter;
 
 /// Render the view of any camera at any instant, over a span of time, or along a path.
 #[derive(Debug, clap::Args)]

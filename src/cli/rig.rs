@@ -5,16 +5,16 @@ use super::error::written;
 use super::files::CommandOutput;
 use super::print::Page;
 use super::values::{image_size, method};
-use std::num::NonZeroUsize;
-use std::path::PathBuf;
-use stlfr::capture::{self, MAX_FRAMES};
-use stlfr::host::write_atomically;
-use stlfr::rig::limits::MAX_CAMERAS;
-use stlfr::rig::{
+use crate::capture::{self, MAX_FRAMES};
+use crate::host::write_atomically;
+use crate::rig::limits::MAX_CAMERAS;
+use crate::rig::{
     self, Delays, Loss, LossStamps, Rig, RigColor, RigDistortion, RigLayout, RigOptions,
 };
-use stlfr::text::MAX_ID_LENGTH;
-use stlfr::tradeoff;
+use crate::text::MAX_ID_LENGTH;
+use crate::tradeoff;
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
 
 /// Generate a rig: the cameras' poses, lenses, shutters and sensors. The same command writes the same
 /// file.

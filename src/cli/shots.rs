@@ -4,12 +4,12 @@ use super::CliError;
 use super::files::{read_blend_path, read_path};
 use super::values::{PathSource, Times, positive, rate_hz};
 use super::viewpoint::{ViewpointArgs, far_outside};
-use stlfr::camera::Camera;
-use stlfr::capture::{Capture, NamedView};
-use stlfr::light_field::{LightField, Request, Viewpoint, check_times_before_offsets};
-use stlfr::options::RenderOptions;
-use stlfr::path::{CameraPath, PathFrame, PathScene, ReadyMadePath};
-use stlfr::progress::Reporter;
+use crate::camera::Camera;
+use crate::capture::{Capture, NamedView};
+use crate::light_field::{LightField, Request, Viewpoint, check_times_before_offsets};
+use crate::options::RenderOptions;
+use crate::path::{CameraPath, PathFrame, PathScene, ReadyMadePath};
+use crate::progress::Reporter;
 
 /// Frame rate along a path without a rate of its own, hertz.
 const PATH_RATE_HZ: f64 = 30.0;

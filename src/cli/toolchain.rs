@@ -5,16 +5,16 @@ use super::files::{CommandOutput, open_capture};
 use super::print::Page;
 use super::values::image_size;
 use super::{CliError, compare};
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use stlfr::capture::Capture;
-use stlfr::compare::FILES;
-use stlfr::host::write_json;
-use stlfr::options::RenderOptions;
-use stlfr::progress::Reporter;
-use stlfr::toolchain::{
+use crate::capture::Capture;
+use crate::compare::FILES;
+use crate::host::write_json;
+use crate::options::RenderOptions;
+use crate::progress::Reporter;
+use crate::toolchain::{
     Check, FilmOptions, FilmedScene, build_extension, check, ensure_environment, film, project_root,
 };
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Set up the pinned Python environment, once; `demo`, `capture` and `check` do it by themselves.
 #[derive(Debug, clap::Args)]

@@ -4,10 +4,10 @@ use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
 use super::values::method;
+use crate::options::RenderOptions;
+use crate::progress::Reporter;
+use crate::tradeoff::{FILES, Point, TimingClock, Tradeoff, TradeoffOptions, methods, tradeoff};
 use std::path::PathBuf;
-use stlfr::options::RenderOptions;
-use stlfr::progress::Reporter;
-use stlfr::tradeoff::{FILES, Point, TimingClock, Tradeoff, TradeoffOptions, methods, tradeoff};
 
 /// Measure speed and accuracy on this capture: time and quality of every sensible combination of methods and main
 /// parameters.

@@ -1,17 +1,17 @@
 //! Types of values on the command line, and their parsers: methods, sizes, instants and image files.
 
 use super::CliError;
+use crate::method::Method;
+use crate::path::{MAX_RATE_HZ, MIN_RATE_HZ, ReadyMadePath, is_rate_hz};
+use crate::raster::StillFormat;
+use crate::video::Codec;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use std::fmt::{self, Display, Formatter};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use stlfr::method::Method;
-use stlfr::path::{MAX_RATE_HZ, MIN_RATE_HZ, ReadyMadePath, is_rate_hz};
-use stlfr::raster::StillFormat;
-use stlfr::video::Codec;
 
-/// Value in place of a method's name. It leaves the choice of the method to [`stlfr::plan`].
+/// Value in place of a method's name. It leaves the choice of the method to [`crate::plan`].
 pub const AUTO: &str = "auto";
 
 fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
@@ -291,8 +291,8 @@ mod tests {
 
     #[test]
     fn methods_and_auto() {
+        use crate::options::ProxyMethod;
         use clap::{Arg, Command};
-        use stlfr::options::ProxyMethod;
         let command =
             || Command::new("c").arg(Arg::new("p").value_parser(method_or_auto::<ProxyMethod>()));
         let parsed = |text: &str| {

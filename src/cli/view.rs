@@ -1,18 +1,18 @@
 //! `stlfr view`
 
 use super::CliError;
+use super::error::heard;
 use super::files::{OptionsArgs, open_capture};
-use super::print::heard;
+use crate::host;
+use crate::light_field::LightField;
+use crate::live::{Server, Studio};
+use crate::method::Method;
+use crate::options::{AutoOptions, ProxyMethod, RenderOptions};
+use crate::pipeline;
+use crate::progress::Reporter;
 use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use stlfr::host;
-use stlfr::light_field::LightField;
-use stlfr::live::{Server, Studio};
-use stlfr::method::Method;
-use stlfr::options::{AutoOptions, ProxyMethod, RenderOptions};
-use stlfr::pipeline;
-use stlfr::progress::Reporter;
 
 /// Look around in a capture, in space and time, in the browser. Ctrl+C ends it.
 #[derive(Debug, clap::Args)]

@@ -4,15 +4,15 @@ use super::CliError;
 use super::display::PictureParts;
 use super::files::ffmpeg_for;
 use super::values::{ImageFile, ImageOutput};
+use crate::capture::Capture;
+use crate::host::Claim;
+use crate::lumigraph::{DepthMap, Rendered};
+use crate::progress::Reporter;
+use crate::raster::{BitDepth, Quantized, StillFormat, write_exr, write_still};
+use crate::video::{Codec, VideoFormat, VideoWriter};
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
-use stlfr::capture::Capture;
-use stlfr::host::Claim;
-use stlfr::lumigraph::{DepthMap, Rendered};
-use stlfr::progress::Reporter;
-use stlfr::raster::{BitDepth, Quantized, StillFormat, write_exr, write_still};
-use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
 /// Largest number of rendered views that wait to be written. Larger: more memory; smaller: rendering stalls on a file
 /// that takes long to write.

@@ -4,11 +4,11 @@ use super::CliError;
 use super::error::written;
 use super::files::read_view;
 use super::values::{PathSource, Shift, job_word};
+use crate::camera::Camera;
+use crate::capture::{Capture, NamedView};
+use crate::method::Method;
 use nalgebra::{Point3, distance};
 use std::path::{Path, PathBuf, absolute};
-use stlfr::camera::Camera;
-use stlfr::capture::{Capture, NamedView};
-use stlfr::method::Method;
 
 /// Arguments of the viewpoint. A command may require their group `view`.
 #[derive(Debug, clap::Args)]

@@ -3,6 +3,7 @@
 use super::convert::{checked, file_error, from_python, json_of, to_python, value_error};
 use crate::camera::CameraFormat;
 use crate::capture::{Capture, Opening, OutputGuard, Truth};
+use crate::cli;
 use crate::compare::{CompareOptions, ComparedLightField, FILES, Renderer, compare as compared};
 use crate::exchange;
 use crate::interpolation::SyncMethod;
@@ -15,6 +16,7 @@ use crate::toolchain::find_ffmpeg;
 use pyo3::prelude::*;
 use serde_json::{Value, json};
 use std::error::Error;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -34,6 +36,12 @@ pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
 #[pyfunction]
 pub fn options(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &RenderOptions::default().declared())
+}
+
+/// Runs the command line with the program's path and its arguments, and returns the exit code.
+#[pyfunction]
+pub fn run_command(py: Python<'_>, program: PathBuf, arguments: Vec<OsString>) -> u8 {
+    py.detach(|| cli::main(&program, std::iter::once(OsString::from("stlfr")).chain(arguments)))
 }
 
 fn stage<M: Method>() -> Value {

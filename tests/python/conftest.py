@@ -19,6 +19,14 @@ def program() -> Path:
 
 
 @pytest.fixture(scope="session")
+def extension_zip(program: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The extension, built by the command line from this tree."""
+    output = tmp_path_factory.mktemp("extension") / "stlfr.zip"
+    subprocess.run([program, "-q", "setup", "--extension", output], check=True)
+    return output
+
+
+@pytest.fixture(scope="session")
 def capture_dir(program: Path) -> Path:
     """The tiny capture, filmed once for all tests, Rust's and Python's; not to be written to."""
     filmed = os.environ.get("STLFR_TEST_CAPTURE")

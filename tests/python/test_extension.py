@@ -26,14 +26,6 @@ wheel = importlib.import_module("stlfr_extension.wheel")
 
 
 @pytest.fixture(scope="session")
-def extension_zip(program: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The extension, built by the command line from this tree."""
-    output = tmp_path_factory.mktemp("extension") / "stlfr.zip"
-    subprocess.run([program, "-q", "setup", "--extension", output], check=True)
-    return output
-
-
-@pytest.fixture(scope="session")
 def blender_user(extension_zip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A user's configuration with nothing but the extension in it."""
     user = tmp_path_factory.mktemp("user")

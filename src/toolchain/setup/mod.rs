@@ -60,10 +60,15 @@ impl Environment {
     }
 }
 
-/// The folder of stlfr's sources: `STLFR_HOME` if it is set, else where this program was built.
+/// The folder of stlfr's sources: `STLFR_HOME` if it is set, else where this program was built, which a portable program
+/// doesn't know.
 pub fn project_root() -> Result<PathBuf, ToolchainError> {
-    let root = std::env::var_os("STLFR_HOME")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
+    let built_in = (!cfg!(feature = "portable")).then(|| env!("CARGO_MANIFEST_DIR").into());
+    let Some(root) = std::env::var_os("STLFR_HOME").or(built_in).map(PathBuf::from) else {
+        return Err(ToolchainError::Failure(
+            "this command needs stlfr's source folder; set STLFR_HOME to where it is".into(),
+        ));
+    };
     match root.canonicalize() {
         Ok(real) if real.join("blender/requirements.txt").is_file() => Ok(real),
         _ => Err(ToolchainError::Failure(format!(

@@ -72,14 +72,14 @@ impl Stamps {
     }
 }
 
-/// The source files of the Python module, in a fixed order: all of `src` except the command line.
+/// The source files of the Python module, in a fixed order: all of `src` except the program's `main.rs`.
 fn module_sources(root: &Path) -> Result<Vec<PathBuf>, ToolchainError> {
     let mut files: Vec<PathBuf> =
         ["Cargo.toml", "Cargo.lock", "blender/pyproject.toml"].map(|f| root.join(f)).into();
     walk(&root.join("src"), &mut files)?;
     walk(&root.join("blender/module"), &mut files)?;
-    let program = [root.join("src/main.rs"), root.join("src/cli")];
-    files.retain(|f| !program.iter().any(|p| f.starts_with(p)));
+    let program = root.join("src/main.rs");
+    files.retain(|file| *file != program);
     files.sort();
     Ok(files)
 }
@@ -120,7 +120,6 @@ mod tests {
             "Cargo.lock",
             "src/lib.rs",
             "src/main.rs",
-            "src/cli/mod.rs",
             "blender/pyproject.toml",
             "blender/requirements.txt",
             "blender/module/stlfr/__init__.py",
@@ -148,7 +147,6 @@ mod tests {
     fn what_is_finished_stays_so() {
         assert_eq!(after("README.md"), (true, true));
         assert_eq!(after("src/main.rs"), (true, true));
-        assert_eq!(after("src/cli/mod.rs"), (true, true));
     }
 
     #[test]
