@@ -349,7 +349,7 @@ impl Watched {
 
     fn look_until(&mut self, mut is_over: impl FnMut(&Self) -> bool) {
         while !is_over(self) {
-            std::thread::sleep(Duration::from_millis(3));
+            std::thread::sleep(Duration::from_millis(1));
             self.look();
         }
     }
@@ -361,13 +361,14 @@ impl Watched {
     }
 }
 
-/// One round: three of four are killed. Gives the number of images that were written twice.
+/// One round: three of four are killed. Gives the images, how many were there after the last kill, and how many were
+/// written twice.
 fn kill_three_of_four(
     sources: &Sources,
     arguments: &[String],
     clock: &Path,
     random: &mut Random,
-) -> (BTreeMap<PathBuf, Vec<u8>>, usize) {
+) -> (BTreeMap<PathBuf, Vec<u8>>, [usize; 2]) {
     let folder = sources.copied();
     let wrong = below(random, 4);
     let worker = |k: usize| {
@@ -384,7 +385,7 @@ fn kill_three_of_four(
         watched.look_until(|watched| {
             watched.versions.len() >= goal || victim.try_wait().unwrap().is_some()
         });
-        std::thread::sleep(Duration::from_millis(below(random, 150) as u64));
+        std::thread::sleep(Duration::from_millis(below(random, 15) as u64));
         victim.kill().unwrap();
         victim.wait().unwrap();
     }
@@ -394,7 +395,7 @@ fn kill_three_of_four(
     let found = files(&folder.path().join("out"), &[]);
     println!("killed after {written} of {} images; clock {wrong} is wrong", found.len());
     assert_eq!(left(folder.path()), Vec::<PathBuf>::new());
-    (found, watched.repeated())
+    (found, [written, watched.repeated()])
 }
 
 /// An image is written twice only if the first one to write it was killed before it could say so.
@@ -406,8 +407,8 @@ fn of_four_that_share_a_sequence_three_are_killed() {
     let estimated = sources.command_in(sources.folder.path(), &["offsets", "capture"]).output();
     assert!(estimated.unwrap().status.success());
     let commands = [
-        "render capture --path bullet-time --duration 1 --fps 19 --stereo 0.02 --convergence 2 -o out/%d.png",
-        "render capture --like cam1 --times 0.05:0.15:20 --trail 0.02 --trail-instants 4 -o out/%d.png",
+        "render capture --path bullet-time --duration 2 --fps 39.5 --stereo 0.02 --convergence 2 -o out/%d.png",
+        "render capture --like cam1 --times 0.05:0.15:80 --trail 0.02 --trail-instants 4 -o out/%d.png",
     ];
     let commands = commands.map(|line| line.split(' ').map(str::to_owned).collect::<Vec<_>>());
     let wholes = commands.each_ref().map(|arguments| {
@@ -417,14 +418,17 @@ fn of_four_that_share_a_sequence_three_are_killed() {
         files(&folder.path().join("out"), &[])
     });
     let rounds = kills(SHARED_KILLS).div_ceil(3);
-    let mut repeated = 0;
+    let (mut repeated, mut in_time) = (0, 0);
     for round in 0..rounds {
         let (arguments, whole) = (&commands[round % 2], &wholes[round % 2]);
-        assert_eq!(whole.len(), 20);
-        let (found, again) = kill_three_of_four(&sources, arguments, &clock, &mut random);
+        assert_eq!(whole.len(), 80);
+        let (found, [written, again]) =
+            kill_three_of_four(&sources, arguments, &clock, &mut random);
         assert!(&found == whole, "{:?}", found.keys());
         repeated += again;
+        in_time += usize::from(written < whole.len());
         assert!(again <= 3, "{again} images were written twice");
     }
     println!("{rounds} rounds: same bytes; {repeated} images were written twice");
+    assert!(2 * in_time >= rounds, "killed before the end in {in_time} of {rounds} rounds");
 }
