@@ -184,11 +184,16 @@ fn the_largest_views_take_no_gigabyte() {
     let focal = zoom * FOCAL_PX;
     view["params"] = json!([focal, focal, f64::from(width) / 2.0, f64::from(height) / 2.0]);
     std::fs::write(folder.path().join("view.json"), view.to_string()).unwrap();
-    for geometry in ["mesh", "depth", "scene-flow"] {
-        let command = format!(
-            "render @ --camera @/view.json --time 0.05 --sync refined --proxy {geometry} -o @/out.png"
-        );
-        check(&format!("a view of {width}×{height}, {geometry}"), &command, folder.path(), "");
+    for (geometry, kind) in [
+        ("mesh", "png"),
+        ("depth", "png"),
+        ("scene-flow", "png"),
+        ("depth", "exr"),
+        ("scene-flow", "exr"),
+    ] {
+        let view = "render @ --camera @/view.json --time 0.05 --sync refined";
+        let command = format!("{view} --proxy {geometry} -o @/out.{kind}");
+        check(&format!("{width}×{height}, {geometry}, {kind}"), &command, folder.path(), "");
     }
 }
 

@@ -48,7 +48,7 @@ pub struct Capture {
     /// The reference's first time stamp in `capture.json`, seconds. It is subtracted from all times, so that the
     /// reference's first frame is at 0.
     pub time_origin_s: f64,
-    /// The capture's cache on disk, without the content's hash in its keys.
+    /// The capture's cache on disk. [`Capture::cache`] adds the hash of the capture's content to its keys.
     cache: DiskCache,
     hashes: Arc<ContentHashes>,
     content: ContentHash,

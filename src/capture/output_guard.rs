@@ -21,7 +21,7 @@ const FILM: &str = ".film";
 /// Checks outputs before a computation begins. An output file may replace a regular file or nothing, and no output may
 /// replace a part of a capture.
 pub struct OutputGuard {
-    /// The folder of the capture that the command reads. The output may lie outside of it.
+    /// The folder of the capture that the command reads; `None` if it reads no capture.
     own: Option<PathBuf>,
     /// The captures found so far, by folder; `None` for a folder that isn't a capture.
     known: HashMap<PathBuf, Option<ProtectedPaths>>,

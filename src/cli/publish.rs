@@ -73,7 +73,7 @@ pub fn run(args: &PublishArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// Prints the number and size of the files, and the difference of the page's pictures from those of `render`.
+/// Prints the number and size of the published files, and the PSNR between the site's pictures and those of `render`.
 fn print(published: &Publication, origin_s: f64, page: &mut Page) {
     let &Publication { cameras, frames, size: [width, height], span_s, jpeg, .. } = published;
     let [start, end] = [span_s.0, span_s.1].map(|t| rounded(t + origin_s));

@@ -76,7 +76,7 @@ impl Drop for Process {
     }
 }
 
-/// Ends all children of this process. No child can be started afterwards, because the caller ends the process.
+/// Ends all children of this process, and lets no new one start. The caller then ends the process.
 pub(super) fn end_all() {
     let running = lock(&RUNNING);
     end_groups(running.iter().copied());

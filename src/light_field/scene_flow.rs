@@ -155,7 +155,7 @@ impl LoadedFrame {
     }
 }
 
-/// Frames with their maps, from memory or disk, else computed. `None` if the range of the scene's depths is
+/// Frames with their maps of depth and motion, from memory or disk, else computed. `None` if the range of the scene's depths is
 /// unknown.
 pub(super) fn load(
     field: &LightField,

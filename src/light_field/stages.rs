@@ -279,7 +279,7 @@ pub(super) struct FlowConfidences<'a> {
     /// The frames as (camera, index), ascending.
     pub frames: &'a [FrameId],
     pub options: FlowOptions<'a>,
-    /// The same frames, with their maps.
+    /// `frames`, each with its map of depth and motion.
     #[serde(skip)]
     pub mapped: &'a [MappedFrame<'a>],
 }

@@ -8,7 +8,8 @@ use std::io::{BufRead, Seek};
 /// The first bytes of every PNG file.
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 
-/// Maximum memory of the decoder in addition to the image, bytes: a row of 65,536 16-bit pixels and a palette.
+/// Maximum memory of the decoder in addition to the image, bytes. A row of 65,536 RGBA pixels of 16 bits takes half a
+/// megabyte; the rest is for compressed metadata.
 const MAX_DECODER_BYTES: usize = 16 << 20;
 
 /// Reads the header of a PNG file.

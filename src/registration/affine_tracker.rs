@@ -316,11 +316,13 @@ fn accumulate<V: F32x8, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
 /// powers of the sample's coordinates. In the fields, dx, dy and v are the template's derivatives by x and y
 /// and its value, which is the derivative by gain.
 struct Moments<V, const T: usize, const S: usize> {
-    /// dx·dx, dx·dy, dy·dy, each times 1, x, x² over a row, and times 1, x, y, x², xy, y² over a window.
+    /// Sums of dx·dx, dx·dy and dy·dy, each weighted by T powers of the coordinates: 1, x, x² for a row (T = 3);
+    /// 1, x, y, x², xy, y² for a window (T = 6).
     tensor: [[V; T]; 3],
-    /// dx·v, dy·v, dx, dy, each times 1, x over a row, and times 1, x, y over a window.
+    /// Sums of dx·v, dy·v, dx and dy, each weighted by S powers of the coordinates: 1, x for a row (S = 2);
+    /// 1, x, y for a window (S = 3).
     shift_light: [[V; S]; 4],
-    /// v·v, v, 1.
+    /// Sums of v·v, v and 1.
     light: [V; 3],
 }
 

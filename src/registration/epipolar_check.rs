@@ -106,8 +106,8 @@ pub fn epipolar_check(
     Ok(verdicts)
 }
 
-/// Motion between the two frames, pixels, above which a feature is testable only if part of the motion is
-/// perpendicular to its epipolar line ([`MIN_ACROSS_FRACTION`]).
+/// Motion between the two frames, pixels, up to which a feature is always testable. A feature that moves more is
+/// testable only if [`MIN_ACROSS_FRACTION`] of its motion is perpendicular to its epipolar line.
 const MIN_TEST_MOTION_PX: f64 = 1.0;
 /// Minimum component of a testable feature's motion that is perpendicular to its epipolar line, as a fraction
 /// of the motion.
@@ -116,7 +116,7 @@ const MIN_ACROSS_FRACTION: f64 = 0.1;
 /// from the displacement that the motion prior predicts.
 const RETRY_LEVELS: usize = 1;
 
-/// The camera i whose tracks are tested, and the camera j of a reference.
+/// Camera i, whose tracks are tested, and camera j, a reference camera against which they are tested.
 struct Pair<'a> {
     camera_i: &'a Camera,
     camera_j: &'a Camera,

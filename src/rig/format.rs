@@ -100,7 +100,7 @@ pub struct RigCamera {
     /// Whether a lost frame leaves a gap in the camera's times. Otherwise it leaves no trace.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub lost_stamped: bool,
-    /// Whether the camera is on the shared clock, which reads world time. Its offset is known.
+    /// Whether the camera is on the shared clock, which reads world time. If so, the camera's offset is known.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub clock_shared: bool,
     /// Duration for which the shutter is open, around the frame's time; 0 is an instant. At most a

@@ -12,7 +12,8 @@ use rayon::prelude::*;
 
 /// Maximum difference between two cameras' measurements of one surface point, depth levels.
 const TOLERANCE_LEVELS: f32 = 1.5;
-/// Maximum distance of a partner, as a multiple of the nearest partner's distance.
+/// Maximum distance of a camera that a camera is matched with (its partner), as a multiple of the nearest partner's
+/// distance.
 const MAX_PARTNER_DISTANCE: f64 = 2.5;
 /// Maximum size of a cost volume, pixels times levels; each element takes three bytes.
 const MAX_COSTS: usize = 1 << 26;

@@ -70,7 +70,7 @@ pub fn check(
 /// What is to be estimated of a calibration.
 #[derive(Clone, Debug)]
 pub enum CalibrationRequest {
-    /// Everything. The capture's own lenses and poses are not read.
+    /// All lenses and poses are estimated from the images alone; those of the capture are not read.
     New {
         /// COLMAP's name of the lens model.
         lens: String,

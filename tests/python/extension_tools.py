@@ -132,6 +132,7 @@ def picture(
         plain(scene)
         scene.render.resolution_x, scene.render.resolution_y = 64, 48
         scene.camera.data.lens, scene.camera.location.x = 36.0, 0.01
+        scene.stlfr.preset = "none"
         scene.stlfr.proxy, scene.stlfr.use_plane_depth = "plane", True
         scene.stlfr.plane_depth_m = 1.5
     settings, view = scene.stlfr, part("view")

@@ -23,7 +23,8 @@ pub const EDGE_BOOST: f64 = 4.0;
 const MAX_BOOST: f64 = 32.0;
 /// Number of nodes that are computed at once: the f32 lanes of an AVX2 register.
 const LANES: usize = 8;
-/// Number of nodes along each side of a tile; all nodes of a tile use the same clusters.
+/// Number of grid nodes along each side of a tile. The displacements of all nodes of a tile are sums over the same
+/// clusters of edges.
 const TILE: usize = LANES;
 
 /// The warp (§5.3) from the instant to a source frame of this width and height, by the edges' lines in both.

@@ -81,7 +81,8 @@ impl CostPoints {
         self.radius * self.step
     }
 
-    /// Points along a side, including those of the windows beyond the block.
+    /// Number of points along a side of the sampled square: the block, and a margin for the windows around its
+    /// outermost points.
     pub fn side(&self) -> usize {
         (self.block - 1).div_ceil(self.step) + 1 + 2 * self.radius
     }

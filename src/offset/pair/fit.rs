@@ -48,7 +48,7 @@ impl PairTriples {
         Ok(Self { cameras, triples: frames.iter().map(triple).collect::<Result<_, _>>()? })
     }
 
-    /// The sum over all triples of one of a triple's numbers of features, which `count` selects.
+    /// Sums `count` over all triples; `count` returns one of a triple's numbers of features.
     fn total(&self, count: fn(&FrameTriple) -> usize) -> usize {
         self.triples.iter().map(|(_, triple)| count(triple)).sum()
     }

@@ -8,8 +8,8 @@ use crate::offset::recording::{Recording, TripleFrames};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// The number of a camera's frames that its tracks at an instant read: the two frames of a track, one before
-/// and one after.
+/// The number of a camera's frames that its tracks at an instant read: the two frames between which features are
+/// tracked, the frame before these two, and the frame after them.
 pub const FRAMES_AT_ONCE: usize = 4;
 
 /// Computes and caches the candidates of the triples that are not cached yet, in order of time.
