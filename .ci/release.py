@@ -231,27 +231,42 @@ def release(arguments: argparse.Namespace) -> None:
     if not PYTHON.exists():
         raise ReleaseError("the project's environment isn't complete: run .ci/run")
     dist.mkdir(parents=True, exist_ok=True)
-    for earlier in (*dist.glob("stlfr-*"), dist / "SHA256SUMS"):
-        earlier.unlink(missing_ok=True)
+    replaced = earlier(dist)
     install_tools()
     with tempfile.TemporaryDirectory() as scratch:
-        tree = Path(scratch) / "stlfr"
+        tree, made = Path(scratch) / "stlfr", Path(scratch) / "dist"
+        made.mkdir()
         committed_tree(tree)
-        build_crate(tree, dist)
-        check_wheel(build_wheel(tree, dist))
+        build_crate(tree, made)
+        check_wheel(build_wheel(tree, made))
         for wheel in sorted(arguments.wheels.glob("*.whl") if arguments.wheels else []):
-            shutil.copyfile(wheel, dist / wheel.name)
+            shutil.copyfile(wheel, made / wheel.name)
         extensions = [
-            build_extension(wheel, tree, dist) for wheel in sorted(dist.glob("*.whl"))
+            build_extension(wheel, tree, made) for wheel in sorted(made.glob("*.whl"))
         ]
-    for extension in filter(runs_here, extensions):
-        if arguments.blender:
-            try_in_blender(arguments.blender, extension)
-        else:
-            say(f"{extension.name} was not tried: no Blender on the path.")
-    if len(extensions) == 1:
-        say("This machine's platform only: --wheels adds others.")
+        for extension in filter(runs_here, extensions):
+            if arguments.blender:
+                try_in_blender(arguments.blender, extension)
+            else:
+                say(f"{extension.name} was not tried: no Blender on the path.")
+        if len(extensions) == 1:
+            say("This machine's platform only: --wheels adds others.")
+        for file in replaced:
+            file.unlink(missing_ok=True)
+        for file in made.iterdir():
+            shutil.copyfile(file, dist / file.name)
     write_sums(dist)
+
+
+def earlier(dist: Path) -> list[Path]:
+    """The files of an earlier release, which its hashes name; a folder with other files is refused."""
+    sums = dist / "SHA256SUMS"
+    lines = sums.read_text(encoding="utf-8").splitlines() if sums.is_file() else []
+    files = [sums, *(dist / Path(line.split()[-1]).name for line in lines)]
+    others = {file.name for file in dist.iterdir()} - {file.name for file in files}
+    if others:
+        raise ReleaseError(f"{dist} holds other files, such as {min(others)}")
+    return files
 
 
 def write_sums(dist: Path) -> None:
