@@ -83,6 +83,8 @@ OPTIONS = [
     Option("compare -o", "compare CAPTURE --preset draft -o", "", "truth"),
     Option("tradeoff -o", "tradeoff CAPTURE --rounds 0 --runs 1 -o", "", "cam0"),
     Option("farm -o", "farm CAPTURE -o", "", "truth"),
+    Option("calibrate -o", "calibrate CAPTURE -o", "", "truth"),
+    Option("refine -o", "refine CAPTURE -o", "", "truth"),
     Option(
         "export --frames -o", "export CAPTURE --format nerf --frames -o", "", "truth"
     ),

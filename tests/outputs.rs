@@ -148,6 +148,8 @@ fn folder_outputs(capture: &str) -> Vec<Vec<&str>> {
         vec!["tradeoff", capture, "--rounds", "0", "--runs", "1", "-o"],
         vec!["publish", capture, "-o"],
         vec!["farm", capture, "-o"],
+        vec!["calibrate", capture, "-o"],
+        vec!["refine", capture, "-o"],
         vec!["export", capture, "--format", "nerf", "--frames", "-o"],
         vec!["export", capture, "--format", "colmap", "--synchronized", "-o"],
         vec!["export", capture, "--format", "colmap", "-o"],
