@@ -4,7 +4,7 @@
 - the crate, as `cargo package` packs, builds and checks it
 - the wheel of the Python module and the command, for this machine's processor: abi3 for CPython 3.11 and newer, linked by
   zig for manylinux_2_17, with the licences of what it links; checked by auditwheel and twine, and tried in an empty
-  environment by `tests/python/test_wheel.py`
+  environment by `test_wheel.py` and `release_wheel.py`
 - the Blender extension, one zip a wheel, validated by Blender's own command
 - SHA256SUMS
 
@@ -187,6 +187,7 @@ def check_wheel(wheel: Path) -> None:
     test = (
         *("-I", "-m", "pytest", "-q", "-c", "blender/pyproject.toml"),
         *("--rootdir", ".", "tests/python/test_wheel.py"),
+        "tests/python/release_wheel.py",
     )
     say(run(PYTHON, *test, environment={"STLFR_TEST_WHEEL": str(wheel)}).strip())
 

@@ -69,12 +69,9 @@ def calibrate(
         raise CheckError("calibrating needs two cameras or more", 2)
     unknown = [lensless(camera, request, pycolmap) for camera in cameras]
     progress_of = Steps(progress, len(cameras) + 3)
-    pictures = backgrounds(capture, cameras, progress_of)
     with tempfile.TemporaryDirectory(prefix="stlfr-calibrate-") as name:
         scratch = Path(name)
-        progress_of("features and matches")
-        names = match(pictures, unknown, scratch, pycolmap)
-        require_features(scratch, names, pycolmap)
+        names = match_backgrounds(capture, unknown, scratch, progress_of, pycolmap)
         progress_of("placing the cameras")
         mapped = mapped_cameras(scratch, names, unknown, request, pycolmap)
         progress_of("bundle adjustment")
@@ -107,7 +104,6 @@ def refine(
     if len(cameras) < 2:
         raise CheckError("refining needs two cameras or more", 2)
     progress_of = Steps(progress, len(cameras) + 2)
-    pictures = backgrounds(capture, cameras, progress_of)
     widest = max(camera["width"] for camera in cameras)
     priors = Priors(
         REFINED_FOCAL_STD if "focal" in groups else None,
@@ -115,9 +111,7 @@ def refine(
     )
     with tempfile.TemporaryDirectory(prefix="stlfr-refine-") as name:
         scratch = Path(name)
-        progress_of("features and matches")
-        names = match(pictures, cameras, scratch, pycolmap)
-        require_features(scratch, names, pycolmap)
+        names = match_backgrounds(capture, cameras, scratch, progress_of, pycolmap)
         progress_of("bundle adjustment")
         model, errors = adjusted(scratch, cameras, priors, pycolmap)
     found = described(model, names, errors, cameras)
@@ -143,15 +137,22 @@ class Steps:
         self.done += 1
 
 
-def backgrounds(
-    capture: Any, cameras: list[Camera], progress_of: Steps
-) -> dict[str, Picture]:
-    """What stands still, by camera."""
-    pictures = {}
+def match_backgrounds(
+    capture: Any,
+    cameras: list[Camera],
+    scratch: Path,
+    progress_of: Steps,
+    pycolmap: Any,
+) -> dict[str, str]:
+    """Matches what stands still, into a database in `scratch`. Gives the cameras' ids by the names of their images."""
+    pictures: dict[str, Picture] = {}
     for camera in cameras:
         progress_of(f"background of {camera['id']}")
         pictures[camera["id"]] = background(capture, camera["id"])
-    return pictures
+    progress_of("features and matches")
+    names: dict[str, str] = match(pictures, cameras, scratch, pycolmap)
+    require_features(scratch, names, pycolmap)
+    return names
 
 
 def lensless(camera: Camera, request: Request, pycolmap: Any) -> Camera:

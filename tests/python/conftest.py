@@ -5,8 +5,12 @@ from __future__ import annotations
 import fcntl
 import os
 import subprocess
+import sys
+import venv
+import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,3 +54,43 @@ def capture_dir(program: Path) -> Path:
         command += ["-o", folder / "tiny"]
         subprocess.run(command, cwd=ROOT, check=True)
     return folder / "tiny"
+
+
+@pytest.fixture(scope="session")
+def wheel(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A release's wheel, if one is to be tried, else that of this tree's extension."""
+    released = os.environ.get("STLFR_TEST_WHEEL")
+    if released:
+        return Path(released)
+    extension: Path = request.getfixturevalue("extension_zip")
+    folder = tmp_path_factory.mktemp("wheel")
+    with zipfile.ZipFile(extension) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".whl"))
+        return Path(archive.extract(name, folder))
+
+
+@pytest.fixture(scope="session")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of programs of an environment that holds the wheel, and numpy as this one has it."""
+    folder = tmp_path_factory.mktemp("empty")
+    venv.create(folder, symlinks=True)
+    programs = folder / "bin"
+    packages = next(folder.glob("lib/python3.*/site-packages"))
+    numpy = Path(np.__file__).parent
+    for part in numpy.parent.glob("numpy*"):
+        (packages / part.name).symlink_to(part)
+    pip = [sys.executable, "-I", "-m", "pip", "--python", str(programs / "python")]
+    install = ["install", "--quiet", "--disable-pip-version-check", "--no-index"]
+    subprocess.run([*pip, *install, wheel], check=True)
+    return programs
+
+
+@pytest.fixture
+def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder far from the sources."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("PYTHONPATH", "STLFR_HOME", "VIRTUAL_ENV"):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path

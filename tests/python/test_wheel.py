@@ -7,63 +7,19 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
-import venv
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 import stlfr
-from filming import ROOT, pixels
+from filming import pixels
 
 RENDER = """
 import sys, numpy, stlfr
 capture = stlfr.open(sys.argv[1])
 numpy.save(sys.argv[2], capture.render(float(sys.argv[3]), like="cam3", preset="draft"))
 """
-
-
-RELEASED = os.environ.get("STLFR_TEST_WHEEL")
-"""The wheel of a release; without one, the tests take that of this tree's extension."""
-
-
-@pytest.fixture(scope="session")
-def wheel(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
-    if RELEASED:
-        return Path(RELEASED)
-    extension: Path = request.getfixturevalue("extension_zip")
-    folder = tmp_path_factory.mktemp("wheel")
-    with zipfile.ZipFile(extension) as archive:
-        (name,) = (name for name in archive.namelist() if name.endswith(".whl"))
-        return Path(archive.extract(name, folder))
-
-
-@pytest.fixture(scope="session")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of programs of an environment that holds the wheel, and numpy as this one has it."""
-    folder = tmp_path_factory.mktemp("empty")
-    venv.create(folder, symlinks=True)
-    programs = folder / "bin"
-    packages = next(folder.glob("lib/python3.*/site-packages"))
-    numpy = Path(np.__file__).parent
-    for part in numpy.parent.glob("numpy*"):
-        (packages / part.name).symlink_to(part)
-    pip = [sys.executable, "-I", "-m", "pip", "--python", str(programs / "python")]
-    install = ["install", "--quiet", "--disable-pip-version-check", "--no-index"]
-    subprocess.run([*pip, *install, wheel], check=True)
-    return programs
-
-
-@pytest.fixture
-def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder far from the sources."""
-    monkeypatch.chdir(tmp_path)
-    for name in ("PYTHONPATH", "STLFR_HOME", "VIRTUAL_ENV"):
-        monkeypatch.delenv(name, raising=False)
-    return tmp_path
 
 
 def test_it_holds_the_licences_and_nothing_else_than_the_package(wheel: Path) -> None:
@@ -77,25 +33,6 @@ def test_it_holds_the_licences_and_nothing_else_than_the_package(wheel: Path) ->
     assert {f"stlfr/{name}" for name in files} == {
         n for n in names if n.startswith("stlfr/")
     }
-
-
-@pytest.mark.skipif(not RELEASED, reason="of a release only")
-def test_a_release_knows_no_folder_of_the_machine_that_built_it(
-    wheel: Path, installed: Path, capture_dir: Path, outside: Path
-) -> None:
-    with zipfile.ZipFile(wheel) as archive:
-        (notices,) = (
-            n for n in archive.namelist() if n.endswith("LICENSE-THIRD-PARTY")
-        )
-        assert b"nalgebra" in archive.read(notices)
-        module = archive.read("stlfr/_native.abi3.so")
-    assert b"/registry/src/" in module  # messages of panics
-    assert os.fsencode(Path.home()) + b"/" not in module
-    assert os.fsencode(ROOT) + b"/" not in module
-    check: list[str | Path] = [installed / "stlfr", "check", capture_dir]
-    ended = subprocess.run(check, capture_output=True, text=True, check=False)
-    assert ended.returncode == 1 and len(ended.stderr.splitlines()) == 1
-    assert "set STLFR_HOME" in ended.stderr
 
 
 def test_the_module_renders_as_the_program_does(
