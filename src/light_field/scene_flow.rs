@@ -105,7 +105,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 2 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 3 };
 }
 
 impl Stage for FlowConfidences<'_> {

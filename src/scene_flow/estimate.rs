@@ -33,9 +33,8 @@ impl Estimation<'_> {
     /// The frames' maps, in their order; independent of the number of threads. `proceed` is called before
     /// every pass. If it returns false, the result is empty.
     pub fn run(&self, proceed: &(dyn Fn() -> bool + Sync)) -> Vec<FlowMap> {
-        let disparity_px = |f: &FlowFrame| (f.view.focal_px() * self.baseline_m) as f32;
         let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| f.frame).collect();
-        let disparities_px: Vec<f32> = frames.iter().map(|f| disparity_px(f)).collect();
+        let disparities_px: Vec<f32> = frames.iter().map(|f| self.disparity_px(f)).collect();
         let observations: Vec<Vec<ObservingFrame>> = self.frames.iter().map(observations).collect();
         // Cameras of different sizes have different numbers of levels. The smallest is used for all.
         let levels = self.frames.iter().flat_map(|(f, others)| others.iter().chain([f]));
@@ -60,13 +59,7 @@ impl Estimation<'_> {
                 maps.par_iter_mut().zip(&proposals).enumerate().for_each(
                     |(f, (map, proposals))| {
                         let disparity_px = disparities_px[f];
-                        let matcher = PatchMatcher {
-                            own: &self.frames[f].0.levels[level],
-                            observations: &observations[f],
-                            level,
-                            scale: map.scale,
-                            disparity_px,
-                        };
+                        let matcher = self.matcher(f, level, &observations[f]);
                         let others = || OtherMaps::new(&frames, &snapshots, f, disparity_px);
                         matcher.pass(
                             map,
@@ -84,9 +77,33 @@ impl Estimation<'_> {
                 );
             }
         }
-        let packed =
-            |f: usize| FlowMap::new(&maps[f], self.limits.inverse_depth, disparities_px[f]);
+        let packed = |f: usize| {
+            let errors = self.matcher(f, 0, &observations[f]).errors(&maps[f]);
+            FlowMap::new(&maps[f], self.limits.inverse_depth, disparities_px[f])
+                .with_errors(&errors)
+        };
         (0..maps.len()).into_par_iter().map(packed).collect()
+    }
+
+    fn matcher<'b>(
+        &'b self,
+        f: usize,
+        level: usize,
+        observations: &'b [ObservingFrame<'b>],
+    ) -> PatchMatcher<'b> {
+        let PyramidFrame { frame, levels } = self.frames[f].0;
+        PatchMatcher {
+            own: &levels[level],
+            observations,
+            level,
+            scale: (1 << level) as f32,
+            disparity_px: self.disparity_px(frame),
+        }
+    }
+
+    /// Disparity of an inverse depth of 1/m at the baseline, pixels.
+    fn disparity_px(&self, frame: &FlowFrame) -> f32 {
+        (frame.view.focal_px() * self.baseline_m) as f32
     }
 
     /// The initial map of frame `f` at a level: the elements of the coarser level, or random depths without

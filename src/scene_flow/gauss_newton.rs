@@ -1,7 +1,7 @@
 //! One Gauss–Newton step on depth and motion, from the image gradients of all frames that see the element.
 
 use super::element::Element;
-use super::matching::{MatchedElement, PatchMatcher};
+use super::matching::{MatchedElement, ObservingFrame, PatchMatcher};
 use nalgebra::{Matrix6, Vector6};
 
 /// Weight of the prior, which damps the step and shrinks rate and acceleration, relative to the normal
@@ -32,11 +32,7 @@ impl PatchMatcher<'_> {
         // Frames with a much larger cost see another surface, and are left out.
         let max_cost = 2.0 * cost + 0.02;
         self.for_each_gradient(matched, max_cost, |o, [xx, xy, yy], [rx, ry]| {
-            let [mx, my, q] = e.moved(px, py, o.dt);
-            let step = DISPARITY_STEP_PX / self.disparity_px;
-            let [u, v, _] = o.projection.project(mx, my, q);
-            let [u1, v1, _] = o.projection.project(mx, my, q + step);
-            let by_depth = [(u1 - u) / step / s, (v1 - v) / step / s];
+            let by_depth = self.by_inverse_depth(e, [px, py], o).map(|d| d / s);
             let (by_velocity, by_acceleration) = (o.dt / s, 0.5 * o.dt * o.dt / s);
             // The Jacobian: derivative of the position in the observing frame, pixels of the level, by each
             // unknown.
@@ -76,6 +72,17 @@ impl PatchMatcher<'_> {
             ],
             ..*e
         })
+    }
+
+    /// The derivative of an element's position in an observing frame, pixels, by its inverse depth, 1/m.
+    /// `[x, y]` is its pixel of the full image.
+    #[inline(always)]
+    pub fn by_inverse_depth(&self, e: &Element, [x, y]: [f32; 2], o: &ObservingFrame) -> [f32; 2] {
+        let [mx, my, q] = e.moved(x, y, o.dt);
+        let step = DISPARITY_STEP_PX / self.disparity_px;
+        let [u, v, _] = o.projection.project(mx, my, q);
+        let [u1, v1, _] = o.projection.project(mx, my, q + step);
+        [(u1 - u) / step, (v1 - v) / step]
     }
 
     /// Adds the prior to the normal equations: damping of all unknowns, and a pull of the rate and the

@@ -2,6 +2,7 @@
 
 use super::element::Element;
 use super::frame::FlowFrame;
+use super::uncertainty::ElementErrors;
 
 /// A frame's surface elements during estimation, one for each pixel of a pyramid level.
 #[derive(Clone)]
@@ -45,11 +46,16 @@ const MAX_JUMP_PX: f32 = 1.0;
 /// Duration of the motion that counts in a difference of two neighbours, frames ([`MAX_JUMP_PX`]).
 const JUMP_FRAMES: f32 = 0.5;
 
-/// A frame's depth and motion, quantized for rendering and storage: 14 bytes per pixel, and about a third of
-/// that on disk.
+/// Number of quantization steps of a standard error per factor of two.
+const STEPS_PER_OCTAVE: f32 = 2.0;
+/// Smallest standard error that can be stored, pixels.
+const MIN_ERROR_PX: f32 = 1.0 / 256.0;
+
+/// A frame's depth and motion with their standard errors, quantized for rendering and storage: 16 bytes per
+/// pixel, and about a third of that on disk.
 ///
 /// Velocities, accelerations and rates of disparity are rounded to 1/64 pixel, inverse depths to 1/65535 of
-/// the search range.
+/// the search range, and standard errors to a power of √2.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlowMap {
     pub width: usize,
@@ -71,15 +77,22 @@ pub struct FlowPixel {
     rate: i16,
     /// Whether the neighbour on each side belongs to another surface: bit 0 left, 1 right, 2 above, 3 below.
     edges: u8,
+    /// The standard errors of the disparity and of the velocity, on a logarithmic scale.
+    errors: [u8; 2],
 }
 
 impl FlowPixel {
     /// Number of channels of 16 bits.
     pub(super) const CHANNELS: usize = 6;
+    /// Number of channels of 8 bits.
+    pub(super) const BYTE_CHANNELS: usize = 3;
     /// Size on disk before compression, bytes.
-    pub(super) const BYTES: usize = 2 * Self::CHANNELS + 1;
+    pub(super) const BYTES: usize = 2 * Self::CHANNELS + Self::BYTE_CHANNELS;
 
-    pub(super) fn new(channels: [u16; Self::CHANNELS], edges: u8) -> Self {
+    pub(super) fn new(
+        channels: [u16; Self::CHANNELS],
+        [edges, disparity, velocity]: [u8; Self::BYTE_CHANNELS],
+    ) -> Self {
         let [inverse_depth, u, v, a, b, rate] = channels;
         let signed = |v: u16| v as i16;
         Self {
@@ -88,6 +101,7 @@ impl FlowPixel {
             acceleration: [signed(a), signed(b)],
             rate: signed(rate),
             edges,
+            errors: [disparity, velocity],
         }
     }
 
@@ -96,8 +110,15 @@ impl FlowPixel {
         [self.inverse_depth, u, v, a, b, self.rate as u16]
     }
 
-    pub(super) fn edges(&self) -> u8 {
-        self.edges
+    pub(super) fn byte_channels(&self) -> [u8; Self::BYTE_CHANNELS] {
+        [self.edges, self.errors[0], self.errors[1]]
+    }
+
+    /// The standard errors of the element at the map's frame.
+    #[inline(always)]
+    pub fn errors(&self) -> ElementErrors {
+        let [disparity_px, velocity_px] = self.errors.map(error_from_code);
+        ElementErrors { disparity_px, velocity_px }
     }
 
     /// Whether the neighbour on a side belongs to another surface: 0 left, 1 right, 2 above, 3 below.
@@ -107,7 +128,8 @@ impl FlowPixel {
 }
 
 impl FlowMap {
-    /// Quantizes an estimated map of the finest level. Its inverse depths lie in the range `inverse_depth`.
+    /// Quantizes an estimated map of the finest level. Its inverse depths lie in the range `inverse_depth`. All
+    /// standard errors are the smallest that can be stored.
     pub fn new(map: &ElementMap, inverse_depth: [f32; 2], disparity_px: f32) -> Self {
         let rounded = |v: f32| (v * STEPS).round() as i16; // saturates
         let [min, max] = inverse_depth;
@@ -129,10 +151,19 @@ impl FlowMap {
                 acceleration: e.acceleration.map(rounded),
                 rate: rounded(e.inverse_depth_rate * disparity_px),
                 edges,
+                errors: [0; 2],
             }
         };
         let pixels = map.elements.iter().enumerate().map(pixel).collect();
         Self { width: map.width, height: map.height, disparity_px, inverse_depth, pixels }
+    }
+
+    /// The map with the standard errors of its elements, row by row.
+    pub(super) fn with_errors(mut self, errors: &[ElementErrors]) -> Self {
+        for (pixel, errors) in self.pixels.iter_mut().zip(errors) {
+            pixel.errors = [errors.disparity_px, errors.velocity_px].map(code_from_error);
+        }
+        self
     }
 
     pub fn pixels(&self) -> &[FlowPixel] {
@@ -160,6 +191,16 @@ impl FlowMap {
     pub fn bytes(&self) -> usize {
         size_of_val(self.pixels.as_slice())
     }
+}
+
+fn code_from_error(error_px: f32) -> u8 {
+    // Casts saturate, and NaN is 0. A maximum that is positive keeps the logarithm finite.
+    (STEPS_PER_OCTAVE * (error_px / MIN_ERROR_PX).max(1.0).log2()).round() as u8
+}
+
+#[inline(always)]
+fn error_from_code(code: u8) -> f32 {
+    MIN_ERROR_PX * (f32::from(code) / STEPS_PER_OCTAVE).exp2()
 }
 
 fn is_jump(a: &Element, b: &Element, disparity_px: f32) -> bool {

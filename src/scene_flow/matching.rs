@@ -94,6 +94,18 @@ impl Patch {
     pub fn weight(&self) -> f32 {
         1.0 / self.normalization
     }
+
+    /// The weighted sums over the patch of the products of its gradients of brightness: `[xx, xy, yy]`.
+    pub fn structure(&self) -> [f32; 3] {
+        let mut sums = [0.0; 3];
+        for (sample, weight) in self.samples[..self.count].iter().zip(&self.weight) {
+            let [gx, gy] = [sample[2] / WEIGHTS[2], sample[3] / WEIGHTS[3]];
+            sums[0] += weight * gx * gx;
+            sums[1] += weight * gx * gy;
+            sums[2] += weight * gy * gy;
+        }
+        sums
+    }
 }
 
 /// The cost in each observing frame.

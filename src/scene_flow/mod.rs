@@ -24,6 +24,7 @@
 //! | `sweep.rs` | a pass of PatchMatch over a map |
 //! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of contradicting them |
 //! | `estimate.rs` | the order of these steps, for several frames together |
+//! | `uncertainty.rs` | standard errors of depth and velocity |
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and how they are stored |
 //! | `confidence.rs` | how far the maps of a view's frames agree |
 //! | `splat.rs`, `blend.rs` | rendering of a view from several maps |
@@ -43,6 +44,7 @@ mod packed;
 mod splat;
 mod sweep;
 mod transfer;
+mod uncertainty;
 
 #[cfg(test)]
 mod tests;
@@ -54,3 +56,4 @@ pub use estimate::Estimation;
 pub use frame::{FlowFrame, MatchingImage, PyramidFrame};
 pub use map::{ElementMap, FlowMap, MappedFrame};
 pub use sweep::Limits;
+pub use uncertainty::ElementErrors;

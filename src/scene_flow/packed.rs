@@ -39,7 +39,9 @@ impl PackedMap {
             planes.extend(differences.iter().map(|d| d.to_le_bytes()[0]));
             planes.extend(differences.iter().map(|d| d.to_le_bytes()[1]));
         }
-        planes.extend(map.pixels.iter().map(FlowPixel::edges));
+        for channel in 0..FlowPixel::BYTE_CHANNELS {
+            planes.extend(map.pixels.iter().map(|p| p.byte_channels()[channel]));
+        }
         let mut encoder = DeflateEncoder::new(Vec::new(), Compression::new(LEVEL));
         // Writing to memory can't fail.
         let deflated = encoder.write_all(&planes).and_then(|()| encoder.finish());
@@ -59,7 +61,8 @@ impl PackedMap {
             return None;
         }
         let mut channels = vec![[0u16; FlowPixel::CHANNELS]; count];
-        for (channel, bytes) in planes.chunks_exact(2 * count.max(1)).enumerate() {
+        let (words, bytes) = planes.split_at(2 * FlowPixel::CHANNELS * count);
+        for (channel, bytes) in words.chunks_exact(2 * count.max(1)).enumerate() {
             let (low, high) = bytes.split_at(count);
             let mut value = 0u16;
             for ((pixel, low), high) in channels.iter_mut().zip(low).zip(high) {
@@ -67,8 +70,10 @@ impl PackedMap {
                 pixel[channel] = value;
             }
         }
-        let edges = &planes[2 * FlowPixel::CHANNELS * count..];
-        let pixels = channels.iter().zip(edges).map(|(c, e)| FlowPixel::new(*c, *e)).collect();
+        let pixel = |(k, c): (usize, &[u16; FlowPixel::CHANNELS])| {
+            FlowPixel::new(*c, std::array::from_fn(|channel| bytes[channel * count + k]))
+        };
+        let pixels = channels.iter().enumerate().map(pixel).collect();
         Some(FlowMap { width, height, disparity_px, inverse_depth, pixels })
     }
 }

@@ -21,9 +21,10 @@ use stlfr::raster::Image;
 const BETWEEN_FRAMES: f64 = 0.1;
 /// Largest difference of the two arrays' cameras, metres.
 const SAME_M: f64 = 1e-6;
-/// What views are blended by.
-const METHODS: [(&str, BlendMethod); 2] =
-    [("by place", BlendMethod::Lumigraph), ("by place and time", BlendMethod::SpaceTime)];
+/// How views are rendered: over depth per pixel by two weights, and by scene flow.
+const METHODS: [&str; 3] = ["depth, by place", "depth, by place and time", "scene flow"];
+/// Motion over which bodies count as fast, pixels per frame.
+const FAST_PX: f64 = 20.0;
 
 /// The two arrays' views at one instant of one scene.
 struct Pair {
@@ -31,18 +32,24 @@ struct Pair {
     /// Median and 90th percentile of the motion of what moves, pixels a frame.
     motion_px: [f64; 2],
     /// Of each method: PSNR of the moving part, synchronized and not.
-    db: [[f64; 2]; 2],
+    db: [[f64; 2]; METHODS.len()],
+}
+
+impl Pair {
+    fn gain_db(&self, method: usize) -> f64 {
+        self.db[method][1] - self.db[method][0]
+    }
 }
 
 /// Compares each capture with the one of the same name in a folder; draws an SVG.
 pub fn bench(folders: &[String], synchronized: &Path, out: &Path) -> Result<(), Error> {
     let mut pairs = Vec::new();
     println!(
-        "| scene | instant | frames from the synchronized | motion, median and 90 %, px a frame | \
-              {}: synchronized, not, gain, dB | {}: the same |",
-        METHODS[0].0, METHODS[1].0
+        "PSNR of the moving part, dB: synchronized, not synchronized, gain\n\
+         | scene | instant | frames from the synchronized | motion, median and 90 %, px a frame | {} |",
+        METHODS.join(" | ")
     );
-    println!("|---|---|---|---|---|---|");
+    println!("|---|---|---|---|{}", "---|".repeat(METHODS.len()));
     std::fs::create_dir_all(out.parent().ok_or("has no folder")?)?;
     for folder in folders {
         let name = Path::new(folder).file_name().ok_or("has no name")?;
@@ -50,9 +57,15 @@ pub fn bench(folders: &[String], synchronized: &Path, out: &Path) -> Result<(), 
         // After every scene: what was measured isn't lost if the run is stopped.
         std::fs::write(out, svg(&[chart(&pairs)], 1))?;
     }
-    for (k, (method, _)) in METHODS.iter().enumerate() {
-        let gain = super::summary::mean(pairs.iter().map(|p| p.db[k][1] - p.db[k][0]));
-        println!("mean gain, {method}: {gain:+.2} dB");
+    for (k, method) in METHODS.iter().enumerate() {
+        let gains = || pairs.iter().map(|p| p.gain_db(k));
+        let fast = pairs.iter().filter(|p| p.motion_px[0] > FAST_PX).map(|p| p.gain_db(k));
+        println!(
+            "gain, {method}: mean {:+.2} dB, over {FAST_PX} px {:+.2} dB, worst {:+.2} dB",
+            super::summary::mean(gains()),
+            super::summary::mean(fast),
+            gains().fold(f64::INFINITY, f64::min)
+        );
     }
     println!("{}", out.display());
     Ok(())
@@ -98,7 +111,7 @@ fn pair(name: &str, fields: [&LightField; 2], truth: &Truth, time_s: f64) -> Res
     let target = True::read(truth, view.ok_or("the truth has no view")?)?;
     let cameras = cameras_at(fields[1].capture(), truth, time_s)?;
     let moving = target.moving_of(&target.seen(&cameras));
-    let mut db = [[0.0; 2]; 2];
+    let mut db = [[0.0; 2]; METHODS.len()];
     for (k, field) in fields.into_iter().enumerate() {
         let at_s = time_s - field.capture().time_origin_s;
         let images = views(field, &target.camera, at_s)?;
@@ -120,16 +133,20 @@ fn pair(name: &str, fields: [&LightField; 2], truth: &Truth, time_s: f64) -> Res
 }
 
 /// The final view at an instant, by each of [`METHODS`].
-fn views(field: &LightField, target: &Camera, at_s: f64) -> Result<[Image; 2], Error> {
+fn views(
+    field: &LightField,
+    target: &Camera,
+    at_s: f64,
+) -> Result<[Image; METHODS.len()], Error> {
     let mut options = RenderOptions::default();
-    options.proxy.method = ProxyMethod::Depth;
-    options.blend.method = BlendMethod::SpaceTime;
-    let mut of = |method| {
-        options.blend.method = method;
+    let mut of = |proxy, blend| {
+        (options.proxy.method, options.blend.method) = (proxy, blend);
         field.view(target, at_s, &options)
     };
-    let [first, second] = METHODS.map(|(_, method)| of(method));
-    Ok([first?.image, second?.image])
+    let by_place = of(ProxyMethod::Depth, BlendMethod::Lumigraph)?;
+    let by_time = of(ProxyMethod::Depth, BlendMethod::SpaceTime)?;
+    let flow = of(ProxyMethod::SceneFlow, BlendMethod::SpaceTime)?;
+    Ok([by_place, by_time, flow].map(|r| r.image))
 }
 
 /// Median and 90th percentile over the moving part.
@@ -142,16 +159,15 @@ fn motion(target: &True, moving: &[bool]) -> [f64; 2] {
 
 /// The gain of the array that is not synchronized, against motion.
 fn chart(pairs: &[Pair]) -> Chart {
-    let gain = |p: &Pair, k: usize| p.db[k][1] - p.db[k][0];
-    let series = METHODS.iter().enumerate().map(|(k, (method, _))| Series {
-        label: format!("blended {method}"),
-        points: pairs.iter().map(|p| (p.motion_px[0], gain(p, k)).into()).collect(),
+    let series = METHODS.iter().enumerate().map(|(k, method)| Series {
+        label: (*method).to_owned(),
+        points: pairs.iter().map(|p| (p.motion_px[0], p.gain_db(k)).into()).collect(),
         dots: true,
         ..Series::default()
     });
     let label = |p: &Pair| Label {
         x: p.motion_px[0],
-        y: gain(p, METHODS.len() - 1),
+        y: p.gain_db(METHODS.len() - 1),
         text: p.scene.clone(),
         bold: false,
     };

@@ -1,7 +1,7 @@
 //! The points of `truth/tracks/`: where they are in each frame of each camera. Of a film that the program made: anything
 //! else panics.
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Point3};
 use serde::Deserialize;
 use std::path::Path;
 use stlfr::capture::Truth;
@@ -20,6 +20,9 @@ pub struct TrackedPoint {
     pub px: Point2<f64>,
     /// Whether the point is inside the image and not occluded.
     pub visible: bool,
+    /// Metres.
+    #[allow(dead_code)] // One of the two benchmarks needs it.
+    pub world: Point3<f64>,
 }
 
 /// `tracks.json`.
@@ -32,6 +35,7 @@ struct Description {
 #[derive(Deserialize)]
 struct CameraFiles {
     times_s: Vec<f64>,
+    world: String,
     pixels: String,
     visible: String,
 }
@@ -46,12 +50,14 @@ pub fn read(truth: &Truth) -> Vec<CameraPoints> {
     let points = description.object.len();
     let camera = |files: CameraFiles| {
         let frames = files.times_s.len();
+        let world = array(&folder.join(files.world), 24 * frames * points);
         let pixels = array(&folder.join(files.pixels), 16 * frames * points);
         let visible = array(&folder.join(files.visible), frames * points);
         let number = |bytes: &[u8]| f64::from_le_bytes(bytes.try_into().expect("eight bytes"));
         let tracked = |k: usize| TrackedPoint {
             px: Point2::new(number(&pixels[16 * k..][..8]), number(&pixels[16 * k + 8..][..8])),
             visible: visible[k] != 0,
+            world: Point3::from([0, 1, 2].map(|c| number(&world[24 * k + 8 * c..][..8]))),
         };
         let frame = |frame: usize| (frame * points..(frame + 1) * points).map(tracked).collect();
         CameraPoints { times_s: files.times_s, frames: (0..frames).map(frame).collect() }
