@@ -4,6 +4,7 @@ use super::frame::levels;
 use super::geometry::Projection;
 use super::*;
 use crate::camera::{Camera, CameraModel};
+use crate::random::Random;
 use crate::raster::Image;
 use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion};
 
@@ -146,6 +147,48 @@ fn depth_and_motion_of_two_walls_are_found() {
             assert!(motion < 0.1, "wall {of}: {motion} px a frame");
         }
     }
+}
+
+#[test]
+fn errors_are_about_as_large_as_their_standard_errors() {
+    let mut recording = recording(&[MOVING, STILL]);
+    let mut random = Random::new(3);
+    for frame in recording.iter_mut().flatten() {
+        // Uniform noise with a standard deviation of 2 %.
+        frame.image.data_mut().iter_mut().for_each(|v| *v += 0.035 * random.signed() as f32);
+    }
+    let maps = maps(&recording);
+    let (mut disparity, mut motion) = (Vec::new(), Vec::new());
+    for (frames, map) in recording.iter().zip(&maps) {
+        let (camera, time) = (&frames[1].view, frames[1].time);
+        for (k, pixel) in map.pixels().iter().enumerate() {
+            let place = [(k % SIZE[0]) as f64 + 0.5, (k / SIZE[0]) as f64 + 0.5];
+            if MOVING.hit(camera, place, time).is_none() {
+                continue;
+            }
+            let (element, errors) = (map.element(pixel), pixel.errors());
+            let error = element.inverse_depth - (1.0 / MOVING.depth_m) as f32;
+            disparity.push(f64::from((error * map.disparity_px / errors.disparity_px).abs()));
+            let true_px = MOVING.velocity[0] * FOCAL_PX / MOVING.depth_m;
+            let error = f64::from(element.velocity[0]) - true_px;
+            motion.push((error / f64::from(errors.velocity_px)).abs());
+        }
+    }
+    let (disparity, motion) = (median(disparity), median(motion));
+    assert!((0.1..2.0).contains(&disparity), "{disparity} standard errors of the disparity");
+    assert!((0.1..2.0).contains(&motion), "{motion} standard errors of the velocity");
+}
+
+#[test]
+fn standard_errors_without_texture_are_those_of_the_prior() {
+    let mut recording = recording(&[STILL]);
+    let textured = maps(&recording).remove(0).pixels()[40 * SIZE[0] + 40].errors();
+    for frame in recording.iter_mut().flatten() {
+        frame.image.data_mut().fill(0.5);
+    }
+    let plain = maps(&recording).remove(0).pixels()[40 * SIZE[0] + 40].errors();
+    assert!(textured.disparity_px < 0.1 && textured.velocity_px < 0.2, "{textured:?}");
+    assert!(plain.disparity_px > 1.0 && plain.velocity_px > 1.0, "{plain:?}");
 }
 
 #[test]

@@ -4,13 +4,16 @@
 //! `cargo bench --bench maps -- CAPTURE… [--frames N]`: filmed captures with `truth/tracks`, whose clocks are the true
 //! ones; N frames around the middle of each camera, 1 by default. Errors of the disparity are pixels at the baseline of
 //! neighbouring cameras; errors of the velocity are pixels per frame. |z| is the error in standard errors. A point is at
-//! an edge if another point within 12 pixels differs by over 2 pixels, in disparity or in motion per frame.
+//! an edge if another point within 12 pixels differs by over 2 pixels in disparity. Where a point's path has a jump in
+//! velocity at the frame, as at a bounce, it is left out.
 
 #[path = "tracks/points.rs"]
 mod points;
 
+use nalgebra::Point2;
 use points::{CameraPoints, TrackedPoint};
 use std::sync::Arc;
+
 use stlfr::camera::Camera;
 use stlfr::capture::{Capture, Truth};
 use stlfr::light_field::{LightField, LoadedFrame};
@@ -23,6 +26,8 @@ type Error = Box<dyn std::error::Error>;
 const NEAR_PX: f64 = 12.0;
 const EDGE_PX: f64 = 2.0;
 /// Upper bounds of the classes of speed, pixels per frame.
+/// One-sided velocities may differ by this many pixels per frame, and by this part of the speed.
+const MAX_JUMP: [f64; 2] = [2.0, 0.5];
 const SPEEDS_PX: [f64; 4] = [0.3, 5.0, 20.0, f64::INFINITY];
 
 /// A tracked point at a frame.
@@ -30,7 +35,7 @@ struct Known {
     px: [f64; 2],
     disparity_px: f64,
     /// Pixels per frame of the reference camera.
-    velocity: [f64; 2],
+    velocity: Option<[f64; 2]>,
 }
 
 /// The errors at one point.
@@ -43,39 +48,50 @@ struct Sample {
     z: [f64; 3],
 }
 
-/// The points that are visible at a camera's frame, with their velocities by the frames before and after.
+/// The derivative at `t` of the parabola through three points `(time, value)`.
+fn derivative(points: [(f64, f64); 3], t: f64) -> f64 {
+    let [a, b, c] = points;
+    let slope = |a: (f64, f64), b: (f64, f64)| (b.1 - a.1) / (b.0 - a.0);
+    let curvature = (slope(b, c) - slope(a, b)) / (c.0 - a.0);
+    slope(a, b) + curvature * (2.0 * t - a.0 - b.0)
+}
+
+/// The velocity in the middle of five frames, pixels per frame; `None` where it jumps, or where a position is unknown.
+fn velocity(times: [f64; 5], places: [Point2<f64>; 5]) -> Option<[f64; 2]> {
+    let of = |first: usize| {
+        [0, 1].map(|c| {
+            let points = [0, 1, 2].map(|k| (times[first + k], places[first + k][c]));
+            derivative(points, times[2])
+        })
+    };
+    let [before, around, after] = [of(0), of(1), of(2)];
+    let jump = (after[0] - before[0]).hypot(after[1] - before[1]);
+    let is_smooth = jump <= MAX_JUMP[0] + MAX_JUMP[1] * around[0].hypot(around[1]);
+    is_smooth.then_some(around)
+}
+
+/// The points that are visible at a camera's frame, with their velocities by the frames around.
 fn known(
     (points, frame): (&CameraPoints, usize),
     camera: &Camera,
     [disparity_px, frame_s]: [f64; 2],
 ) -> Vec<Known> {
-    let [before, at, after] = [frame - 1, frame, frame + 1].map(|k| &points.frames[k]);
-    let times = [frame - 1, frame, frame + 1].map(|k| points.times_s[k] / frame_s);
-    let [earlier, later] = [times[1] - times[0], times[2] - times[1]];
-    let of = |k: usize| {
-        let [a, b, c] = [before, at, after].map(|f: &Vec<TrackedPoint>| &f[k]);
-        // The derivative of the parabola through three positions.
-        let velocity = |a: f64, b: f64, c: f64| {
-            ((b - a) / earlier * later + (c - b) / later * earlier) / (earlier + later)
-        };
-        let velocity = [velocity(a.px.x, b.px.x, c.px.x), velocity(a.px.y, b.px.y, c.px.y)];
-        let is_known = b.visible && velocity.iter().all(|v| v.is_finite());
-        is_known.then(|| Known {
-            px: [b.px.x, b.px.y],
-            disparity_px: disparity_px / (camera.cam_from_world * b.world).z,
-            velocity,
+    let times = [0, 1, 2, 3, 4].map(|k| points.times_s[frame + k - 2] / frame_s);
+    let of = |(n, point): (usize, &TrackedPoint)| {
+        let places = [0, 1, 2, 3, 4].map(|k| points.frames[frame + k - 2][n].px);
+        point.visible.then(|| Known {
+            px: [point.px.x, point.px.y],
+            disparity_px: disparity_px / (camera.cam_from_world * point.world).z,
+            velocity: velocity(times, places),
         })
     };
-    (0..at.len()).filter_map(of).collect()
+    points.frames[frame].iter().enumerate().filter_map(of).collect()
 }
 
 fn is_edge(point: &Known, all: &[Known]) -> bool {
     all.iter().any(|other| {
         let distance = (other.px[0] - point.px[0]).hypot(other.px[1] - point.px[1]);
-        let motion =
-            (other.velocity[0] - point.velocity[0]).hypot(other.velocity[1] - point.velocity[1]);
-        let differs = (other.disparity_px - point.disparity_px).abs() > EDGE_PX || motion > EDGE_PX;
-        distance < NEAR_PX && differs
+        distance < NEAR_PX && (other.disparity_px - point.disparity_px).abs() > EDGE_PX
     })
 }
 
@@ -111,11 +127,12 @@ fn sample(loaded: &LoadedFrame, point: &Known, all: &[Known], baseline: f64) -> 
     }
     let [disparity, vx, vy] = sums.map(|s| s / weights);
     let disparity_px = disparity - point.disparity_px;
-    let velocity = [vx - point.velocity[0], vy - point.velocity[1]];
+    let known = point.velocity?;
+    let velocity = [vx - known[0], vy - known[1]];
     let [of_disparity, of_velocity] =
         [f64::from(errors.disparity_px) * baseline, f64::from(errors.velocity_px)];
     Some(Sample {
-        speed: point.velocity[0].hypot(point.velocity[1]),
+        speed: known[0].hypot(known[1]),
         is_edge: is_edge(point, all),
         disparity_px: disparity_px.abs(),
         velocity_px: velocity[0].hypot(velocity[1]),

@@ -133,11 +133,7 @@ fn pair(name: &str, fields: [&LightField; 2], truth: &Truth, time_s: f64) -> Res
 }
 
 /// The final view at an instant, by each of [`METHODS`].
-fn views(
-    field: &LightField,
-    target: &Camera,
-    at_s: f64,
-) -> Result<[Image; METHODS.len()], Error> {
+fn views(field: &LightField, target: &Camera, at_s: f64) -> Result<[Image; METHODS.len()], Error> {
     let mut options = RenderOptions::default();
     let mut of = |proxy, blend| {
         (options.proxy.method, options.blend.method) = (proxy, blend);
