@@ -86,9 +86,8 @@ impl PatchMatcher<'_> {
         let [u, v, uv] = [covariance[(1, 1)], covariance[(2, 2)], covariance[(1, 2)]];
         let larger = 0.5 * (u + v) + (0.25 * (u - v) * (u - v) + uv * uv).sqrt();
         // Variances are positive but for rounding.
-        let [disparity_px, velocity_px] =
-            [(SCALE[0], covariance[(0, 0)]), (SCALE[1], larger)]
-                .map(|(scale, variance)| (scale * variance.max(0.0).sqrt()) as f32);
+        let [disparity_px, velocity_px] = [(SCALE[0], covariance[(0, 0)]), (SCALE[1], larger)]
+            .map(|(scale, variance)| (scale * variance.max(0.0).sqrt()) as f32);
         let [a, b] = element.acceleration.map(|a| BY_ACCELERATION * a);
         // Accelerations are bounded, so that squares don't overflow.
         let velocity_px = (velocity_px * velocity_px + a * a + b * b).sqrt();

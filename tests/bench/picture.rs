@@ -10,7 +10,7 @@
 //! at 6 cm, away from depth edges and within 4 px of them. Pictures of the first instant go to DIR. After several
 //! captures, their means. `--alone` leaves other programs out.
 //!
-//! `cargo bench --bench picture -- scene-flow CAPTURE… [--instants N] [--out DIR]` prints its views alone.
+//! `cargo bench --bench picture -- scene-flow CAPTURE… [--instants N] [--out DIR]` prints its views alone, beside true images.
 //!
 //! `cargo bench --bench picture -- flicker CAPTURE… [--options JSON] [--out DIR]`: a pan along the rig and a scrub
 //! through time, beside the truth where it was filmed: the largest jumps, and how much still parts flicker. Videos
@@ -37,7 +37,7 @@ mod truth;
 use flicker::Flicker;
 use peers::Python;
 use rig::Purpose;
-use scene::{Scene, print_scene_flow};
+use scene::{Scene, print_flow_view};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth, TruthView};
@@ -106,9 +106,8 @@ impl Run {
             let views = truth.views.iter().filter(|v| v.time_s == time && v.like.is_none());
             if self.is_flow_alone {
                 for view in views {
-                    println!("  view {}", view.id);
                     let (out, t) = (out.as_deref().filter(|_| n == 0), True::read(&truth, view)?);
-                    print_scene_flow((&field, at_s), &cameras, &t, out, summary)?;
+                    print_flow_view((&field, at_s), &cameras, &t, out, summary)?;
                 }
                 continue;
             }
@@ -194,8 +193,6 @@ fn main() -> Result<(), Error> {
     for folder in &arguments.words[usize::from(is_flow_alone)..] {
         run.bench(folder, &mut summary)?;
     }
-    if !is_flow_alone {
-        summary.print();
-    }
+    summary.print();
     Ok(())
 }

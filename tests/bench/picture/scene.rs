@@ -39,7 +39,6 @@ impl<'a> Row<'a> {
 /// Everything of one instant.
 pub struct Scene<'a> {
     field: &'a LightField,
-    options: RenderOptions,
     time_s: f64,
     cameras: Vec<True>,
     /// Of all cameras: true, from the nearest frames, synchronized, and by the peers that there are.
@@ -57,8 +56,7 @@ impl<'a> Scene<'a> {
         cameras: Vec<True>,
         python: Option<&Python>,
     ) -> Result<Self, Error> {
-        let options = RenderOptions::default();
-        let mut timed = options.clone();
+        let mut timed = RenderOptions::default();
         timed.blend.method = SpaceTime;
         let by = |sync| {
             field.synchronized_all(
@@ -82,7 +80,7 @@ impl<'a> Scene<'a> {
             }
             None => Vec::new(),
         };
-        Ok(Self { field, options, time_s, cameras, filmed, nearest, refined, all_cameras, peers })
+        Ok(Self { field, time_s, cameras, filmed, nearest, refined, all_cameras, peers })
     }
 
     /// Mean PSNR of the synchronized images: whole, and their moving part.
@@ -113,12 +111,7 @@ impl<'a> Scene<'a> {
         method: ProxyMethod,
         target: &Camera,
     ) -> Result<Geometry, Error> {
-        let mut options = self.options.clone();
-        options.proxy.method = method;
-        let images = GivenImages::filmed(images.clone());
-        let shape = Images::Given(&images);
-        let request = Request::new(Viewpoint::View(target), self.time_s, &options);
-        Ok(self.field.geometry(target, &Request { shape, ..request })?)
+        geometry((self.field, self.time_s), images, method, target)
     }
 
     pub fn print_view(
@@ -133,8 +126,7 @@ impl<'a> Scene<'a> {
         let of_all = stereo(&self.all_cameras)?;
         let of_peers: Vec<Geometry> =
             self.peers.iter().map(|(_, images)| stereo(images)).collect::<Result<_, _>>()?;
-        let sources = self.cameras.iter().map(|c| Some(Arc::new(c.depth.clone()))).collect();
-        let exact = Geometry { view: t.depth.clone(), sources };
+        let exact = exact(&self.cameras, t);
         println!("  view {}", t.id);
         for (name, found) in [
             ("mesh", &mesh),
@@ -161,42 +153,84 @@ impl<'a> Scene<'a> {
             Row::new("true images, depth", &self.filmed, &of_true, Lumigraph),
             Row::new("true images, true depth", &self.filmed, &exact, Lumigraph),
         ]);
-        self.print_rows(t, &rows, out, summary)?;
-        let Self { field, time_s, cameras, .. } = self;
-        print_scene_flow((field, *time_s), cameras, t, out, summary)
-    }
-
-    fn print_rows(
-        &self,
-        t: &True,
-        rows: &[Row],
-        out: Option<&Path>,
-        summary: &mut Summary,
-    ) -> Result<(), Error> {
         let judge = Judge::new(t, t.seen(&self.cameras));
-        for Row { name, images, geometry, method } in rows {
-            let mut options = self.options.blend.clone();
-            options.method = *method;
-            let image = self.field.blend(images, geometry, &t.camera, &options).image;
-            let scores = judge.scores(&image);
-            println!("    {name:34} {scores}");
-            summary.add_view(t.name(), name, scores);
-            if let Some(out) = out {
-                let file = format!("{}-{}.png", t.id, name.replace([' ', ','], "-"));
-                write(&out.join(file), &image)?;
-            }
-        }
-        if let Some(out) = out {
-            write(&out.join(format!("{}-truth.png", t.id)), &t.image)?;
-        }
-        Ok(())
+        print_rows((self.field, &judge), t, &rows, out, summary)?;
+        print_scene_flow((self.field, self.time_s), &judge, t, out, summary)
     }
 }
 
-/// Prints the view by depth and motion of the frames, which needs no synchronized images.
-pub fn print_scene_flow(
+/// The geometry of these images at an instant.
+fn geometry(
+    (field, time_s): (&LightField, f64),
+    images: &CameraImages,
+    method: ProxyMethod,
+    target: &Camera,
+) -> Result<Geometry, Error> {
+    let mut options = RenderOptions::default();
+    options.proxy.method = method;
+    let images = GivenImages::filmed(images.clone());
+    let shape = Images::Given(&images);
+    let request = Request::new(Viewpoint::View(target), time_s, &options);
+    Ok(field.geometry(target, &Request { shape, ..request })?)
+}
+
+/// True depths.
+fn exact(cameras: &[True], t: &True) -> Geometry {
+    let sources = cameras.iter().map(|c| Some(Arc::new(c.depth.clone()))).collect();
+    Geometry { view: t.depth.clone(), sources }
+}
+
+fn print_rows(
+    (field, judge): (&LightField, &Judge),
+    t: &True,
+    rows: &[Row],
+    out: Option<&Path>,
+    summary: &mut Summary,
+) -> Result<(), Error> {
+    for Row { name, images, geometry, method } in rows {
+        let mut options = RenderOptions::default().blend;
+        options.method = *method;
+        let image = field.blend(images, geometry, &t.camera, &options).image;
+        let scores = judge.scores(&image);
+        println!("    {name:34} {scores}");
+        summary.add_view(t.name(), name, scores);
+        if let Some(out) = out {
+            let file = format!("{}-{}.png", t.id, name.replace([' ', ','], "-"));
+            write(&out.join(file), &image)?;
+        }
+    }
+    if let Some(out) = out {
+        write(&out.join(format!("{}-truth.png", t.id)), &t.image)?;
+    }
+    Ok(())
+}
+
+/// Prints a view by scene flow, and by the true images of all cameras, over depths from these and over true depths.
+pub fn print_flow_view(
     (field, time_s): (&LightField, f64),
     cameras: &[True],
+    t: &True,
+    out: Option<&Path>,
+    summary: &mut Summary,
+) -> Result<(), Error> {
+    println!("  view {}", t.id);
+    let filmed: CameraImages =
+        cameras.iter().map(|t| Some(Arc::new(Synchronized::filmed(t.image.clone())))).collect();
+    let of_true = geometry((field, time_s), &filmed, ProxyMethod::Depth, &t.camera)?;
+    let exact = exact(cameras, t);
+    let rows = [
+        Row::new("true images, depth", &filmed, &of_true, Lumigraph),
+        Row::new("true images, true depth", &filmed, &exact, Lumigraph),
+    ];
+    let judge = Judge::new(t, t.seen(cameras));
+    print_rows((field, &judge), t, &rows, out, summary)?;
+    print_scene_flow((field, time_s), &judge, t, out, summary)
+}
+
+/// Prints the view by depth and motion of the frames, which needs no synchronized images.
+fn print_scene_flow(
+    (field, time_s): (&LightField, f64),
+    judge: &Judge,
     t: &True,
     out: Option<&Path>,
     summary: &mut Summary,
@@ -208,7 +242,7 @@ pub fn print_scene_flow(
     let depths = field.geometry(&t.camera, &request)?.view;
     println!("    {NAME:34} {}", depth_errors(&depths, t));
     let image = render(field, &request, &Context::unattended())?.image;
-    let scores = Judge::new(t, t.seen(cameras)).scores(&image);
+    let scores = judge.scores(&image);
     println!("    {NAME:34} {scores}");
     summary.add_view(t.name(), NAME, scores);
     match out {

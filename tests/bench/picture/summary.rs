@@ -3,8 +3,9 @@
 use super::truth::Scores;
 
 /// The final views, and what they are held against.
-const FINAL: [&str; 3] = ["refined, depth", "refined, depth, space-time", "all-cameras, depth"];
-const IDEAL: &str = "true images, true depth";
+const FINAL: [&str; 4] =
+    ["refined, depth", "refined, depth, space-time", "all-cameras, depth", "scene flow"];
+const IDEALS: [&str; 2] = ["true images, true depth", "true images, depth"];
 
 /// All figures of a run, in the order in which they came.
 #[derive(Default)]
@@ -84,11 +85,13 @@ impl Summary {
         if self.scenes.len() < 2 {
             return;
         }
-        self.print_synchronized();
+        if !self.synchronized.is_empty() {
+            self.print_synchronized();
+        }
         let views = distinct(self.views.iter().map(|f| &f.view));
         self.print_views(&views);
-        for row in FINAL {
-            self.print_gap(row, &views);
+        for row in FINAL.iter().filter(|row| self.views.iter().any(|v| v.row == **row)) {
+            IDEALS.iter().for_each(|ideal| self.print_gap([row, ideal], &views));
         }
     }
 
@@ -131,14 +134,14 @@ impl Summary {
         }
     }
 
-    /// What a row lacks to true images over true depth.
-    fn print_gap(&self, row: &str, views: &[&str]) {
-        println!("\n{row} minus {IDEAL}: PSNR of all that is seen, of its moving part [dB]");
+    /// What a row lacks to another.
+    fn print_gap(&self, [row, ideal]: [&str; 2], views: &[&str]) {
+        println!("\n{row} minus {ideal}: PSNR of all that is seen, of its moving part [dB]");
         println!("| scene | {} |", views.join(" | "));
         println!("|---|{}", "---|".repeat(views.len()));
         let gap = |scene: usize, view: &str, part: usize| {
             let db = |row| self.of_view([view, row], scene, |s| s.db[part]);
-            db(row) - db(IDEAL)
+            db(row) - db(ideal)
         };
         let line = |name: &str, gap: &dyn Fn(&str, usize) -> f64| {
             let figures = views.iter().map(|v| format!("{:+.2} {:+.2}", gap(v, 0), gap(v, 1)));
