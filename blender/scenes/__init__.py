@@ -11,6 +11,7 @@ TUNED_ON = ("magazine", "ball", "head", "book", "spin", "bounce")
 JUDGED_ON = (
     "hand",
     "fast",
+    "rush",
     "swing",
     "wave",
     "tumble",

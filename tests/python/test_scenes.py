@@ -23,6 +23,7 @@ SPEEDS_PX = {
     "head": (6, 20),
     "magazine": (8, 26),
     "mirror": (5, 20),
+    "rush": (60, 125),
     "spin": (25, 45),
     "still": (0.1, 0.8),
     "swing": (20, 55),
