@@ -39,12 +39,6 @@ const KEEP_DEPTH: f32 = 0.3;
 const MAX_CHANCE_PX: f32 = 4.0;
 /// Finest level at which random elements are drawn from the whole search range.
 const COARSE_LEVEL: usize = 2;
-/// At coarse levels, the fraction of random elements that are drawn from the map around the pixel in place of the
-/// search range: a fast body is found once, anywhere on it. Twelve views of three scenes gain 0.1 dB in the mean, those
-/// of the fastest 0.4 dB.
-const FROM_AROUND: f32 = 0.3;
-/// Maximum distance of the pixel from which such an element is drawn, in each direction, pixels of the level.
-const AROUND_PX: f32 = 12.0;
 
 /// Cost per pixel of difference from the other frames' maps ([`OtherMaps::difference`]).
 const INCONSISTENCY: f32 = 0.02;
@@ -155,20 +149,6 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers a random element.
-    fn consider_chance(&mut self, random: &mut Random) {
-        let is_coarse = self.matcher.level >= COARSE_LEVEL;
-        let proposal = if is_coarse && (random.unit() as f32) < FROM_AROUND {
-            let around = self.matcher.around(self.map, self.pixel, random);
-            around.filter(|proposal| self.differs(proposal))
-        } else {
-            Some(self.matcher.chance(&self.element, self.limits, random))
-        };
-        if let Some(proposal) = proposal {
-            self.consider(proposal);
-        }
-    }
-
     /// Considers the affine fit to the neighbours, except in a level's first pass.
     fn consider_fit(&mut self, pass: &Pass) {
         let (x, y) = self.pixel;
@@ -274,19 +254,6 @@ impl PatchMatcher<'_> {
         is_copied
     }
 
-    /// The element of a random pixel around `(x, y)`, extrapolated to it; `None` beside the map.
-    fn around(
-        &self,
-        map: &ElementMap,
-        (x, y): (usize, usize),
-        random: &mut Random,
-    ) -> Option<Element> {
-        let step = [0; 2].map(|_| (AROUND_PX * random.signed() as f32) as i32);
-        let at = self.neighbor(x, y, step.into())?;
-        Some(self.continued(map, at, step.into()))
-    }
-
-    /// A random element, near a pixel's own or, at coarse levels, anywhere in the search range.
     fn chance(&self, own: &Element, limits: Limits, random: &mut Random) -> Element {
         if self.level >= COARSE_LEVEL && (random.unit() as f32) < ANYWHERE {
             let speed = limits.max_speed * (random.unit() as f32).sqrt();
@@ -364,7 +331,7 @@ impl PatchMatcher<'_> {
             }
             let chances = if best.match_cost < MATCHED { 0 } else { pass.chances };
             for _ in 0..chances {
-                best.consider_chance(&mut random);
+                best.consider(self.chance(&best.element, pass.limits, &mut random));
             }
             best.consider_fit(pass);
             best.step_if_due(&element, is_settled, pass);
