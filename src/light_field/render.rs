@@ -84,7 +84,7 @@ fn instant(
                 None => {
                     let method = ImageMethod::new(request.options.sync, request.options);
                     let image = CameraImage { camera, time_s: request.time_s, method: &method };
-                    field.get(&image, context)?.image.clone()
+                    image.get(field, context)?.image.clone()
                 }
             };
             let coverage = vec![true; image.width() * image.height()];
