@@ -19,7 +19,8 @@ use std::thread::JoinHandle;
 /// that takes long to write.
 const WAITING_VIEWS: usize = 2;
 
-/// Fraction of pixels that cameras must see. Below it, a note states the smallest fraction of the views.
+/// Fraction of a view's pixels that some camera should see. If a view has a smaller fraction, a note states the
+/// smallest one of all views.
 const MIN_SEEN_FRACTION: f64 = 0.5;
 
 /// A rendered view.

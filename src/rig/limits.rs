@@ -25,7 +25,7 @@ pub const MAX_CAMERAS: usize = 1000;
 pub const SIZE_PX: RangeInclusive<u32> = 8..=16_384;
 /// Focal length, millimetres.
 pub const LENS_MM: RangeInclusive<f64> = 1.0..=5000.0;
-/// Longer side of the sensor, millimetres.
+/// Length of the sensor's longer side, millimetres.
 pub const SENSOR_MM: RangeInclusive<f64> = 1.0..=500.0;
 /// Lens shift, as a fraction of the image's longer side.
 pub const SHIFT: RangeInclusive<f64> = -10.0..=10.0;

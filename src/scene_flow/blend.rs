@@ -210,7 +210,7 @@ fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
     Some([(cx + fx * ray.x) as f32, (cy + fy * ray.y) as f32])
 }
 
-/// The frames from which colours of holes are taken.
+/// The frames that give the background colours with which holes of the view are filled.
 struct Behind<'a> {
     /// In order of distance between the frame's camera and the view.
     frames: Vec<(MappedFrame<'a>, Projection)>,

@@ -22,11 +22,11 @@ use std::ops::Range;
 /// observations.
 pub struct Component<'a> {
     pub clocks: &'a [NominalClock<'a>],
-    /// By camera: the observations of which it is one of the two cameras.
+    /// For each camera, the observations in which it is one of the two cameras.
     pub observations: &'a [Vec<TimingObservation>],
     /// The camera whose first image keeps its time, which fixes the common clock.
     pub root: usize,
-    /// By camera: its model. `None` for cameras of other components, and for those that are not fitted yet.
+    /// For each camera, its model. `None` for cameras of other components, and for those that are not fitted yet.
     pub models: Vec<Option<ClockModel>>,
     /// The penalty of one lost frame, as a multiple of an outlier's cost.
     pub loss_penalty: f64,
@@ -86,7 +86,8 @@ impl<'a> Jumps<'a> {
         jumps
     }
 
-    /// The node that contains a camera's image; `None` for a camera without nodes.
+    /// Index of the node (a group of images, [`MoveNode`]) that contains a camera's image; `None` for a camera without
+    /// nodes.
     fn node(&self, camera: usize, image: usize) -> Option<usize> {
         let range = self.of_camera[camera].clone();
         let within = self.nodes[range.clone()].partition_point(|n| n.image <= image);
@@ -232,7 +233,8 @@ impl<'a> Jumps<'a> {
     }
 }
 
-/// The nodes of all cameras, and each camera's range among them.
+/// Divides the images of all cameras into nodes ([`MoveNode`]). Returns the nodes, and for each camera the range of
+/// their indices.
 ///
 /// A camera that cannot lose frames has a single node. For any other camera, a node starts at each observed
 /// image, at the images on both sides of each lost frame, and at its two [`observable_ends`].

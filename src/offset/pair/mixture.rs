@@ -26,7 +26,7 @@ pub struct Observation {
 }
 
 impl From<&Sample> for Observation {
-    /// The observation `offset_b − offset_a` of a sample, at time 0.
+    /// The offset `offset_b − offset_a` that a sample implies, as an observation at time 0.
     fn from(sample: &Sample) -> Self {
         Self { value_s: sample.offset_s(), at_s: 0.0, across_px_s: sample.across_px_s }
     }
