@@ -6,7 +6,7 @@ use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::frames::Frames;
 use super::shots::{InstantArgs, ShotArgs, Shots, viewpoint};
 use super::values::{AUTO, ImageFile, ImageOutput, Parts, method, method_or_auto};
-use super::view_writer::{View, ViewWriter};
+use super::view_writer::{RenderedView, ViewWriter};
 use super::viewpoint::ViewpointArgs;
 use crate::interpolation::SyncMethod;
 use crate::light_field::{Context, Request, render, render_with_depths};
@@ -189,7 +189,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
                 (render(&field, &request, context)?, None)
             };
             let claim = claim.take_if(|_| part + 1 == views);
-            writer.add(View { frame, part, rendered, depths, claim })?;
+            writer.add(RenderedView { frame, part, rendered, depths, claim })?;
             done += instants;
         }
     }

@@ -24,7 +24,7 @@ const WAITING_VIEWS: usize = 2;
 const MIN_SEEN_FRACTION: f64 = 0.5;
 
 /// A rendered view.
-pub struct View {
+pub struct RenderedView {
     /// Index of the picture that the view belongs to.
     pub frame: usize,
     /// Index of the view inside its picture.
@@ -58,7 +58,7 @@ pub struct ViewWriter {
 /// after an error, the thread writes the views that it has, but doesn't finish a video.
 pub struct WritingThread {
     /// Sends views to the thread, then `None` for the end. It is `None` itself after the end.
-    views: Option<SyncSender<Option<View>>>,
+    views: Option<SyncSender<Option<RenderedView>>>,
     thread: Option<JoinHandle<Result<(), CliError>>>,
 }
 
@@ -67,7 +67,7 @@ impl WritingThread {
     ///
     /// # Errors
     /// That of an earlier view.
-    pub fn add(&mut self, view: View) -> Result<(), CliError> {
+    pub fn add(&mut self, view: RenderedView) -> Result<(), CliError> {
         match self.views.as_ref().is_some_and(|views| views.send(Some(view)).is_ok()) {
             true => Ok(()),
             false => self.join(),
@@ -136,7 +136,7 @@ impl ViewWriter {
         WritingThread { views: Some(views), thread: Some(thread) }
     }
 
-    fn write_all(mut self, views: &Receiver<Option<View>>) -> Result<(), CliError> {
+    fn write_all(mut self, views: &Receiver<Option<RenderedView>>) -> Result<(), CliError> {
         while let Ok(view) = views.recv() {
             let Some(view) = view else { return self.finish() };
             self.add(&view)?;
@@ -156,7 +156,7 @@ impl ViewWriter {
     }
 
     /// Adds a view to its picture. Writes the picture when its last view arrives.
-    fn add(&mut self, view: &View) -> Result<(), CliError> {
+    fn add(&mut self, view: &RenderedView) -> Result<(), CliError> {
         let Rendered { image, coverage } = &view.rendered;
         let seen = coverage.iter().filter(|is_seen| **is_seen).count();
         self.seen_fraction = self.seen_fraction.min(seen as f64 / coverage.len() as f64);

@@ -48,7 +48,7 @@ pub fn render(
     overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
 }
 
-/// Renders a view, and its depth map, that of its camera at the request's time.
+/// Renders a view, and the depth map of its camera at the request's time.
 ///
 /// # Errors
 /// Those of [`render`].

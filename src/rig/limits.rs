@@ -54,5 +54,5 @@ pub const MAX_JITTER_FRAMES: f64 = 0.1;
 pub const MAX_SPREAD: f64 = 2.0;
 /// Number of points on each side of the image's border at which a distortion is checked.
 pub const BORDER_STEPS: u32 = 16;
-/// Maximum number of frames from which lost ones are drawn.
+/// Maximum number of frames of a recording whose lost frames are chosen at random.
 pub const MAX_LOSS_WITHIN: usize = 100_000;

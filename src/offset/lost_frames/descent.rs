@@ -203,7 +203,7 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// By camera: whether a jump move that shifts some of its images increases the objective by less than
+    /// For each camera, whether a jump move that shifts some of its images increases the objective by less than
     /// [`DECISIVE_OUTLIERS`].
     fn undecided(&self) -> Vec<bool> {
         let mut undecided = vec![false; self.clocks.len()];

@@ -46,8 +46,8 @@ impl Component<'_> {
     }
 }
 
-/// A node of the graph: successive images of a camera, from `image` to the one before the next node's, whose
-/// times are only shifted together.
+/// A node of the graph: successive images of a camera, whose times a move shifts together or not at all. They reach
+/// from `image` to the image before the next node's `image`.
 struct MoveNode {
     camera: usize,
     image: usize,
@@ -69,7 +69,7 @@ pub struct Move {
 pub struct Jumps<'a> {
     component: &'a Component<'a>,
     nodes: Vec<MoveNode>,
-    /// By camera: the range of its nodes in `nodes`, ascending by image.
+    /// For each camera, the range of its nodes in `nodes`, ascending by image.
     of_camera: Vec<Range<usize>>,
     /// For each observation: the nodes of its three images, and its cost for each combination of their
     /// labels, as a multiple of an outlier's cost.
@@ -272,7 +272,7 @@ fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     (nodes, of_camera)
 }
 
-/// By camera: its first and its last image, by index, whose times are within the recordings of the cameras
+/// For each camera, its first and its last image, by index, whose times are within the recordings of the cameras
 /// with which it has common observations, extended by one frame period on both sides. `None` if there is no
 /// such image.
 fn observable_ends(component: &Component) -> Vec<Option<[usize; 2]>> {

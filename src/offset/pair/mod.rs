@@ -16,7 +16,7 @@ use super::{OffsetMethod, OffsetOptions};
 use crate::capture::Capture;
 use std::sync::Arc;
 
-/// The estimate of one pair of cameras, (i, j), by itself.
+/// The offset between two cameras, (i, j), estimated from their recordings alone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PairEstimate {
     /// The indices of cameras i and j.
