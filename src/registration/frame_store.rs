@@ -90,7 +90,11 @@ impl FrameStore {
         // The pyramid is of the gain-corrected image.
         let frame = match self.gains().corrected(camera, &image) {
             None => Frame::new(image, &self.options),
-            Some(corrected) => Frame { image, ..Frame::new(corrected, &self.options) },
+            Some(corrected) => {
+                let mut frame = Frame::new(corrected, &self.options);
+                frame.image = image;
+                frame
+            }
         };
         Ok(self.memo.insert(FRAME_STAGE, &inputs, Arc::new(frame), self.bytes_of(camera)))
     }
