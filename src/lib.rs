@@ -107,91 +107,107 @@
 //! |---|---|
 //! | a method of a stage | its enum beside the stage's options, such as [`interpolation::SyncMethod`], with a line in `methods!`; then what the compiler asks for |
 //! | an option | a line in the `options!` of the stage, such as [`lumigraph::BlendOptions`]; command line, schema and Python follow |
-//! | a cached result | its inputs in `light_field/stages.rs`, and a `Stage` for them; on disk a `StoredStage`, which `light_field/prepare.rs` writes |
+//! | a cached result | its inputs in `light_field/stages.rs`, with a `Stage` and a function `get` in the file of its algorithm; on disk a `StoredStage`, which `light_field/prepare.rs` writes |
 //! | a format of `import` or `export` | a file in [`exchange`], and a line in `read_calibration` there or in `cli/export.rs` |
 //!
 //! # The command line
 //!
-//! `stlfr COMMAND --help` has the options and examples. Exit codes: 0 success, 2 bad input, 1 failed work. An error is
-//! one sentence on stderr. `--quiet` silences progress and notes.
+//! `stlfr COMMAND --help` lists the options of a command, with examples. The exit code is 0 for success, 2 for bad
+//! input, and 1 if the work failed. An error is one sentence on stderr. `--quiet` silences progress and notes.
 //!
-//! An output replaces only a regular file, never a part of a capture ([`capture::OutputGuard`]), and never through a
-//! link inside its folder. Files are written to a temporary name, then renamed. An interrupted command removes its
-//! temporary files; those of a killed command are removed by the next command that writes into the same folder.
+//! A command replaces a file only if it is a regular file and no part of a capture ([`capture::OutputGuard`]). In
+//! its output folder, it does not write through links. Files are written under a temporary name and then renamed.
+//! A command that is interrupted removes its temporary files. If it is killed, the next command that writes into the
+//! same folder removes them.
 //!
-//! Only regular files of a bounded size are read: a pipe, a device or a file of gigabytes is an error. So is a capture
-//! that changes while a command uses it. Decoded videos, registered frames, plans and measurements are cached in
-//! `CAPTURE/.stlfr/cache`. A damaged entry is noted and computed again; `stlfr info` lists and deletes entries.
-//! `offsets.json` may be edited ([`offset::file`]).
+//! Commands read only regular files below a size limit; pipes, devices and files of gigabytes are errors. A command
+//! also fails if the capture changes while it runs. Decoded videos, registered frames, plans and measurements are
+//! cached in `CAPTURE/.stlfr/cache`. If a cached file is damaged, a note says so, and the result is computed again.
+//! `stlfr info` lists and deletes cached files. You may edit `offsets.json` ([`offset::file`]).
 //!
-//! Times are seconds on the reference camera's clock. Outside of the recorded time there is no image; the error states
-//! the time range.
+//! Times are seconds on the reference camera's clock. A view at an instant outside of the recording is an error, which
+//! states the recorded time range.
 //!
 //! # Paths and displays
 //!
-//! `stlfr render --path` follows a camera path: a file ([`path`] has the format), the animated scene camera of a `.blend`,
-//! or one by name. `sweep`, `orbit`, `bullet-time` and `dolly` are fitted to the rig and to the scene's depths, so that
-//! cameras see all of every view. `--time` stops time along any path. A trail is that of each frame's instant, from its
-//! viewpoint.
+//! `stlfr render --path` renders a video along a camera path. The path is read from a JSON file ([`path`] describes the
+//! format) or from the animated camera of a `.blend` file, or it is one of four by name: `sweep`, `orbit`,
+//! `bullet-time` and `dolly`. These four are fitted to the rig and to the scene's depths, so that the cameras see all of
+//! every view. `--time` stops time at one instant on any path. `--trail` overlays several instants in each image of the
+//! video, all rendered from this image's viewpoint; the trail ends at this image's instant.
 //!
-//! The suffix of `-o` chooses the format. `.exr` has the channels `R`, `G`, `B`, `A` in linear light, half floats, and `Z`,
-//! metres along the axis; what has no depth is 1e10 m away.
+//! The suffix of the file after `-o` chooses the format. An `.exr` file has the channels `R`, `G`, `B` and `A` in linear
+//! light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have `Z` = 1e10.
 //!
-//! `--quilt` renders for Looking Glass displays, `--stereo` for two eyes: views in one direction, sheared about the plane
-//! of `--convergence`, which has no parallax ([`display`]). A quilt's cone is never wider than the cameras cover: eight
-//! cameras 6 cm apart cover 12 degrees at 2 m. Apple's spatial photos are not written: `libheif` can't write the group of
-//! a stereo pair.
+//! `--quilt` renders the views of a Looking Glass display into one image, and `--stereo` those of two eyes. All these
+//! views look in one direction. Each is sheared so that points in one plane, at the distance `--convergence`, have no
+//! parallax ([`display`]). A quilt's cone of views is at most as wide as the cameras cover: eight cameras 6 cm apart
+//! cover 12 degrees at a distance of 2 m. Apple's spatial photos are not supported, because `libheif` can't write the
+//! box that marks two images as a stereo pair.
 //!
-//! Processes that run the same command for a sequence of images share it, each taking images that no other has, on
-//! machines that see one folder with locks. Stopped, it continues. A folder `.stlfr-render-…` beside the images says
-//! what is done, until all is.
+//! To render a sequence of images faster, start the same command several times, also on several machines that share
+//! the output folder; the shared file system must support file locks. Each process renders images that no other
+//! process has started. If processes are stopped, the same command continues where they ended. Until all images are
+//! complete, a folder `.stlfr-render-…` beside them records which are.
 //!
 //! # Recordings of real cameras
 //!
-//! `stlfr import CALIBRATION --images FOLDER -o CAPTURE` makes a capture of another program's calibration ([`exchange`] has
-//! the formats) and of a video or a folder of images for each camera. A recording belongs to the camera of its name, else
-//! of its number, or as `--table` says; the notes say which. Frames have the times of `--times`, of `timestamps.csv` beside
-//! the recordings, of the calibration or of the video; `--rate` overrides them. Times of different cameras need not agree:
-//! `stlfr offsets` estimates how far their clocks are apart, unless `--shared` says that they are one.
-//! Variable rates, rotation flags, limited range, 10 bits, cameras of different rates and sizes, and recordings that start
-//! or end apart are read as they are. Interlaced or damaged video is refused. A calibration at another resolution is
-//! scaled; images of another shape are refused, unless `--crop` says that they are its top left part.
+//! `stlfr import CALIBRATION --images FOLDER -o CAPTURE` makes a capture from two inputs: a calibration that another
+//! program computed ([`exchange`] lists the formats), and one video or one folder of images per camera. A recording is
+//! assigned to the camera with its name, otherwise to the camera with its number; a table given by `--table` overrides
+//! both. Notes list the assignment.
 //!
-//! `stlfr export CAPTURE --synchronized` renders all cameras at common instants, for programs that need synchronized images;
-//! `--frames` writes the frames as filmed with their estimated times. `--undistort` makes them images of pinholes.
+//! Frame times are read from the table `--times`, from `timestamps.csv` beside the recordings, from the calibration, or
+//! from the video files. `--rate` overrides them. The cameras' clocks may differ: `stlfr offsets` estimates their
+//! offsets, unless `--shared` declares that all cameras have one clock.
+//!
+//! Videos may have variable frame rates, rotation flags, limited range or 10 bits. The cameras may differ in frame rate
+//! and image size, and may start and end at different times. Interlaced and damaged videos are refused. If images have
+//! another resolution than the calibration but its aspect ratio, the calibration is scaled. If they have another aspect
+//! ratio, they are refused, unless `--crop` declares that each image is the top left part of the calibrated one.
+//!
+//! `stlfr export CAPTURE --synchronized` renders the images of all cameras at common instants, for programs that need
+//! synchronized cameras. `--frames` instead writes the frames as filmed, with their estimated times. `--undistort`
+//! resamples the images as pinhole cameras would see them.
 //!
 //! # In the browser
 //!
-//! `stlfr view CAPTURE` opens a page, and ends with Ctrl+C. Drag to move the viewpoint, turn the wheel to
-//! zoom, play the recording, slow it down, or stop time and move along the cameras. ST-LFR, traditional light
-//! field rendering, the truth, *which cameras a pixel comes from* and *depth* stand beside each other, with a border
-//! to drag. The legend has the weights and the depth under the pointer. *Save* gives the whole picture, and the
-//! `view.json` that `stlfr render --camera` takes. `?` lists the keys; the keyboard alone suffices.
+//! `stlfr view CAPTURE` opens a page in the browser; Ctrl+C ends it. Drag to move the viewpoint, and turn the wheel to
+//! zoom. Play the recording, slow it down, or stop time and move along the cameras. Two pictures stand side by side, with
+//! a border to drag between them. Each shows the space-time light field, traditional light field rendering (without
+//! synchronization), the truth, the depths, or *which cameras a pixel comes from*. The legend shows the blending weights
+//! and the depth at the pointer. *Save* saves the whole picture, and a `view.json` with which `stlfr render --camera`
+//! renders this view. `?` lists the keys; the keyboard alone suffices.
 //!
-//! At rest, pictures have the options of the command line, and the methods that are chosen on the page: `--preset` and
-//! `--options` are those of `render`. In motion they have the same where the instant is prepared, else the options of
-//! `draft`; a picture of full quality fades in. The page is served on this machine alone, at an address with a random
-//! token. A link works until the server ends. `stlfr view CAPTURE --at LINK` opens the same place in a new run.
+//! While nothing moves, pictures are rendered with the options `--preset` and `--options`, as by `stlfr render`, and with
+//! the methods that are chosen on the page. While the viewpoint moves, the same options are used if the results at this
+//! instant are cached, and otherwise those of the preset `draft`; the picture of full quality then fades in. Only programs
+//! on this machine can reach the page; its address contains a random token. A link to a place on the page is valid until
+//! the server ends. `stlfr view CAPTURE --at LINK` opens this place again in a later run.
 //!
 //! # On the web
 //!
-//! `stlfr publish CAPTURE -o SITE` writes a folder for any static web server: the light field of a span of time and of the
-//! places among the cameras, drawn by the visitor's graphics card. It sways until it is dragged, touched or tilted, the
-//! wheel and the bar pass through time, the button stops it. The command prints the sizes, how far the pictures are from
-//! `render`'s, and an `<iframe>` line. The page asks for nothing outside of its folder, and opens from disk.
-//! `stlfr.picture(VIEW, SECONDS)` on the page gives a canvas with the view of a `view.json`.
+//! `stlfr publish CAPTURE -o SITE` writes a folder for any static web server. Its page shows the light field over a span
+//! of time, from viewpoints among the cameras, and the visitor's graphics card renders the views. The viewpoint sways by
+//! itself until the visitor drags it, touches it or tilts the device. The wheel and the time bar move through time, and a
+//! button stops time. The command prints the sizes of the files, the PSNR of the page's views against those of
+//! `stlfr render`, and an `<iframe>` line that embeds the page. The page loads nothing from outside of its folder, and
+//! also works if it is opened from disk. On the page, the JavaScript function `stlfr.picture(VIEW, SECONDS)` returns a
+//! canvas with the view of a `view.json`.
 //!
 //! # On several machines
 //!
-//! The same `stlfr capture` on machines that share the capture's folder films it together: each takes images that
-//! no other has, and the files are those of one machine. What a machine had begun that shows no sign of life for
-//! `--silence` seconds, 60 by default, is filmed by another; nothing else is filmed twice. The machines' clocks may be wrong.
+//! If machines share a capture's folder, run the same `stlfr capture` on all of them to film faster. Each machine films
+//! images that no other has started. The files are the same as those of a single machine. If a machine shows no sign of
+//! life for `--silence` seconds (60 by default), other machines film the images that it had started. No other image is
+//! filmed twice. The machines' clocks may be wrong.
 //!
-//! `stlfr farm CAPTURE -o JOB` describes the whole work, from the set-up to the comparison, for engines that share it
-//! among machines: an Open Job Description (AWS Deadline Cloud; `openjd run` on one machine), scripts for Slurm, a job
-//! type for Flamenco. Filming and rendering, of `--times` or along `--path`, are in chunks: `--part 3-6/100` of `capture`
-//! and `render`. Every task may be run again: it continues, or gives the same files. After a failed task, submit the job again. The machines must see program,
-//! captures and job at the same paths. `tests/farm/slurm.py` runs the scripts, by hand, on a cluster that loses a node.
+//! `stlfr farm CAPTURE -o JOB` writes job files that describe all the work, from the set-up to the comparison, for three
+//! render farm engines: an Open Job Description (for AWS Deadline Cloud; `openjd run` runs it on one machine), scripts
+//! for Slurm, and a job type for Flamenco. Filming and rendering are divided into chunks, each a command with an option
+//! such as `--part 3-6/100`. A task may be run again: it continues its work, or writes the same files. After a failed
+//! task, submit the job again. All machines must see the program, the captures and the job at the same paths.
+//! `tests/farm/slurm.py` tests the scripts on a Slurm cluster that loses a node; it is run by hand.
 //!
 //! # From Python
 //!

@@ -1,5 +1,5 @@
-//! Progress reports. On a terminal they are a bar with the time left, in a log a line every half minute, for another
-//! program lines of JSON.
+//! Progress reports. On a terminal, progress is a bar with the time left. In a log it is a line every half minute, and
+//! for another program it is lines of JSON.
 
 use crate::text::printable;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};

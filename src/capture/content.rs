@@ -10,7 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::sync::OnceLock;
 
 /// Hashes of the files of an opened capture. The hash of an image is computed when the image is first read.
 #[derive(Debug)]
@@ -140,9 +140,10 @@ impl Capture {
         postcard::from_bytes(&self.stored_bytes(kind, inputs)?).ok()
     }
 
-    /// Whether the cache on disk has the result of these inputs.
-    pub(crate) fn is_stored(&self, kind: CacheKind, inputs: &impl Serialize) -> bool {
-        self.stored_bytes(kind, inputs).is_some()
+    /// The entry of these inputs in the cache on disk; `None` if there is none.
+    pub(crate) fn stored(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Stored> {
+        let bytes = self.stored_bytes(kind, inputs)?.len() as u64 + ENTRY_OVERHEAD_BYTES;
+        Some(Stored { bytes, was_there: true })
     }
 
     fn stored_bytes(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Vec<u8>> {
@@ -150,22 +151,18 @@ impl Capture {
         cache.load(kind, inputs)
     }
 
-    /// Computes and stores the result of these inputs, unless it is stored already.
+    /// Stores the result of these inputs in the cache on disk.
     ///
     /// # Errors
-    /// Those of [`Self::cache`] and of `compute`, and [`CaptureError::Write`] if it can't be written.
-    pub(crate) fn store<T: Serialize, E: From<CaptureError>>(
+    /// Those of [`Self::cache`], and [`CaptureError::Write`] if it can't be written.
+    pub(crate) fn store(
         &self,
         kind: CacheKind,
         inputs: &impl Serialize,
-        compute: impl FnOnce() -> Result<Arc<T>, E>,
-    ) -> Result<Stored, E> {
+        result: &impl Serialize,
+    ) -> Result<Stored, CaptureError> {
         let cache = self.cache()?;
-        if let Some(content) = cache.load(kind, inputs) {
-            let bytes = content.len() as u64 + ENTRY_OVERHEAD_BYTES;
-            return Ok(Stored { bytes, was_there: true });
-        }
-        let content = postcard::to_allocvec(&*compute()?).map_err(std::io::Error::other);
+        let content = postcard::to_allocvec(result).map_err(std::io::Error::other);
         let saved = content.and_then(|content| cache.save(kind, inputs, &content));
         let bytes = saved.map_err(|source| {
             let path = cache.path(kind, inputs).unwrap_or_else(|_| self.folder.clone());

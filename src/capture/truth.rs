@@ -73,7 +73,7 @@ pub struct Truth {
     /// True images of one view over time.
     #[serde(default)]
     pub video: Option<TruthVideo>,
-    /// `tracks.json` of the point tracks, relative to `truth/`.
+    /// Path of the file with the point tracks, `tracks.json`, relative to `truth/`.
     #[serde(default)]
     pub tracks: Option<String>,
     #[serde(skip)]

@@ -33,7 +33,7 @@ const ROUNDING_S: f64 = 2e-3;
 /// A camera's video file, decoded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VideoFile {
-    /// The video, links followed.
+    /// Path of the video, with symbolic links resolved.
     pub path: PathBuf,
     /// Hash of its bytes.
     pub(super) hash: blake3::Hash,

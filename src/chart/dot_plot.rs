@@ -13,7 +13,7 @@ pub struct DotPlot {
     pub rows: Vec<DotRow>,
     /// Quantity and unit of the axis.
     pub x_label: String,
-    /// Whether the axis reaches equally far to both sides of 0, with a line there.
+    /// Whether the axis extends equally far to both sides of 0, and a line marks 0.
     pub symmetric: bool,
 }
 

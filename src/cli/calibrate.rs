@@ -15,12 +15,13 @@ use std::path::{Path, PathBuf};
 
 /// Make a capture from recordings without a calibration, or with one that is not trusted.
 ///
-/// Cameras must not move. Their places and lenses are found from what stands still: the median of each camera's frames,
-/// which needs no synchronization. Something textured must stand still, and neighbouring cameras must see the same of it.
-/// The images tell no scale: give --distance for true metres. Cameras that all look one way don't tell their focal
-/// length: give --focal, or depth is stretched by the guess.
+/// The cameras must not move. Their poses and lenses are estimated from the static part of the scene, the median of
+/// each camera's frames, so that they need not be synchronized. The static part must be textured, and neighbouring
+/// cameras must see the same part of it. Images do not determine the scale: give --distance for true metres. If all
+/// cameras look in one direction, images do not determine the focal length either: give --focal, or depths are wrong by
+/// the error of a guess.
 ///
-/// A capture's own calibration is not read. Its truth, offsets and COLMAP model are not taken along.
+/// If a capture is given, its calibration is not read, and its truth, offsets and COLMAP model are not copied.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr calibrate videos -o .captures/mine\n  \
@@ -47,12 +48,12 @@ pub struct CalibrateArgs {
     output: PathBuf,
 }
 
-/// Refine a capture's calibration by what stands still, into a new capture.
+/// Refine a capture's calibration by the static part of its images, and write a new capture.
 ///
-/// Poses are adjusted, and focal lengths and principal points where that is asked for, so that all cameras agree on the
-/// points that they see; the given capture is not changed. The array's mean place, direction and size are kept.
-/// What the images don't tell stays as it was given. If focal lengths may be wrong, give --focal: otherwise poses are bent
-/// to make up for them.
+/// Bundle adjustment of the poses, and with --focal and --principal-point also of these lens parameters. The given
+/// capture is not changed. The array's mean position, direction and size stay as they are. Parameters that the images
+/// do not determine keep their given values. If focal lengths may be wrong, give --focal: otherwise the error of a
+/// focal length becomes an error of the poses.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr refine .captures/mine -o .captures/refined\n  \
@@ -60,10 +61,10 @@ pub struct CalibrateArgs {
 pub struct RefineArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// Refine focal lengths too, taken to be right to 1 %.
+    /// Refine focal lengths too. Given ones are assumed to have a standard error of 1 %.
     #[arg(long)]
     focal: bool,
-    /// Refine principal points too, taken to be right to 0.5 % of the image's width.
+    /// Refine principal points too. Given ones are assumed to have a standard error of 0.5 % of the image's width.
     #[arg(long)]
     principal_point: bool,
     /// The capture to make: a new folder.
@@ -106,7 +107,7 @@ pub fn run_refine(args: &RefineArgs, page: &mut Page, reporter: &Reporter) -> Re
     calibrated(&args.capture, &request, &args.output, page, reporter)
 }
 
-/// Makes the capture `output` of a capture's frames with an estimated calibration.
+/// Estimates a calibration from a capture's frames, and writes both as the capture `output`.
 fn calibrated(
     folder: &Path,
     request: &CalibrationRequest,
@@ -142,7 +143,7 @@ fn distance(values: &[String]) -> Result<([String; 2], f64), CliError> {
     Ok(([first.clone(), second.clone()], metres))
 }
 
-/// Refuses a distance of cameras that the capture doesn't have.
+/// An error if `--distance` names a camera that the capture doesn't have.
 fn require_distance(capture: &Capture, request: &CalibrationRequest) -> Result<(), CliError> {
     let CalibrationRequest::New { distance_m: Some((ids, _)), .. } = request else {
         return Ok(());

@@ -65,7 +65,7 @@ pub struct FarmArgs {
     options: OptionsArgs,
 }
 
-/// `program` is the path that starts this program on the machines.
+/// Writes the job. `program` is the path of `stlfr` on the farm's machines.
 pub fn run(
     args: &FarmArgs,
     program: &Path,

@@ -36,8 +36,8 @@ use print::Page;
 use std::ffi::OsString;
 use std::path::Path;
 
-/// Runs a command line, whose first argument is the program's name, and returns the exit code. `program` is the path
-/// that starts the same again: `stlfr farm` writes it. From here on, SIGINT, SIGTERM and SIGHUP end the process.
+/// Runs a command line, whose first argument is the program's name, and returns the exit code. `program` is the path of
+/// the program, which `stlfr farm` writes into jobs. After this call, SIGINT, SIGTERM and SIGHUP end the process.
 pub fn main(program: &Path, arguments: impl IntoIterator<Item = OsString>) -> u8 {
     reuse_freed_memory();
     // If this fails, the next run removes the files that an interrupted run leaves.

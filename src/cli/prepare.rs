@@ -26,7 +26,7 @@ use std::time::Instant;
 pub struct PrepareArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// Delete what was prepared, whatever the options, and do nothing else.
+    /// Delete all stored results of earlier runs, whatever their options, and do nothing else.
     #[arg(long, conflicts_with_all = ["preset", "options"])]
     delete: bool,
     #[command(flatten)]

@@ -1,17 +1,15 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::display::{DisplayArgs, Layout};
+use super::display::DisplayArgs;
 use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::frames::Frames;
 use super::shots::{InstantArgs, ShotArgs, Shots, viewpoint};
 use super::values::{AUTO, ImageFile, ImageOutput, Parts, method, method_or_auto};
-use super::view_writer::{View, ViewWriter};
+use super::view_writer::{RenderedView, ViewWriter};
 use super::viewpoint::ViewpointArgs;
-use crate::capture::NamedView;
-use crate::host::Claim;
 use crate::interpolation::SyncMethod;
-use crate::light_field::{Context, LightField, Request, render, render_with_depths};
+use crate::light_field::{Context, Request, render, render_with_depths};
 use crate::lumigraph::BlendMethod;
 use crate::options::{ProxyMethod, RenderOptions, TrailMode};
 use crate::pipeline;
@@ -157,68 +155,46 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     let capture = open_capture(&args.capture, Some(output), reporter)?;
     shots.place(&capture, reporter)?;
     let rate_hz = shots.rate_hz(&capture);
-    let mut writer = ViewWriter::new(&named, &capture, rate_hz, reporter)?;
+    let writer = ViewWriter::new(&named, &capture, rate_hz, reporter)?;
 
     let field = pipeline::open_field(capture, &options, reporter)?;
     shots.check(&field)?;
     let options = pipeline::resolved(&field, &options, reporter)?;
     shots.fit(&field, &options)?;
     let layout = args.display.layout(&field, &shots, &options, reporter)?;
-    writer.parts = layout.parts(&field, &shots.get(0).view);
+    let parts = layout.parts(&field, &shots.get(0).view);
     let has_depths = named.image_file() == Some(ImageFile::Exr);
     let instants = options.trail.count();
-    let parts = writer.parts.as_ref().map_or(1, |parts| parts.origins.len());
-    let task = reporter.task("rendering", wanted.len() * parts * instants);
+    let views = parts.as_ref().map_or(1, |parts| parts.origins.len());
+    let task = reporter.task("rendering", wanted.len() * views * instants);
     let name = named.file(0).unwrap_or_default();
     let more = format!("{:?} {:?}", args.display, name.file_name());
     let frames = args.frames(wanted, &named, &shots.key(&field, &options, &more))?;
     let shared = frames.shared_folder();
-    let views = frames.flat_map(|frame| views_of(frame, &layout, &field, &shots));
-    writer.write_all(views.enumerate().map(|(index, view)| -> Result<View, CliError> {
-        let ViewOfFrame { frame, part, view, claim } = view?;
-        let proceed = |done, _| {
-            task.set(index * instants + done);
-            true
-        };
-        let request = Request::new(viewpoint(&view), shots.get(frame).time_s, &options);
-        let context = &Context::new(&proceed);
-        let (rendered, depths) = if has_depths {
-            let (rendered, depths) = render_with_depths(&field, &request, context)?;
-            (rendered, Some(depths))
-        } else {
-            (render(&field, &request, context)?, None)
-        };
-        Ok(View { frame, part, rendered, depths, claim })
-    }))?;
+    let mut writer = writer.start(parts);
+    let mut done = 0;
+    for frame in frames {
+        let (frame, mut claim) = frame?;
+        for (part, view) in layout.views(&field, &shots.get(frame).view).iter().enumerate() {
+            let proceed = |instant, _| {
+                task.set(done + instant);
+                true
+            };
+            let context = &Context::new(&proceed);
+            let request = Request::new(viewpoint(view), shots.get(frame).time_s, &options);
+            let (rendered, depths) = if has_depths {
+                let (rendered, depths) = render_with_depths(&field, &request, context)?;
+                (rendered, Some(depths))
+            } else {
+                (render(&field, &request, context)?, None)
+            };
+            let claim = claim.take_if(|_| part + 1 == views);
+            writer.add(RenderedView { frame, part, rendered, depths, claim })?;
+            done += instants;
+        }
+    }
+    writer.finish()?;
     shared.map_or(Ok(()), |folder| folder.end())
-}
-
-/// One view of a picture, to be rendered.
-struct ViewOfFrame {
-    frame: usize,
-    part: usize,
-    view: NamedView,
-    claim: Option<Claim>,
-}
-
-/// The views of a picture, in the order of its parts.
-fn views_of(
-    frame: Result<(usize, Option<Claim>), CliError>,
-    layout: &Layout,
-    field: &LightField,
-    shots: &Shots,
-) -> Vec<Result<ViewOfFrame, CliError>> {
-    let (frame, mut claim) = match frame {
-        Ok(frame) => frame,
-        Err(error) => return vec![Err(error)],
-    };
-    let views = layout.views(field, &shots.get(frame).view);
-    let last = views.len() - 1;
-    let view_of = |(part, view)| {
-        let claim = if part == last { claim.take() } else { None };
-        Ok(ViewOfFrame { frame, part, view, claim })
-    };
-    views.into_iter().enumerate().map(view_of).collect()
 }
 
 #[cfg(test)]

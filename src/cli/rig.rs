@@ -41,7 +41,7 @@ pub struct RigArgs {
     #[command(flatten)]
     place: PlaceArgs,
     #[command(flatten)]
-    clock: ClockArgs,
+    clock: RigClockArgs,
     #[command(flatten)]
     sensor: SensorArgs,
     /// Seed of all random numbers.
@@ -104,7 +104,7 @@ struct PlaceArgs {
 
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Shutters and clocks")]
-struct ClockArgs {
+struct RigClockArgs {
     /// Frame rates.
     #[arg(long, value_name = "HZ,…", default_value = "30", value_delimiter = ',')]
     rate: Vec<f64>,

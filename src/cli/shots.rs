@@ -48,7 +48,7 @@ pub struct InstantArgs {
 }
 
 impl InstantArgs {
-    /// The words that give the same instants to another command.
+    /// The arguments that choose these instants, for another command.
     pub fn words(&self) -> Vec<String> {
         let number = |flag: &str, value: Option<f64>| value.map(|v| format!("--{flag}={v}"));
         let span = |Times(times_s): &Times| {
@@ -61,7 +61,7 @@ impl InstantArgs {
     }
 }
 
-/// The arguments that choose views and instants.
+/// The command-line arguments that choose the views and their instants.
 pub struct ShotArgs<'a> {
     pub viewpoint: &'a ViewpointArgs,
     pub instants: &'a InstantArgs,
@@ -100,7 +100,7 @@ enum ShotSource {
 }
 
 impl<'a> ShotArgs<'a> {
-    /// Reads and checks the arguments, as far as this needs no capture.
+    /// Reads the views, and makes all checks that need no capture.
     pub fn shots(self, reporter: &Reporter) -> Result<Shots<'a>, CliError> {
         if self.instants.time.is_some_and(|time_s| !time_s.is_finite()) {
             return Err(CliError::BadInput("--time: must be finite".into()));
@@ -208,7 +208,7 @@ impl Shots<'_> {
         self.rate_hz.unwrap_or(own_hz)
     }
 
-    /// Places the views in a capture, and checks them as far as this needs no offsets.
+    /// Converts the views to the capture's cameras and times, and makes all checks that need no offsets.
     pub fn place(&mut self, capture: &Capture, reporter: &Reporter) -> Result<(), CliError> {
         let origin_s = capture.time_origin_s;
         match &self.source {

@@ -61,7 +61,7 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     server.serve(&studio).map_err(|error| CliError::Failure(format!("the server ended ({error})")))
 }
 
-/// The options of the page's pictures, and the flags with which `stlfr render` uses the same options.
+/// The options with which the page's pictures are rendered, and the equivalent flags of `stlfr render`.
 ///
 /// Slow automatic choices are replaced by depth per pixel: without other options, a plan that isn't cached; and scene
 /// flow whose depth and motion aren't prepared.

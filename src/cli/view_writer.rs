@@ -12,17 +12,19 @@ use crate::raster::{BitDepth, Quantized, StillFormat, write_exr, write_still};
 use crate::video::{Codec, VideoFormat, VideoWriter};
 use std::panic::resume_unwind;
 use std::path::PathBuf;
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
 
 /// Largest number of rendered views that wait to be written. Larger: more memory; smaller: rendering stalls on a file
 /// that takes long to write.
 const WAITING_VIEWS: usize = 2;
 
-/// Fraction of pixels that cameras must see. Below it, a note states the smallest fraction of the views.
+/// Fraction of a view's pixels that some camera should see. If a view has a smaller fraction, a note states the
+/// smallest one of all views.
 const MIN_SEEN_FRACTION: f64 = 0.5;
 
 /// A rendered view.
-pub struct View {
+pub struct RenderedView {
     /// Index of the picture that the view belongs to.
     pub frame: usize,
     /// Index of the view inside its picture.
@@ -35,10 +37,10 @@ pub struct View {
 }
 
 /// Writes rendered views to the output.
-pub struct ViewWriter<'a> {
-    output: &'a ImageOutput,
+pub struct ViewWriter {
+    output: ImageOutput,
     /// Places of the views inside a picture; `None` for pictures of one view.
-    pub parts: Option<PictureParts>,
+    parts: Option<PictureParts>,
     /// The picture of which not all views have arrived.
     picture: Option<Quantized>,
     depth: BitDepth,
@@ -49,16 +51,58 @@ pub struct ViewWriter<'a> {
     video: Option<VideoWriter>,
     /// The smallest fraction of a view's pixels that cameras see, over the views so far.
     seen_fraction: f64,
-    reporter: &'a Reporter,
+    reporter: Reporter,
 }
 
-impl<'a> ViewWriter<'a> {
+/// A thread that writes views while the next ones are rendered. If the value is dropped before [`Self::finish`], as
+/// after an error, the thread writes the views that it has, but doesn't finish a video.
+pub struct WritingThread {
+    /// Sends views to the thread, then `None` for the end. It is `None` itself after the end.
+    views: Option<SyncSender<Option<RenderedView>>>,
+    thread: Option<JoinHandle<Result<(), CliError>>>,
+}
+
+impl WritingThread {
+    /// Writes a view.
+    ///
+    /// # Errors
+    /// That of an earlier view.
+    pub fn add(&mut self, view: RenderedView) -> Result<(), CliError> {
+        match self.views.as_ref().is_some_and(|views| views.send(Some(view)).is_ok()) {
+            true => Ok(()),
+            false => self.join(),
+        }
+    }
+
+    /// Waits until all views are written and a video is finished.
+    pub fn finish(mut self) -> Result<(), CliError> {
+        // Sending fails if the thread has failed; then joining returns its error.
+        let _ = self.views.as_ref().map(|views| views.send(None));
+        self.join()
+    }
+
+    fn join(&mut self) -> Result<(), CliError> {
+        self.views = None;
+        let result = self.thread.take().map(JoinHandle::join);
+        result.map_or(Ok(()), |result| result.unwrap_or_else(|panic| resume_unwind(panic)))
+    }
+}
+
+impl Drop for WritingThread {
+    fn drop(&mut self) {
+        self.views = None;
+        // After an error, that error is reported and not the thread's.
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+impl ViewWriter {
     /// A writer of pictures with one view. For a video, finds an encoder and tries it.
     pub fn new(
-        output: &'a ImageOutput,
+        output: &ImageOutput,
         capture: &Capture,
         rate_hz: f64,
-        reporter: &'a Reporter,
+        reporter: &Reporter,
     ) -> Result<Self, CliError> {
         let (encoder, is_deep) = match output {
             ImageOutput::Video(_, codec) => {
@@ -70,7 +114,7 @@ impl<'a> ViewWriter<'a> {
         };
         let depth = if is_deep { capture.bit_depth() } else { BitDepth::Eight };
         Ok(Self {
-            output,
+            output: output.clone(),
             parts: None,
             picture: None,
             depth,
@@ -78,47 +122,41 @@ impl<'a> ViewWriter<'a> {
             encoder,
             video: None,
             seen_fraction: 1.0,
-            reporter,
+            reporter: *reporter,
         })
     }
 
-    /// Writes views while the next ones are rendered. After an error, the views before it are written, but a video is
-    /// not finished.
-    pub fn write_all(
-        mut self,
-        views: impl Iterator<Item = Result<View, CliError>>,
-    ) -> Result<(), CliError> {
-        let (send, received) = sync_channel(WAITING_VIEWS);
-        std::thread::scope(|scope| {
-            // The thread that starts ffmpeg must also finish the video, because ffmpeg ends with this thread.
-            let writing = scope.spawn(move || {
-                for view in received {
-                    let view: View = view?;
-                    self.add(&view)?;
-                    view.claim.map_or(Ok(()), Claim::finish)?;
-                }
-                if self.seen_fraction < MIN_SEEN_FRACTION {
-                    self.reporter.note(&format!(
-                        "Cameras see only {:.0} % of the view; stlfr info prints one that they see.",
-                        100.0 * self.seen_fraction
-                    ));
-                }
-                self.video.map_or(Ok(()), |video| Ok(video.finish()?))
-            });
-            for view in views {
-                let failed = view.is_err();
-                // Sending fails if the writer has failed; the writer returns the error.
-                if send.send(view).is_err() || failed {
-                    break;
-                }
-            }
-            drop(send);
-            writing.join().unwrap_or_else(|panic| resume_unwind(panic))
-        })
+    /// Starts the thread that writes. `parts` are the places of the views inside a picture; `None` for pictures of one
+    /// view.
+    pub fn start(self, parts: Option<PictureParts>) -> WritingThread {
+        let (views, received) = sync_channel(WAITING_VIEWS);
+        let writer = Self { parts, ..self };
+        // The thread that starts ffmpeg must also finish the video, because ffmpeg ends with this thread.
+        let thread = std::thread::spawn(move || writer.write_all(&received));
+        WritingThread { views: Some(views), thread: Some(thread) }
+    }
+
+    fn write_all(mut self, views: &Receiver<Option<RenderedView>>) -> Result<(), CliError> {
+        while let Ok(view) = views.recv() {
+            let Some(view) = view else { return self.finish() };
+            self.add(&view)?;
+            view.claim.map_or(Ok(()), Claim::finish)?;
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> Result<(), CliError> {
+        if self.seen_fraction < MIN_SEEN_FRACTION {
+            self.reporter.note(&format!(
+                "Cameras see only {:.0} % of the view; stlfr info prints one that they see.",
+                100.0 * self.seen_fraction
+            ));
+        }
+        self.video.map_or(Ok(()), |video| Ok(video.finish()?))
     }
 
     /// Adds a view to its picture. Writes the picture when its last view arrives.
-    fn add(&mut self, view: &View) -> Result<(), CliError> {
+    fn add(&mut self, view: &RenderedView) -> Result<(), CliError> {
         let Rendered { image, coverage } = &view.rendered;
         let seen = coverage.iter().filter(|is_seen| **is_seen).count();
         self.seen_fraction = self.seen_fraction.min(seen as f64 / coverage.len() as f64);

@@ -45,7 +45,7 @@ impl ViewpointArgs {
         self.like.as_deref()
     }
 
-    /// The words that give the same view to a command in another folder.
+    /// The arguments of this view for a command that runs in another folder: paths are absolute.
     pub fn absolute_words(&self) -> Result<Vec<String>, CliError> {
         let file = |flag: &str, path: &Path| -> Result<String, CliError> {
             Ok(format!("--{flag}={}", job_word(&written(path, absolute(path))?)?))

@@ -20,8 +20,8 @@ pub struct ComparedLightField {
 }
 
 impl ComparedLightField {
-    /// Opens a capture's light field. Offsets are known, stored or estimated; a plan replaces the methods that are
-    /// `auto`.
+    /// Opens a capture's light field. Unknown offsets are read from `offsets.json` or estimated. Methods that are
+    /// `auto` are replaced by those of a plan.
     pub fn open(
         capture: Arc<Capture>,
         options: &RenderOptions,

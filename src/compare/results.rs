@@ -168,7 +168,7 @@ pub struct ViewResult {
     pub reason: Option<String>,
 }
 
-/// A camera whose image is missing.
+/// A camera that has no image at an instant.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExcludedCamera {
     pub camera: String,

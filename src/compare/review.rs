@@ -18,7 +18,7 @@ const STILL_RATE_HZ: f64 = 12.0;
 
 /// The contents of the file. Paths are relative to the file's folder.
 #[derive(Debug, Serialize)]
-pub(super) struct Layout {
+pub(super) struct ReviewLayout {
     format: &'static str,
     version: u32,
     title: String,
@@ -32,12 +32,12 @@ pub(super) struct Layout {
 struct Reel {
     name: &'static str,
     rate_hz: f64,
-    shots: Vec<Shot>,
+    shots: Vec<ReviewShot>,
 }
 
 /// Truth and two methods, shown side by side for a number of frames. A missing picture is `None`.
 #[derive(Debug, Serialize)]
-struct Shot {
+struct ReviewShot {
     label: String,
     frames: usize,
     is_movie: bool,
@@ -53,14 +53,14 @@ struct ReviewPanel {
 }
 
 /// The layout of the review: one reel each for the video, the blended views, and the filming cameras' images.
-pub(super) fn layout(metrics: &Metrics, video: Option<&ReviewVideo>) -> Layout {
+pub(super) fn layout(metrics: &Metrics, video: Option<&ReviewVideo>) -> ReviewLayout {
     let mut reels: Vec<Reel> = video.map(movie_reel).into_iter().collect();
     for (name, shots) in [("Views", view_shots(metrics)), ("Cameras", camera_shots(metrics))] {
         if !shots.is_empty() {
             reels.push(Reel { name, rate_hz: STILL_RATE_HZ, shots });
         }
     }
-    Layout {
+    ReviewLayout {
         format: "stlfr-review",
         version: 1,
         title: metrics.capture.name.clone(),
@@ -74,7 +74,7 @@ fn movie_reel(video: &ReviewVideo) -> Reel {
     let panel = |method: ViewMethod| {
         Some(ReviewPanel { title: method.help().into(), file: file(method.name())? })
     };
-    let shot = Shot {
+    let shot = ReviewShot {
         label: video.view.clone(),
         frames: video.frames,
         is_movie: true,
@@ -87,15 +87,15 @@ fn movie_reel(video: &ReviewVideo) -> Reel {
 
 /// A shot of still pictures: traditional LFR, ST-LFR, and the true picture from the same folder. `None` if both
 /// methods have no picture.
-fn still(label: String, panels: [Option<ReviewPanel>; 2]) -> Option<Shot> {
+fn still(label: String, panels: [Option<ReviewPanel>; 2]) -> Option<ReviewShot> {
     let (folder, _) = panels.iter().flatten().next()?.file.rsplit_once('/')?;
     let truth = Some(format!("{folder}/truth.png"));
     let [traditional, space_time] = panels;
     let frames = (STILL_S * STILL_RATE_HZ) as usize;
-    Some(Shot { label, frames, is_movie: false, truth, traditional, space_time })
+    Some(ReviewShot { label, frames, is_movie: false, truth, traditional, space_time })
 }
 
-fn view_shots(metrics: &Metrics) -> Vec<Shot> {
+fn view_shots(metrics: &Metrics) -> Vec<ReviewShot> {
     let ours = metrics.views.iter().filter(|row| row.method == ViewMethod::StLfr);
     let shot = |row: &ViewResult| {
         let proxy = row.proxy.name();
@@ -111,7 +111,7 @@ fn view_shots(metrics: &Metrics) -> Vec<Shot> {
     ours.filter_map(shot).collect()
 }
 
-fn camera_shots(metrics: &Metrics) -> Vec<Shot> {
+fn camera_shots(metrics: &Metrics) -> Vec<ReviewShot> {
     let ours = metrics.sync.iter().filter(|row| row.method == metrics.options.sync);
     let shot = |row: &SyncResult| {
         let panel = |method: SyncMethod| {

@@ -74,8 +74,8 @@ impl ReviewVideo {
     ) -> Result<Self, ReviewVideoError> {
         let options = comparison.options.video.clone().unwrap_or_default();
         let shots = match &comparison.truth.video {
-            Some(video) => Shots::of_truth(comparison, video)?,
-            None => Shots::spanning(comparison, options.frames)?,
+            Some(video) => VideoInstants::of_truth(comparison, video)?,
+            None => VideoInstants::spanning(comparison, options.frames)?,
         };
         let Comparison { renderer, out, .. } = comparison;
         let path = out.join("review").with_extension(codec.suffix());
@@ -116,7 +116,7 @@ impl ReviewVideo {
 }
 
 /// A view at several times, with its true images.
-struct Shots {
+struct VideoInstants {
     target: Camera,
     /// Seconds from the capture's start.
     times_s: Vec<f64>,
@@ -125,7 +125,7 @@ struct Shots {
     view: String,
 }
 
-impl Shots {
+impl VideoInstants {
     /// The times and the true images of the truth's video.
     fn of_truth(comparison: &Comparison, video: &TruthVideo) -> Result<Self, ReviewVideoError> {
         let wrong = |reason: &str| ReviewVideoError::Field(reason.to_owned());

@@ -95,7 +95,7 @@ pub(super) fn camera_bytes(number: u32, camera: &Camera) -> Vec<u8> {
     bytes
 }
 
-/// The entry in `images.bin` of an image without points.
+/// An image's entry in `images.bin`; it lists no points.
 pub(super) fn image_bytes(number: u32, camera_number: u32, camera: &Camera, name: &str) -> Vec<u8> {
     let mut bytes = number.to_le_bytes().to_vec();
     bytes.extend(pose_bytes(&camera.cam_from_world));

@@ -31,7 +31,7 @@ const SCRATCH: &str = "scratch";
 /// A frame's time comes from the first of these that exists: the given rate, the given table, `timestamps.csv` beside
 /// the recordings, the calibration, the video.
 ///
-/// Returns sentences for the user that say what was found and decided.
+/// Returns sentences for the user: the recordings that were found, and how they are read.
 ///
 /// Errors: a target that is not empty, a moving camera, recordings whose pairing is ambiguous, a sequence of mixed
 /// image types or with a gap, frames without times, images of another shape than the calibration's, a video that is

@@ -15,7 +15,7 @@ use std::path::Path;
 
 /// The contents of the file: its frames, and a lens for all.
 #[derive(Debug, Deserialize)]
-struct Frames {
+struct TransformsFile {
     #[serde(deserialize_with = "bounded")]
     frames: Vec<FrameEntry>,
 }
@@ -148,7 +148,7 @@ pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
     let wrong = |reason: String| content(path, reason);
     let all: FrameEntry = json::parse(&text).map_err(wrong)?;
-    let Frames { frames } = json::parse(&text).map_err(wrong)?;
+    let TransformsFile { frames } = json::parse(&text).map_err(wrong)?;
     if frames.is_empty() {
         return Err(content(path, "frames: there is none"));
     }

@@ -1,4 +1,4 @@
-//! Captures without a calibration, and a capture's frames with another one.
+//! Imports recordings without a calibration, and gives a capture's frames a new calibration.
 
 use super::import::{NewCapture, import, link, name_of};
 use super::pairing::{extension, uncalibrated};
@@ -13,17 +13,19 @@ use std::path::{Path, PathBuf};
 /// Name of the capture inside its temporary folder.
 const DRAFT: &str = "draft";
 
-/// A capture whose lenses and poses are placeholders: it is to be calibrated. Its folder is removed when it is dropped.
+/// A temporary capture that is still to be calibrated: its lenses and poses are placeholders. Its folder is removed
+/// when the value is dropped.
 pub struct Draft {
     /// The capture's folder.
     pub folder: PathBuf,
-    /// Sentences that say what was found, and what was decided.
+    /// Sentences for the user: the recordings that were found, and how they are read.
     pub notes: Vec<String>,
     _temporary: Temporary,
 }
 
 impl Draft {
-    /// Imports a folder's videos and sub-folders of images into a draft beside `target`, the capture that it will become.
+    /// Imports a folder's videos and sub-folders of images into a draft beside `target`, the capture that it will
+    /// become.
     /// `times` is a table of all frames' times. A camera's id is its recording's name.
     ///
     /// Errors: as [`import`], and less than two recordings.
@@ -53,10 +55,11 @@ impl Draft {
     }
 }
 
-/// Makes the capture `target` of the frames and clocks of `capture`, with these cameras in its order. Frames are linked,
-/// or copied where the file system can't link them. The target appears only once it is complete and can be opened.
+/// Makes the capture `target` of the frames and clocks of `capture`, with these cameras in its order. Frames are
+/// linked, or copied where the file system can't link them. The target appears only once it is complete and can be
+/// opened.
 ///
-/// Truth, offsets and COLMAP's model belong to the other calibration, and are not taken along.
+/// Truth, offsets and COLMAP's model are not copied, because they belong to the earlier calibration.
 ///
 /// Errors: a target that is not empty, another number of cameras, a camera of another size than its frames.
 pub fn recalibrate(

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-/// The clock of every imported camera, as far as the user gives it.
+/// The clock of the imported cameras. Values that the user leaves out are read from the recordings.
 #[derive(Clone, Copy, Debug)]
 pub struct ImportClock {
     /// Frame rate, hertz; `None` if the frames' times come from a file or the videos.

@@ -56,7 +56,8 @@ pub fn read_times(path: &Path) -> Result<FrameTimes, ExchangeError> {
     Ok(times)
 }
 
-/// The times of a camera: those of its id, or else of the only name with the same numbers as the id, such as `0` for
+/// The times of a camera, listed under its id, or else under the only name with the same numbers as the id, such as `0`
+/// for
 /// `cam_0`. The error is the reason, without the file's name.
 pub(super) fn times_of<'a>(times: &'a FrameTimes, id: &str) -> Result<&'a [i64], String> {
     if let Some(times) = times.get(id) {

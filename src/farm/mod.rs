@@ -46,7 +46,7 @@ pub struct FarmChunks {
     pub size: u32,
 }
 
-/// Requirements that a task has of a machine.
+/// The cores and the memory that a machine needs for a task.
 #[derive(Clone, Copy, Debug)]
 pub struct FarmNeeds {
     pub cores: u32,
@@ -70,7 +70,7 @@ impl FarmJob {
         files.try_for_each(|(name, text)| write_atomically(&folder.join(name), text.as_bytes()))
     }
 
-    /// The first [`FarmChunks`] of each kind.
+    /// One [`FarmChunks`] of each kind of work, the first of the job's steps.
     fn kinds(&self) -> Vec<&FarmChunks> {
         let mut kinds: Vec<&FarmChunks> = Vec::new();
         for chunks in self.steps.iter().filter_map(|step| step.chunks.as_ref()) {

@@ -40,7 +40,7 @@ impl LightField {
         options.blend.method = BlendMethod::SpaceTime;
         options.blend.error_angle_rad *= OWN_FRACTION;
         let own = ImageMethod::new(options.sync, &options);
-        let own = self.get(&CameraImage { camera, time_s, method: &own }, context)?;
+        let own = CameraImage { camera, time_s, method: &own }.get(self, context)?;
         let filmed = &self.capture().cameras[camera].camera;
         let request = Request::new(Viewpoint::View(filmed), time_s, &options);
         let geometry = match geometry(self, filmed, &request, context) {

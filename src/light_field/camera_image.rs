@@ -13,7 +13,6 @@ use crate::interpolation::{
 };
 use crate::options::RenderOptions;
 use crate::raster::Tiles;
-use crate::registration::RegistrationOptions;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -25,9 +24,18 @@ impl Stage for CameraImage<'_> {
         size_of_val(image.image.data())
             + image.interpolation_error_px.as_deref().map_or(0, size_of_val)
     }
+}
 
-    fn compute(&self, field: &LightField, context: &Context) -> Result<Synchronized, RenderError> {
-        image_in(field, self, None, context)
+impl CameraImage<'_> {
+    pub fn get(
+        &self,
+        field: &LightField,
+        context: &Context,
+    ) -> Result<Arc<Synchronized>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
+        Ok(field.insert(self, image_in(field, self, None, context)?))
     }
 }
 
@@ -38,12 +46,25 @@ impl Stage for CorrectedImage<'_> {
     fn bytes(image: &Synchronized) -> usize {
         CameraImage::bytes(image)
     }
+}
 
-    fn compute(&self, field: &LightField, context: &Context) -> Result<Synchronized, RenderError> {
-        let filmed = field.get(&self.image, context)?;
+impl CorrectedImage<'_> {
+    pub fn get(
+        &self,
+        field: &LightField,
+        context: &Context,
+    ) -> Result<Arc<Synchronized>, RenderError> {
         let gains = field.gains(self.registration);
+        if gains.are_equal() {
+            return self.image.get(field, context);
+        }
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
+        let filmed = self.image.get(field, context)?;
         let image = gains.corrected(self.image.camera, &filmed.image);
-        Ok(image.map_or_else(|| (*filmed).clone(), |image| with_image(&filmed, image)))
+        let image = image.map(|image| Arc::new(with_image(&filmed, image)));
+        Ok(field.insert(self, image.unwrap_or(filmed)))
     }
 }
 
@@ -54,28 +75,21 @@ impl Stage for RefinementCosts<'_> {
     fn bytes(costs: &PairCosts) -> usize {
         costs.bytes()
     }
+}
 
-    fn compute(&self, field: &LightField, context: &Context) -> Result<PairCosts, RenderError> {
+impl RefinementCosts<'_> {
+    fn get(&self, field: &LightField) -> Result<Arc<PairCosts>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
         let PairTracks { camera, frame: index, .. } = self.tracks;
-        let tracks = field.get_stored(&self.tracks, context)?;
+        let tracks = self.tracks.get(field)?;
         let times_s = field.times_s(camera);
         let tracked = TrackedPair { tracks: &tracks, times_s, index };
         let camera = &field.capture().cameras[camera].camera;
-        Ok(PairCosts::new(&tracked, [camera.width, camera.height], self.interpolation))
+        let size = [camera.width, camera.height];
+        Ok(field.insert(self, PairCosts::new(&tracked, size, self.interpolation)))
     }
-}
-
-/// A camera's image, gain-corrected to the reference camera's exposure.
-pub(super) fn corrected(
-    field: &LightField,
-    image: CameraImage,
-    registration: &RegistrationOptions,
-    context: &Context,
-) -> Result<Arc<Synchronized>, RenderError> {
-    if field.gains(registration).are_equal() {
-        return field.get(&image, context);
-    }
-    field.get(&CorrectedImage { image, registration }, context)
 }
 
 /// Computes a camera's image at an instant. If the tiles `parts` are given, pixels outside them may be wrong
@@ -106,8 +120,7 @@ pub(super) fn image_in(
         sync if follows_motion || !sync.needs_tracks() => sync,
         _ => SyncMethod::Crossfade,
     };
-    let tracks =
-        if follows_motion { field.get_stored(&pair_tracks, context)? } else { Arc::default() };
+    let tracks = if follows_motion { pair_tracks.get(field)? } else { Arc::default() };
     let times_s = field.times_s(camera);
     let pair = FramePair {
         earlier: &earlier_frame,
@@ -121,15 +134,15 @@ pub(super) fn image_in(
         SyncMethod::Nearest => interpolate(PairMethod::Nearest),
         SyncMethod::Crossfade => interpolate(PairMethod::Crossfade),
         SyncMethod::Triangulation => {
-            let triangles = field.get(&PairTriangles(pair_tracks), context)?;
+            let triangles = PairTriangles(pair_tracks).get(field)?;
             interpolate(PairMethod::Triangulation(&triangles))
         }
         SyncMethod::Morph => interpolate(PairMethod::Morph { boosted: false }),
         SyncMethod::EdgeMorph => interpolate(PairMethod::Morph { boosted: true }),
         SyncMethod::Refined | SyncMethod::AllCameras => {
-            let triangles = field.get(&PairTriangles(pair_tracks), context)?;
+            let triangles = PairTriangles(pair_tracks).get(field)?;
             let costs = RefinementCosts { tracks: pair_tracks, interpolation: &interpolation };
-            let costs = field.get(&costs, context)?;
+            let costs = costs.get(field)?;
             let outer = |index: Option<usize>| {
                 let index = index.filter(|&k| k < times_s.len());
                 index.map(|k| frames.get(camera, k)).transpose()
@@ -156,7 +169,7 @@ impl LightField {
     ) -> Result<Arc<Synchronized>, RenderError> {
         let method = ImageMethod::new(options.sync, options);
         let image = CameraImage { camera, time_s, method: &method };
-        on_workers(|| self.get(&image, &Context::unattended()))
+        on_workers(|| image.get(self, &Context::unattended()))
     }
 
     /// The synchronized images of all cameras at a time, seconds from the capture's start, in the capture's
@@ -171,8 +184,8 @@ impl LightField {
         context: &Context,
     ) -> Result<Vec<Option<Arc<Synchronized>>>, RenderError> {
         let method = ImageMethod::new(options.sync, options);
-        let image = |camera: usize| CameraImage { camera, time_s, method: &method };
-        let get = |camera: usize| self.get(&image(camera), context);
+        let get =
+            |camera: usize| CameraImage { camera, time_s, method: &method }.get(self, context);
         let usable = self.usable(time_s);
         on_workers(|| side_by_side(self, &usable, method.all_cameras.is_some(), context, get))
     }
@@ -228,8 +241,10 @@ pub(super) fn images_of(
 ) -> Result<CameraImages, RenderError> {
     match source {
         ImageSource::Synchronized(method) => {
-            let image = |camera: usize| CameraImage { camera, time_s, method };
-            let get = |camera: usize| corrected(field, image(camera), registration, context);
+            let get = |camera: usize| {
+                let image = CameraImage { camera, time_s, method };
+                CorrectedImage { image, registration }.get(field, context)
+            };
             side_by_side(field, cameras, method.all_cameras.is_some(), context, get)
         }
         ImageSource::Given(given) => {

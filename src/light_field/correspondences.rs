@@ -1,10 +1,10 @@
 //! §6: spatial correspondences, which are features of several cameras that show the same point. They are
 //! computed once for all instants between the same frames.
 
+use super::RenderError;
 use super::frame_pair::is_still;
 use super::graph::{LightField, Stage};
 use super::stages::{Correspondences, FramesAround, Instant, PairTracks};
-use super::{Context, RenderError};
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::lumigraph::triangulate;
 use crate::registration::{Frame, Match, Trajectory, flow};
@@ -67,16 +67,17 @@ impl Stage for Correspondences<'_> {
         let each = size_of::<Feature>() + matched.partners.len() * size_of::<Option<Matched>>();
         matched.features.len() * each
     }
+}
 
-    fn compute(
-        &self,
-        field: &LightField,
-        context: &Context,
-    ) -> Result<MatchedFeatures, RenderError> {
+impl Correspondences<'_> {
+    pub fn get(&self, field: &LightField) -> Result<Arc<MatchedFeatures>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
         let time_s = middle_s(field, &self.around);
         let cameras = &field.capture().cameras;
         let own = &cameras[self.around[0].camera].camera;
-        let (frame, features) = self.features(field, context)?;
+        let (frame, features) = self.features(field)?;
         let mut seen: Vec<Observations> =
             features.iter().map(|f| vec![(own, f.at(time_s))]).collect();
         let mut partners = Vec::new();
@@ -98,7 +99,7 @@ impl Stage for Correspondences<'_> {
             observe(field, partner, &matched, time_s, &mut seen);
             partners.push((partner, matched));
         }
-        Ok(MatchedFeatures { own: self.around[0], features, partners })
+        Ok(field.insert(self, MatchedFeatures { own: self.around[0], features, partners }))
     }
 }
 
@@ -182,11 +183,7 @@ pub(super) fn frames_around(
 
 impl Correspondences<'_> {
     /// The features of the first camera's nearer frame.
-    fn features(
-        &self,
-        field: &LightField,
-        context: &Context,
-    ) -> Result<(Arc<Frame>, Vec<Feature>), RenderError> {
+    fn features(&self, field: &LightField) -> Result<(Arc<Frame>, Vec<Feature>), RenderError> {
         let FramesAround { camera, near, far } = self.around[0];
         let frame = field.frames(self.registration).get(camera, near)?;
         if near == far {
@@ -198,8 +195,8 @@ impl Correspondences<'_> {
         let (earlier, use_later) = (near.min(far), near > far);
         let times = field.times_s(camera);
         let pair = PairTracks { camera, frame: earlier, registration: self.registration };
-        let features = field
-            .get_stored(&pair, context)?
+        let features = pair
+            .get(field)?
             .iter()
             .filter(|t| if use_later { t.in_backward_set() } else { t.in_forward_set() })
             .filter_map(|t| {

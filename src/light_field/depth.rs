@@ -40,8 +40,21 @@ impl Stage for Stereo<'_> {
     fn bytes(prepared: &Option<PreparedStereo>) -> usize {
         prepared.as_ref().map_or(1, |p| p.bytes)
     }
+}
 
-    fn compute(
+impl Stereo<'_> {
+    fn get(
+        &self,
+        field: &LightField,
+        context: &Context,
+    ) -> Result<Arc<Option<PreparedStereo>>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
+        Ok(field.insert(self, self.prepared(field, context)?))
+    }
+
+    fn prepared(
         &self,
         field: &LightField,
         context: &Context,
@@ -71,9 +84,7 @@ impl Stage for Stereo<'_> {
         let pixels: usize = cameras().map(|c| c.width * c.height).sum();
         Ok(Some(PreparedStereo { matcher, ranges, bytes: MATCHER_BYTES * pixels }))
     }
-}
 
-impl Stereo<'_> {
     /// Estimates the depths of `cameras`, a subset of the stereo's cameras. Cameras whose depths can't be
     /// estimated are left out.
     pub fn surfaces(
@@ -83,9 +94,9 @@ impl Stereo<'_> {
         context: &Context,
     ) -> Result<Vec<EstimatedDepth>, RenderError> {
         // The matcher is computed once here, before threads request it in parallel.
-        field.get(self, context)?;
+        self.get(field, context)?;
         let depth = |&camera: &usize| {
-            Ok((camera, field.get(&CameraDepth { stereo: *self, camera }, context)?))
+            Ok((camera, CameraDepth { stereo: *self, camera }.get(field, context)?))
         };
         let mut depths: Vec<EstimatedDepth> =
             cameras.par_iter().map(depth).collect::<Result<_, RenderError>>()?;
@@ -105,20 +116,25 @@ impl Stage for CameraDepth<'_> {
     fn bytes(depths: &Option<InverseDepths>) -> usize {
         1 + depths.as_ref().map_or(0, |d| size_of_val(d.values.as_slice()))
     }
+}
 
-    fn compute(
+impl CameraDepth<'_> {
+    fn get(
         &self,
         field: &LightField,
         context: &Context,
-    ) -> Result<Option<InverseDepths>, RenderError> {
+    ) -> Result<Arc<Option<InverseDepths>>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
         context.check()?;
-        let prepared = field.get(&self.stereo, context)?;
-        let Some(prepared) = prepared.as_ref() else { return Ok(None) };
-        let Some(index) = self.stereo.cameras.iter().position(|&c| c == self.camera) else {
-            return Ok(None);
-        };
-        let range = prepared.ranges[index];
-        Ok(range.and_then(|r| prepared.matcher.depths(index, r)))
+        let stereo = self.stereo.get(field, context)?;
+        let index = self.stereo.cameras.iter().position(|&c| c == self.camera);
+        let depths = (*stereo)
+            .as_ref()
+            .zip(index)
+            .and_then(|(stereo, index)| stereo.matcher.depths(index, stereo.ranges[index]?));
+        Ok(field.insert(self, depths))
     }
 }
 
@@ -132,8 +148,17 @@ impl Stage for OcclusionDepths<'_> {
         let bytes = |map: &Arc<DepthMap>| size_of_val(map.data());
         maps.iter().flatten().map(bytes).sum()
     }
+}
 
-    fn compute(&self, field: &LightField, context: &Context) -> Result<Self::Output, RenderError> {
+impl OcclusionDepths<'_> {
+    pub fn get(
+        &self,
+        field: &LightField,
+        context: &Context,
+    ) -> Result<Arc<Vec<Option<Arc<DepthMap>>>>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
         let depths = self.stereo.surfaces(field, self.estimated, context)?;
         let surfaces = surfaces(field, &depths);
         let filmed = &field.capture().cameras;
@@ -144,7 +169,7 @@ impl Stage for OcclusionDepths<'_> {
             let map = own.and_then(|(_, depths)| Some(Option::as_ref(depths)?.depth_map(camera)));
             maps[c] = Some(Arc::new(map.unwrap_or_else(|| fuse(camera, &surfaces))));
         }
-        Ok(maps)
+        Ok(field.insert(self, maps))
     }
 }
 

@@ -1,8 +1,8 @@
 //! §4: change and tracks between two successive frames of a camera.
 
+use super::RenderError;
 use super::graph::{LightField, Stage, StoredStage};
 use super::stages::{FrameChange, PairTracks, PairTriangles};
-use super::{Context, RenderError};
 use crate::host::CacheKind;
 use crate::interpolation::{Triangles, largest_change};
 use crate::options::RenderOptions;
@@ -17,12 +17,17 @@ impl Stage for FrameChange<'_> {
     fn bytes(_: &f32) -> usize {
         size_of::<f32>()
     }
+}
 
-    fn compute(&self, field: &LightField, _: &Context) -> Result<f32, RenderError> {
+impl FrameChange<'_> {
+    fn get(&self, field: &LightField) -> Result<Arc<f32>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
         let PairTracks { camera, frame, registration } = self.0;
         let frames = field.frames(registration);
         let (earlier, later) = (frames.get(camera, frame)?, frames.get(camera, frame + 1)?);
-        Ok(largest_change(&earlier.image, &later.image))
+        Ok(field.insert(self, largest_change(&earlier.image, &later.image)))
     }
 }
 
@@ -33,8 +38,13 @@ impl Stage for PairTracks<'_> {
     fn bytes(tracks: &Vec<Track>) -> usize {
         size_of_val(tracks.as_slice())
     }
+}
 
-    fn compute(&self, field: &LightField, _: &Context) -> Result<Vec<Track>, RenderError> {
+impl PairTracks<'_> {
+    pub fn get(&self, field: &LightField) -> Result<Arc<Vec<Track>>, RenderError> {
+        if let Some(found) = field.found(self) {
+            return Ok(found);
+        }
         let frames = field.frames(self.registration);
         let mut tracks = temporal_flow(&frames, self.camera, self.frame)?;
         if self.registration.epipolar_test {
@@ -43,7 +53,7 @@ impl Stage for PairTracks<'_> {
             let mut verdicts = verdicts.into_iter();
             tracks.retain(|_| verdicts.next() != Some(Verdict::Rejected));
         }
-        Ok(tracks)
+        Ok(field.insert(self, tracks))
     }
 }
 
@@ -58,11 +68,16 @@ impl Stage for PairTriangles<'_> {
     fn bytes(triangles: &Triangles) -> usize {
         triangles.0.iter().map(|triangles| size_of_val(&triangles[..])).sum()
     }
+}
 
-    fn compute(&self, field: &LightField, context: &Context) -> Result<Triangles, RenderError> {
-        let tracks = field.get_stored(&self.0, context)?;
+impl PairTriangles<'_> {
+    pub fn get(&self, field: &LightField) -> Result<Arc<Triangles>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
+        let tracks = self.0.get(field)?;
         let camera = &field.capture().cameras[self.0.camera].camera;
-        Ok(Triangles::new(&tracks, camera.width, camera.height))
+        Ok(field.insert(self, Triangles::new(&tracks, camera.width, camera.height)))
     }
 }
 
@@ -78,7 +93,7 @@ impl LightField {
         frame: usize,
         registration: &RegistrationOptions,
     ) -> Result<Arc<Vec<Track>>, RenderError> {
-        self.get_stored(&PairTracks { camera, frame, registration }, &Context::unattended())
+        PairTracks { camera, frame, registration }.get(self)
     }
 
     /// Registers, in every camera, the pair of frames around a time, seconds from the capture's start, and
@@ -91,7 +106,7 @@ impl LightField {
             let (frame, later) = self.bracket(camera, time_s)?;
             let tracks = PairTracks { camera, frame, registration: &options.registration };
             if frame != later && !is_still(self, tracks, options.interpolation.still_change)? {
-                self.get_stored(&tracks, &Context::unattended())?;
+                tracks.get(self)?;
             }
             Ok(())
         })
@@ -105,5 +120,5 @@ pub(super) fn is_still(
     tracks: PairTracks,
     still_change: f32,
 ) -> Result<bool, RenderError> {
-    Ok(*field.get(&FrameChange(tracks), &Context::unattended())? <= still_change)
+    Ok(*FrameChange(tracks).get(field)? <= still_change)
 }

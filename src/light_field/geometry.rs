@@ -89,7 +89,7 @@ fn by_stereo(
     if depths.is_empty() {
         return Ok(None);
     }
-    let sources = field.get(&OcclusionDepths { stereo, estimated: &estimated }, context)?;
+    let sources = OcclusionDepths { stereo, estimated: &estimated }.get(field, context)?;
     let view = fuse(target, &surfaces(field, &depths));
     Ok(Some(Geometry { view, sources: sources.to_vec() }))
 }

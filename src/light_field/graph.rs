@@ -1,6 +1,5 @@
 //! The graph of stages: a capture with its clocks, and the results that are computed from it.
 
-use super::context::Context;
 use super::error::RenderError;
 use crate::capture::{Capture, Stored};
 use crate::host::{CacheKind, Memo};
@@ -12,7 +11,8 @@ use serde::de::DeserializeOwned;
 use std::any::Any;
 use std::sync::Arc;
 
-/// A stage of the graph. A value holds the stage's inputs; they are the key of its result.
+/// The inputs of a stage of the graph, which are the key of its result. A stage's function `get`, in the file of
+/// its algorithm, looks for the result in memory, else computes and inserts it.
 pub(super) trait Stage: Serialize {
     type Output: Any + Send + Sync;
     /// The stage's name, by which the cache separates its results from those of other stages.
@@ -20,8 +20,6 @@ pub(super) trait Stage: Serialize {
 
     /// The size of a result, bytes.
     fn bytes(output: &Self::Output) -> usize;
-
-    fn compute(&self, field: &LightField, context: &Context) -> Result<Self::Output, RenderError>;
 }
 
 /// A stage whose results [`LightField::prepare`] stores on disk.
@@ -81,59 +79,49 @@ impl LightField {
         self.frames(registration).gains()
     }
 
-    /// The result of a stage: from memory, else computed.
-    pub(super) fn get<S: Stage>(
-        &self,
-        stage: &S,
-        context: &Context,
-    ) -> Result<Arc<S::Output>, RenderError> {
-        self.memo.get_or(S::NAME, stage, S::bytes, || stage.compute(self, context))
-    }
-
-    /// The result of a stage: from memory, else from disk, else computed.
-    pub(super) fn get_stored<S: StoredStage>(
-        &self,
-        stage: &S,
-        context: &Context,
-    ) -> Result<Arc<S::Output>, RenderError> {
-        self.found(stage).map_or_else(|| self.get(stage, context), Ok)
+    /// The result of a stage if it is in memory.
+    pub(super) fn cached<S: Stage>(&self, stage: &S) -> Option<Arc<S::Output>> {
+        self.memo.get(S::NAME, stage)
     }
 
     /// The result of a stage from memory, else from disk. `None` if it is in neither.
     pub(super) fn found<S: StoredStage>(&self, stage: &S) -> Option<Arc<S::Output>> {
-        let stored = || self.capture.load_stored(S::KIND, &self.stored_inputs(stage)).ok_or(());
-        self.memo.get_or(S::NAME, stage, S::bytes, stored).ok()
+        self.cached(stage).or_else(|| {
+            let stored: S::Output =
+                self.capture.load_stored(S::KIND, &self.stored_inputs(stage))?;
+            Some(self.insert(stage, stored))
+        })
     }
 
-    /// Caches a result in memory. It is for results that are computed several at a time.
-    pub(super) fn insert<S: Stage>(&self, stage: &S, value: Arc<S::Output>) {
-        let bytes = S::bytes(&value);
-        self.memo.insert(S::NAME, stage, value, bytes);
+    /// Caches the result of a stage in memory, and returns it.
+    pub(super) fn insert<S: Stage>(
+        &self,
+        stage: &S,
+        result: impl Into<Arc<S::Output>>,
+    ) -> Arc<S::Output> {
+        let result = result.into();
+        let bytes = S::bytes(&result);
+        self.memo.insert(S::NAME, stage, result, bytes)
     }
 
-    /// Whether the result of a stage is on disk.
-    pub(super) fn is_stored<S: StoredStage>(&self, stage: &S) -> bool {
-        self.capture.is_stored(S::KIND, &self.stored_inputs(stage))
+    /// The entry of a stage's result on disk; `None` if there is none.
+    pub(super) fn stored<S: StoredStage>(&self, stage: &S) -> Option<Stored> {
+        self.capture.stored(S::KIND, &self.stored_inputs(stage))
     }
 
-    /// Stores the result of a stage on disk, unless it is there.
+    /// Stores the result of a stage on disk.
     pub(super) fn store<S: StoredStage>(
         &self,
         stage: &S,
-        context: &Context,
+        result: &S::Output,
     ) -> Result<Stored, RenderError> {
-        self.capture.store(S::KIND, &self.stored_inputs(stage), || self.get(stage, context))
+        Ok(self.capture.store(S::KIND, &self.stored_inputs(stage), result)?)
     }
 
     /// The key of a stage's result on disk: the stage's inputs and a hash of the clocks. A capture's cache
     /// may hold results for several estimates of the offsets.
     fn stored_inputs<'a, S: StoredStage>(&'a self, stage: &'a S) -> (&'a S, &'a str) {
         (stage, &self.times_hash)
-    }
-
-    /// The result of a stage if it is in memory.
-    pub(super) fn cached<S: Stage>(&self, stage: &S) -> Option<Arc<S::Output>> {
-        self.memo.get(S::NAME, stage)
     }
 
     /// The median distance between a camera and its nearest neighbour, metres. Cameras at the same place are

@@ -1,10 +1,10 @@
 //! §6: points of the scene at one instant, triangulated from spatial correspondences that are "interpolated
 //! to the same instant", and the proxy through them.
 
+use super::RenderError;
 use super::correspondences::{frames_around, observations};
 use super::graph::{LightField, Stage};
 use super::stages::{CameraPoints, Correspondences, Instant};
-use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::lumigraph::{Mesh, Plane, Proxy, triangulate};
@@ -12,6 +12,7 @@ use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 use nalgebra::Point3;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 /// Maximum root mean square reprojection error of a point, pixels.
 const MAX_ERROR_PX: f64 = 0.7;
@@ -23,24 +24,26 @@ impl Stage for CameraPoints<'_> {
     fn bytes(points: &Vec<Point3<f64>>) -> usize {
         size_of_val(points.as_slice())
     }
+}
 
-    fn compute(
-        &self,
-        field: &LightField,
-        context: &Context,
-    ) -> Result<Vec<Point3<f64>>, RenderError> {
+impl CameraPoints<'_> {
+    fn get(&self, field: &LightField) -> Result<Arc<Vec<Point3<f64>>>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
         let cameras = std::iter::once(self.camera).chain(self.partners.iter().copied());
         let Instant { time_s, registration, .. } = self.instant;
         let around =
             cameras.map(|c| frames_around(field, c, self.instant)).collect::<Result<_, _>>()?;
-        let matched = field.get(&Correspondences { around, registration }, context)?;
-        Ok(observations(field, &matched, time_s)
+        let matched = Correspondences { around, registration }.get(field)?;
+        let points: Vec<_> = observations(field, &matched, time_s)
             .iter()
             .filter(|observations| observations.len() > 1)
             .filter_map(|observations| triangulate(observations))
             .filter(|t| t.rms_px <= MAX_ERROR_PX)
             .map(|t| t.point)
-            .collect())
+            .collect();
+        Ok(field.insert(self, points))
     }
 }
 
@@ -64,9 +67,8 @@ impl LightField {
             .collect();
         let unknown = stages.iter().filter(|stage| self.cached(*stage).is_none());
         load_frames(self, unknown)?;
-        let context = &Context::unattended();
         let all: Vec<_> =
-            stages.par_iter().map(|stage| self.get(stage, context)).collect::<Result<_, _>>()?;
+            stages.par_iter().map(|stage| stage.get(self)).collect::<Result<_, _>>()?;
         Ok(all.iter().flat_map(|points| points.iter().copied()).collect())
     }
 

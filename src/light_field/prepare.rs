@@ -81,7 +81,10 @@ impl LightField {
                 }
                 let pair = PairTracks { camera, frame, registration };
                 if !is_still(self, pair, options.interpolation.still_change)? {
-                    let stored = self.store(&pair, &Context::unattended())?;
+                    let stored = match self.stored(&pair) {
+                        Some(stored) => stored,
+                        None => self.store(&pair, &*pair.get(self)?)?,
+                    };
                     pairs.fetch_add(1, Ordering::Relaxed);
                     found.fetch_add(usize::from(stored.was_there), Ordering::Relaxed);
                     bytes.fetch_add(stored.bytes, Ordering::Relaxed);
@@ -104,7 +107,10 @@ impl LightField {
         let (slots, options) = (Slots::new(self), FlowOptions::new(options));
         let all = slots.all();
         let Some(&middle) = all.get(all.len() / 2) else { return false };
-        slots.frames(middle).iter().all(|&frame| self.is_stored(&FrameFlow { frame, options }))
+        slots
+            .frames(middle)
+            .iter()
+            .all(|&frame| self.stored(&FrameFlow { frame, options }).is_some())
     }
 
     /// Stores depth and motion of all frames. `progress` is called with the number of finished frames.

@@ -48,7 +48,7 @@ pub fn render(
     overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
 }
 
-/// Renders a view, and its depth map, that of its camera at the request's time.
+/// Renders a view, and the depth map of its camera at the request's time.
 ///
 /// # Errors
 /// Those of [`render`].
@@ -84,7 +84,7 @@ fn instant(
                 None => {
                     let method = ImageMethod::new(request.options.sync, request.options);
                     let image = CameraImage { camera, time_s: request.time_s, method: &method };
-                    field.get(&image, context)?.image.clone()
+                    image.get(field, context)?.image.clone()
                 }
             };
             let coverage = vec![true; image.width() * image.height()];

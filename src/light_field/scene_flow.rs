@@ -34,14 +34,20 @@ impl Stage for Undistorted<'_> {
     fn bytes(frame: &FlowFrame) -> usize {
         frame.bytes()
     }
+}
 
-    fn compute(&self, field: &LightField, _: &Context) -> Result<FlowFrame, RenderError> {
+impl Undistorted<'_> {
+    fn get(&self, field: &LightField) -> Result<Arc<FlowFrame>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
         let &Self { camera, frame, registration } = self;
         let image = field.capture().read_frame(camera, frame)?;
         let gains = field.gains(registration);
         let image = gains.corrected(camera, &image).unwrap_or(image);
         let time = field.in_frames(field.times_s(camera)[frame]);
-        Ok(FlowFrame::new(&field.capture().cameras[camera].camera, &image, time))
+        let camera = &field.capture().cameras[camera].camera;
+        Ok(field.insert(self, FlowFrame::new(camera, &image, time)))
     }
 }
 
@@ -63,7 +69,7 @@ fn slot_maps(
     let load = |&(camera, frame): &FrameId| {
         context.check()?;
         let undistorted = Undistorted { camera, frame, registration: options.registration };
-        let flow_frame = field.get(&undistorted, context)?;
+        let flow_frame = undistorted.get(field)?;
         // Each pyramid is used in two or three slots. Caching it would evict results that take longer to
         // compute.
         let pyramid = flow_frame.pyramid();
@@ -95,13 +101,6 @@ impl Stage for FrameFlow<'_> {
     fn bytes(map: &FlowMap) -> usize {
         map.bytes()
     }
-
-    fn compute(&self, field: &LightField, context: &Context) -> Result<FlowMap, RenderError> {
-        let Self { frame, options } = *self;
-        let loaded = load(field, &[frame], options, context)?;
-        let map = loaded.and_then(|mut loaded| loaded.pop()).map(|loaded| loaded.map);
-        map.map(Arc::unwrap_or_clone).ok_or(RenderError::NoPoints)
-    }
 }
 
 impl StoredStage for FrameFlow<'_> {
@@ -116,10 +115,15 @@ impl Stage for FlowConfidences<'_> {
     fn bytes(confidences: &Self::Output) -> usize {
         confidences.iter().map(Vec::len).sum()
     }
+}
 
-    fn compute(&self, _: &LightField, context: &Context) -> Result<Self::Output, RenderError> {
+impl FlowConfidences<'_> {
+    fn get(&self, field: &LightField, context: &Context) -> Result<Arc<Vec<Vec<u8>>>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
         context.check()?;
-        Ok(confidences(self.mapped))
+        Ok(field.insert(self, confidences(self.mapped)))
     }
 }
 
@@ -133,14 +137,26 @@ pub(super) fn store_slot(
 ) -> Result<Vec<Stored>, RenderError> {
     let (field, frames) = (slots.field, slots.frames(slot));
     let flow = |frame: FrameId| FrameFlow { frame, options };
-    if !frames.iter().all(|&frame| field.is_stored(&flow(frame))) {
+    if !frames.iter().all(|&frame| field.stored(&flow(frame)).is_some()) {
         // Without a range of depths there are no maps, and views are rendered by other methods.
         let Some(maps) = slot_maps(slots, slot, options, context)? else { return Ok(Vec::new()) };
         for (frame, map) in maps {
             field.insert(&flow(frame), map);
         }
     }
-    frames.into_par_iter().map(|frame| field.store(&flow(frame), context)).collect()
+    let store = |frame: FrameId| match field.stored(&flow(frame)) {
+        Some(stored) => Ok(stored),
+        None => {
+            let estimate = || load(field, &[frame], options, context);
+            let map = match field.cached(&flow(frame)) {
+                Some(map) => map,
+                // The map was evicted from memory: its slot is estimated again.
+                None => estimate()?.and_then(|mut all| all.pop()).ok_or(RenderError::NoPoints)?.map,
+            };
+            field.store(&flow(frame), &map)
+        }
+    };
+    frames.into_par_iter().map(store).collect()
 }
 
 /// A frame and its map of depth and motion.
@@ -185,7 +201,7 @@ pub(super) fn load(
     }
     let load = |((camera, frame), map): (FrameId, Arc<FlowMap>)| {
         let undistorted = Undistorted { camera, frame, registration: options.registration };
-        Ok(LoadedFrame { frame: field.get(&undistorted, context)?, map })
+        Ok(LoadedFrame { frame: undistorted.get(field)?, map })
     };
     Ok(Some(all.into_par_iter().map(load).collect::<Result<_, RenderError>>()?))
 }
@@ -250,7 +266,7 @@ pub(super) fn flow_view(
     let Some(loaded) = load(field, &frames, options, context)? else { return Ok(None) };
     let mapped: Vec<MappedFrame> = loaded.iter().map(LoadedFrame::mapped).collect();
     let stage = FlowConfidences { frames: &frames, options, mapped: &mapped };
-    let confidences = field.get(&stage, context)?;
+    let confidences = stage.get(field, context)?;
     context.check()?;
     Ok(Some(blend(&mapped, &confidences, target, field.in_frames(time_s))))
 }

@@ -31,7 +31,7 @@ pub enum PictureMethod {
     Truth,
     /// The cameras from which each pixel is blended, as stripes of their colours.
     Sources,
-    /// The weights of [`Self::Sources`] as numbers: see [`super::overlays::Weights::picture`].
+    /// The blending weights of the cameras as numbers, encoded by [`super::overlays::Weights::picture`].
     Weights,
     /// The depths as colours.
     Depth,

@@ -83,11 +83,13 @@ impl TrueViews {
     }
 
     fn image(&self, index: usize, view: &LiveTruth) -> Result<Arc<Image>, LiveError> {
-        let bytes = |image: &Image| size_of_val(image.data());
-        self.images.get_or("true image", &index, bytes, || {
-            let (image, _) = read_image(&view.file)?;
-            require_size(&view.file, [image.width(), image.height()], &view.camera)?;
-            Ok(image)
-        })
+        const STAGE: &str = "true image";
+        if let Some(image) = self.images.get(STAGE, &index) {
+            return Ok(image);
+        }
+        let (image, _) = read_image(&view.file)?;
+        require_size(&view.file, [image.width(), image.height()], &view.camera)?;
+        let bytes = size_of_val(image.data());
+        Ok(self.images.insert(STAGE, &index, Arc::new(image), bytes))
     }
 }

@@ -57,7 +57,7 @@ struct Surroundings<'a> {
 }
 
 impl Surroundings<'_> {
-    /// The colour of an occluded pixel; `None` without visible surroundings.
+    /// The colour of an occluded pixel, from visible pixels around it; `None` if there are none.
     fn color(&self, occluded: usize) -> Option<[f32; 3]> {
         let (mut sum, mut weights) = ([0.0_f32; 3], 0.0_f32);
         for n in 0..DIRECTIONS {

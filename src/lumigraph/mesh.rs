@@ -253,7 +253,7 @@ impl MeshBuilder {
         (self.vertices.len() - 1) as u32
     }
 
-    /// Adds a triangle. If its vertices lie on two surfaces, it is replaced as `depth_edges` says.
+    /// Adds a triangle. A triangle whose vertices lie on two surfaces is replaced by the method `depth_edges`.
     fn add(&mut self, triangle: [u32; 3], focal: f64, depth_edges: DepthEdges) {
         // Nearest first.
         let mut v = triangle.map(|k| (k, self.vertices[k as usize]));

@@ -335,8 +335,9 @@ impl Reprojection {
         }
     }
 
-    /// Lowers the confidence in points behind the surface that the source sees: from 1 at the distance
-    /// [`OCCLUSION_FRACTION`] to [`OCCLUDED_CONFIDENCE`] at twice that.
+    /// Lowers the confidence in points behind the surface that the source sees. With the point's distance
+    /// from the surface, as a fraction of the surface's depth, the confidence falls from 1 at
+    /// [`OCCLUSION_FRACTION`] to [`OCCLUDED_CONFIDENCE`] at twice this fraction.
     fn occlude(
         &self,
         row: &TargetRow,

@@ -111,12 +111,12 @@ type PairResult = ([usize; 2], Result<PairEstimate, PairFailure>);
 struct JointSolution<'a> {
     capture: &'a Capture,
     results: Vec<PairResult>,
-    /// By camera: the index of its clock.
+    /// For each camera, the index of its clock.
     clock: Vec<usize>,
-    /// By camera: its clock model with lost frames.
+    /// For each camera, its clock model with lost frames.
     lost: Vec<FittedClock>,
     used: Vec<PairEstimate>,
-    /// By clock: its estimate. `None` if it has none, or its standard error exceeds [`MAX_STD_ERR_FRAMES`].
+    /// For each clock, its estimate. `None` if it has none, or its standard error exceeds [`MAX_STD_ERR_FRAMES`].
     solved: Vec<Option<ClockEstimate>>,
 }
 

@@ -20,11 +20,11 @@ use std::collections::BTreeMap;
 /// The clocks that are solved for. Clock 0 is the reference's, whose offset and rate are 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClockLayout {
-    /// By camera: the index of its clock.
+    /// For each camera, the index of its clock.
     pub of_camera: Vec<usize>,
-    /// By camera: the time of its first frame on its own clock, at which the offset is defined, seconds.
+    /// For each camera, the time of its first frame on its own clock, at which the offset is defined, seconds.
     pub first_s: Vec<f64>,
-    /// By clock: whether its rate is an unknown.
+    /// For each clock, whether its rate is an unknown.
     pub drifts: Vec<bool>,
     /// The frame period, seconds. Candidates within one period form a cluster by time.
     pub frame_s: f64,
@@ -95,9 +95,9 @@ pub fn solve_clocks(pairs: &[PairEstimate], clocks: &ClockLayout) -> Vec<Option<
 /// The columns of the unknowns in the normal matrix.
 struct Unknowns<'a> {
     clocks: &'a ClockLayout,
-    /// By clock: the column of its offset; `None` for the reference and unconnected clocks.
+    /// For each clock, the column of its offset; `None` for the reference and unconnected clocks.
     offset: Vec<Option<usize>>,
-    /// By clock: the column of its rate; `None` for the reference, unconnected clocks and clocks that do not
+    /// For each clock, the column of its rate; `None` for the reference, unconnected clocks and clocks that do not
     /// drift.
     rate: Vec<Option<usize>>,
     count: usize,
@@ -158,7 +158,7 @@ struct PairSystem {
 /// The solution of the IRLS iterations.
 struct RobustSolution {
     x: DVector<f64>,
-    /// By pair: its robust weight.
+    /// For each pair, its robust weight.
     weights: Vec<f64>,
     /// The inverse of the normal matrix. It would be the covariance if the pairs' errors were independent and
     /// their standard errors correct.
@@ -301,7 +301,7 @@ impl RobustSolution {
     }
 }
 
-/// By clock: whether a chain of pairs connects it to the reference's clock.
+/// For each clock, whether a chain of pairs connects it to the reference's clock.
 fn connected_to_reference(pairs: &[&PairEstimate], clocks: &ClockLayout) -> Vec<bool> {
     let mut connected = vec![false; clocks.drifts.len()];
     connected[0] = true;

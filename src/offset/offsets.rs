@@ -85,7 +85,7 @@ impl Offsets {
         offsets
     }
 
-    /// By camera: the clock model from its clock to the reference's; `None` if its offset is unknown.
+    /// For each camera, the clock model from its clock to the reference's; `None` if its offset is unknown.
     pub fn clocks(&self, capture: &Capture) -> Vec<Option<ClockModel>> {
         let clock = |(c, camera): (usize, &CameraOffset)| {
             camera.clock(&NominalClock::of_camera(capture, c))
@@ -93,7 +93,7 @@ impl Offsets {
         self.cameras.iter().take(capture.cameras.len()).enumerate().map(clock).collect()
     }
 
-    /// By camera: the times of all its images on the reference's clock, seconds; `None` if its offset is
+    /// For each camera, the times of all its images on the reference's clock, seconds; `None` if its offset is
     /// unknown. If a camera has a single frame, an unknown offset counts as 0, since the frame is valid at
     /// any time.
     pub fn common_times_s(&self, capture: &Capture) -> Vec<Option<Vec<f64>>> {

@@ -33,7 +33,7 @@ fn joint_offset_s(joint: &[Option<ClockModel>], cameras: [usize; 2], time_s: f64
     Some(j? - i?)
 }
 
-/// The label of an axis of pairs, with the names of the first and the last one.
+/// The label of an axis along which camera pairs are numbered; it names the first and the last pair.
 fn pair_axis(estimate: &Estimate, capture: &Capture) -> String {
     let name = |pair: &PairEstimate| {
         let [i, j] = pair.cameras.map(|c| &capture.cameras[c].id);

@@ -62,7 +62,8 @@ impl ArcLength {
         half * pairs.sum::<f64>()
     }
 
-    /// The parameter at which the fraction of the arc length equals the fraction of the parameter's range at `at`.
+    /// Converts a parameter `at` of uniform motion to the curve's parameter. If `at` has passed a fraction of its
+    /// range, the curve has passed the same fraction of its arc length.
     pub fn parameter(&self, at: f64) -> f64 {
         let (first, last) = (self.lengths[0].0, self.lengths[self.lengths.len() - 1].0);
         let wanted = self.whole() * (at - first) / (last - first);

@@ -173,7 +173,7 @@ fn largest(is_seen: impl Fn(f64) -> bool) -> Option<f64> {
     Some(seen)
 }
 
-/// The lens without distortion, centred in the image. Its view at any depth is `field` times as wide.
+/// A pinhole lens, centred in the image, whose field of view at any depth is `field` times as wide as that of `lens`.
 fn narrowed(lens: &Camera, field: f64) -> CameraModel {
     let (fx, fy, ..) = lens.model.intrinsics();
     let (cx, cy) = (0.5 * lens.width as f64, 0.5 * lens.height as f64);

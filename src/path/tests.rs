@@ -38,7 +38,7 @@ fn uneven() -> CameraPath {
     CameraPath::new(keys, false).unwrap()
 }
 
-/// Position, time, focal length and rotation vector from the first key, in one list.
+/// The state of a path as one list: position, time, focal length, and the rotation vector relative to the first key.
 fn state(path: &CameraPath, passed_s: f64) -> Vec<f64> {
     let frame = path.at(passed_s);
     let center = frame.camera.center();

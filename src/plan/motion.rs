@@ -29,7 +29,8 @@ const NEIGHBORHOOD_PX: f64 = 40.0;
 /// Number of nearest tracks in the neighbourhood that predict a track's motion.
 const PREDICTING: usize = 6;
 
-/// Measures of motion. They are sums (of frame pairs) or maxima over the examined frame pairs of all cameras.
+/// The motion in a capture, measured in some frame pairs of every camera. Numbers of pairs are totals; all other
+/// values are maxima over the pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
     /// Largest motion of features from frame to frame, pixels.

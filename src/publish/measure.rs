@@ -9,7 +9,7 @@ use crate::options::RenderOptions;
 use crate::raster::Image;
 use crate::scene_flow::{MappedFrame, blend, confidences};
 
-/// Number of views, each at another place and instant, that are compared.
+/// Number of views that are compared. They differ in place and instant.
 const HELD: usize = 4;
 
 /// PSNR of views from the published frames against the same views from the capture, decibels. Views are halfway

@@ -153,7 +153,7 @@ struct Encoding<'a> {
     span_s: (f64, f64),
 }
 
-/// The encoded frames, at the best quality that fits.
+/// The encoded frames, at the best quality whose size is within the limit.
 struct EncodedSite {
     quality: Quality,
     published: Published,
@@ -164,7 +164,7 @@ struct EncodedSite {
 const FRAMES_AT_ONCE: usize = 8;
 
 impl Encoding<'_> {
-    /// Encodes all frames at the best quality that fits into the largest sizes.
+    /// Encodes all frames at the best quality for which they are within the size limits.
     fn encoded(
         &self,
         wanted: &PublishOptions,

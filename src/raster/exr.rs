@@ -82,8 +82,8 @@ fn channels<'a>(
     ]
 }
 
-/// The half float nearest to a value, ties to even. NaN becomes 0; larger values than the largest half float become
-/// it.
+/// The half float nearest to a value, ties to even. NaN becomes 0, and values beyond the largest half float become the
+/// largest.
 fn half(value: f32) -> u16 {
     const MAX: f32 = 65_504.0;
     /// The smallest positive half float, 2^−24, and the smallest with full precision, 2^−14.

@@ -30,7 +30,7 @@ fn sixteen(value: f32) -> u16 {
     (value * 65535.0 + 0.5) as u16
 }
 
-/// The samples of an image, with alpha if there is a coverage; 0 where it is false.
+/// The samples of an image. With a coverage, they include alpha, and pixels that are not covered are 0.
 fn rounded<T>(image: &Image, coverage: Option<&[bool]>, round: impl Fn(f32) -> T) -> Vec<T> {
     let channels = image.channels() + usize::from(coverage.is_some());
     let mut samples = Vec::with_capacity(image.width() * image.height() * channels);

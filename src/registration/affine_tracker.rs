@@ -322,7 +322,7 @@ struct Moments<V, const T: usize, const S: usize> {
     /// Sums of dx·v, dy·v, dx and dy, each weighted by S powers of the coordinates: 1, x for a row (S = 2);
     /// 1, x, y for a window (S = 3).
     shift_light: [[V; S]; 4],
-    /// Sums of v·v, v and 1.
+    /// Weighted sums of v², v and 1 over the window.
     light: [V; 3],
 }
 

@@ -47,8 +47,8 @@ pub fn corners(level: &PyramidLevel, max_corners: usize) -> Vec<Point2<f64>> {
 }
 
 /// The local maxima of `strength` (the smaller eigenvalue at each pixel, row by row), as (strength, pixel
-/// index). Maxima below the fraction `min_quality` of the largest, or below [`MIN_EIGENVALUE`], are left out.
-/// Of equal neighbours, the first in reading order counts.
+/// index). Maxima below [`MIN_EIGENVALUE`], or below `min_quality` times the largest, are left out. Of equal
+/// neighbouring pixels, only the first in row-major order is a maximum.
 fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
     let largest = strength.iter().copied().fold(0.0, f32::max);
     let floor = (largest * min_quality).max(MIN_EIGENVALUE);

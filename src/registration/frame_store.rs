@@ -3,7 +3,6 @@
 use super::{Frame, GainMethod, Gains, RegistrationOptions};
 use crate::capture::{Capture, CaptureError, Color};
 use crate::host::Memo;
-use std::convert::Infallible;
 use std::sync::Arc;
 
 /// The frames of a capture. They are decoded and prepared for registration when they are first used, and then
@@ -82,23 +81,22 @@ impl FrameStore {
     /// If there is no such camera or frame.
     pub fn get(&self, camera: usize, index: usize) -> Result<Arc<Frame>, CaptureError> {
         let inputs = (camera, index, &self.options);
-        self.memo.get_or(
-            FRAME_STAGE,
-            &inputs,
-            |_| self.bytes_of(camera),
-            || {
-                let image = self.capture.read_frame(camera, index)?;
-                #[cfg(test)]
-                self.decoded.lock().unwrap().push((camera, index));
-                // The pyramid is of the gain-corrected image.
-                let Some(corrected) = self.gains().corrected(camera, &image) else {
-                    return Ok(Frame::new(image, &self.options));
-                };
+        if let Some(frame) = self.memo.get(FRAME_STAGE, &inputs) {
+            return Ok(frame);
+        }
+        let image = self.capture.read_frame(camera, index)?;
+        #[cfg(test)]
+        self.decoded.lock().unwrap().push((camera, index));
+        // The pyramid is of the gain-corrected image.
+        let frame = match self.gains().corrected(camera, &image) {
+            None => Frame::new(image, &self.options),
+            Some(corrected) => {
                 let mut frame = Frame::new(corrected, &self.options);
                 frame.image = image;
-                Ok(frame)
-            },
-        )
+                frame
+            }
+        };
+        Ok(self.memo.insert(FRAME_STAGE, &inputs, Arc::new(frame), self.bytes_of(camera)))
     }
 
     /// Whether `frames_each` frames of each of these cameras fit the memo together.
@@ -118,18 +116,19 @@ impl FrameStore {
     /// The cameras' gains, estimated from the images. All 1 for a single camera, or if
     /// [`RegistrationOptions::gains`] is [`GainMethod::Equal`].
     pub fn gains(&self) -> Arc<Gains> {
+        if let Some(gains) = self.memo.get(GAINS_STAGE, &self.options) {
+            return gains;
+        }
         let cameras = self.capture.cameras.len();
-        let compute = || -> Result<Gains, Infallible> {
+        let gains = if self.options.gains == GainMethod::Equal || cameras == 1 {
+            Gains::equal(cameras)
+        } else {
             let stored = self.capture.load_stored(Gains::KIND, &self.options);
             let stored = stored.filter(|gains: &Gains| gains.are_plausible(cameras));
-            if self.options.gains == GainMethod::Equal || cameras == 1 {
-                return Ok(Gains::equal(cameras));
-            }
-            Ok(stored.unwrap_or_else(|| Gains::estimate(&self.capture, &self.options)))
+            stored.unwrap_or_else(|| Gains::estimate(&self.capture, &self.options))
         };
-        let bytes = |_: &Gains| cameras * size_of::<[f64; 3]>();
-        let Ok(gains) = self.memo.get_or(GAINS_STAGE, &self.options, bytes, compute);
-        gains
+        let bytes = cameras * size_of::<[f64; 3]>();
+        self.memo.insert(GAINS_STAGE, &self.options, Arc::new(gains), bytes)
     }
 
     /// Stores the gains on disk, unless they are already there; returns their size in bytes.
@@ -137,8 +136,11 @@ impl FrameStore {
     /// # Errors
     /// If they can't be written.
     pub(crate) fn store_gains(&self) -> Result<u64, CaptureError> {
-        let gains = || Ok::<_, CaptureError>(self.gains());
-        Ok(self.capture.store(Gains::KIND, &self.options, gains)?.bytes)
+        let stored = match self.capture.stored(Gains::KIND, &self.options) {
+            None => self.capture.store(Gains::KIND, &self.options, &*self.gains())?,
+            Some(stored) => stored,
+        };
+        Ok(stored.bytes)
     }
 }
 

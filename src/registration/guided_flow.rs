@@ -7,8 +7,8 @@ use super::rotating_patches::affine_matches;
 use super::{AffineStart, Frame, Match, Neighbors, RegistrationOptions};
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Numbers of pyramid levels, the finest ones, for tracking forward and backward, when the motion prior gives
-/// the initial guess.
+/// Numbers of pyramid levels, counted from the finest, on which a point is tracked forward and backward if the
+/// motion prior gives its initial position.
 const PRIOR_LEVELS: [usize; 2] = [2, 2];
 /// Number of attempts with the motion prior. The matches of each attempt improve the prior for the next.
 const PRIOR_ROUNDS: usize = 2;

@@ -44,7 +44,7 @@ pub struct ReferenceQuery {
 const TIME_WEIGHT: f64 = 1.0;
 /// Maximum number of first references: on a grid, one along the row and one along the column.
 const MAX_FIRST: usize = 2;
-/// Maximum number of further references. They test only tracks without a verdict.
+/// Maximum number of further references. They test only tracks that the first references neither accept nor reject.
 const MAX_FURTHER: usize = 1;
 /// Maximum time between the two frames of [`Reference::between`], in frame intervals of the tested camera.
 const MAX_GAP_FRAMES: f64 = 4.0;

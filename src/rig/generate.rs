@@ -56,7 +56,7 @@ pub enum LossStamps {
     Stamped,
     /// No loss leaves a trace.
     Hidden,
-    /// Alternately stamped and hidden, from camera to camera.
+    /// In every second camera, losses leave gaps; in the others they leave no trace.
     Mixed,
 }
 
@@ -164,9 +164,9 @@ struct Stand {
 /// Steps per unit to which poses are rounded, so that files are equal on platforms with different sine
 /// functions.
 const POSE_STEPS: f64 = 1e9;
-/// Steps per second to which delays are rounded.
+/// Number of steps per second; delays are rounded to whole steps.
 const TIME_STEPS: f64 = 1e6;
-/// Steps per ppm to which drifts are rounded.
+/// Number of steps per ppm; drifts are rounded to whole steps.
 const DRIFT_STEPS: f64 = 1e3;
 
 impl RigOptions {

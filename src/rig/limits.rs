@@ -25,7 +25,7 @@ pub const MAX_CAMERAS: usize = 1000;
 pub const SIZE_PX: RangeInclusive<u32> = 8..=16_384;
 /// Focal length, millimetres.
 pub const LENS_MM: RangeInclusive<f64> = 1.0..=5000.0;
-/// Longer side of the sensor, millimetres.
+/// Length of the sensor's longer side, millimetres.
 pub const SENSOR_MM: RangeInclusive<f64> = 1.0..=500.0;
 /// Lens shift, as a fraction of the image's longer side.
 pub const SHIFT: RangeInclusive<f64> = -10.0..=10.0;
@@ -54,5 +54,5 @@ pub const MAX_JITTER_FRAMES: f64 = 0.1;
 pub const MAX_SPREAD: f64 = 2.0;
 /// Number of points on each side of the image's border at which a distortion is checked.
 pub const BORDER_STEPS: u32 = 16;
-/// Maximum number of frames from which lost ones are drawn.
+/// Maximum number of frames of a recording whose lost frames are chosen at random.
 pub const MAX_LOSS_WITHIN: usize = 100_000;

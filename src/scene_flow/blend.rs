@@ -98,7 +98,7 @@ impl Pixels {
 }
 
 /// The element that one map shows at a pixel of the view.
-struct Candidate<'a> {
+struct ColorCandidate<'a> {
     frame: &'a FlowFrame,
     inverse_depth: f32,
     source: [f32; 2],
@@ -138,7 +138,7 @@ fn blend_rows(
             candidates.clear();
             let k = y * width + x;
             for (frame, splat) in splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0) {
-                candidates.push(Candidate {
+                candidates.push(ColorCandidate {
                     frame,
                     inverse_depth: splat.inverse_depths[k],
                     source: splat.sources[k],
@@ -210,7 +210,7 @@ fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
     Some([(cx + fx * ray.x) as f32, (cy + fy * ray.y) as f32])
 }
 
-/// The frames from which colours of holes are taken.
+/// The frames that give the background colours with which holes of the view are filled.
 struct Behind<'a> {
     /// In order of distance between the frame's camera and the view.
     frames: Vec<(MappedFrame<'a>, Projection)>,
@@ -259,7 +259,11 @@ type WeightedColors = Vec<([f32; 3], f32)>;
 
 /// The mean of the frontmost cluster with enough weight, composited over the cluster behind if it is not
 /// opaque. `reach` is a cluster's half-width, 1/m. `None` without candidates. `colors` is a reusable buffer.
-fn pixel_of(candidates: &[Candidate], reach: f32, colors: &mut WeightedColors) -> Option<Pixel> {
+fn pixel_of(
+    candidates: &[ColorCandidate],
+    reach: f32,
+    colors: &mut WeightedColors,
+) -> Option<Pixel> {
     let depths = || candidates.iter().map(|c| c.inverse_depth);
     let nearest = depths().fold(f32::NEG_INFINITY, f32::max);
     if nearest - depths().fold(f32::INFINITY, f32::min) < reach {
@@ -297,7 +301,7 @@ fn pixel_of(candidates: &[Candidate], reach: f32, colors: &mut WeightedColors) -
 /// The robust mean of the candidates within `reach` of inverse depth `q`: two reweighting steps reduce the
 /// weight of outlying colours. `None` if there are none.
 fn mean_of(
-    candidates: &[Candidate],
+    candidates: &[ColorCandidate],
     q: f32,
     reach: f32,
     colors: &mut WeightedColors,

@@ -59,7 +59,8 @@ pub struct OtherMaps<'a> {
 }
 
 impl<'a> OtherMaps<'a> {
-    /// The maps to compare frame `of` with. `disparity_px` converts inverse depths, 1/m, to disparities.
+    /// The maps with which the map of frame `of` is compared. `disparity_px` is the disparity, pixels, of an inverse
+    /// depth of 1/m.
     pub fn new(
         frames: &[&FlowFrame],
         snapshots: &'a [Snapshot],

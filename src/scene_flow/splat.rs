@@ -30,7 +30,7 @@ const ERROR_BY_CURVATURE: f32 = 0.1;
 /// frame.
 const EXACT_PX: f32 = 0.01;
 
-/// A map rendered into some rows of a view; each vector has one value per pixel, row by row.
+/// A map rendered into some rows of a view. Its fields have one value per pixel, row by row.
 pub struct Splat {
     /// Inverse depth in the view, 1/m.
     pub inverse_depths: Vec<f32>,

@@ -19,7 +19,8 @@ const MAX_ROUGHNESS_PX: f32 = 2.0;
 const COLOR: f32 = 0.08;
 /// Added to the colour term, so that neighbours of any colour have some smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Matching cost below which no random elements are tried, and a pixel can be settled.
+/// Matching cost below which a pixel's element is good: no random elements are tried, and the pixel can be settled,
+/// so that later passes skip it.
 const MATCHED: f32 = 0.012;
 /// Distance ([`PatchMatcher::distance`]) below which two elements count as equal, pixels of the level.
 const SAME_PX: f32 = 0.08;

@@ -160,7 +160,7 @@ fn filled_from_background(values: &[f32], width: usize) -> Vec<f32> {
 }
 
 /// The surface point at a camera's pixel, projected into the view.
-struct Splat {
+struct DepthSplat {
     /// Position in the view, pixels; NaN if the view doesn't see the point.
     x: f32,
     y: f32,
@@ -189,7 +189,7 @@ fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32)
             // Behind the view q.z is not positive, and the pixel is NaN. Close in front of the view, a pixel
             // would fill it, so that its size is bounded.
             let step = (q.z * focal_ratio).clamp(1.0 / w.max(h) as f32, 1.0);
-            splats.push(Splat { x, y, step, inverse: inverse * (1.0 / q.z) });
+            splats.push(DepthSplat { x, y, step, inverse: inverse * (1.0 / q.z) });
         }
     }
     let mut nearest = vec![0.0_f32; w * rows.len()];
@@ -207,10 +207,10 @@ fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32)
 /// For each splat, calls `visit` for the pixels within its radius in the rows `rows` of the view. Arguments
 /// are the pixel's index in these rows, a weight that falls bilinearly with distance, and the splat.
 fn for_each_pixel(
-    splats: &[Splat],
+    splats: &[DepthSplat],
     w: usize,
     rows: &Range<usize>,
-    mut visit: impl FnMut(usize, f32, &Splat),
+    mut visit: impl FnMut(usize, f32, &DepthSplat),
 ) {
     for splat in splats {
         let radius = RADIUS_PX / splat.step;

@@ -67,7 +67,7 @@ pub fn check(
     Ok(Check { values, verdict, table })
 }
 
-/// What is to be estimated of a calibration.
+/// The parameters of a calibration that are to be estimated.
 #[derive(Clone, Debug)]
 pub enum CalibrationRequest {
     /// All lenses and poses are estimated from the images alone; those of the capture are not read.
@@ -79,7 +79,7 @@ pub enum CalibrationRequest {
         /// Two cameras, and their distance in metres, if it is known.
         distance_m: Option<([String; 2], f64)>,
     },
-    /// The given poses, refined, and lens parameters.
+    /// The capture's poses are refined, and its lens parameters where this is chosen.
     Refinement {
         /// Whether focal lengths are refined.
         focal: bool,
@@ -89,7 +89,7 @@ pub enum CalibrationRequest {
 }
 
 impl CalibrationRequest {
-    /// The words for the script. Flag and value are one, so that a negative value isn't read as a flag.
+    /// The arguments of the script. A flag and its value are one word, so that a negative value isn't read as a flag.
     fn arguments(&self) -> Vec<OsString> {
         match self {
             Self::New { lens, focal_px, distance_m } => {
@@ -115,15 +115,16 @@ impl CalibrationRequest {
 /// A calibration estimated from images.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Calibration {
-    /// In the order of the capture's cameras.
+    /// Lens, pose and errors of each camera, in the capture's order.
     pub cameras: Vec<CameraEstimate>,
-    /// Number of points that it was estimated from.
+    /// Number of scene points from which the calibration was estimated.
     pub points: usize,
     /// Sentences for the user.
     pub notes: Vec<String>,
 }
 
-/// A camera of an estimated calibration. Standard errors of poses are along the worst axis, relative to the array.
+/// A camera of an estimated calibration. The standard errors of its pose are those of the least certain axis, relative
+/// to the other cameras.
 #[derive(Clone, Debug, Deserialize)]
 pub struct CameraEstimate {
     pub id: String,
@@ -141,9 +142,9 @@ pub struct CameraEstimate {
     pub position_std_err_m: f64,
     /// Standard error of the focal length as a fraction of it; 0 if it was given.
     pub focal_std_err_fraction: f64,
-    /// By how much the camera was turned; `None` if there was no calibration before.
+    /// Angle between the given and the estimated orientation; `None` if no calibration was given.
     pub turned_deg: Option<f64>,
-    /// By how much its centre was moved, metres.
+    /// Distance between the given and the estimated centre, metres; `None` if no calibration was given.
     pub moved_m: Option<f64>,
 }
 
@@ -165,7 +166,7 @@ impl CameraEstimate {
     }
 }
 
-/// Estimates a calibration from what stands still in a capture's frames. The capture isn't changed.
+/// Estimates a calibration from the static part of a capture's frames. The capture isn't changed.
 pub fn calibrate(
     environment: &Environment,
     capture: &Path,

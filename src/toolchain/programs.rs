@@ -101,7 +101,7 @@ pub enum FilmedScene {
     Blend(PathBuf),
 }
 
-/// Films the frames that are missing. A complete capture is not changed.
+/// Films the frames that a capture lacks. A complete capture is not changed.
 pub fn film(
     environment: &Environment,
     options: &FilmOptions,

@@ -155,7 +155,7 @@ impl Bench<'_> {
 }
 
 impl CachedPoint {
-    /// Whether the combination can be rendered and has no score for this target.
+    /// Whether the combination has no score for this target yet, although it can be rendered.
     fn lacks(&self, target: &Target) -> bool {
         self.reason.is_none() && !self.scores.contains_key(&target.id)
     }

@@ -31,7 +31,7 @@ pub struct Point {
     pub quality_db: Option<f64>,
     pub moving: MeanScores,
     pub whole: MeanScores,
-    /// PSNR against the view by the most accurate methods, where there is no truth.
+    /// PSNR against the view that the most accurate methods render, decibels; `None` if the capture has truth.
     pub most_accurate_db: Option<f64>,
     /// Wall-clock time of one view at a new instant, seconds.
     pub wall_s: Option<Spread>,

@@ -11,10 +11,11 @@ __version__: str
 
 @type_check_only
 class CameraOffset(TypedDict, total=False):
-    """Time on the reference's clock = time on the camera's clock + offset_s; None is unknown.
+    """A camera's clock: time on the reference's clock = time on the camera's clock + offset_s.
 
-    rate_ppm and its standard error are there for a clock that drifts, lost_before for a camera that
-    may have lost frames: the images before which one is missing.
+    An offset that is unknown is None, and `reason` says why. A clock that drifts has `rate_ppm` with its
+    standard error. A camera that may have lost frames has `lost_before`: the indices of the images before
+    which a frame is missing.
     """
 
     id: str
@@ -47,7 +48,7 @@ class Stage(TypedDict):
     methods: list[Method]
 
 def methods() -> dict[str, Stage]:
-    """The methods of `sync` and `proxy`, the modes of `trail`, and `preset`: named options of all stages."""
+    """The methods of the stages `sync` and `proxy`, the modes of `trail`, and the names of `preset`."""
 
 @type_check_only
 class Option(TypedDict):
@@ -62,16 +63,16 @@ class Option(TypedDict):
     choices: list[Method]
 
 def options() -> list[Option]:
-    """Every option, by its path in an options file, such as `blend.cameras`; as `stlfr options --json`."""
+    """All options, as `stlfr options --json` prints them. An option's name is its path, such as `blend.cameras`."""
 
 def open(path: str | PathLike[str]) -> Capture:
     """Open and check a capture's folder.
 
-    Raises FileNotFoundError if there is no capture, and ValueError with one sentence where it is wrong.
+    Raises FileNotFoundError if there is no capture, and ValueError if the capture is invalid.
     """
 
 def project(camera: dict[str, Any], points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """The pixels of world points in a camera object as in capture.json; as `Capture.project`."""
+    """Project world points, as `Capture.project` does, with a camera object as in capture.json."""
 
 def compare(
     path: str | PathLike[str],
@@ -79,22 +80,23 @@ def compare(
     options: dict[str, Any] | None = None,
     lines: bool = False,
 ) -> dict[str, str]:
-    """Compare a capture with its truth into its folder `review`, as `stlfr compare` does, but for `review.blend`.
+    """Compare rendered views with a capture's truth, as `stlfr compare` does, but without `review.blend`.
 
-    Gives the files `report` (HTML) and `review` (what stands beside what, JSON). With `lines`, progress goes to
-    standard output, one JSON object `done`, `total`, `what` a line. Raises ValueError with one sentence.
+    Writes the results into the capture's folder `review`. Returns the paths of the files `report` (HTML) and
+    `review` (the layout of the review, JSON). With `lines`, progress is printed on standard output, one JSON
+    object with `done`, `total` and `what` per line. Raises ValueError if the comparison fails.
     """
 
 def read_rig(path: str | PathLike[str]) -> dict[str, Any]:
-    """The content of a rig file, checked. Fields that have their default values are left out.
+    """Read and check a rig file. The result lacks fields that have their default values.
 
-    Raises ValueError with one sentence, which names the file and the field, where it is wrong.
+    Raises ValueError if the rig is invalid; the message names the file and the field.
     """
 
 def check_rig(rig: dict[str, Any]) -> None:
     """Check a rig, given as a rig file's content.
 
-    Raises ValueError with the sentence that `stlfr rig --check` prints, without the file.
+    Raises ValueError if the rig is invalid, with the message of `stlfr rig --check` without the file's name.
     """
 
 def generate_rig(options: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -103,24 +105,24 @@ def generate_rig(options: dict[str, Any] | None = None) -> dict[str, Any]:
     Options, all of them optional: `name`, `layout`, `spacing_m`, `sizes_px`, `lenses_mm`,
     `sensor_width_mm`, `distortion`, `rates_hz`, `delays`, `jitters_s`, `jitter_stamped`,
     `max_drift_ppm`, `loss`, `clock_shared`, `exposures_s`, `gains`, `noises`, `colors`, `bit_depth`
-    and `seed`. A list's entries go to the cameras in turn. `layout` is `{"line": {"count"}}`,
+    and `seed`. The entries of a list are assigned to the cameras in turn, repeatedly. `layout` is `{"line": {"count"}}`,
     `{"grid": {"rows", "columns"}}` or `{"arc": {"count", "distance_m"}}`; `delays` is `"none"`,
     `"random"` or `{"listed": [seconds]}`; `loss` is `{"count", "within", "stamps"}` with stamps
     `"stamped"`, `"hidden"` or `"mixed"`. The defaults are the paper's rig: eight cameras in a line.
 
-    Raises ValueError with one sentence where there is no such rig.
+    Raises ValueError if the options are invalid.
     """
 
 def colmap_text(images: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, str]:
     """The files of COLMAP's text model by their names: `cameras.txt`, `images.txt`, `points3D.txt`.
 
-    Each image is its name and its camera object as in capture.json, and has a camera of its own.
-    There are no points. Raises ValueError where an object isn't a camera's.
+    An image is given by its name and its camera object as in capture.json. Each image gets its own camera in
+    the model, which has no points. Raises ValueError if an object is no valid camera.
     """
 
 @final
 class Capture:
-    """A capture: calibrated cameras and what they filmed."""
+    """A capture: calibrated cameras with their recorded frames."""
 
     @property
     def name(self) -> str:
@@ -138,17 +140,17 @@ class Capture:
         """A camera object by its id, or by the name of a true view: width, height, model, params and cam_from_world."""
 
     def covered_s(self, camera_id: str | None = None) -> tuple[float, float]:
-        """The first and the last time at which a camera has images, or any camera without one.
+        """The first and the last time at which a camera has images, seconds on the reference's clock.
 
-        Seconds on the reference's clock. Offsets that aren't known yet are estimated.
+        Without `camera_id`, those at which any camera has images. Unknown offsets are estimated.
         """
 
     @property
     def reference(self) -> str:
-        """The id of the camera whose clock is everybody's time."""
+        """The id of the reference camera, on whose clock times of views are given."""
 
     def project(self, camera_id: str, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """The pixels, (N, 2), that world points, (N, 3) in metres, fall on.
+        """Project world points, (N, 3) in metres, to pixels, (N, 2).
 
         The top-left pixel's centre is (0.5, 0.5). A point that has no image (behind the camera,
         or beyond the radius where the lens model folds back) gives a row of NaN. Pixels may lie outside the image.
@@ -165,7 +167,7 @@ class Capture:
     def offsets(
         self, options: dict[str, Any] | None = None, *, preset: str | None = None
     ) -> Offsets:
-        """Every camera's offset: those saved in the capture's folder, else estimated and saved there."""
+        """The offsets of all cameras, read from the capture's folder, or else estimated and saved there."""
 
     def render(
         self,
@@ -178,15 +180,16 @@ class Capture:
         alpha: bool | None = None,
         proceed: Callable[[int, int], object] | None = None,
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
-        """The view of a camera object as `camera` gives it, or of the camera or true view that `like` names.
+        """Render the view of `camera`, or of the camera or true view with the name `like`.
 
-        An array (H, W, channels) in the input's bit depth. Channels are RGB or grey. With `alpha` true,
-        alpha comes after them, with `alpha` false never, by default where no camera sees some of the
-        pixels. Time is seconds on the reference's clock.
-        `options` is what a file for `stlfr render --options` holds; names may be paths, such as
-        `blend.cameras`, and `proxy` and `blend` may be their methods. They override those of `preset`.
-        `proceed(done, total)` is called before every step of every instant of a trail, of one instant
-        without a trail; where it returns something false, rendering stops with an InterruptedError.
+        `camera` is a camera object in the form that the method `camera` returns. `time_s` is in seconds on the
+        reference's clock. The result is an array (H, W, channels) in the input's bit depth. Channels are RGB
+        or grey, followed by alpha if `alpha` is true. By default, alpha follows only if some pixels are seen by
+        no camera. `options` has the content of an options file of `stlfr render`, and overrides `preset`. Its
+        names may be paths, such as `blend.cameras`; `proxy` and `blend` may also be the names of methods.
+        Before every step of an instant, `proceed(done, total)` is called with the number of finished instants
+        and of all instants of the trail (1 without a trail). If it returns a false value, rendering stops with
+        an InterruptedError.
         """
 
     def moment(
@@ -196,9 +199,9 @@ class Capture:
         options: dict[str, Any] | None = None,
         preset: str | None = None,
     ) -> Moment:
-        """The instant for many views of it: what doesn't depend on the viewpoint is computed once, here.
+        """Prepare one instant for many views. Results that don't depend on the viewpoint are computed once, here.
 
-        A trail in the options is left out.
+        A trail in the options is ignored.
         """
 
 @final
@@ -208,8 +211,8 @@ class Moment:
     def view(
         self, camera: dict[str, Any], *, alpha: bool | None = None
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
-        """The view of a camera object, as `Capture.render` gives it, but over depth per pixel.
+        """Render the view of a camera object.
 
-        There, the depths of all cameras share one range, and a view takes those of the cameras nearest to it:
-        pixels differ slightly.
+        With depth per pixel as proxy, the pixels differ slightly from those of `Capture.render`: here, the
+        depths of all cameras are searched in one range, and a view uses those of its nearest cameras.
         """

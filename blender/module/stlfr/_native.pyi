@@ -1,6 +1,6 @@
-"""The compiled module. The package `stlfr` has its interface; the command line is here alone."""
+"""The compiled module. The package `stlfr` exports all of it except `run_command`."""
 
 from pathlib import Path
 
 def run_command(program: Path, arguments: list[str]) -> int:
-    """Run the command line, and give its exit code; `program` is the path that starts it."""
+    """Run a command line, and return its exit code. `program` is the path of the program `stlfr`."""

@@ -12,7 +12,7 @@ struct PixelMotion {
     cost: f32,
 }
 
-/// Refines with pair costs by the same motions.
+/// The refined image. The pair costs and the refinement use the motions of one set of tracks.
 fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],

@@ -37,7 +37,8 @@ const DECISIVE_OUTLIERS: f64 = 1.0;
 const JUMPS: [i32; 4] = [1, -1, 2, -2];
 /// The minimum decrease of the objective by a jump move, as a multiple of an outlier's cost.
 const MIN_IMPROVEMENT: f64 = 1e-6;
-/// The maximum number of sweeps over all cameras, and also the maximum number of jump moves.
+/// The maximum number of sweeps, each of which updates every camera's model once. It is also the maximum number of
+/// jump moves.
 const MAX_SWEEPS: usize = 12;
 /// The change of an offset, in frames, below which a model has converged.
 const OFFSET_TOLERANCE_FRAMES: f64 = 1e-3;
@@ -202,7 +203,7 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// By camera: whether a jump move that shifts some of its images increases the objective by less than
+    /// For each camera, whether a jump move that shifts some of its images increases the objective by less than
     /// [`DECISIVE_OUTLIERS`].
     fn undecided(&self) -> Vec<bool> {
         let mut undecided = vec![false; self.clocks.len()];

@@ -22,11 +22,11 @@ use std::ops::Range;
 /// observations.
 pub struct Component<'a> {
     pub clocks: &'a [NominalClock<'a>],
-    /// By camera: the observations of which it is one of the two cameras.
+    /// For each camera, the observations in which it is one of the two cameras.
     pub observations: &'a [Vec<TimingObservation>],
     /// The camera whose first image keeps its time, which fixes the common clock.
     pub root: usize,
-    /// By camera: its model. `None` for cameras of other components, and for those that are not fitted yet.
+    /// For each camera, its model. `None` for cameras of other components, and for those that are not fitted yet.
     pub models: Vec<Option<ClockModel>>,
     /// The penalty of one lost frame, as a multiple of an outlier's cost.
     pub loss_penalty: f64,
@@ -46,8 +46,8 @@ impl Component<'_> {
     }
 }
 
-/// A node of the graph: successive images of a camera, from `image` to the one before the next node's, whose
-/// times are only shifted together.
+/// A node of the graph: successive images of a camera, whose times a move shifts together or not at all. They reach
+/// from `image` to the image before the next node's `image`.
 struct MoveNode {
     camera: usize,
     image: usize,
@@ -69,7 +69,7 @@ pub struct Move {
 pub struct Jumps<'a> {
     component: &'a Component<'a>,
     nodes: Vec<MoveNode>,
-    /// By camera: the range of its nodes in `nodes`, ascending by image.
+    /// For each camera, the range of its nodes in `nodes`, ascending by image.
     of_camera: Vec<Range<usize>>,
     /// For each observation: the nodes of its three images, and its cost for each combination of their
     /// labels, as a multiple of an outlier's cost.
@@ -86,7 +86,8 @@ impl<'a> Jumps<'a> {
         jumps
     }
 
-    /// The node that contains a camera's image; `None` for a camera without nodes.
+    /// Index of the node (a group of images, [`MoveNode`]) that contains a camera's image; `None` for a camera without
+    /// nodes.
     fn node(&self, camera: usize, image: usize) -> Option<usize> {
         let range = self.of_camera[camera].clone();
         let within = self.nodes[range.clone()].partition_point(|n| n.image <= image);
@@ -232,7 +233,8 @@ impl<'a> Jumps<'a> {
     }
 }
 
-/// The nodes of all cameras, and each camera's range among them.
+/// Divides the images of all cameras into nodes ([`MoveNode`]). Returns the nodes, and for each camera the range of
+/// their indices.
 ///
 /// A camera that cannot lose frames has a single node. For any other camera, a node starts at each observed
 /// image, at the images on both sides of each lost frame, and at its two [`observable_ends`].
@@ -270,7 +272,7 @@ fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     (nodes, of_camera)
 }
 
-/// By camera: its first and its last image, by index, whose times are within the recordings of the cameras
+/// For each camera, its first and its last image, by index, whose times are within the recordings of the cameras
 /// with which it has common observations, extended by one frame period on both sides. `None` if there is no
 /// such image.
 fn observable_ends(component: &Component) -> Vec<Option<[usize; 2]>> {

@@ -11,9 +11,9 @@ use petgraph::visit::EdgeRef;
 
 /// An energy of binary variables (labels 0 and 1): a sum of terms of one, two and three variables.
 pub struct Energy {
-    /// By variable: the cost of the label 1; the label 0 costs 0.
+    /// For each variable, the cost of the label 1; the label 0 costs 0.
     unary: Vec<f64>,
-    /// By edge: two variables, and the cost if the first has the label 1 and the second has the label 0.
+    /// For each edge, two variables, and the cost if the first has the label 1 and the second has the label 0.
     edges: Vec<(usize, usize, f64)>,
 }
 

@@ -84,8 +84,8 @@ const NEAR_FRAME: f64 = 0.2;
 const MAX_OUTSIDE: f64 = 0.25;
 /// The minimum change of the offset, in frames, that counts as a jump by whole frames.
 const MIN_JUMP_FRAMES: f64 = 0.6;
-/// The maximum difference between an observed and the expected offset, frame periods of camera b, at which no
-/// further hypotheses are tried. The observation must also have [`MIN_AGREEMENT`].
+/// If the observed offset differs from the expected one by at most this, in frame periods of camera b, and the
+/// observation has [`MIN_AGREEMENT`], no further hypotheses are tried.
 const EXPECTED_WITHIN_FRAMES: f64 = 0.4;
 /// The number of images on either side of a lost frame that are observed again.
 const IMAGES_AROUND_LOSS: usize = 2;

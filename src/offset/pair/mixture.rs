@@ -26,7 +26,7 @@ pub struct Observation {
 }
 
 impl From<&Sample> for Observation {
-    /// The observation `offset_b − offset_a` of a sample, at time 0.
+    /// The offset `offset_b − offset_a` that a sample implies, as an observation at time 0.
     fn from(sample: &Sample) -> Self {
         Self { value_s: sample.offset_s(), at_s: 0.0, across_px_s: sample.across_px_s }
     }
@@ -45,7 +45,7 @@ pub struct Mixture {
     pub inlier_fraction: f64,
     /// The expected number of inliers.
     pub inliers: f64,
-    /// By observation: the weight of its squared residual, 1 / px².
+    /// For each observation, the weight of its squared residual, 1 / px².
     pub weights: Vec<f64>,
 }
 
@@ -202,7 +202,7 @@ struct MixtureSums {
     /// The sum of squared residuals, px². Each is divided by the ratio of its component's variance to the
     /// narrowest one's.
     squares: f64,
-    /// By observation: its weight, 1 / px².
+    /// For each observation, its weight, 1 / px².
     weights: Vec<f64>,
 }
 

@@ -16,7 +16,7 @@ use super::{OffsetMethod, OffsetOptions};
 use crate::capture::Capture;
 use std::sync::Arc;
 
-/// The estimate of one pair of cameras, (i, j), by itself.
+/// The offset between two cameras, (i, j), estimated from their recordings alone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PairEstimate {
     /// The indices of cameras i and j.
@@ -89,8 +89,8 @@ pub enum PairFailure {
 
 /// The maximum absolute offset that is consistent with the nominal clocks, frames.
 pub const NOMINAL_CLOCK_FRAMES: f64 = 1.5;
-/// The minimum agreement ([`PairEstimate::agreement`]) of an offset beyond [`NOMINAL_CLOCK_FRAMES`]. Swinging
-/// parts have inliers a period away from the true offset.
+/// The minimum agreement ([`PairEstimate::agreement`]) of an offset larger than [`NOMINAL_CLOCK_FRAMES`]. Such an
+/// offset may be wrong by the period of a swinging object, whose features are inliers of both offsets.
 pub const MIN_AGREEMENT: f64 = 0.5;
 /// The minimum number of inliers of a pair.
 pub const MIN_INLIERS: usize = 12;

@@ -211,7 +211,7 @@ fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     pairs[..max_pairs].iter().take_while(fits).count().max(1)
 }
 
-/// By camera: its clock's offset, seconds, relative to that of one camera of the group. It is 0 for cameras
+/// For each camera, its clock's offset, seconds, relative to that of one camera of the group. It is 0 for cameras
 /// that no pair with an initial offset connects to others.
 fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
     let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_ok()).collect();

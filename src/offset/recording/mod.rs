@@ -74,7 +74,7 @@ pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
 /// computed on demand and cached.
 pub struct Recording<'a> {
     pub frames: &'a FrameStore,
-    /// By camera: its clock. Frame times are corrected for the lost frames of the hypothesis.
+    /// For each camera, its clock. Frame times are corrected for the lost frames of the hypothesis.
     pub clocks: Vec<Clock>,
     pub options: &'a OffsetOptions,
     track_cache: &'a TrackCache,
