@@ -76,15 +76,20 @@ impl WritingThread {
 
     /// Waits until all views are written and a video is finished.
     pub fn finish(mut self) -> Result<(), CliError> {
-        // Sending fails if the thread has failed; then joining returns its error.
-        let _ = self.views.as_ref().map(|views| views.send(None));
+        if let Some(views) = &self.views {
+            // Sending fails if the thread has failed; then joining returns its error.
+            let _ = views.send(None);
+        }
         self.join()
     }
 
     fn join(&mut self) -> Result<(), CliError> {
         self.views = None;
-        let result = self.thread.take().map(JoinHandle::join);
-        result.map_or(Ok(()), |result| result.unwrap_or_else(|panic| resume_unwind(panic)))
+        match self.thread.take().map(JoinHandle::join) {
+            None => Ok(()),
+            Some(Ok(result)) => result,
+            Some(Err(panic)) => resume_unwind(panic),
+        }
     }
 }
 
