@@ -177,8 +177,8 @@ fn sentence(message: &str) -> String {
     for (from, to) in OF_NUMBERS {
         joined = joined.replace(&format!(": {from}"), &format!(": {to}"));
     }
-    let tips = paragraphs.flat_map(str::lines).filter_map(|line| line.trim().strip_prefix("tip: "));
-    match tips.into_iter().find(|tip| tip.contains(" similar ")) {
+    let mut tips = paragraphs.flat_map(str::lines).filter_map(|l| l.trim().strip_prefix("tip: "));
+    match tips.find(|tip| tip.contains(" similar ")) {
         Some(tip) => format!("{joined}; {tip} (--help says more)"),
         None => format!("{joined} (--help says more)"),
     }

@@ -28,7 +28,7 @@ def scene() -> Any:
 
 def test_lost_textures_are_one_sentence(scene: Any) -> None:
     """Materials in the order of their names; without procedural textures nothing is said."""
-    workbench = importlib.import_module(f"{filming.film.__package__}.workbench")
+    workbench = importlib.import_module(f"{filming.rig.__package__}.workbench")
     [sentence] = workbench.lost_textures(scene)
     assert sentence.startswith("Workbench films TexNoise, TexWave in a plain colour: ")
     for obj in list(scene.objects):
