@@ -29,7 +29,7 @@ def lost_textures(scene: Any) -> list[str]:
 
 def _is_procedural(material: bpy.types.Material) -> bool:
     """Whether a material has textures, and none of them is an image."""
-    if not material.use_nodes or material.node_tree is None:
+    if material.node_tree is None:
         return False
     kinds = {
         node.type
