@@ -105,7 +105,7 @@ def moving_part(motion_px: npt.NDArray[np.float32]) -> Mask:
     return cv2.dilate(moves, np.ones((side, side), np.uint8)).astype(np.bool_)
 
 
-def psnr_db(image: Image, truth: Image, mask: Mask) -> float:
+def psnr_db(image: npt.NDArray[Any], truth: Image, mask: Mask) -> float:
     """PSNR over the pixels of a mask; not a number without pixels."""
     if not mask.any():
         return float("nan")
