@@ -6,8 +6,8 @@ use crate::host::CacheKind;
 use crate::light_field::{LightField, RenderError};
 use crate::method::Method;
 use crate::offset::resolve_offsets;
-use crate::options::RenderOptions;
-use crate::plan::{Decision, Plan, plan};
+use crate::options::{AutoOptions, RenderOptions};
+use crate::plan::{Decision, Plan, is_undecided, plan};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
@@ -39,17 +39,19 @@ pub fn open_field(
 }
 
 /// The options with automatic choices resolved. For the stages that `options.auto` names, [`plan`] chooses the method
-/// and its parameters; other stages are unchanged. The plan is cached, keyed with offsets and options. Notes on the
+/// and its parameters; other stages are unchanged. Without a choice that has an effect, nothing is measured. The plan is cached, keyed with offsets and options. Notes on the
 /// reporter state the chosen methods, and the reasons if the plan is new.
 pub fn resolved(
     field: &LightField,
     options: &RenderOptions,
     reporter: &Reporter,
 ) -> Result<RenderOptions, RenderError> {
-    let stages = options.auto.stages();
-    if stages.is_empty() {
-        return Ok(options.clone());
+    if !is_undecided(options) {
+        let AutoOptions { budget_px, budget_db, .. } = options.auto;
+        let auto = AutoOptions { budget_px, budget_db, ..AutoOptions::default() };
+        return Ok(RenderOptions { auto, ..options.clone() });
     }
+    let stages = options.auto.stages();
     if let Some(planned) = planned_before(field, options) {
         let methods = [
             ("sync", planned.sync.name()),

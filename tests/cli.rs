@@ -64,6 +64,10 @@ fn options_are_listed_and_set_by_name() {
         2,
         "blend.camera: no such option",
     );
+    let output = run(&["options", "--set", "proxy.method=depht"]);
+    assert_refused(&output, 2, "proxy.method: unknown variant `depht`");
+    assert!(!common::stderr(&output).contains("column"));
+    assert_refused(&run(&["option"]), 2, "a similar subcommand exists: 'options'");
     assert_refused(&run(&["options", "--set", "blend.cameras=0"]), 2, "blend.cameras: is 0.0");
     assert_refused(&run(&["options", "--set", "trail.mode"]), 2, "trail.mode: ");
     assert_refused(&run(&["options", "--options", "/nowhere.json"]), 2, "/nowhere.json");
@@ -263,4 +267,11 @@ fn a_list_is_no_object() {
     describe(root, &json!(fields));
     let output = run(&["offsets", text(root)]);
     assert_refused(&output, 2, "capture.json: invalid type: sequence, expected an object");
+    let file = root.join("capture.json");
+    let output = run(&["offsets", text(&file)]);
+    assert_refused(&output, 2, "capture.json: is a file, and a capture is a folder");
+    std::fs::remove_file(&file).unwrap();
+    assert_refused(&run(&["offsets", text(root)]), 2, "capture.json: No such file");
+    std::fs::create_dir(root.join(".film")).unwrap();
+    assert_refused(&run(&["offsets", text(root)]), 2, "is not filmed to its end");
 }

@@ -67,7 +67,14 @@ fn true_images_are_listed_with_their_times() {
         let times = found["truth"][view["id"].as_str().unwrap()].as_array().unwrap();
         assert!(times.contains(&view["time_s"]), "{times:?}");
     }
-    assert!(page(folder.path()).contains("\nTruth "));
+    let page = page(folder.path());
+    assert!(page.contains("\nTruth "), "{page}");
+    // Views of one instant are in one row.
+    let times: Vec<&Value> =
+        truth["views"].as_array().unwrap().iter().map(|v| &v["time_s"]).collect();
+    let instants = times.iter().enumerate().filter(|(k, time)| !times[..*k].contains(time)).count();
+    let rows = page.lines().filter(|line| line.contains(" at ") && line.ends_with(" s")).count();
+    assert!(times.len() > instants && (1..=instants).contains(&rows), "{page}");
 }
 
 #[test]

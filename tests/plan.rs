@@ -242,6 +242,13 @@ fn a_plan_is_kept_for_the_same_capture_and_options() {
     assert!(planned(&["--preset", "draft"]).1.contains(because) && files() == 2);
     edit(folder.path(), |json| json["name"] = json!("another"));
     assert!(planned(&[]).1.contains(because) && files() == 3);
+
+    // Nothing is measured where a choice has no effect.
+    let image = folder.path().join("view.png");
+    let given = ["--like", "cam1", "--time", "0", "--sync", "nearest", "--proxy", "plane"];
+    let render = ["render", text(folder.path()), "-o", text(&image), "--preset", "best"];
+    let said = stderr(&succeed(&[&render[..], &given].concat()));
+    assert!(!said.contains("Auto") && files() == 3, "{said}");
 }
 
 #[test]

@@ -198,6 +198,11 @@ fn a_folder_with_other_files_is_not_replaced() {
     let elsewhere = folder.path().join("b");
     let output = run(&["publish", text(&capture), "-o", text(&elsewhere), "--span", "5:6", "-q"]);
     assert_refused(&output, 2, "--span: no camera has frames around 5 s");
+    // The cameras' three frames end before 0.1 s; with other offsets than the estimated they would not.
+    let span = ["-o", text(&elsewhere), "--span", "0.05:0.2", "-q"];
+    let output = run(&[&["publish", text(&capture)], &span[..]].concat());
+    assert_refused(&output, 2, "--span: no camera has frames around 0.2 s");
+    assert!(!elsewhere.exists());
 }
 
 #[test]

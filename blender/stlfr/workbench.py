@@ -8,7 +8,7 @@ import bpy
 
 
 def lost_textures(scene: Any) -> list[str]:
-    """One sentence for each material whose texture Workbench leaves out, by the material's name."""
+    """One sentence with the materials whose texture Workbench leaves out, by name; none if there is none."""
     materials = {
         slot.material
         for obj in scene.objects
@@ -16,17 +16,20 @@ def lost_textures(scene: Any) -> list[str]:
         for slot in obj.material_slots
         if slot.material is not None
     }
+    lost = sorted(
+        str(material.name) for material in materials if _is_procedural(material)
+    )
+    if not lost:
+        return []
     return [
-        f"Workbench films {material.name} in a plain colour, because its texture is procedural: "
-        "clocks stay unknown where too little is textured; --engine cycles shows it"
-        for material in sorted(materials, key=lambda material: str(material.name))
-        if _is_procedural(material)
+        f"Workbench films {', '.join(lost)} in a plain colour: procedural textures need --engine "
+        "cycles. Clocks stay unknown where too little is textured."
     ]
 
 
 def _is_procedural(material: bpy.types.Material) -> bool:
     """Whether a material has textures, and none of them is an image."""
-    if not material.use_nodes or material.node_tree is None:
+    if material.node_tree is None:
         return False
     kinds = {
         node.type

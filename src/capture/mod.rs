@@ -28,6 +28,7 @@ use crate::progress::Reporter;
 use crate::raster::{BitDepth, Image, ImageFileError, read_hashed_image};
 use crate::video::ffmpeg_on_path;
 use content::{ContentHash, ContentHashes};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -140,7 +141,16 @@ impl Capture {
     pub fn open_with(folder: &Path, opening: &Opening) -> Result<Self, CaptureError> {
         let path = folder.join(CAPTURE_FILE);
         let failed = |source| CaptureError::Json { path: path.clone(), source };
-        let text = read_text(&path, json::MAX_BYTES).map_err(JsonError::Read).map_err(failed)?;
+        let text = read_text(&path, json::MAX_BYTES).map_err(|error| match error.kind() {
+            ErrorKind::NotFound if folder.join(output_guard::FILM).is_dir() => {
+                let reason = "is not filmed to its end: the same stlfr capture continues it";
+                CaptureError::content(folder, reason)
+            }
+            ErrorKind::NotADirectory => {
+                CaptureError::content(folder, "is a file, and a capture is a folder")
+            }
+            _ => failed(JsonError::Read(error)),
+        })?;
         let format: CaptureFormat =
             json::parse(&text).map_err(JsonError::Content).map_err(failed)?;
         let refused = |reason: String| CaptureError::content(&path, reason);

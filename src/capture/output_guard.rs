@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 const PARTS: [&str; 6] = ["truth", "colmap", ".stlfr", FILM, "offsets.json", "offsets.svg"];
 
 /// Hidden folder of the filming script. If it exists and `capture.json` doesn't, filming is unfinished.
-const FILM: &str = ".film";
+pub(super) const FILM: &str = ".film";
 
 /// Checks outputs before a computation begins. An output file may replace a regular file or nothing, and no output may
 /// replace a part of a capture.

@@ -48,7 +48,7 @@ pub struct SceneArgs {
     /// A .blend file of your own.
     #[arg(long, value_name = "FILE", group = "source")]
     blend: Option<PathBuf>,
-    /// Image size of all cameras; the aspect ratio must be that of the rig.
+    /// Image size of all cameras, with the rig's aspect ratio [default: the rig's size].
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     size: Option<(u32, u32)>,
     /// Number of frames of the reference camera; the others film for the same time [default: 9].
@@ -57,7 +57,8 @@ pub struct SceneArgs {
     /// Samples per pixel; images of the truth have four times as many [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     samples: Option<u32>,
-    /// Blender's render engine. Workbench is many times faster, and lacks shadows and highlights.
+    /// Blender's render engine. Workbench is many times faster, and lacks shadows, highlights and
+    /// procedural textures [default: cycles].
     #[arg(long, value_name = "ENGINE", value_parser = ["cycles", "workbench"])]
     engine: Option<String>,
     /// Number of instants at which the truth is rendered [default: 3].

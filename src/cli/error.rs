@@ -158,13 +158,30 @@ pub fn usage(error: &clap::Error) -> u8 {
     }
 }
 
-/// The first paragraph of clap's message on one line, without the prefix "error: ".
+/// Sentences of Rust's number parsers, and those of this program.
+const OF_NUMBERS: [(&str, &str); 4] = [
+    ("invalid float literal", "is no number"),
+    ("cannot parse float from empty string", "is no number"),
+    ("invalid digit found in string", "is no whole number"),
+    ("cannot parse integer from empty string", "is no whole number"),
+];
+
+/// The first paragraph of clap's message on one line, without the prefix "error: ", and clap's suggestion of a similar
+/// word.
 fn sentence(message: &str) -> String {
-    let first = message.split("\n\n").next().unwrap_or_default();
+    let mut paragraphs = message.split("\n\n");
+    let first = paragraphs.next().unwrap_or_default();
     let lines: Vec<String> = first.lines().map(|line| alternatives(line.trim())).collect();
     let joined = lines.join(" ").split_whitespace().collect::<Vec<_>>().join(" ");
-    let joined = joined.strip_prefix("error: ").unwrap_or(&joined);
-    format!("{joined} (--help says more)")
+    let mut joined = joined.strip_prefix("error: ").unwrap_or(&joined).to_owned();
+    for (from, to) in OF_NUMBERS {
+        joined = joined.replace(&format!(": {from}"), &format!(": {to}"));
+    }
+    let mut tips = paragraphs.flat_map(str::lines).filter_map(|l| l.trim().strip_prefix("tip: "));
+    match tips.find(|tip| tip.contains(" similar ")) {
+        Some(tip) => format!("{joined}; {tip} (--help says more)"),
+        None => format!("{joined} (--help says more)"),
+    }
 }
 
 /// Rewrites a choice of required arguments, `<--a <A>|--b <B>>`, as `--a <A> or --b <B>`. Other lines are unchanged.
@@ -212,6 +229,16 @@ mod tests {
         assert_eq!(
             sentence(message),
             "these were not provided: --camera <VIEW.json> or --like <NAME> (--help says more)"
+        );
+        let message = "error: unrecognized subcommand 'rendr'\n\n  tip: a similar subcommand exists: 'render'\n\nUsage: …\n";
+        assert_eq!(
+            sentence(message),
+            "unrecognized subcommand 'rendr'; a similar subcommand exists: 'render' (--help says more)"
+        );
+        let message = "error: invalid value '0.1s' for '--time <SECONDS>': invalid float literal\n";
+        assert_eq!(
+            sentence(message),
+            "invalid value '0.1s' for '--time <SECONDS>': is no number (--help says more)"
         );
     }
 }

@@ -227,8 +227,7 @@ impl Info {
             page.line(format_args!("         without {unknown} of unknown clock"));
         }
         page.line(format_args!("Offsets  {}", self.offsets.sentence()));
-        let views = self.truth.iter().map(|(id, times)| format!("{id} at {}", times_of(times)));
-        list(page, "Truth", "none", views.collect());
+        list(page, "Truth", "none", self.true_views());
         let cached = self.cache.iter().map(|CacheUse { kind, entries: n, bytes }| {
             format!("{kind:<22} {n:>6} {:<7} {:>10}", entries(*n), size(*bytes))
         });
@@ -245,6 +244,16 @@ impl Info {
             "none: videos aren't decoded yet",
             self.example.clone().into_iter().collect(),
         );
+    }
+
+    /// Rows of the truth's views, those with the same times in one row.
+    fn true_views(&self) -> Vec<String> {
+        let views: Vec<(&String, &Vec<f64>)> = self.truth.iter().collect();
+        let row = |views: &[(&String, &Vec<f64>)]| {
+            let ids: Vec<&str> = views.iter().map(|(id, _)| id.as_str()).collect();
+            format!("{} at {}", ids.join(", "), times_of(views[0].1))
+        };
+        views.chunk_by(|a, b| a.1 == b.1).map(row).collect()
     }
 }
 

@@ -62,7 +62,7 @@ struct Cli {
     #[command(subcommand)]
     command: Command,
     /// No progress and no notes; errors still go to stderr.
-    #[arg(long, short, global = true)]
+    #[arg(long, short, global = true, display_order = 998)]
     quiet: bool,
 }
 

@@ -5,7 +5,7 @@ use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
 use super::values::{TimeSpan, image_size};
 use super::viewpoint::rounded;
-use crate::light_field::check_times_before_offsets;
+use crate::light_field::{Viewpoint, check_times_before_offsets};
 use crate::options::ProxyMethod;
 use crate::pipeline;
 use crate::progress::Reporter;
@@ -62,6 +62,12 @@ pub fn run(args: &PublishArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     }
     let name = capture.name.clone();
     let field = pipeline::open_field(capture, &options, reporter)?;
+    if let Some((first, last)) = span_s {
+        let capture = field.capture();
+        let lens = Viewpoint::View(&capture.cameras[capture.reference].camera);
+        let checked = field.check_times(lens, &[first, last]);
+        checked.map_err(|e| CliError::from(e).of_flag("--span"))?;
+    }
     let wanted = PublishOptions {
         span_s,
         max_size: args.size.map(|(width, height)| [width as usize, height as usize]),

@@ -36,9 +36,28 @@ pub fn read_within<T: DeserializeOwned>(path: &Path, max_bytes: u64) -> Result<T
 pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let value = serde_path_to_error::deserialize(Objects(&mut deserializer));
-    let value = value.map_err(|e| e.to_string())?;
+    let value = value.map_err(|error| refusal(&error))?;
     deserializer.end().map_err(|e| e.to_string())?;
     Ok(value)
+}
+
+/// Names of Rust's number types in the parser's messages, and their words.
+const NUMBERS: [(&str, &str); 5] = [
+    ("expected usize", "expected a whole number"),
+    ("expected u64", "expected a whole number"),
+    ("expected u32", "expected a whole number"),
+    ("expected f64", "expected a number"),
+    ("expected f32", "expected a number"),
+];
+
+/// The sentence of an error. A text that isn't JSON from its first character on is called so.
+fn refusal(error: &serde_path_to_error::Error<serde_json::Error>) -> String {
+    let sentence = error.to_string();
+    let is_syntax = error.inner().is_syntax() || error.inner().is_eof();
+    if is_syntax && error.path().iter().next().is_none() {
+        return format!("is no JSON: {sentence}");
+    }
+    NUMBERS.iter().fold(sentence, |sentence, (from, to)| sentence.replace(from, to))
 }
 
 #[cfg(test)]
@@ -59,6 +78,10 @@ mod tests {
         }
         assert!(parse::<RenderOptions>("{} {}").unwrap_err().contains("trailing"));
         assert!(parse::<RenderOptions>("").is_err());
+        let message = parse::<RenderOptions>("# stlfr").unwrap_err();
+        assert!(message.starts_with("is no JSON: expected value"), "{message}");
+        let message = parse::<RenderOptions>(r#"{"blend": {"cameras": "two"}}"#).unwrap_err();
+        assert!(message.contains(r#"string "two", expected a whole number"#), "{message}");
     }
 
     #[test]

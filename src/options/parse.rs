@@ -36,21 +36,30 @@ impl RenderOptions {
         Ok(options)
     }
 
-    /// Sets one option by its path, such as `blend.cameras`, to a value in JSON; names need no quotes. If a stage's
-    /// method is set, the automatic choice for this stage is off.
+    /// Sets one option by its path, such as `blend.cameras`, to a value in JSON; names need no quotes. The name of a
+    /// group, such as `proxy`, sets its method. If a stage's method is set, the automatic choice for this stage is off.
     ///
     /// The error is a sentence that starts with the option.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
         let mut options = serde_json::to_value(&*self).map_err(|e| e.to_string())?;
-        let option = options.pointer_mut(&format!("/{}", name.replace('.', "/")));
-        let option = option.filter(|option| !option.is_object());
-        let option = option.ok_or_else(|| format!("{name}: no such option"))?;
+        let method = format!("{name}.method");
+        let pointer = |name: &str| format!("/{}", name.replace('.', "/"));
+        let is_group = options.pointer(&pointer(&method)).is_some();
+        let name = if is_group { method.as_str() } else { name };
+        let option = options.pointer_mut(&pointer(name)).filter(|option| !option.is_object());
+        let unknown = || format!("{name}: no such option; stlfr options lists all");
+        let option = option.ok_or_else(unknown)?;
         *option = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
         let chosen = CHOSEN.iter().find(|(method, _)| method[1..].replace('/', ".") == name);
         if let Some(auto) = chosen.and_then(|(_, auto)| options.pointer_mut(auto)) {
             *auto = Value::Bool(false);
         }
-        *self = Self::parse_whole(&options.to_string())?;
+        // The place in the merged text means nothing to the caller.
+        let sentence = |error: String| match error.split_once(" at line 1 column ") {
+            Some((sentence, _)) => sentence.to_owned(),
+            None => error,
+        };
+        *self = Self::parse_whole(&options.to_string()).map_err(sentence)?;
         Ok(())
     }
 }
@@ -106,7 +115,7 @@ mod tests {
                 (r#"{"preset": "worst"}"#, "preset"),
                 (r#"{"preset": {"a": 1}}"#, "preset"),
                 ("[]", "must be an object"),
-                ("{", "EOF"),
+                ("{", "is no JSON: EOF"),
             ] {
                 let message = RenderOptions::parse(text, preset).unwrap_err();
                 assert!(message.starts_with(field), "{message}");
@@ -128,11 +137,14 @@ mod tests {
         assert_eq!((options.sync.name(), options.blend.cameras), ("nearest", 7));
         assert_eq!((options.proxy.plane_depth_m, options.auto.sync), (Some(1.5), true));
         options.set("proxy.plane_depth_m", "null").unwrap();
+        options.auto.proxy = true;
+        options.set("proxy", "depth").unwrap();
+        assert_eq!((options.proxy.method.name(), options.auto.proxy), ("depth", false));
         assert_eq!(options.proxy.plane_depth_m, None);
         let before = options.clone();
         for (name, value) in [
             ("blend.camera", "7"),
-            ("blend", "{}"),
+            ("trail", "{}"),
             ("blend.cameras", "many"),
             ("blend.cameras", "-1"),
             ("blend.cameras", "0"),
@@ -142,6 +154,7 @@ mod tests {
         ] {
             let error = options.set(name, value).unwrap_err();
             assert!(error.starts_with(&format!("{name}: ")), "{error}");
+            assert!(!error.contains("column"), "{error}");
             assert_eq!(options, before);
         }
     }

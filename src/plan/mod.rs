@@ -56,6 +56,19 @@ pub struct Plan {
     pub options: RenderOptions,
 }
 
+/// Whether a plan can change options: whether one of the methods that `options.auto` names has an effect. Scene flow
+/// uses neither sync method nor blend, and weights in time are chosen only over refined images and depth per pixel.
+pub fn is_undecided(options: &RenderOptions) -> bool {
+    let AutoOptions { sync, proxy, blend, .. } = options.auto;
+    let is_refined = options.sync.of_one_camera() == SyncMethod::Refined;
+    match options.proxy.method {
+        _ if proxy => true,
+        ProxyMethod::SceneFlow => false,
+        ProxyMethod::Depth => sync || (blend && is_refined),
+        ProxyMethod::Plane | ProxyMethod::Mesh => sync,
+    }
+}
+
 /// Chooses the methods of all stages by measurements of a light field's capture. In the plan's options, the stages
 /// that `options.auto` names have the chosen methods.
 ///
@@ -83,8 +96,10 @@ pub fn plan(
     if options.auto.proxy {
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
     }
+    let comparison = reporter.phase("comparing methods on held-out frames");
     let ByViews { sync: (sync, of_sync), blend: (blend, of_blend), proxy } =
         by_views(field, &decided, (sync, of_sync))?;
+    drop(comparison);
     if let Some((proxy, decision)) = proxy {
         decided.proxy.method = proxy;
         of_proxy = decision;
@@ -127,8 +142,7 @@ fn by_views(
     mut sync: (SyncMethod, Decision),
 ) -> Result<ByViews, RenderError> {
     let AutoOptions { budget_db, .. } = options.auto;
-    let is_probed = sync.0 == SyncMethod::Refined
-        && (options.auto.sync || options.auto.blend || options.auto.proxy);
+    let is_probed = sync.0 == SyncMethod::Refined && is_undecided(options);
     let probe = if is_probed { Probe::open(field, &options.registration)? } else { None };
     let Some(probe) = probe else {
         return Ok(ByViews { sync, blend: decide::blend(None, ""), proxy: None });
@@ -207,6 +221,28 @@ fn probing(mut options: RenderOptions) -> RenderOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn methods_without_an_effect_are_not_chosen() {
+        let undecided = |proxy: ProxyMethod, sync: SyncMethod, auto: AutoOptions| {
+            let mut options = RenderOptions { sync, auto, ..RenderOptions::default() };
+            options.proxy.method = proxy;
+            is_undecided(&options)
+        };
+        let all = AutoOptions::all();
+        let of_views = AutoOptions { proxy: false, ..all.clone() };
+        let of_blend = AutoOptions { sync: false, ..of_views.clone() };
+        for proxy in [ProxyMethod::Plane, ProxyMethod::Mesh, ProxyMethod::Depth] {
+            assert!(undecided(proxy, SyncMethod::Nearest, all.clone()));
+            assert!(undecided(proxy, SyncMethod::Nearest, of_views.clone()));
+            assert!(!undecided(proxy, SyncMethod::Nearest, of_blend.clone()));
+            let is_depth = proxy == ProxyMethod::Depth;
+            assert_eq!(undecided(proxy, SyncMethod::AllCameras, of_blend.clone()), is_depth);
+            assert!(!undecided(proxy, SyncMethod::Refined, AutoOptions::default()));
+        }
+        assert!(undecided(ProxyMethod::SceneFlow, SyncMethod::Refined, all));
+        assert!(!undecided(ProxyMethod::SceneFlow, SyncMethod::Refined, of_views));
+    }
 
     #[test]
     fn percentiles_of_few_and_of_none() {

@@ -249,7 +249,7 @@ def test_a_bad_rig_is_refused_with_its_file_and_field(
     [
         ('{"format": NaN', "format: expected value"),
         ('{"seed": 1, "seed": 2}', "duplicate field `seed`"),
-        ("\x00", "expected value"),
+        ("\x00", "is no JSON: expected value"),
     ],
 )
 def test_a_file_that_is_not_json_is_refused(
