@@ -4,14 +4,14 @@ use super::CliError;
 use super::display::{DisplayArgs, Layout};
 use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::frames::Frames;
-use super::shots::{InstantArgs, ShotArgs, Shots, viewpoint};
+use super::shots::{InstantArgs, ShotArgs, Shots, camera, viewpoint};
 use super::values::{AUTO, ImageFile, ImageOutput, Parts, method, method_or_auto};
 use super::view_writer::{View, ViewWriter};
 use super::viewpoint::ViewpointArgs;
 use crate::capture::NamedView;
 use crate::host::Claim;
 use crate::interpolation::SyncMethod;
-use crate::light_field::{Context, LightField, Request, render, render_with_depths};
+use crate::light_field::{Context, ImageMotion, LightField, Request, render, render_with_layers};
 use crate::lumigraph::BlendMethod;
 use crate::options::{ProxyMethod, RenderOptions, TrailMode};
 use crate::pipeline;
@@ -165,7 +165,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     shots.fit(&field, &options)?;
     let layout = args.display.layout(&field, &shots, &options, reporter)?;
     writer.parts = layout.parts(&field, &shots.get(0).view);
-    let has_depths = named.image_file() == Some(ImageFile::Exr);
+    let has_layers = named.image_file() == Some(ImageFile::Exr);
     let instants = options.trail.count();
     let parts = writer.parts.as_ref().map_or(1, |parts| parts.origins.len());
     let task = reporter.task("rendering", wanted.len() * parts * instants);
@@ -173,6 +173,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     let more = format!("{:?} {:?}", args.display, name.file_name());
     let frames = args.frames(wanted, &named, &shots.key(&field, &options, &more))?;
     let shared = frames.shared_folder();
+    let mut has_motion = true;
     let views = frames.flat_map(|frame| views_of(frame, &layout, &field, &shots));
     writer.write_all(views.enumerate().map(|(index, view)| -> Result<View, CliError> {
         let ViewOfFrame { frame, part, view, claim } = view?;
@@ -182,14 +183,21 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
         };
         let request = Request::new(viewpoint(&view), shots.get(frame).time_s, &options);
         let context = &Context::new(&proceed);
-        let (rendered, depths) = if has_depths {
-            let (rendered, depths) = render_with_depths(&field, &request, context)?;
-            (rendered, Some(depths))
+        let (rendered, layers) = if has_layers {
+            let (rendered, layers) = render_with_layers(&field, &request, context)?;
+            let here = (camera(&field, &view), request.time_s);
+            let neighbors = shots.neighbors(&field, frame);
+            let motion = ImageMotion::new(&field, layers.surfaces, here, neighbors);
+            has_motion &= motion.is_some();
+            (rendered, Some((layers.depths, motion)))
         } else {
             (render(&field, &request, context)?, None)
         };
-        Ok(View { frame, part, rendered, depths, claim })
+        Ok(View { frame, part, rendered, layers, claim })
     }))?;
+    if !has_motion {
+        reporter.note("The images have no motion, which only --proxy scene-flow finds.");
+    }
     shared.map_or(Ok(()), |folder| folder.end())
 }
 

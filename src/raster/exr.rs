@@ -1,4 +1,4 @@
-//! OpenEXR files: linear light as half floats, and depth, in channels with the usual names.
+//! OpenEXR files: linear light as half floats, depth and motion, in channels with the usual names.
 //!
 //! The format: <https://openexr.com/en/latest/OpenEXRFileLayout.html>. Files are single-part scanline files of version
 //! 2, with ZIP compression of blocks of 16 rows. The crate `exr` isn't used, because it depends on dozens of crates
@@ -33,35 +33,49 @@ enum Channel<'a> {
 
 type Value<'a> = Box<dyn Fn(usize) -> f32 + Sync + 'a>;
 
-/// Writes an image of 1 or 3 channels as OpenEXR. A missing folder is created.
+/// What an OpenEXR file holds: one value of every layer for each pixel, row by row.
+pub struct ExrLayers<'a> {
+    /// 1 or 3 channels, display-encoded.
+    pub image: &'a Image,
+    /// Where it is false, the pixel is black with alpha 0 and without motion.
+    pub coverage: &'a [bool],
+    /// Depth along the camera's axis, metres. A depth that isn't finite is written as 1e10.
+    pub depths_m: &'a [f32],
+    /// Displacements of a pixel, by its index, from this picture to the previous one and to the next one: pixels to the
+    /// right and down. `None`: the file has no motion.
+    pub motion: Option<&'a Displacements<'a>>,
+}
+
+/// Displacements of a pixel to the previous and to the next picture.
+pub type Displacements<'a> = dyn Fn(usize) -> [[f32; 2]; 2] + Sync + 'a;
+
+/// Writes layers as OpenEXR. A missing folder is created.
 ///
-/// Channels `R`, `G`, `B` and `A` are scene-linear half floats. Where `coverage` (one value per pixel) is false, the
-/// pixel is black with alpha 0. Channel `Z` is 32-bit float: `depths_m`, the depth along the camera's axis in metres.
-/// A depth that isn't finite is written as 1e10.
+/// | channels | what |
+/// |---|---|
+/// | `R`, `G`, `B`, `A` | scene-linear light and alpha, half floats |
+/// | `Z` | depth, metres, 32-bit floats |
+/// | `forward.u`, `forward.v` | motion to the next picture, pixels to the right and up, half floats: Nuke's layer |
+/// | `backward.u`, `backward.v` | the way to the previous picture, likewise |
+/// | `Vector.X`, `.Y`, `.Z`, `.W` | Blender's pass of the same motion: X and Y are `backward`, Z and W minus `forward` |
+///
+/// Half floats have 11 bits: a motion of 64 pixels is exact to 0.03.
 ///
 /// # Panics
 /// If `coverage` or `depths_m` doesn't have one value per pixel.
 ///
 /// # Errors
 /// If the file can't be written.
-pub fn write_exr(
-    path: &Path,
-    image: &Image,
-    coverage: &[bool],
-    depths_m: &[f32],
-) -> Result<(), ImageFileError> {
-    let channels = channels(image, coverage, depths_m);
-    let written = encode(image.width(), image.height(), &channels)
+pub fn write_exr(path: &Path, layers: &ExrLayers) -> Result<(), ImageFileError> {
+    let channels = channels(layers);
+    let written = encode(layers.image.width(), layers.image.height(), &channels)
         .and_then(|bytes| write_atomically(path, &bytes));
     written.map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
 /// The channels, sorted by name as the format requires.
-fn channels<'a>(
-    image: &'a Image,
-    coverage: &'a [bool],
-    depths_m: &'a [f32],
-) -> [(&'static str, Channel<'a>); 5] {
+fn channels<'a>(layers: &ExrLayers<'a>) -> Vec<(&'static str, Channel<'a>)> {
+    let ExrLayers { image, coverage, depths_m, motion } = *layers;
     let pixels = image.width() * image.height();
     assert_eq!((coverage.len(), depths_m.len()), (pixels, pixels), "one a pixel");
     let count = image.channels();
@@ -73,12 +87,43 @@ fn channels<'a>(
     };
     let alpha = |k: usize| f32::from(u8::from(coverage[k]));
     let depth = |k: usize| if depths_m[k].is_finite() { depths_m[k] } else { NO_DEPTH_M };
-    [
+    let mut channels = vec![
         ("A", Channel::Half(Box::new(alpha))),
         ("B", color(2)),
         ("G", color(1)),
         ("R", color(0)),
         ("Z", Channel::Float(Box::new(depth))),
+    ];
+    if let Some(displacements) = motion {
+        channels.extend(motion_channels(displacements, coverage));
+        channels.sort_unstable_by_key(|(name, _)| *name);
+    }
+    channels
+}
+
+/// The channels of motion. The file's vertical axis points up.
+fn motion_channels<'a>(
+    displacements: &'a Displacements<'a>,
+    coverage: &'a [bool],
+) -> [(&'static str, Channel<'a>); 8] {
+    let [before, after] = [0, 1];
+    let [right, up] = [(0, 1.0), (1, -1.0)];
+    let channel = |name, to: usize, (axis, sign): (usize, f32), factor: f32| {
+        let value = move |k: usize| match coverage[k] {
+            true => factor * sign * displacements(k)[to][axis],
+            false => 0.0,
+        };
+        (name, Channel::Half(Box::new(value) as Value))
+    };
+    [
+        channel("Vector.X", before, right, 1.0),
+        channel("Vector.Y", before, up, 1.0),
+        channel("Vector.Z", after, right, -1.0),
+        channel("Vector.W", after, up, -1.0),
+        channel("backward.u", before, right, 1.0),
+        channel("backward.v", before, up, 1.0),
+        channel("forward.u", after, right, 1.0),
+        channel("forward.v", after, up, 1.0),
     ]
 }
 
@@ -238,10 +283,18 @@ mod tests {
     }
 
     #[test]
-    fn channels_are_linear_light_alpha_and_depth() {
+    fn channels_are_linear_light_alpha_depth_and_motion() {
         // sRGB 0.735357 is linear 0.5.
         let image = Image::from_data(2, 1, 3, vec![0.735_357, 1.0, 0.0, 1.0, 1.0, 1.0]);
-        let found = channels(&image, &[true, false], &[2.5, f32::NAN]);
+        let motion = |_| [[-3.0, 1.0], [4.0, -2.0]];
+        let layers = ExrLayers {
+            image: &image,
+            coverage: &[true, false],
+            depths_m: &[2.5, f32::NAN],
+            motion: Some(&motion),
+        };
+        let found = channels(&layers);
+        assert!(found.is_sorted_by(|a, b| a.0 < b.0));
         let values: Vec<(&str, Vec<f64>)> = found
             .iter()
             .map(|(name, channel)| match channel {
@@ -254,13 +307,24 @@ mod tests {
             ("B", [0.0; 2]),
             ("G", [1.0, 0.0]),
             ("R", [0.5, 0.0]),
+            ("Vector.W", [-2.0, 0.0]),
+            ("Vector.X", [-3.0, 0.0]),
+            ("Vector.Y", [-1.0, 0.0]),
+            ("Vector.Z", [-4.0, 0.0]),
             ("Z", [2.5, 1e10]),
+            ("backward.u", [-3.0, 0.0]),
+            ("backward.v", [-1.0, 0.0]),
+            ("forward.u", [4.0, 0.0]),
+            ("forward.v", [2.0, 0.0]),
         ];
+        assert_eq!(values.len(), expected.len());
         for ((name, values), (expected_name, expected)) in values.iter().zip(expected) {
             assert_eq!(*name, expected_name);
             for (value, expected) in values.iter().zip(expected) {
-                assert!((value - expected).abs() <= 1e-3 * expected, "{name}: {values:?}");
+                assert!((value - expected).abs() <= 1e-3 * expected.abs(), "{name}: {values:?}");
             }
         }
+        let still = channels(&ExrLayers { motion: None, ..layers });
+        assert!(still.iter().map(|(name, _)| *name).eq(["A", "B", "G", "R", "Z"]));
     }
 }
