@@ -135,11 +135,19 @@
 //! viewpoint.
 //!
 //! The suffix of `-o` chooses the format. `.exr` has the channels `R`, `G`, `B`, `A` in linear light, half floats, and `Z`,
-//! metres along the axis; what has no depth is 1e10 m away.
+//! metres along the axis; what has no depth is 1e10 m away. `forward.u`, `forward.v` and `backward.u`, `backward.v` are how
+//! far each point moves to the next picture and to the previous one, pixels to the right and up, as Nuke names and takes
+//! them. `Vector.X` to `.W` are the same motion as Blender's pass: the way from the previous picture is X and Y with the
+//! sign of `backward`, that to the next is Z and W with the opposite of `forward`. In a sequence and along a path this is
+//! the motion of the scene and of the view, from this picture's camera and instant to those of its neighbours; at both ends
+//! the missing one is taken for the opposite of the other. One picture alone has the motion of the scene in a frame of the
+//! recording. Points move evenly, with the velocity that they have at the instant. Motion is 0 where nothing is seen.
+//! Scene flow (`--proxy scene-flow`) gives it; where time stands still, the depths of any method do. Else the file has no
+//! such channels, and a note says so.
 //!
 //! `--quilt` renders for Looking Glass displays, `--stereo` for two eyes: views in one direction, sheared about the plane
 //! of `--convergence`, which has no parallax ([`display`]). A quilt's cone is never wider than the cameras cover: eight
-//! cameras 6 cm apart cover 12 degrees at 2 m. Apple's spatial photos are not written: `libheif` can't write the group of
+//! cameras 6 cm apart cover 12 degrees at 2 m. Blender's render tab writes the same files. Apple's spatial photos are not written: `libheif` can't write the group of
 //! a stereo pair.
 //!
 //! Processes that run the same command for a sequence of images share it, each taking images that no other has, on

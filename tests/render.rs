@@ -156,6 +156,22 @@ fn processes_share_a_sequence_and_leave_only_its_images() {
 }
 
 /// The camera of a view.
+#[test]
+fn a_sequence_without_room_for_an_image_leaves_nothing() {
+    let capture = capture();
+    let root = capture.path();
+    let out = root.join("out");
+    // Files of more than 1024 bytes fail, as on a full disk.
+    let script = "trap '' XFSZ; ulimit -f 2; exec \"$0\" \"$@\"";
+    let program = common::stlfr().get_program().to_owned();
+    let mut command = Command::new("sh");
+    command.args(["-c", script]).arg(program).args(["-q", "render", text(root), "--like", "cam2"]);
+    command.args(["--preset", "draft", "--proxy", "plane", "--set", "proxy.plane_depth_m=2"]);
+    command.args(["--times", "0.02:0.08:3", "-o", text(&out.join("%d.png"))]);
+    assert_refused(&command.output().unwrap(), 1, "0.png: can't be written");
+    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 0);
+}
+
 fn camera(x_m: f64) -> Camera {
     serde_json::from_value::<CameraFormat>(view(x_m, 0.0)).unwrap().camera().unwrap()
 }

@@ -3,7 +3,7 @@
 use super::CliError;
 use super::display::{DisplayArgs, Layout};
 use super::files::{CommandOutput, OptionsArgs, open_capture};
-use super::frames::Frames;
+use super::frames::{Frames, SharedFolder};
 use super::shots::{InstantArgs, ShotArgs, Shots, camera, viewpoint};
 use super::values::{AUTO, ImageFile, ImageOutput, Parts, method, method_or_auto};
 use super::view_writer::{View, ViewWriter};
@@ -51,7 +51,7 @@ pub struct RenderArgs {
     /// Render only parts K to L of N, such as 3-6/100. Other commands, on any machine, render the other parts.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
-    /// An image (.png, .jpg, .exr with depth); for --times and --path a pattern such as out/%04d.png, or a video (.mp4
+    /// An image (.png, .jpg, .exr with depth and motion); for --times and --path a pattern such as out/%04d.png, or a video (.mp4
     /// and .webm for browsers and slides, .gif, .mkv without loss).
     #[arg(short, long, value_name = "FILE")]
     output: ImageOutput,
@@ -175,26 +175,31 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     let shared = frames.shared_folder();
     let mut has_motion = true;
     let views = frames.flat_map(|frame| views_of(frame, &layout, &field, &shots));
-    writer.write_all(views.enumerate().map(|(index, view)| -> Result<View, CliError> {
-        let ViewOfFrame { frame, part, view, claim } = view?;
-        let proceed = |done, _| {
-            task.set(index * instants + done);
-            true
-        };
-        let request = Request::new(viewpoint(&view), shots.get(frame).time_s, &options);
-        let context = &Context::new(&proceed);
-        let (rendered, layers) = if has_layers {
-            let (rendered, layers) = render_with_layers(&field, &request, context)?;
-            let here = (camera(&field, &view), request.time_s);
-            let neighbors = shots.neighbors(&field, frame);
-            let motion = ImageMotion::new(&field, layers.surfaces, here, neighbors);
-            has_motion &= motion.is_some();
-            (rendered, Some((layers.depths, motion)))
-        } else {
-            (render(&field, &request, context)?, None)
-        };
-        Ok(View { frame, part, rendered, layers, claim })
-    }))?;
+    let result =
+        writer.write_all(views.enumerate().map(|(index, view)| -> Result<View, CliError> {
+            let ViewOfFrame { frame, part, view, claim } = view?;
+            let proceed = |done, _| {
+                task.set(index * instants + done);
+                true
+            };
+            let request = Request::new(viewpoint(&view), shots.get(frame).time_s, &options);
+            let context = &Context::new(&proceed);
+            let (rendered, layers) = if has_layers {
+                let (rendered, layers) = render_with_layers(&field, &request, context)?;
+                let here = (camera(&field, &view), request.time_s);
+                let neighbors = shots.neighbors(&field, frame);
+                let motion = ImageMotion::new(&field, layers.surfaces, here, neighbors);
+                has_motion &= motion.is_some();
+                (rendered, Some((layers.depths, motion)))
+            } else {
+                (render(&field, &request, context)?, None)
+            };
+            Ok(View { frame, part, rendered, layers, claim })
+        }));
+    if result.is_err() {
+        shared.iter().for_each(SharedFolder::end_unused);
+    }
+    result?;
     if !has_motion {
         reporter.note("The images have no motion, which only --proxy scene-flow finds.");
     }
