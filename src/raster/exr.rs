@@ -6,10 +6,11 @@
 
 use super::file::ImageFileError;
 use super::{Image, linear_from_encoded};
-use crate::host::write_atomically;
+use crate::host::temporary::Temporary;
 use flate2::{Compression, write::ZlibEncoder};
 use rayon::prelude::*;
-use std::io::Write;
+use std::fs::File;
+use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
 /// Depth of a pixel without a surface, metres: Blender's value.
@@ -17,6 +18,12 @@ const NO_DEPTH_M: f32 = 1e10;
 
 /// Number of rows in a compressed block, fixed by the format for ZIP.
 const BLOCK_ROWS: usize = 16;
+
+/// Number of blocks that are compressed in parallel. More: more memory; fewer: threads wait for each other.
+const BLOCKS_AT_ONCE: usize = 32;
+
+/// The file's name before it is placed.
+const FILE: &str = "exr";
 
 /// Constants of the format.
 const MAGIC: u32 = 20_000_630;
@@ -68,8 +75,12 @@ pub type Displacements<'a> = dyn Fn(usize) -> [[f32; 2]; 2] + Sync + 'a;
 /// If the file can't be written.
 pub fn write_exr(path: &Path, layers: &ExrLayers) -> Result<(), ImageFileError> {
     let channels = channels(layers);
-    let written = encode(layers.image.width(), layers.image.height(), &channels)
-        .and_then(|bytes| write_atomically(path, &bytes));
+    let size = [layers.image.width(), layers.image.height()];
+    let written = Temporary::for_file(path).and_then(|temporary| {
+        let file = File::create(temporary.path().join(FILE))?;
+        encode(file, size, &channels)?;
+        temporary.place(FILE, path)
+    });
     written.map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
@@ -145,7 +156,12 @@ fn half(value: f32) -> u16 {
     sign | ((rounded >> 13) - (112 << 10)) as u16
 }
 
-fn encode(width: usize, height: usize, channels: &[(&str, Channel)]) -> std::io::Result<Vec<u8>> {
+/// Writes a file in runs of blocks, so that the largest views don't need the memory of a whole file.
+fn encode(
+    mut file: impl Write + Seek,
+    [width, height]: [usize; 2],
+    channels: &[(&str, Channel)],
+) -> std::io::Result<()> {
     let block = |index: usize| -> std::io::Result<Vec<u8>> {
         let rows = index * BLOCK_ROWS..((index + 1) * BLOCK_ROWS).min(height);
         let raw: Vec<u8> = rows.flat_map(|y| row(channels, width, y)).collect();
@@ -154,22 +170,28 @@ fn encode(width: usize, height: usize, channels: &[(&str, Channel)]) -> std::io:
         Ok(if packed.len() < raw.len() { packed } else { raw })
     };
     let count = height.div_ceil(BLOCK_ROWS);
-    let blocks = (0..count).into_par_iter().map(block).collect::<std::io::Result<Vec<_>>>()?;
-    let mut file = Vec::new();
-    file.extend(MAGIC.to_le_bytes());
-    file.extend(VERSION.to_le_bytes());
-    header(&mut file, [width as u32, height as u32], channels);
-    let mut offset = file.len() + 8 * count;
-    for block in &blocks {
-        file.extend((offset as u64).to_le_bytes());
-        offset += 8 + block.len();
+    let mut start = Vec::new();
+    start.extend(MAGIC.to_le_bytes());
+    start.extend(VERSION.to_le_bytes());
+    header(&mut start, [width as u32, height as u32], channels);
+    // The table of the blocks' places follows the header, and is written when they are known.
+    file.write_all(&start)?;
+    file.write_all(&vec![0; 8 * count])?;
+    let mut place = start.len() + 8 * count;
+    let mut table = Vec::new();
+    for first in (0..count).step_by(BLOCKS_AT_ONCE) {
+        let run = first..(first + BLOCKS_AT_ONCE).min(count);
+        let blocks = run.into_par_iter().map(block).collect::<std::io::Result<Vec<_>>>()?;
+        for (index, block) in (first..).zip(blocks) {
+            file.write_all(&((index * BLOCK_ROWS) as i32).to_le_bytes())?;
+            file.write_all(&(block.len() as u32).to_le_bytes())?;
+            file.write_all(&block)?;
+            table.extend((place as u64).to_le_bytes());
+            place += 8 + block.len();
+        }
     }
-    for (index, block) in blocks.into_iter().enumerate() {
-        file.extend(((index * BLOCK_ROWS) as i32).to_le_bytes());
-        file.extend((block.len() as u32).to_le_bytes());
-        file.extend(block);
-    }
-    Ok(file)
+    file.seek(SeekFrom::Start(start.len() as u64))?;
+    file.write_all(&table)
 }
 
 fn header(file: &mut Vec<u8>, [width, height]: [u32; 2], channels: &[(&str, Channel)]) {
