@@ -51,8 +51,8 @@ pub struct RenderArgs {
     /// Render only parts K to L of N, such as 3-6/100. Other commands, on any machine, render the other parts.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
-    /// An image (.png, .jpg, .exr with depth and motion); for --times and --path a pattern such as out/%04d.png, or a video (.mp4
-    /// and .webm for browsers and slides, .gif, .mkv without loss).
+    /// An image (.png, .jpg, .exr with depth and motion); for --times and --path a pattern such as out/%04d.png, or a
+    /// video (.mp4 and .webm for browsers and slides, .gif, .mkv without loss).
     #[arg(short, long, value_name = "FILE")]
     output: ImageOutput,
     /// How each camera's image is synchronized to the instant.

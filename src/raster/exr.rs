@@ -308,7 +308,7 @@ mod tests {
     fn channels_are_linear_light_alpha_depth_and_motion() {
         // sRGB 0.735357 is linear 0.5.
         let image = Image::from_data(2, 1, 3, vec![0.735_357, 1.0, 0.0, 1.0, 1.0, 1.0]);
-        let motion = |_| [[-3.0, 1.0], [4.0, -2.0]];
+        let motion = |_: usize| [[-3.0, 1.0], [4.0, -2.0]];
         let layers = ExrLayers {
             image: &image,
             coverage: &[true, false],

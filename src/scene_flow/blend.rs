@@ -3,7 +3,7 @@
 use super::frame::FlowFrame;
 use super::geometry::{Projection, undistorted};
 use super::map::MappedFrame;
-use super::motion::{Motion, MotionMap, PixelMotion};
+use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
 use super::splat::Splat;
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
@@ -139,7 +139,7 @@ fn blend_rows(
     let row = |(y, ((color, depth), is_mapped)): (usize, ((&mut [_], &mut [_]), &mut [_]))| {
         let mut candidates = Vec::with_capacity(splats.len());
         let mut room = Vec::with_capacity(splats.len());
-        let mut row = vec![PixelMotion::default(); motions.map_or(0, |_| width)];
+        let mut row = vec![QuantizedMotion::default(); motions.map_or(0, |_| width)];
         for x in 0..width {
             candidates.clear();
             let k = y * width + x;
@@ -162,7 +162,7 @@ fn blend_rows(
         }
         row
     };
-    let rows: Vec<Vec<PixelMotion>> =
+    let rows: Vec<Vec<QuantizedMotion>> =
         colors.zip(depths).zip(is_mapped).enumerate().map(row).collect();
     pixels.motions.iter_mut().for_each(|motions| motions.extend(rows.iter().flatten().copied()));
 }
@@ -177,8 +177,8 @@ fn motion_of<'a>(
     splats: impl Iterator<Item = &'a (&'a MappedFrame<'a>, Splat)>,
     k: usize,
     (inverse_depth, reach): (f32, f32),
-) -> Motion {
-    let (mut sum, mut weights) = (Motion::default(), 0.0);
+) -> SurfaceMotion {
+    let (mut sum, mut weights) = (SurfaceMotion::default(), 0.0);
     for (mapped, splat) in
         splats.filter(|(_, s)| (s.inverse_depths[k] - inverse_depth).abs() < reach)
     {
@@ -188,7 +188,7 @@ fn motion_of<'a>(
         weights += weight;
     }
     let inverse = if weights > 0.0 { 1.0 / weights } else { 0.0 };
-    Motion {
+    SurfaceMotion {
         velocity: sum.velocity.map(|v| v * inverse),
         inverse_depth_rate: sum.inverse_depth_rate * inverse,
     }

@@ -6,7 +6,7 @@ const STEPS: f32 = 64.0;
 
 /// Motion of a surface in a view, per frame of the reference camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Motion {
+pub struct SurfaceMotion {
     /// Pixels of the view without its lens distortion.
     pub velocity: [f32; 2],
     /// 1/m.
@@ -15,7 +15,7 @@ pub struct Motion {
 
 /// The quantized motion of a pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PixelMotion {
+pub struct QuantizedMotion {
     velocity: [i16; 2],
     rate: i16,
 }
@@ -25,7 +25,7 @@ pub struct PixelMotion {
 pub struct MotionMap {
     /// Disparity of an inverse depth of 1/m, pixels: the unit in which rates are quantized.
     disparity_px: f32,
-    pixels: Vec<PixelMotion>,
+    pixels: Vec<QuantizedMotion>,
 }
 
 impl MotionMap {
@@ -35,7 +35,7 @@ impl MotionMap {
         Self { disparity_px, pixels: Vec::with_capacity(count) }
     }
 
-    pub fn extend(&mut self, more: impl IntoIterator<Item = PixelMotion>) {
+    pub fn extend(&mut self, more: impl IntoIterator<Item = QuantizedMotion>) {
         self.pixels.extend(more);
     }
 
@@ -44,19 +44,19 @@ impl MotionMap {
         self.pixels[to] = self.pixels[from];
     }
 
-    pub fn quantized(&self, motion: Motion) -> PixelMotion {
+    pub fn quantized(&self, motion: SurfaceMotion) -> QuantizedMotion {
         let rounded = |v: f32| (STEPS * v).round() as i16; // saturates
-        PixelMotion {
+        QuantizedMotion {
             velocity: motion.velocity.map(rounded),
             rate: rounded(self.disparity_px * motion.inverse_depth_rate),
         }
     }
 
     /// The motion of pixel `k`.
-    pub fn motion(&self, k: usize) -> Motion {
-        let PixelMotion { velocity, rate } = self.pixels[k];
+    pub fn motion(&self, k: usize) -> SurfaceMotion {
+        let QuantizedMotion { velocity, rate } = self.pixels[k];
         let value = |v: i16| f32::from(v) / STEPS;
-        Motion {
+        SurfaceMotion {
             velocity: velocity.map(value),
             inverse_depth_rate: value(rate) / self.disparity_px,
         }

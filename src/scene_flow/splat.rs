@@ -2,7 +2,7 @@
 
 use super::geometry::{Projection, distorted};
 use super::map::{FlowMap, FlowPixel, MappedFrame};
-use super::motion::Motion;
+use super::motion::SurfaceMotion;
 use crate::camera::Camera;
 use crate::simd::multiversion;
 use std::ops::Range;
@@ -182,12 +182,12 @@ impl Splat {
     }
 
     /// The motion in the view, at its instant, of the element at a position of the frame, pixels.
-    pub fn motion(&self, map: &FlowMap, [x, y]: [f32; 2]) -> Motion {
+    pub fn motion(&self, map: &FlowMap, [x, y]: [f32; 2]) -> SurfaceMotion {
         let column = (x.max(0.0) as usize).min(map.width - 1);
         let k = (y.max(0.0) as usize).min(map.height - 1) * map.width + column;
         let ([cx, cy], ToView { projection, dt, .. }) = (map.center(k), &self.to_view);
         let (_, there) = map.element(&map.pixels()[k]).transferred(cx, cy, *dt, projection);
-        Motion { velocity: there.velocity, inverse_depth_rate: there.inverse_depth_rate }
+        SurfaceMotion { velocity: there.velocity, inverse_depth_rate: there.inverse_depth_rate }
     }
 
     fn add_row(&mut self, row: &Row, pixels: &[FlowPixel], y: usize) {
