@@ -246,7 +246,8 @@ fn a_plane_at_the_convergence_has_no_parallax_and_one_behind_it_has() {
 fn centroid(image: &Image) -> Point2<f64> {
     let (mut sum, mut weights) = (Vector2::zeros(), 0.0);
     for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
-        let weight = f64::from(pixel[0]) - DARK;
+        // What no camera sees is black, and counts as background.
+        let weight = f64::from(pixel[0]).max(DARK) - DARK;
         let at = Vector2::new((k % image.width()) as f64, (k / image.width()) as f64);
         sum += weight * at.add_scalar(0.5);
         weights += weight;
