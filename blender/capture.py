@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import importlib.util
 import json
 import math
 import os
@@ -21,26 +20,10 @@ from typing import Any, NoReturn
 
 HERE = Path(__file__).resolve()
 
-
-def load_extension() -> None:
-    """Import the folder stlfr/ as `stlfr_extension`: `stlfr` is the compiled module's name.
-
-    In an installed extension, this script lies in that folder.
-    """
-    folder = HERE.parent / "stlfr"
-    folder = folder if folder.is_dir() else HERE.parent
-    spec = importlib.util.spec_from_file_location(
-        "stlfr_extension",
-        folder / "__init__.py",
-        submodule_search_locations=[str(folder)],
-    )
-    assert spec is not None and spec.loader is not None
-    package = importlib.util.module_from_spec(spec)
-    sys.modules["stlfr_extension"] = package
-    spec.loader.exec_module(package)
-
-
-load_extension()
+sys.path.insert(0, str(HERE.parent))
+own_packages: Any = importlib.import_module("own_packages")
+sys.path.pop(0)
+own_packages.load_extension()
 errors, plans, folder, videos, sharing, in_blender = (
     importlib.import_module(f"stlfr_extension.{name}")
     for name in ("errors", "plan", "folder", "video", "sharing", "in_blender")

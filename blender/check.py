@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import importlib.util
 import json
 import sys
 from pathlib import Path
@@ -23,21 +22,11 @@ from typing import Any, NoReturn
 
 HERE = Path(__file__).resolve()
 
-
-def load_package(folder: str, name: str) -> None:
-    """Import a folder beside this file under a name: `stlfr` is the compiled module's."""
-    location = HERE.parent / folder
-    spec = importlib.util.spec_from_file_location(
-        name, location / "__init__.py", submodule_search_locations=[str(location)]
-    )
-    assert spec is not None and spec.loader is not None
-    package = importlib.util.module_from_spec(spec)
-    sys.modules[name] = package
-    spec.loader.exec_module(package)
-
-
-load_package("stlfr", "stlfr_extension")
-load_package("calibration", "stlfr_calibration")
+sys.path.insert(0, str(HERE.parent))
+own_packages: Any = importlib.import_module("own_packages")
+sys.path.pop(0)
+own_packages.load_extension()
+own_packages.load_calibration()
 CheckError: Any = importlib.import_module("stlfr_calibration.capture").CheckError
 
 

@@ -45,7 +45,8 @@ def pack(wheel: Path, output: Path) -> str:
             folder,
             ignore=shutil.ignore_patterns("__pycache__", "*.pyc"),
         )
-        shutil.copyfile(HERE / "capture.py", folder / "capture.py")
+        for script in ("capture.py", "own_packages.py"):
+            shutil.copyfile(HERE / script, folder / script)
         (folder / "wheels").mkdir()
         shutil.copyfile(wheel, folder / "wheels" / wheel.name)
         (folder / "blender_manifest.toml").write_text(manifest, encoding="utf-8")

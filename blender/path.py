@@ -8,27 +8,15 @@ exit code 2 for bad input and 1 for a failure.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
-
-def load_extension() -> None:
-    """Import the folder stlfr/ as `stlfr_extension`: `stlfr` is the compiled module's name."""
-    folder = Path(__file__).resolve().parent / "stlfr"
-    spec = importlib.util.spec_from_file_location(
-        "stlfr_extension",
-        folder / "__init__.py",
-        submodule_search_locations=[str(folder)],
-    )
-    assert spec is not None and spec.loader is not None
-    package = importlib.util.module_from_spec(spec)
-    sys.modules["stlfr_extension"] = package
-    spec.loader.exec_module(package)
-
-
-load_extension()
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+own_packages: Any = importlib.import_module("own_packages")
+sys.path.pop(0)
+own_packages.load_extension()
 camera_path = importlib.import_module("stlfr_extension.camera_path")
 errors = importlib.import_module("stlfr_extension.errors")
 properties = importlib.import_module("stlfr_extension.properties")

@@ -8,29 +8,17 @@ bad input and 1 for a failure.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import bpy
 
-
-def load_extension() -> None:
-    """Import the folder stlfr/ as `stlfr_extension`: `stlfr` is the compiled module's name."""
-    folder = Path(__file__).resolve().parent / "stlfr"
-    spec = importlib.util.spec_from_file_location(
-        "stlfr_extension",
-        folder / "__init__.py",
-        submodule_search_locations=[str(folder)],
-    )
-    assert spec is not None and spec.loader is not None
-    package = importlib.util.module_from_spec(spec)
-    sys.modules["stlfr_extension"] = package
-    spec.loader.exec_module(package)
-
-
-load_extension()
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+own_packages: Any = importlib.import_module("own_packages")
+sys.path.pop(0)
+own_packages.load_extension()
 errors = importlib.import_module("stlfr_extension.errors")
 reels = importlib.import_module("stlfr_extension.reels")
 

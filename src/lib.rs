@@ -137,13 +137,20 @@
 //! video, all rendered from this image's viewpoint; the trail ends at this image's instant.
 //!
 //! The suffix of the file after `-o` chooses the format. An `.exr` file has the channels `R`, `G`, `B` and `A` in linear
-//! light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have `Z` = 1e10.
+//! light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have `Z` = 1e10. The
+//! channels `forward.u`, `forward.v`, `backward.u` and `backward.v` say how far each point moves to the next image and to
+//! the previous one, in pixels to the right and up, under Nuke's names. `Vector.X` to `Vector.W` have the same motion as
+//! Blender's pass: X and Y are `backward`, Z and W are `forward` with the opposite sign. In a sequence, and along a path,
+//! motion is that of the scene and of the view, between the cameras and instants of the two images. At both ends, the
+//! missing motion is the opposite of the other. A single image has the motion of the scene during a frame of the
+//! recording. Motion is 0 in pixels that show nothing. Motion is known with `--proxy scene-flow`, and with any method
+//! where time stands still. Otherwise the file has no such channels, and a note says so.
 //!
 //! `--quilt` renders the views of a Looking Glass display into one image, and `--stereo` those of two eyes. All these
 //! views look in one direction. Each is sheared so that points in one plane, at the distance `--convergence`, have no
 //! parallax ([`display`]). A quilt's cone of views is at most as wide as the cameras cover: eight cameras 6 cm apart
-//! cover 12 degrees at a distance of 2 m. Apple's spatial photos are not supported, because `libheif` can't write the
-//! box that marks two images as a stereo pair.
+//! cover 12 degrees at a distance of 2 m. Blender's render tab writes the same files. Apple's spatial photos are not
+//! supported, because `libheif` can't write the box that marks two images as a stereo pair.
 //!
 //! To render a sequence of images faster, start the same command several times, also on several machines that share
 //! the output folder; the shared file system must support file locks. Each process renders images that no other

@@ -4,12 +4,13 @@ mod common;
 
 use common::synthetic::{HEIGHT, WIDTH, view};
 use common::{assert_refused, edit, run, stderr, succeed, synthetic, text};
+use nalgebra::{Point2, Point3, Vector2};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use stlfr::camera::{Camera, CameraFormat};
 use stlfr::display::{QuiltLayout, covered_cone_deg};
-use stlfr::raster::{Image, linear_from_encoded, read_image};
+use stlfr::raster::{BitDepth, Image, linear_from_encoded, read_image, write_image};
 use tempfile::TempDir;
 
 /// Five cameras 6 cm apart with one clock, before a plane 2 m away.
@@ -155,6 +156,22 @@ fn processes_share_a_sequence_and_leave_only_its_images() {
 }
 
 /// The camera of a view.
+#[test]
+fn a_sequence_without_room_for_an_image_leaves_nothing() {
+    let capture = capture();
+    let root = capture.path();
+    let out = root.join("out");
+    // Files of more than 1024 bytes fail, as on a full disk.
+    let script = "trap '' XFSZ; ulimit -f 2; exec \"$0\" \"$@\"";
+    let program = common::stlfr().get_program().to_owned();
+    let mut command = Command::new("sh");
+    command.args(["-c", script]).arg(program).args(["-q", "render", text(root), "--like", "cam2"]);
+    command.args(["--preset", "draft", "--proxy", "plane", "--set", "proxy.plane_depth_m=2"]);
+    command.args(["--times", "0.02:0.08:3", "-o", text(&out.join("%d.png"))]);
+    assert_refused(&command.output().unwrap(), 1, "0.png: can't be written");
+    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 0);
+}
+
 fn camera(x_m: f64) -> Camera {
     serde_json::from_value::<CameraFormat>(view(x_m, 0.0)).unwrap().camera().unwrap()
 }
@@ -175,7 +192,8 @@ fn tiles_of_a_quilt_are_renders_of_the_same_sheared_cameras() {
     let quilt = pixels(&root.join("quilt_qs4x3a0.9901.png"));
     assert_eq!((quilt.width(), quilt.height()), (402, 303));
     let cameras = layout.cameras(&camera(0.01), 7.0, 1.5);
-    for k in [0, 5, 11] {
+    // The four corners, and views inside the grid.
+    for k in [0, 3, 5, 6, 8, 11] {
         let file = serde_json::to_value(CameraFormat::from(&cameras[k])).unwrap();
         let file = written(root, "tile.json", &file);
         let view = pixels(&render(
@@ -221,6 +239,80 @@ fn a_plane_at_the_convergence_has_no_parallax_and_one_behind_it_has() {
         // The images of other cameras, resampled: they differ, but not by a shift.
         assert!(still < 1.0, "{k}: {still}");
         assert!(k < 3 || shifted > 3.0 * still, "{k}: {shifted} {still}");
+    }
+}
+
+/// The centre of what is brighter than the background, pixels.
+fn centroid(image: &Image) -> Point2<f64> {
+    let (mut sum, mut weights) = (Vector2::zeros(), 0.0);
+    for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
+        // What no camera sees is black, and counts as background.
+        let weight = f64::from(pixel[0]).max(DARK) - DARK;
+        let at = Vector2::new((k % image.width()) as f64, (k / image.width()) as f64);
+        sum += weight * at.add_scalar(0.5);
+        weights += weight;
+    }
+    Point2::from(sum / weights)
+}
+
+/// Brightness of the background and of the disc.
+const DARK: f64 = 51.0 / 255.0;
+const BRIGHT: f64 = 204.0 / 255.0;
+
+#[test]
+fn a_disc_at_the_convergence_has_no_parallax() {
+    let capture = capture();
+    let root = capture.path();
+    let disc = Point3::new(0.03, -0.05, 2.0);
+    for c in 0..5 {
+        let filming = camera(synthetic::place_m(c, 5));
+        let center = filming.project(&disc).unwrap();
+        let value = |k: usize| {
+            let pixel = Point2::new((k % WIDTH) as f64 + 0.5, (k / WIDTH) as f64 + 0.5);
+            // The edge is linear over three pixels.
+            let inside = ((18.0 - (pixel - center).norm()) / 3.0 + 0.5).clamp(0.0, 1.0);
+            (DARK + (BRIGHT - DARK) * inside) as f32
+        };
+        let image = Image::from_data(WIDTH, HEIGHT, 1, (0..WIDTH * HEIGHT).map(value).collect());
+        for frame in 0..4 {
+            let path = root.join(format!("cam{c}/{frame:04}.png"));
+            write_image(&path, &image.to_rgb(), None, BitDepth::Sixteen).unwrap();
+        }
+    }
+    let layout: QuiltLayout = "6x2:960x240".parse().unwrap();
+    for (convergence, has_parallax) in [("2", false), ("1.6", true)] {
+        let still = ["--like", "cam2", "--time", "0.05", "--quilt", "6x2:960x240", "--cone", "5"];
+        let arguments = [still.as_slice(), &["--convergence", convergence]].concat();
+        let out = root.join(format!("{convergence}_qs6x2a1.33333.png"));
+        let quilt = pixels(&render(root, &arguments, &out));
+        let cameras = layout.cameras(&camera(0.0), 5.0, convergence.parse().unwrap());
+        let mut found = Vec::new();
+        for (k, tile_camera) in cameras.iter().enumerate() {
+            let [x, y] = layout.tile_origin(k);
+            let rows = (y..y + 120).flat_map(|row| quilt.row(row)[3 * x..3 * (x + 160)].to_vec());
+            found.push(centroid(&Image::from_data(160, 120, 3, rows.collect())));
+            let expected = tile_camera.project(&disc).unwrap();
+            assert!((found[k] - expected).norm() < 0.05, "{k}: {} {expected}", found[k]);
+        }
+        let parallax_px = (found[0] - found[11]).norm();
+        assert_eq!(parallax_px > 0.05, has_parallax, "{parallax_px} px at {convergence} m");
+    }
+}
+
+#[test]
+fn a_video_of_quilts_has_their_size_and_name() {
+    let capture = capture();
+    let root = capture.path();
+    let times = ["--like", "cam2", "--times", "0.02:0.08:3", "--convergence", "2"];
+    for suffix in ["mp4", "mkv"] {
+        let quilt = [times.as_slice(), &["--quilt", "6x2:480x120", "--cone", "6"]].concat();
+        render(root, &quilt, &root.join(format!("q.{suffix}")));
+        let video = root.join(format!("q_qs6x2a1.33333.{suffix}"));
+        let told =
+            Command::new(common::ffmpeg()).args(["-hide_banner", "-i", text(&video)]).output();
+        let told = stderr(&told.unwrap());
+        assert!(told.contains("480x120"), "{told}");
+        assert_eq!(decoded(&video, (480, 120)).len(), 3);
     }
 }
 

@@ -25,18 +25,20 @@ Of the extension alone:
 - `engine`: the render engine `STLFR`
 - `viewport`: its `Rendered` shading; `live` renders for it, `viewpoint` is the region's camera
 - `view`: which image of the light field a frame of the scene shows; `camera_path`: all frames, as a path
+- `pictures`: the `stlfr render` of a quilt or a stereo pair, which `picture` runs
 - `fields`: the capture that is open; `timing`: which scene frames it covers; `spans`: read beside the main thread
 - `properties`, `panels`, `operators`, `comparison`: what the user sees and presses
 - `reels`: a comparison as scenes of strips
 - `words`: sentences in the panels' words
 - `rig_objects`: a rig file as camera objects, and back
 - `filming`: what lies in a folder that is being filmed into
-- `jobs`: long work in a process of its own; `estimate` and `compare` are some, `long_work` their operators
+- `jobs`: long work in a process of its own; `estimate`, `compare` and `picture` are some, `long_work`
+  their operators
 - `paths`: `//` and what is absolute
 - `wheel`: the compiled module has to be this extension's
 
 `film`, `scenes`, and of the extension `comparison`, `engine`, `long_work`, `operators`, `panels`, `paths`,
-`properties`, `reels`, `rig_objects`, `spans` and `viewport` import `bpy`; everything else starts at once and tests anywhere. Importing this
+`pictures`, `properties`, `reels`, `rig_objects`, `spans` and `viewport` import `bpy`; everything else starts at once and tests anywhere. Importing this
 package registers nothing and imports none of them.
 """
 

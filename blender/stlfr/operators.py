@@ -7,7 +7,9 @@ far it is.
 from __future__ import annotations
 
 import functools
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,17 @@ from bpy.props import (
 
 import stlfr
 
-from . import engine, fields, filming, jobs, native, rig_objects, scenes, timing
+from . import (
+    engine,
+    fields,
+    filming,
+    jobs,
+    native,
+    pictures,
+    rig_objects,
+    scenes,
+    timing,
+)
 from .errors import BadInputError
 from .long_work import LongWork, Result, reported
 from .paths import absolute
@@ -252,6 +264,60 @@ class STLFR_OT_offsets(LongWork, bpy.types.Operator):
         return show_offsets(scene.stlfr.offsets, job.result["cameras"])
 
 
+class STLFR_OT_picture(LongWork, bpy.types.Operator):
+    """Render the quilt or the stereo pair of this frame, or of every frame of the scene, into the file."""
+
+    bl_idname = "stlfr.picture"
+    bl_label = "Render Picture"
+
+    animation: BoolProperty(
+        name="Animation", description="Every frame of the scene, through its camera"
+    )
+
+    def start(self, context: Any) -> jobs.Job:
+        scene = context.scene
+        capture = engine.capture_folder(scene)
+        fields.must_be_capture(capture)
+        if scene.stlfr.layout == "VIEW":
+            raise BadInputError("choose a quilt or a stereo pair; F12 renders the view")
+        given = pictures.output(absolute(scene.stlfr.picture_file), self.animation)
+        suffixes = {display["name"]: display["suffix"] for display in stlfr.displays()}
+        self.file = pictures.written(scene.stlfr, given, suffixes)
+        self.scratch = Path(tempfile.mkdtemp(prefix="stlfr-picture-"))
+        try:
+            frame = scene.frame_current, scene.frame_subframe
+            seen = pictures.words(scene, self.scratch, self.animation)
+            if self.animation:
+                scene.frame_set(frame[0], subframe=frame[1])
+            script = Path(__file__).resolve().parent / "picture.py"
+            command = [*python(), str(script), str(module_folder()), str(capture)]
+            return jobs.Job(
+                "Rendering the picture", [*command, *seen, "-o", str(given)]
+            )
+        except BaseException:
+            self.tidying()()
+            raise
+
+    def take(self, scene: Any, job: jobs.Job) -> tuple[str, str]:
+        self.tidying()()
+        if not self.animation:
+            image = bpy.data.images.load(str(self.file), check_existing=True)
+            image.reload()
+        return "INFO", f"Rendered {self.file}"
+
+    def without_scene(self) -> Callable[[jobs.Job], str]:
+        file, tidy = self.file, self.tidying()
+
+        def after(_job: jobs.Job) -> str:
+            tidy()
+            return f"Rendered {file}"
+
+        return after
+
+    def tidying(self) -> Callable[[], None]:
+        return functools.partial(shutil.rmtree, self.scratch, ignore_errors=True)
+
+
 class STLFR_OT_cancel(bpy.types.Operator):
     """End the work that is under way; a film can be resumed."""
 
@@ -367,6 +433,7 @@ CLASSES = (
     STLFR_OT_rig_show,
     STLFR_OT_film,
     STLFR_OT_offsets,
+    STLFR_OT_picture,
     STLFR_OT_cancel,
     STLFR_OT_set_range,
     STLFR_OT_dismiss,

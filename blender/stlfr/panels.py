@@ -271,6 +271,46 @@ class STLFR_PT_trails(RenderTab, bpy.types.Panel):
             layout.prop(settings, name)
 
 
+class STLFR_PT_picture(RenderTab, bpy.types.Panel):
+    """Quilts and stereo pairs."""
+
+    bl_label = "Displays"
+    bl_parent_id = "STLFR_PT_light_field"
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.stlfr
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "layout")
+        if settings.layout == "VIEW":
+            layout.label(text="F12 renders the view", icon="INFO")
+            return
+        if settings.layout == "STEREO":
+            layout.prop(settings, "eye_distance_m")
+        else:
+            layout.prop(settings, "quilt_display")
+            _optional(layout, settings, "use_cone", "cone_deg")
+        _optional(layout, settings, "use_convergence", "convergence_m")
+        layout.prop(settings, "picture_file")
+        if progress_instead(layout, "Rendering the picture"):
+            return
+        row = layout.row(align=True)
+        row.enabled = bool(settings.capture) and jobs.running() is None
+        row.operator("stlfr.picture", icon="RENDER_STILL").animation = False
+        operator = row.operator(
+            "stlfr.picture", text="Animation", icon="RENDER_ANIMATION"
+        )
+        operator.animation = True
+
+
+def _optional(layout: Any, settings: Any, switch: str, name: str) -> None:
+    """A value that is used only where its switch is on."""
+    layout.prop(settings, switch)
+    row = layout.row()
+    row.enabled = getattr(settings, switch)
+    row.prop(settings, name)
+
+
 def offset_text(item: Any) -> str:
     """`+12.345 ± 0.012`, milliseconds."""
     if not item.is_known:
@@ -323,6 +363,7 @@ CLASSES = (
     STLFR_PT_light_field,
     STLFR_PT_methods,
     STLFR_PT_trails,
+    STLFR_PT_picture,
 )
 
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -28,6 +28,7 @@ from .paths import absolute
 
 STAGES = stlfr.methods()
 
+DISPLAYS = stlfr.displays()
 
 AUTO = ("auto", "Automatic", "The cheapest method that the capture requires")
 
@@ -246,6 +247,76 @@ class StlfrScene(bpy.types.PropertyGroup):
         max=1e6,
         subtype="DISTANCE",
         update=_redraw,
+    )
+    layout: EnumProperty(
+        name="Picture",
+        description="How many views a picture has",
+        items=[
+            ("VIEW", "View", "One view: F12 renders it"),
+            (
+                "QUILT",
+                "Quilt",
+                "Views from the left to the right, for a display of Looking Glass",
+            ),
+            (
+                "STEREO",
+                "Stereo Pair",
+                "Views of the left and the right eye, side by side",
+            ),
+        ],
+    )
+    quilt_display: EnumProperty(
+        name="Display",
+        description="The display that shows the quilt",
+        items=[
+            (
+                display["name"],
+                display["name"].replace("-", " ").capitalize(),
+                f"{display['columns']} x {display['rows']} views in {display['width']} x {display['height']} pixels",
+            )
+            for display in DISPLAYS
+        ],
+    )
+    use_cone: BoolProperty(
+        name="Set Cone",
+        description="Set the angle between the first and the last view; else it is the display's, or as much as the cameras cover",
+    )
+    cone_deg: FloatProperty(
+        name="Cone",
+        description="Angle between the first and the last view, in degrees",
+        default=10.0,
+        min=1.0,
+        max=170.0,
+        precision=1,
+    )
+    eye_distance_m: FloatProperty(
+        name="Eye Distance",
+        description="From the left to the right eye",
+        default=0.06,
+        min=1e-4,
+        max=10.0,
+        subtype="DISTANCE",
+        precision=4,
+    )
+    use_convergence: BoolProperty(
+        name="Set Convergence",
+        description="Set the depth of the plane without parallax; else it is in the middle of the scene's depths",
+    )
+    convergence_m: FloatProperty(
+        name="Convergence",
+        description="Depth of the plane without parallax, which appears at the display's surface",
+        default=2.0,
+        min=1e-3,
+        max=1e6,
+        subtype="DISTANCE",
+    )
+    picture_file: StringProperty(
+        name="File",
+        description="What is written; a quilt's name gets its layout, such as _qs8x6a0.75. An animation is a video "
+        "(.mp4, .webm, .gif) or a numbered sequence",
+        default="//picture.png",
+        subtype="FILE_PATH",
+        options=FROM_BLEND,
     )
     use_trail: BoolProperty(
         name="Trails",

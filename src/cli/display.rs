@@ -1,7 +1,7 @@
 //! Options `--quilt` and `--stereo` of `stlfr render`: several views in one picture.
 
 use super::CliError;
-use super::shots::Shots;
+use super::shots::{Shots, camera};
 use super::values::{ImageOutput, positive};
 use crate::camera::Camera;
 use crate::capture::NamedView;
@@ -117,14 +117,6 @@ impl DisplayArgs {
             )));
         }
         Ok(cone_deg)
-    }
-}
-
-/// The camera of a view.
-pub fn camera<'a>(field: &'a LightField, view: &'a NamedView) -> &'a Camera {
-    match view {
-        NamedView::Filming(index) => &field.capture().cameras[*index].camera,
-        NamedView::Free(camera) => camera,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::CliError;
 use super::error::written;
-use super::values::{ImageOutput, method};
+use super::values::{ImageOutput, job_word, method};
 use crate::camera::{Camera, ViewFormat};
 use crate::capture::{Capture, Opening, OutputGuard};
 use crate::host::{open_file, read_text, try_folder};
@@ -68,11 +68,12 @@ impl OptionsArgs {
         preset.chain(file).chain(set).collect()
     }
 
-    /// The flags of these options, with absolute paths, as words of a command line.
+    /// The flags of these options, with absolute paths, as words of a command line in a job.
     pub fn absolute_words(&self) -> Result<Vec<String>, CliError> {
         let mut options = self.clone();
         if let Some(file) = &mut options.options {
             *file = written(file, std::path::absolute(&*file))?;
+            job_word(file)?;
         }
         Ok(options.words())
     }

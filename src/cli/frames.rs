@@ -24,6 +24,12 @@ impl SharedFolder {
     pub fn end(&self) -> Result<(), CliError> {
         written(&self.folder, self.claims.end())
     }
+
+    /// Removes the folder after a failure, unless it says that images are done, or other processes use it.
+    pub fn end_unused(&self) {
+        // The failure is told; a folder that stays does no harm.
+        let _ = self.claims.end_unused();
+    }
 }
 
 /// Iterates over the images that this process has to render, in order. At the end it waits for images that other

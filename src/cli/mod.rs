@@ -37,13 +37,17 @@ use std::ffi::OsString;
 use std::path::Path;
 
 /// Runs a command line, whose first argument is the program's name, and returns the exit code. `program` is the path of
-/// the program, which `stlfr farm` writes into jobs. After this call, SIGINT, SIGTERM and SIGHUP end the process.
-pub fn main(program: &Path, arguments: impl IntoIterator<Item = OsString>) -> u8 {
+/// the program, which `stlfr farm` writes into jobs. With `in_lines`, progress is printed on standard output as lines of
+/// JSON. After this call, SIGINT, SIGTERM and SIGHUP end the process.
+pub fn main(program: &Path, arguments: impl IntoIterator<Item = OsString>, in_lines: bool) -> u8 {
     reuse_freed_memory();
     // If this fails, the next run removes the files that an interrupted run leaves.
     let _ = remove_unfinished_on_signals();
     match Cli::try_parse_from(arguments) {
-        Ok(cli) => error::exit(cli.run(program)),
+        Ok(cli) => {
+            let reporter = if in_lines { Reporter::lines() } else { Reporter::new(cli.quiet) };
+            error::exit(cli.run(program, &reporter))
+        }
         Err(error) => error::usage(&error),
     }
 }
@@ -92,35 +96,34 @@ enum Command {
 
 impl Cli {
     /// Runs the command. Its output is printed even if the command fails.
-    fn run(&self, program: &Path) -> Result<(), CliError> {
+    fn run(&self, program: &Path, reporter: &Reporter) -> Result<(), CliError> {
         let mut page = Page::default();
-        let result = self.run_on(program, &mut page);
+        let result = self.run_on(program, &mut page, reporter);
         result.and(page.print())
     }
 
-    fn run_on(&self, program: &Path, page: &mut Page) -> Result<(), CliError> {
-        let reporter = Reporter::new(self.quiet);
+    fn run_on(&self, program: &Path, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
         match &self.command {
-            Command::Demo(args) => toolchain::run_demo(args, page, &reporter),
-            Command::Setup(args) => toolchain::run_setup(args, page, &reporter),
+            Command::Demo(args) => toolchain::run_demo(args, page, reporter),
+            Command::Setup(args) => toolchain::run_setup(args, page, reporter),
             Command::Rig(args) => rig::run(args, page),
-            Command::Capture(args) => capture::run(args, page, &reporter),
-            Command::Info(args) => info::run(args, page, &reporter),
-            Command::Calibrate(args) => calibrate::run(args, page, &reporter),
-            Command::Refine(args) => calibrate::run_refine(args, page, &reporter),
-            Command::Check(args) => toolchain::run_check(args, page, &reporter),
-            Command::Plan(args) => plan::run(args, page, &reporter),
-            Command::Offsets(args) => offsets::run(args, page, &reporter),
-            Command::Prepare(args) => prepare::run(args, page, &reporter),
-            Command::Render(args) => render::run(args, &reporter),
-            Command::View(args) => view::run(args, &reporter),
-            Command::Publish(args) => publish::run(args, page, &reporter),
-            Command::Compare(args) => compare::run(args, page, &reporter),
-            Command::Tradeoff(args) => tradeoff::run(args, page, &reporter),
+            Command::Capture(args) => capture::run(args, page, reporter),
+            Command::Info(args) => info::run(args, page, reporter),
+            Command::Calibrate(args) => calibrate::run(args, page, reporter),
+            Command::Refine(args) => calibrate::run_refine(args, page, reporter),
+            Command::Check(args) => toolchain::run_check(args, page, reporter),
+            Command::Plan(args) => plan::run(args, page, reporter),
+            Command::Offsets(args) => offsets::run(args, page, reporter),
+            Command::Prepare(args) => prepare::run(args, page, reporter),
+            Command::Render(args) => render::run(args, reporter),
+            Command::View(args) => view::run(args, reporter),
+            Command::Publish(args) => publish::run(args, page, reporter),
+            Command::Compare(args) => compare::run(args, page, reporter),
+            Command::Tradeoff(args) => tradeoff::run(args, page, reporter),
             Command::Options(args) => options::run(args, page),
-            Command::Import(args) => import::run(args, &reporter),
-            Command::Export(args) => export::run(args, &reporter),
-            Command::Farm(args) => farm::run(args, program, page, &reporter),
+            Command::Import(args) => import::run(args, reporter),
+            Command::Export(args) => export::run(args, reporter),
+            Command::Farm(args) => farm::run(args, program, page, reporter),
         }
     }
 }

@@ -3,13 +3,13 @@
 use super::CliError;
 use super::display::DisplayArgs;
 use super::files::{CommandOutput, OptionsArgs, open_capture};
-use super::frames::Frames;
-use super::shots::{InstantArgs, ShotArgs, Shots, viewpoint};
+use super::frames::{Frames, SharedFolder};
+use super::shots::{InstantArgs, ShotArgs, Shots, camera, viewpoint};
 use super::values::{AUTO, ImageFile, ImageOutput, Parts, method, method_or_auto};
 use super::view_writer::{RenderedView, ViewWriter};
 use super::viewpoint::ViewpointArgs;
 use crate::interpolation::SyncMethod;
-use crate::light_field::{Context, Request, render, render_with_depths};
+use crate::light_field::{Context, ImageMotion, Request, render, render_with_layers};
 use crate::lumigraph::BlendMethod;
 use crate::options::{ProxyMethod, RenderOptions, TrailMode};
 use crate::pipeline;
@@ -49,8 +49,8 @@ pub struct RenderArgs {
     /// Render only parts K to L of N, such as 3-6/100. Other commands, on any machine, render the other parts.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
-    /// An image (.png, .jpg, .exr with depth); for --times and --path a pattern such as out/%04d.png, or a video (.mp4
-    /// and .webm for browsers and slides, .gif, .mkv without loss).
+    /// An image (.png, .jpg, .exr with depth and motion); for --times and --path a pattern such as out/%04d.png, or a
+    /// video (.mp4 and .webm for browsers and slides, .gif, .mkv without loss).
     #[arg(short, long, value_name = "FILE")]
     output: ImageOutput,
     /// How each camera's image is synchronized to the instant.
@@ -163,7 +163,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     shots.fit(&field, &options)?;
     let layout = args.display.layout(&field, &shots, &options, reporter)?;
     let parts = layout.parts(&field, &shots.get(0).view);
-    let has_depths = named.image_file() == Some(ImageFile::Exr);
+    let has_layers = named.image_file() == Some(ImageFile::Exr);
     let instants = options.trail.count();
     let views = parts.as_ref().map_or(1, |parts| parts.origins.len());
     let task = reporter.task("rendering", wanted.len() * views * instants);
@@ -171,29 +171,40 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     let more = format!("{:?} {:?}", args.display, name.file_name());
     let frames = args.frames(wanted, &named, &shots.key(&field, &options, &more))?;
     let shared = frames.shared_folder();
-    let mut writer = writer.start(parts);
-    let mut done = 0;
-    for frame in frames {
-        let (frame, mut claim) = frame?;
-        for (part, view) in layout.views(&field, &shots.get(frame).view).iter().enumerate() {
-            let proceed = |instant, _| {
-                task.set(done + instant);
-                true
-            };
-            let context = &Context::new(&proceed);
-            let request = Request::new(viewpoint(view), shots.get(frame).time_s, &options);
-            let (rendered, depths) = if has_depths {
-                let (rendered, depths) = render_with_depths(&field, &request, context)?;
-                (rendered, Some(depths))
-            } else {
-                (render(&field, &request, context)?, None)
-            };
-            let claim = claim.take_if(|_| part + 1 == views);
-            writer.add(RenderedView { frame, part, rendered, depths, claim })?;
-            done += instants;
+    let (mut done, mut has_motion) = (0, true);
+    let render_all = || -> Result<(), CliError> {
+        let mut writer = writer.start(parts);
+        for frame in frames {
+            let (frame, mut claim) = frame?;
+            for (part, view) in layout.views(&field, &shots.get(frame).view).iter().enumerate() {
+                let proceed = |instant, _| {
+                    task.set(done + instant);
+                    true
+                };
+                let context = &Context::new(&proceed);
+                let request = Request::new(viewpoint(view), shots.get(frame).time_s, &options);
+                let (rendered, layers) = if has_layers {
+                    let (rendered, layers) = render_with_layers(&field, &request, context)?;
+                    let here = (camera(&field, view), request.time_s);
+                    let neighbors = shots.neighbors(&field, frame);
+                    let motion = ImageMotion::new(&field, layers.surfaces, here, neighbors);
+                    (rendered, Some((layers.depths, motion)))
+                } else {
+                    (render(&field, &request, context)?, None)
+                };
+                has_motion &= layers.as_ref().is_none_or(|(_, motion)| motion.is_some());
+                let claim = claim.take_if(|_| part + 1 == views);
+                writer.add(RenderedView { frame, part, rendered, layers, claim })?;
+                done += instants;
+            }
         }
+        // If an image fails, the writer waits for those before it.
+        writer.finish()
+    };
+    render_all().inspect_err(|_| shared.iter().for_each(SharedFolder::end_unused))?;
+    if !has_motion {
+        reporter.note("The images have no motion, which only --proxy scene-flow finds.");
     }
-    writer.finish()?;
     shared.map_or(Ok(()), |folder| folder.end())
 }
 

@@ -6,7 +6,7 @@ use super::values::{PathSource, Times, positive, rate_hz};
 use super::viewpoint::{ViewpointArgs, far_outside};
 use crate::camera::Camera;
 use crate::capture::{Capture, NamedView};
-use crate::light_field::{LightField, Request, Viewpoint, check_times_before_offsets};
+use crate::light_field::{CameraAt, LightField, Request, Viewpoint, check_times_before_offsets};
 use crate::options::RenderOptions;
 use crate::path::{CameraPath, PathFrame, PathScene, ReadyMadePath};
 use crate::progress::Reporter;
@@ -190,6 +190,22 @@ impl Shots<'_> {
         &self.shots[index]
     }
 
+    /// The views before and after one of a sequence. A single view has itself, one frame of the recording before and
+    /// after.
+    pub fn neighbors<'b>(
+        &'b self,
+        field: &'b LightField,
+        index: usize,
+    ) -> [Option<CameraAt<'b>>; 2] {
+        let at = |shot: &'b Shot, later_s| (camera(field, &shot.view), shot.time_s + later_s);
+        if self.shots.len() < 2 {
+            let frame_s = field.capture().frame_s();
+            return [-frame_s, frame_s].map(|later_s| Some(at(self.get(index), later_s)));
+        }
+        let other = |index: Option<usize>| Some(at(self.shots.get(index?)?, 0.0));
+        [other(index.checked_sub(1)), other(Some(index + 1))]
+    }
+
     /// A hash of these views, the offsets, the options and `more` (other options of the output), 16 hexadecimal
     /// digits.
     pub fn key(&self, field: &LightField, options: &RenderOptions, more: &str) -> String {
@@ -272,6 +288,14 @@ impl Shots<'_> {
         let frames = frames(&path, self.rate_hz.unwrap_or(PATH_RATE_HZ))?;
         self.shots = frames.into_iter().map(shot).collect();
         self.check(field)
+    }
+}
+
+/// The camera of a view.
+pub fn camera<'a>(field: &'a LightField, view: &'a NamedView) -> &'a Camera {
+    match view {
+        NamedView::Filming(index) => &field.capture().cameras[*index].camera,
+        NamedView::Free(camera) => camera,
     }
 }
 

@@ -6,9 +6,12 @@ use super::files::ffmpeg_for;
 use super::values::{ImageFile, ImageOutput};
 use crate::capture::Capture;
 use crate::host::Claim;
+use crate::light_field::ImageMotion;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::progress::Reporter;
-use crate::raster::{BitDepth, Quantized, StillFormat, write_exr, write_still};
+use crate::raster::{
+    BitDepth, Displacements, ExrLayers, Quantized, StillFormat, write_exr, write_still,
+};
 use crate::video::{Codec, VideoFormat, VideoWriter};
 use std::panic::resume_unwind;
 use std::path::PathBuf;
@@ -30,8 +33,8 @@ pub struct RenderedView {
     /// Index of the view inside its picture.
     pub part: usize,
     pub rendered: Rendered,
-    /// Depths, if the output format has them.
-    pub depths: Option<DepthMap>,
+    /// Depths, if the output format has them, and motion where it is known.
+    pub layers: Option<(DepthMap, Option<ImageMotion>)>,
     /// Marks the picture as done for other processes; the last view of a picture has it.
     pub claim: Option<Claim>,
 }
@@ -165,9 +168,12 @@ impl ViewWriter {
         let Rendered { image, coverage } = &view.rendered;
         let seen = coverage.iter().filter(|is_seen| **is_seen).count();
         self.seen_fraction = self.seen_fraction.min(seen as f64 / coverage.len() as f64);
-        if let Some(depths) = &view.depths {
+        if let Some((depths, motion)) = &view.layers {
+            let depths_m = depths.data();
+            let motion = motion.as_ref().map(|m| move |k: usize| m.displacements(k, depths_m[k]));
+            let motion = motion.as_ref().map(|m| m as &Displacements);
             let path = self.output.file(view.frame).unwrap_or_default();
-            return Ok(write_exr(&path, image, coverage, depths.data())?);
+            return Ok(write_exr(&path, &ExrLayers { image, coverage, depths_m, motion })?);
         }
         let coverage = coverage.contains(&false).then_some(coverage.as_slice());
         let blank = |size_px| Quantized::blank(size_px, image.channels(), self.depth);

@@ -2,9 +2,10 @@
 //! rightmost at the top right. The file's name ends in `_qsCxRaA`: columns, rows, and the aspect ratio of the views.
 //!
 //! Sizes are those of <https://docs.lookingglassfactory.com/keyconcepts/quilts>. View cones are those of the vendor's
-//! LKG-Toolkit, or else the documentation's standard of 35°. Editions of that page differ for the landscape
-//! display of 16 inches: 8×6 views in 7680×4320 in the one with the displays of 27 inches, and before 7×7 in 5999×5999,
-//! which is `16-landscape-7x7`. A file's name says which layout it has, so that the vendor's programs show both.
+//! LKG-Toolkit, or else the documentation's standard of 35°. Copies of that page differ for the landscape display of 16
+//! inches: one, which lists the displays of 27 inches, has 8×6 views in 7680×4320; another, which doesn't, has 7×7 in
+//! 5999×5999, here `16-landscape-7x7`. That the first is the newer edition is inferred from this; the vendor doesn't say
+//! so. A file's name says which layout it has, so that the vendor's programs show both.
 
 use super::sheared;
 use crate::camera::{Camera, CameraModel};
@@ -57,7 +58,7 @@ const LANDSCAPE: f64 = 16.0 / 9.0;
 const PORTRAIT: f64 = 9.0 / 16.0;
 
 /// The layouts of displays, by the display's name.
-const DEVICES: [(&str, QuiltLayout); 10] = [
+static DEVICES: [(&str, QuiltLayout); 10] = [
     ("go", device(11, 6, [4092, 4092], PORTRAIT, 54.0)),
     ("portrait", device(8, 6, [3360, 3360], 0.75, 40.0)),
     ("16-landscape", device(8, 6, [7680, 4320], LANDSCAPE, 50.0)),
@@ -102,6 +103,11 @@ impl FromStr for QuiltLayout {
 }
 
 impl QuiltLayout {
+    /// The layouts of all displays, by name.
+    pub fn of_displays() -> &'static [(&'static str, Self)] {
+        &DEVICES
+    }
+
     /// The number of views.
     pub fn views(&self) -> usize {
         self.columns * self.rows

@@ -64,6 +64,18 @@ impl Claims {
         Ok(if is_done { Taken::Done } else { Taken::Mine(Claim { file }) })
     }
 
+    /// Removes the folder if no item is done, and no process works on one. To be called after work has failed.
+    pub fn end_unused(&self) -> Result<()> {
+        for entry in std::fs::read_dir(&self.folder)? {
+            let file = File::open(entry?.path())?;
+            // A process that takes an item later finds no folder, and does the item without sharing it.
+            if file.metadata()?.len() > 0 || file.try_lock().is_err() {
+                return Ok(());
+            }
+        }
+        self.end()
+    }
+
     /// Removes the folder, and what killed processes left beside it. To be called after all items are done.
     pub fn end(&self) -> Result<()> {
         let gone = self.folder.with_extension(format!("{}.tmp", std::process::id()));
@@ -113,6 +125,24 @@ mod tests {
         assert!(matches!(a.take(5).unwrap(), Taken::Done), "the folder is gone");
         a.end().unwrap();
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_folder_is_removed_after_a_failure_only_if_nothing_in_it_counts() {
+        let folder = tempfile::tempdir().unwrap();
+        let name = folder.path().join(".stlfr-render-1");
+        let claims = Claims::join(&name).unwrap();
+        let working = mine(claims.take(0).unwrap());
+        claims.end_unused().unwrap();
+        assert!(name.exists(), "a process works on an item");
+        drop(working);
+        claims.end_unused().unwrap();
+        assert!(!name.exists());
+        let claims = Claims::join(&name).unwrap();
+        mine(claims.take(0).unwrap()).finish().unwrap();
+        drop(mine(claims.take(1).unwrap()));
+        claims.end_unused().unwrap();
+        assert!(matches!(claims.take(0).unwrap(), Taken::Done));
     }
 
     #[test]

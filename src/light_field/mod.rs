@@ -25,6 +25,7 @@
 //! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, estimated together, and views from them |
 //! | `flow_frames.rs` | frames with depth and motion, for callers that render views by themselves |
 //! | `all_cameras.rs` | a camera's image, blended from all cameras |
+//! | `image_motion.rs` | motion of a view's pixels to the neighbouring pictures |
 //! | `request.rs` | the request of a view |
 //! | `render.rs`, `trail.rs` | a view, and Fig. 1: temporal integration |
 //! | `prepare.rs` | tracks and gains, stored on disk for later views |
@@ -39,6 +40,7 @@ mod flow_frames;
 mod frame_pair;
 mod geometry;
 mod graph;
+mod image_motion;
 mod points;
 mod prepare;
 mod render;
@@ -54,8 +56,9 @@ pub use context::Context;
 pub use error::RenderError;
 pub use geometry::Geometry;
 pub use graph::LightField;
+pub use image_motion::{CameraAt, ImageMotion, Layers};
 pub use prepare::{PREPARED, Preparation};
-pub use render::{render, render_with_depths};
+pub use render::{render, render_with_layers};
 pub use request::{Request, Viewpoint};
 pub use scene_flow::LoadedFrame;
 pub use stages::{GivenImages, Images};

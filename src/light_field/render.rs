@@ -1,14 +1,15 @@
 //! Renders a view, with or without a motion trail: the entry point of the module.
 
 use super::graph::LightField;
+use super::image_motion::Layers;
 use super::scene_flow::flow_image;
 use super::stages::{CameraImage, ImageMethod};
 use super::trail::Overlay;
-use super::view::{view, view_with_depths};
+use super::view::{layers, view, view_with_layers};
 use super::{Context, Geometry, RenderError, Request, Viewpoint};
 use crate::camera::Camera;
 use crate::host::on_workers;
-use crate::lumigraph::{DepthMap, Rendered};
+use crate::lumigraph::Rendered;
 use crate::options::RenderOptions;
 
 /// Renders a view, or a filming camera's image. If the options ask for a motion trail, the views at its
@@ -48,23 +49,24 @@ pub fn render(
     overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
 }
 
-/// Renders a view, and the depth map of its camera at the request's time.
+/// Renders a view, the depth map of its camera at the request's time, and the motion of its surfaces.
 ///
 /// # Errors
 /// Those of [`render`].
-pub fn render_with_depths(
+pub fn render_with_layers(
     field: &LightField,
     request: &Request,
     context: &Context,
-) -> Result<(Rendered, DepthMap), RenderError> {
+) -> Result<(Rendered, Layers), RenderError> {
     let target = match request.from {
         Viewpoint::View(target) if request.options.trail.count() == 1 => {
-            return on_workers(|| view_with_depths(field, target, request, context));
+            return on_workers(|| view_with_layers(field, target, request, context, true));
         }
         Viewpoint::View(target) => target,
         Viewpoint::Like(camera) => &field.capture().cameras[camera].camera,
     };
-    Ok((render(field, request, context)?, field.geometry(target, request)?.view))
+    let rendered = render(field, request, context)?;
+    Ok((rendered, on_workers(|| layers(field, target, request, context))?))
 }
 
 fn instant(

@@ -253,12 +253,13 @@ fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
 }
 
 /// The view of the camera `target`, blended by scene flow ([`LightField::frames_of_view`]). `None` if the
-/// range of the scene's depths is unknown.
+/// range of the scene's depths is unknown. `with_motion` says whether it has the motion of its surfaces.
 pub(super) fn flow_view(
     field: &LightField,
     target: &Camera,
     request: &Request,
     context: &Context,
+    with_motion: bool,
 ) -> Result<Option<FlowView>, RenderError> {
     let &Request { time_s, options, .. } = request;
     let frames = field.frames_of_view(target, time_s);
@@ -268,7 +269,8 @@ pub(super) fn flow_view(
     let stage = FlowConfidences { frames: &frames, options, mapped: &mapped };
     let confidences = stage.get(field, context)?;
     context.check()?;
-    Ok(Some(blend(&mapped, &confidences, target, field.in_frames(time_s))))
+    let time = field.in_frames(time_s);
+    Ok(Some(blend(&mapped, &confidences, target, time, with_motion)))
 }
 
 /// A filming camera's image: its own frame if one has exactly this time, else the view by scene flow from its
@@ -287,7 +289,8 @@ pub(super) fn flow_image(
         return Ok(Some(image));
     }
     let target = &field.capture().cameras[camera].camera;
-    let Some(FlowView { rendered, .. }) = flow_view(field, target, request, context)? else {
+    let view = flow_view(field, target, request, context, false)?;
+    let Some(FlowView { rendered, .. }) = view else {
         return Ok(None);
     };
     let gains = field.gains(&request.options.registration);
@@ -312,5 +315,5 @@ pub(super) fn flow_depths(
     request: &Request,
     context: &Context,
 ) -> Result<Option<DepthMap>, RenderError> {
-    Ok(flow_view(field, target, request, context)?.map(|view| view.depths))
+    Ok(flow_view(field, target, request, context, false)?.map(|view| view.depths))
 }

@@ -3,15 +3,14 @@
 use super::camera_image::{image_in, images_of};
 use super::geometry::{Geometry, geometry, nearest_cameras};
 use super::graph::LightField;
+use super::image_motion::Layers;
 use super::scene_flow::flow_view;
 use super::stages::{CameraImage, CameraImages, ImageMethod, ImageSource, Instant};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::{Color, FilmedCamera};
 use crate::interpolation::Synchronized;
-use crate::lumigraph::{
-    BlendMethod, BlendOptions, DepthMap, Rendered, Source, blend, contributing,
-};
+use crate::lumigraph::{BlendMethod, BlendOptions, Rendered, Source, blend, contributing};
 use crate::raster::{Image, Tiles};
 use crate::scene_flow::FlowView;
 use rayon::prelude::*;
@@ -24,26 +23,29 @@ pub(super) fn view(
     request: &Request,
     context: &Context,
 ) -> Result<Rendered, RenderError> {
-    view_with_depths(field, target, request, context).map(|(rendered, _)| rendered)
+    view_with_layers(field, target, request, context, false).map(|(rendered, _)| rendered)
 }
 
-/// A [`view()`] and its depth map.
-pub(super) fn view_with_depths(
+/// A [`view()`] with its depth map, and `with_motion` with the motion of its surfaces where that is known.
+pub(super) fn view_with_layers(
     field: &LightField,
     target: &Camera,
     request: &Request,
     context: &Context,
-) -> Result<(Rendered, DepthMap), RenderError> {
+    with_motion: bool,
+) -> Result<(Rendered, Layers), RenderError> {
     let &Request { time_s, options, .. } = request;
     if field.usable(time_s).is_empty() {
         return Err(field.no_camera_at(time_s));
     }
     context.check()?;
     if request.uses_scene_flow()
-        && let Some(FlowView { rendered, depths }) = flow_view(field, target, request, context)?
+        && let Some(view) = flow_view(field, target, request, context, with_motion)?
     {
+        let FlowView { rendered, depths, motions } = view;
         let is_seen = rendered.coverage.contains(&true);
-        return if is_seen { Ok((rendered, depths)) } else { Err(RenderError::NothingSeen) };
+        let layers = Layers { depths, surfaces: motions };
+        return if is_seen { Ok((rendered, layers)) } else { Err(RenderError::NothingSeen) };
     }
     let geometry = geometry(field, target, request, context)?;
     context.check()?;
@@ -51,7 +53,23 @@ pub(super) fn view_with_depths(
     context.check()?;
     let rendered = field.blend(&images, &geometry, target, &options.blend);
     let is_seen = rendered.coverage.contains(&true);
-    if is_seen { Ok((rendered, geometry.view)) } else { Err(RenderError::NothingSeen) }
+    let layers = Layers { depths: geometry.view, surfaces: None };
+    if is_seen { Ok((rendered, layers)) } else { Err(RenderError::NothingSeen) }
+}
+
+/// The depth map of a view, and the motion of its surfaces where that is known.
+pub(super) fn layers(
+    field: &LightField,
+    target: &Camera,
+    request: &Request,
+    context: &Context,
+) -> Result<Layers, RenderError> {
+    if request.uses_scene_flow()
+        && let Some(view) = flow_view(field, target, request, context, true)?
+    {
+        return Ok(Layers { depths: view.depths, surfaces: view.motions });
+    }
+    Ok(Layers { depths: geometry(field, target, request, context)?.view, surfaces: None })
 }
 
 /// The images from which a view is blended, gain-corrected to the reference camera's exposure.

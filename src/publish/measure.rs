@@ -34,7 +34,7 @@ pub(super) fn measured(
             decoded.collect::<Result<_, String>>().map_err(PublishError::Encoding)?;
         let mapped: Vec<MappedFrame> = decoded.iter().map(LoadedFrame::mapped).collect();
         let time = field.in_frames(time_s);
-        let ours = blend(&mapped, &confidences(&mapped), &view, time).rendered;
+        let ours = blend(&mapped, &confidences(&mapped), &view, time, false).rendered;
         let theirs = field.view(&view, time_s, options)?;
         let both: Vec<bool> =
             ours.coverage.iter().zip(&theirs.coverage).map(|(a, b)| *a && *b).collect();

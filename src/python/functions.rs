@@ -5,6 +5,7 @@ use crate::camera::CameraFormat;
 use crate::capture::{Capture, Opening, OutputGuard, Truth};
 use crate::cli;
 use crate::compare::{CompareOptions, ComparedLightField, FILES, Renderer, compare as compared};
+use crate::display::QuiltLayout;
 use crate::exchange;
 use crate::interpolation::SyncMethod;
 use crate::method::Method;
@@ -38,10 +39,24 @@ pub fn options(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &RenderOptions::default().declared())
 }
 
-/// Runs the command line with the program's path and its arguments, and returns the exit code.
+/// The layouts of quilts by the names of the displays that show them.
 #[pyfunction]
-pub fn run_command(py: Python<'_>, program: PathBuf, arguments: Vec<OsString>) -> u8 {
-    py.detach(|| cli::main(&program, std::iter::once(OsString::from("stlfr")).chain(arguments)))
+pub fn displays(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    let display = |(name, layout): &(&str, QuiltLayout)| {
+        let &QuiltLayout { columns, rows, size_px: [width, height], aspect, cone_deg } = layout;
+        json!({ "name": name, "columns": columns, "rows": rows, "width": width, "height": height,
+            "aspect": aspect, "cone_deg": cone_deg, "suffix": layout.name() })
+    };
+    to_python(py, &QuiltLayout::of_displays().iter().map(display).collect::<Vec<_>>())
+}
+
+/// Runs the command line with the program's path and its arguments, and returns the exit code. If `lines` is true,
+/// progress is printed on standard output, one JSON object per line.
+#[pyfunction]
+#[pyo3(signature = (program, arguments, *, lines=false))]
+pub fn run_command(py: Python<'_>, program: PathBuf, arguments: Vec<OsString>, lines: bool) -> u8 {
+    let arguments = std::iter::once(OsString::from("stlfr")).chain(arguments);
+    py.detach(|| cli::main(&program, arguments, lines))
 }
 
 fn stage<M: Method>() -> Value {

@@ -14,7 +14,8 @@ mod native {
     use super::capture::{PyCapture, PyMoment, open, project};
     #[pymodule_export]
     use super::functions::{
-        check_rig, colmap_text, compare, generate_rig, methods, options, read_rig, run_command,
+        check_rig, colmap_text, compare, displays, generate_rig, methods, options, read_rig,
+        run_command,
     };
     use pyo3::prelude::*;
 

@@ -1,4 +1,4 @@
-//! OpenEXR files: linear light as half floats, and depth, in channels with the usual names.
+//! OpenEXR files: linear light as half floats, depth and motion, in channels with the usual names.
 //!
 //! The format: <https://openexr.com/en/latest/OpenEXRFileLayout.html>. Files are single-part scanline files of version
 //! 2, with ZIP compression of blocks of 16 rows. The crate `exr` isn't used, because it depends on dozens of crates
@@ -6,10 +6,11 @@
 
 use super::file::ImageFileError;
 use super::{Image, linear_from_encoded};
-use crate::host::write_atomically;
+use crate::host::temporary::Temporary;
 use flate2::{Compression, write::ZlibEncoder};
 use rayon::prelude::*;
-use std::io::Write;
+use std::fs::File;
+use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
 /// Depth of a pixel without a surface, metres: Blender's value.
@@ -17,6 +18,12 @@ const NO_DEPTH_M: f32 = 1e10;
 
 /// Number of rows in a compressed block, fixed by the format for ZIP.
 const BLOCK_ROWS: usize = 16;
+
+/// Number of blocks that are compressed in parallel. More: more memory; fewer: threads wait for each other.
+const BLOCKS_AT_ONCE: usize = 32;
+
+/// The file's name before it is placed.
+const FILE: &str = "exr";
 
 /// Constants of the format.
 const MAGIC: u32 = 20_000_630;
@@ -33,35 +40,53 @@ enum Channel<'a> {
 
 type Value<'a> = Box<dyn Fn(usize) -> f32 + Sync + 'a>;
 
-/// Writes an image of 1 or 3 channels as OpenEXR. A missing folder is created.
+/// What an OpenEXR file holds: one value of every layer for each pixel, row by row.
+pub struct ExrLayers<'a> {
+    /// 1 or 3 channels, display-encoded.
+    pub image: &'a Image,
+    /// Where it is false, the pixel is black with alpha 0 and without motion.
+    pub coverage: &'a [bool],
+    /// Depth along the camera's axis, metres. A depth that isn't finite is written as 1e10.
+    pub depths_m: &'a [f32],
+    /// Displacements of a pixel, by its index, from this picture to the previous one and to the next one: pixels to the
+    /// right and down. `None`: the file has no motion.
+    pub motion: Option<&'a Displacements<'a>>,
+}
+
+/// Displacements of a pixel to the previous and to the next picture.
+pub type Displacements<'a> = dyn Fn(usize) -> [[f32; 2]; 2] + Sync + 'a;
+
+/// Writes layers as OpenEXR. A missing folder is created.
 ///
-/// Channels `R`, `G`, `B` and `A` are scene-linear half floats. Where `coverage` (one value per pixel) is false, the
-/// pixel is black with alpha 0. Channel `Z` is 32-bit float: `depths_m`, the depth along the camera's axis in metres.
-/// A depth that isn't finite is written as 1e10.
+/// | channels | what |
+/// |---|---|
+/// | `R`, `G`, `B`, `A` | scene-linear light and alpha, half floats |
+/// | `Z` | depth, metres, 32-bit floats |
+/// | `forward.u`, `forward.v` | motion to the next picture, pixels to the right and up, half floats: Nuke's layer |
+/// | `backward.u`, `backward.v` | the way to the previous picture, likewise |
+/// | `Vector.X`, `.Y`, `.Z`, `.W` | Blender's pass of the same motion: X and Y are `backward`, Z and W minus `forward` |
+///
+/// Half floats have 11 bits: a motion of 64 pixels is exact to 0.03.
 ///
 /// # Panics
 /// If `coverage` or `depths_m` doesn't have one value per pixel.
 ///
 /// # Errors
 /// If the file can't be written.
-pub fn write_exr(
-    path: &Path,
-    image: &Image,
-    coverage: &[bool],
-    depths_m: &[f32],
-) -> Result<(), ImageFileError> {
-    let channels = channels(image, coverage, depths_m);
-    let written = encode(image.width(), image.height(), &channels)
-        .and_then(|bytes| write_atomically(path, &bytes));
+pub fn write_exr(path: &Path, layers: &ExrLayers) -> Result<(), ImageFileError> {
+    let channels = channels(layers);
+    let size = [layers.image.width(), layers.image.height()];
+    let written = Temporary::for_file(path).and_then(|temporary| {
+        let file = File::create(temporary.path().join(FILE))?;
+        encode(file, size, &channels)?;
+        temporary.place(FILE, path)
+    });
     written.map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
 /// The channels, sorted by name as the format requires.
-fn channels<'a>(
-    image: &'a Image,
-    coverage: &'a [bool],
-    depths_m: &'a [f32],
-) -> [(&'static str, Channel<'a>); 5] {
+fn channels<'a>(layers: &ExrLayers<'a>) -> Vec<(&'static str, Channel<'a>)> {
+    let ExrLayers { image, coverage, depths_m, motion } = *layers;
     let pixels = image.width() * image.height();
     assert_eq!((coverage.len(), depths_m.len()), (pixels, pixels), "one a pixel");
     let count = image.channels();
@@ -73,12 +98,43 @@ fn channels<'a>(
     };
     let alpha = |k: usize| f32::from(u8::from(coverage[k]));
     let depth = |k: usize| if depths_m[k].is_finite() { depths_m[k] } else { NO_DEPTH_M };
-    [
+    let mut channels = vec![
         ("A", Channel::Half(Box::new(alpha))),
         ("B", color(2)),
         ("G", color(1)),
         ("R", color(0)),
         ("Z", Channel::Float(Box::new(depth))),
+    ];
+    if let Some(displacements) = motion {
+        channels.extend(motion_channels(displacements, coverage));
+        channels.sort_unstable_by_key(|(name, _)| *name);
+    }
+    channels
+}
+
+/// The channels of motion. The file's vertical axis points up.
+fn motion_channels<'a>(
+    displacements: &'a Displacements<'a>,
+    coverage: &'a [bool],
+) -> [(&'static str, Channel<'a>); 8] {
+    let [before, after] = [0, 1];
+    let [right, up] = [(0, 1.0), (1, -1.0)];
+    let channel = |name, to: usize, (axis, sign): (usize, f32), factor: f32| {
+        let value = move |k: usize| match coverage[k] {
+            true => factor * sign * displacements(k)[to][axis],
+            false => 0.0,
+        };
+        (name, Channel::Half(Box::new(value) as Value))
+    };
+    [
+        channel("Vector.X", before, right, 1.0),
+        channel("Vector.Y", before, up, 1.0),
+        channel("Vector.Z", after, right, -1.0),
+        channel("Vector.W", after, up, -1.0),
+        channel("backward.u", before, right, 1.0),
+        channel("backward.v", before, up, 1.0),
+        channel("forward.u", after, right, 1.0),
+        channel("forward.v", after, up, 1.0),
     ]
 }
 
@@ -100,7 +156,12 @@ fn half(value: f32) -> u16 {
     sign | ((rounded >> 13) - (112 << 10)) as u16
 }
 
-fn encode(width: usize, height: usize, channels: &[(&str, Channel)]) -> std::io::Result<Vec<u8>> {
+/// Writes a file in runs of blocks, so that the largest views don't need the memory of a whole file.
+fn encode(
+    mut file: impl Write + Seek,
+    [width, height]: [usize; 2],
+    channels: &[(&str, Channel)],
+) -> std::io::Result<()> {
     let block = |index: usize| -> std::io::Result<Vec<u8>> {
         let rows = index * BLOCK_ROWS..((index + 1) * BLOCK_ROWS).min(height);
         let raw: Vec<u8> = rows.flat_map(|y| row(channels, width, y)).collect();
@@ -109,22 +170,28 @@ fn encode(width: usize, height: usize, channels: &[(&str, Channel)]) -> std::io:
         Ok(if packed.len() < raw.len() { packed } else { raw })
     };
     let count = height.div_ceil(BLOCK_ROWS);
-    let blocks = (0..count).into_par_iter().map(block).collect::<std::io::Result<Vec<_>>>()?;
-    let mut file = Vec::new();
-    file.extend(MAGIC.to_le_bytes());
-    file.extend(VERSION.to_le_bytes());
-    header(&mut file, [width as u32, height as u32], channels);
-    let mut offset = file.len() + 8 * count;
-    for block in &blocks {
-        file.extend((offset as u64).to_le_bytes());
-        offset += 8 + block.len();
+    let mut start = Vec::new();
+    start.extend(MAGIC.to_le_bytes());
+    start.extend(VERSION.to_le_bytes());
+    header(&mut start, [width as u32, height as u32], channels);
+    // The table of the blocks' places follows the header, and is written when they are known.
+    file.write_all(&start)?;
+    file.write_all(&vec![0; 8 * count])?;
+    let mut place = start.len() + 8 * count;
+    let mut table = Vec::new();
+    for first in (0..count).step_by(BLOCKS_AT_ONCE) {
+        let run = first..(first + BLOCKS_AT_ONCE).min(count);
+        let blocks = run.into_par_iter().map(block).collect::<std::io::Result<Vec<_>>>()?;
+        for (index, block) in (first..).zip(blocks) {
+            file.write_all(&((index * BLOCK_ROWS) as i32).to_le_bytes())?;
+            file.write_all(&(block.len() as u32).to_le_bytes())?;
+            file.write_all(&block)?;
+            table.extend((place as u64).to_le_bytes());
+            place += 8 + block.len();
+        }
     }
-    for (index, block) in blocks.into_iter().enumerate() {
-        file.extend(((index * BLOCK_ROWS) as i32).to_le_bytes());
-        file.extend((block.len() as u32).to_le_bytes());
-        file.extend(block);
-    }
-    Ok(file)
+    file.seek(SeekFrom::Start(start.len() as u64))?;
+    file.write_all(&table)
 }
 
 fn header(file: &mut Vec<u8>, [width, height]: [u32; 2], channels: &[(&str, Channel)]) {
@@ -238,10 +305,18 @@ mod tests {
     }
 
     #[test]
-    fn channels_are_linear_light_alpha_and_depth() {
+    fn channels_are_linear_light_alpha_depth_and_motion() {
         // sRGB 0.735357 is linear 0.5.
         let image = Image::from_data(2, 1, 3, vec![0.735_357, 1.0, 0.0, 1.0, 1.0, 1.0]);
-        let found = channels(&image, &[true, false], &[2.5, f32::NAN]);
+        let motion = |_: usize| [[-3.0, 1.0], [4.0, -2.0]];
+        let layers = ExrLayers {
+            image: &image,
+            coverage: &[true, false],
+            depths_m: &[2.5, f32::NAN],
+            motion: Some(&motion),
+        };
+        let found = channels(&layers);
+        assert!(found.is_sorted_by(|a, b| a.0 < b.0));
         let values: Vec<(&str, Vec<f64>)> = found
             .iter()
             .map(|(name, channel)| match channel {
@@ -254,13 +329,24 @@ mod tests {
             ("B", [0.0; 2]),
             ("G", [1.0, 0.0]),
             ("R", [0.5, 0.0]),
+            ("Vector.W", [-2.0, 0.0]),
+            ("Vector.X", [-3.0, 0.0]),
+            ("Vector.Y", [-1.0, 0.0]),
+            ("Vector.Z", [-4.0, 0.0]),
             ("Z", [2.5, 1e10]),
+            ("backward.u", [-3.0, 0.0]),
+            ("backward.v", [-1.0, 0.0]),
+            ("forward.u", [4.0, 0.0]),
+            ("forward.v", [2.0, 0.0]),
         ];
+        assert_eq!(values.len(), expected.len());
         for ((name, values), (expected_name, expected)) in values.iter().zip(expected) {
             assert_eq!(*name, expected_name);
             for (value, expected) in values.iter().zip(expected) {
-                assert!((value - expected).abs() <= 1e-3 * expected, "{name}: {values:?}");
+                assert!((value - expected).abs() <= 1e-3 * expected.abs(), "{name}: {values:?}");
             }
         }
+        let still = channels(&ExrLayers { motion: None, ..layers });
+        assert!(still.iter().map(|(name, _)| *name).eq(["A", "B", "G", "R", "Z"]));
     }
 }

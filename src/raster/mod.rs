@@ -13,7 +13,7 @@ mod sample;
 mod tiles;
 
 pub use color::{LUMINANCE, encoded_from_linear, gray_from_rgb, linear_from_encoded, luma};
-pub use exr::write_exr;
+pub use exr::{Displacements, ExrLayers, write_exr};
 pub use file::{ImageFileError, MAX_PIXELS, StillFormat, read_image, write_image, write_still};
 pub(crate) use file::{encode_png, encode_png_8, read_hashed_image, read_header, write_webp};
 pub(crate) use filter::{box_filter, max_filter, padded};

@@ -1,13 +1,13 @@
 //! Blends the splatted maps of several frames into a view.
 
 use super::frame::FlowFrame;
-use super::geometry::Projection;
+use super::geometry::{Projection, undistorted};
 use super::map::MappedFrame;
+use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
 use super::splat::Splat;
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::{Image, Sampling, sample};
-use nalgebra::Point2;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -46,11 +46,14 @@ struct Pixels {
     inverse_depths: Vec<f32>,
     /// Whether a splat of some map covers the pixel.
     is_mapped: Vec<bool>,
+    /// `None` if motion isn't needed.
+    motions: Option<MotionMap>,
 }
 
 impl Pixels {
-    fn new(count: usize) -> Self {
+    fn new(count: usize, motions: Option<MotionMap>) -> Self {
         Self {
+            motions,
             colors: vec![[0.0; 3]; count],
             inverse_depths: vec![0.0; count],
             is_mapped: vec![false; count],
@@ -87,6 +90,7 @@ impl Pixels {
             for (&k, &n) in ring.iter().zip(&sources) {
                 self.colors[k as usize] = self.colors[n as usize];
                 self.inverse_depths[k as usize] = self.inverse_depths[n as usize];
+                self.motions.iter_mut().for_each(|m| m.copy(n as usize, k as usize));
                 filled[k as usize] = true;
             }
             let next = |&k: &u32| around(k).filter(|&n| !filled[n]).map(|n| n as u32);
@@ -105,10 +109,11 @@ struct ColorCandidate<'a> {
     weight: f32,
 }
 
-/// A view with its depth map.
+/// A view with its depth map, and the motion of its surfaces if it was asked for.
 pub struct FlowView {
     pub rendered: Rendered,
     pub depths: DepthMap,
+    pub motions: Option<MotionMap>,
 }
 
 /// Blends the rows `rows` of a view into `pixels`, as [`blend`] describes.
@@ -119,27 +124,28 @@ fn blend_rows(
     time: f64,
     pixels: &mut Pixels,
 ) {
-    let splats: Vec<(&FlowFrame, Splat)> = mapped
+    let splats: Vec<(&MappedFrame, Splat)> = mapped
         .par_iter()
         .zip(confidences)
-        .filter_map(|(m, c)| Some((m.frame, Splat::new(*m, c, (view, rows.clone()), time)?)))
+        .filter_map(|(m, c)| Some((m, Splat::new(*m, c, (view, rows.clone()), time)?)))
         .collect();
-    let disparity_px = mapped.iter().map(|m| m.map.disparity_px).fold(0.0, f32::max);
-    let reach = CLUSTER_PX / disparity_px.max(f32::MIN_POSITIVE);
+    let reach = CLUSTER_PX / disparity_px(mapped).max(f32::MIN_POSITIVE);
     let width = view.width;
     let band = rows.start * width..rows.end * width;
     let colors = pixels.colors[band.clone()].par_chunks_mut(width);
     let depths = pixels.inverse_depths[band.clone()].par_chunks_mut(width);
-    let mapped = pixels.is_mapped[band].par_chunks_mut(width);
-    colors.zip(depths).zip(mapped).enumerate().for_each(|(y, ((color, depth), is_mapped))| {
+    let is_mapped = pixels.is_mapped[band].par_chunks_mut(width);
+    let motions = pixels.motions.as_ref();
+    let row = |(y, ((color, depth), is_mapped)): (usize, ((&mut [_], &mut [_]), &mut [_]))| {
         let mut candidates = Vec::with_capacity(splats.len());
         let mut room = Vec::with_capacity(splats.len());
+        let mut row = vec![QuantizedMotion::default(); motions.map_or(0, |_| width)];
         for x in 0..width {
             candidates.clear();
             let k = y * width + x;
-            for (frame, splat) in splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0) {
+            for (mapped, splat) in splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0) {
                 candidates.push(ColorCandidate {
-                    frame,
+                    frame: mapped.frame,
                     inverse_depth: splat.inverse_depths[k],
                     source: splat.sources[k],
                     weight: splat.weights[k],
@@ -148,24 +154,61 @@ fn blend_rows(
             if let Some(found) = pixel_of(&candidates, reach, &mut room) {
                 (color[x], depth[x]) = (found.color, found.inverse_depth);
                 is_mapped[x] = true;
+                if let Some(motions) = motions {
+                    let of = splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0);
+                    row[x] = motions.quantized(motion_of(of, k, (found.inverse_depth, reach)));
+                }
             }
         }
-    });
+        row
+    };
+    let rows: Vec<Vec<QuantizedMotion>> =
+        colors.zip(depths).zip(is_mapped).enumerate().map(row).collect();
+    pixels.motions.iter_mut().for_each(|motions| motions.extend(rows.iter().flatten().copied()));
+}
+
+/// The largest disparity of the maps at an inverse depth of 1/m, pixels.
+fn disparity_px(mapped: &[MappedFrame]) -> f32 {
+    mapped.iter().map(|m| m.map.disparity_px).fold(0.0, f32::max)
+}
+
+/// The mean motion, at pixel `k` of the rows, of the elements within `reach` of an inverse depth, 1/m.
+fn motion_of<'a>(
+    splats: impl Iterator<Item = &'a (&'a MappedFrame<'a>, Splat)>,
+    k: usize,
+    (inverse_depth, reach): (f32, f32),
+) -> SurfaceMotion {
+    let (mut sum, mut weights) = (SurfaceMotion::default(), 0.0);
+    for (mapped, splat) in
+        splats.filter(|(_, s)| (s.inverse_depths[k] - inverse_depth).abs() < reach)
+    {
+        let (weight, motion) = (splat.weights[k], splat.motion(mapped.map, splat.sources[k]));
+        (0..2).for_each(|c| sum.velocity[c] += weight * motion.velocity[c]);
+        sum.inverse_depth_rate += weight * motion.inverse_depth_rate;
+        weights += weight;
+    }
+    let inverse = if weights > 0.0 { 1.0 / weights } else { 0.0 };
+    SurfaceMotion {
+        velocity: sum.velocity.map(|v| v * inverse),
+        inverse_depth_rate: sum.inverse_depth_rate * inverse,
+    }
 }
 
 /// The view at `time`, in frames of the reference camera since the capture's start. `confidences` are those
 /// of the maps, as [`confidences`](super::confidences) returns them.
 ///
 /// A hole that lies inside some camera's image is filled with the background beside it. Pixels outside all
-/// images are not covered.
+/// images are not covered. `with_motion` says whether the view has the motion of its surfaces.
 pub fn blend(
     mapped: &[MappedFrame],
     confidences: &[Vec<u8>],
     view: &Camera,
     time: f64,
+    with_motion: bool,
 ) -> FlowView {
     let (width, height) = (view.width, view.height);
-    let mut pixels = Pixels::new(width * height);
+    let motions = with_motion.then(|| MotionMap::empty(disparity_px(mapped), width * height));
+    let mut pixels = Pixels::new(width * height, motions);
     let rows_at_once = (BAND_PIXELS / width.max(1)).max(1);
     for first in (0..height).step_by(rows_at_once) {
         let rows = first..(first + rows_at_once).min(height);
@@ -183,7 +226,7 @@ pub fn blend(
         let filled = filled.unwrap_or(nothing);
         (*color, *inverse_depth) = (filled.color, filled.inverse_depth);
     });
-    let Pixels { colors, inverse_depths: mut depths, .. } = pixels;
+    let Pixels { colors, inverse_depths: mut depths, motions, .. } = pixels;
     let coverage = depths.iter().map(|q| *q > 0.0).collect();
     // An unknown depth, 0 here, becomes infinite, and the depth map turns infinite into NaN.
     depths.iter_mut().for_each(|q| *q = 1.0 / *q);
@@ -196,18 +239,8 @@ pub fn blend(
     FlowView {
         rendered: Rendered { image, coverage },
         depths: DepthMap::from_data(width, height, depths),
+        motions,
     }
-}
-
-/// The position of a pixel of the view in a pinhole camera of the same intrinsics. `None` where the lens
-/// model can't be inverted.
-fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
-    if view.model.is_pinhole() {
-        return Some([x, y]);
-    }
-    let (fx, fy, cx, cy) = view.model.intrinsics();
-    let ray = view.ray(&Point2::new(f64::from(x), f64::from(y)))?;
-    Some([(cx + fx * ray.x) as f32, (cy + fy * ray.y) as f32])
 }
 
 /// The frames that give the background colours with which holes of the view are filled.

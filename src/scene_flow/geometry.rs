@@ -1,7 +1,7 @@
-//! Projection of surface elements from one camera into another.
+//! Projection of surface elements from one camera into another, and lens distortion.
 
 use crate::camera::Camera;
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Point2};
 
 /// Maps a pixel `(x, y)` with inverse depth `q` of one pinhole camera to another: the homogeneous pixel there
 /// is `A (x, y, 1) + q b`. A and b are computed in f64. In f32, a pixel of an image 4,000 wide is exact to
@@ -48,4 +48,27 @@ impl Projection {
 fn intrinsic_matrix(camera: &Camera) -> Matrix3<f64> {
     let (fx, fy, cx, cy) = camera.model.intrinsics();
     Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
+}
+
+/// The position of a pixel in a pinhole camera of the same intrinsics. `None` where the lens model can't be inverted.
+pub fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
+    if view.model.is_pinhole() {
+        return Some([x, y]);
+    }
+    let (fx, fy, cx, cy) = view.model.intrinsics();
+    let ray = view.ray(&Point2::new(f64::from(x), f64::from(y)))?;
+    Some([(cx + fx * ray.x) as f32, (cy + fy * ray.y) as f32])
+}
+
+/// The inverse of [`undistorted`]. `None` beyond the range in which the lens model is monotonic.
+pub fn distorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
+    if view.model.is_pinhole() {
+        return Some([x, y]);
+    }
+    let (fx, fy, cx, cy) = view.model.intrinsics();
+    let ideal = Point2::new((f64::from(x) - cx) / fx, (f64::from(y) - cy) / fy);
+    view.model.is_short_of_fold(&ideal).then(|| {
+        let pixel = view.model.pixel_from_normalized(&ideal);
+        [pixel.x as f32, pixel.y as f32]
+    })
 }

@@ -28,6 +28,7 @@
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and how they are stored |
 //! | `confidence.rs` | how far the maps of a view's frames agree |
 //! | `splat.rs`, `blend.rs` | rendering of a view from several maps |
+//! | `motion.rs` | the motion of the surfaces in a view |
 
 mod affine_fit;
 mod blend;
@@ -40,6 +41,7 @@ mod gauss_newton;
 mod geometry;
 mod map;
 mod matching;
+mod motion;
 mod packed;
 mod splat;
 mod sweep;
@@ -54,6 +56,8 @@ pub use confidence::confidences;
 pub use element::Element;
 pub use estimate::Estimation;
 pub use frame::{FlowFrame, MatchingImage, PyramidFrame};
+pub use geometry::{Projection, distorted, undistorted};
 pub use map::{ElementMap, FlowMap, MappedFrame};
+pub use motion::MotionMap;
 pub use sweep::Limits;
 pub use uncertainty::ElementErrors;

@@ -1,10 +1,10 @@
 //! Splats a map: its elements are moved to an instant and projected into a view.
 
-use super::geometry::Projection;
+use super::geometry::{Projection, distorted};
 use super::map::{FlowMap, FlowPixel, MappedFrame};
+use super::motion::SurfaceMotion;
 use crate::camera::Camera;
 use crate::simd::multiversion;
-use nalgebra::Point2;
 use std::ops::Range;
 
 /// Half-width of a splat, pixels of the frame. Splats of neighbours overlap slightly.
@@ -40,6 +40,7 @@ pub struct Splat {
     pub weights: Vec<f32>,
     /// Distance of the pixel's centre from the projection of its element (maximum norm), pixels.
     distances: Vec<f32>,
+    to_view: ToView,
     width: usize,
     rows: Range<usize>,
     /// Difference in inverse depth from which a nearer element occludes another, 1/m.
@@ -146,7 +147,7 @@ impl Splat {
     ) -> Option<Self> {
         let MappedFrame { frame, map } = mapped;
         let baseline_m = (frame.view.center() - view.center()).norm() as f32;
-        let to = ToView {
+        let to_view = ToView {
             projection: Projection::new(&frame.view, view)?,
             dt: (time - frame.time) as f32,
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
@@ -158,6 +159,7 @@ impl Splat {
             sources: vec![[0.0; 2]; pixels],
             weights: vec![0.0; pixels],
             distances: vec![0.0; pixels],
+            to_view,
             width: view.width,
             rows,
             hiding: HIDING_PX / map.disparity_px,
@@ -165,7 +167,7 @@ impl Splat {
         let mut row = Row::new(map.width);
         let is_pinhole = view.model.is_pinhole();
         for y in 0..map.height {
-            place_row(&mut row, map, confidences, y, &to);
+            place_row(&mut row, map, confidences, y, &splat.to_view);
             let pixels = y * map.width..(y + 1) * map.width;
             if let Some(is_filmed) = &frame.is_filmed {
                 let filmed = &is_filmed[pixels.clone()];
@@ -177,6 +179,15 @@ impl Splat {
             splat.add_row(&row, &map.pixels()[pixels], y);
         }
         Some(splat)
+    }
+
+    /// The motion in the view, at its instant, of the element at a position of the frame, pixels.
+    pub fn motion(&self, map: &FlowMap, [x, y]: [f32; 2]) -> SurfaceMotion {
+        let column = (x.max(0.0) as usize).min(map.width - 1);
+        let k = (y.max(0.0) as usize).min(map.height - 1) * map.width + column;
+        let ([cx, cy], ToView { projection, dt, .. }) = (map.center(k), &self.to_view);
+        let (_, there) = map.element(&map.pixels()[k]).transferred(cx, cy, *dt, projection);
+        SurfaceMotion { velocity: there.velocity, inverse_depth_rate: there.inverse_depth_rate }
     }
 
     fn add_row(&mut self, row: &Row, pixels: &[FlowPixel], y: usize) {
@@ -223,15 +234,10 @@ impl Splat {
 /// Applies the view's lens distortion to positions of a pinhole camera. Positions beyond the range in which
 /// the lens model is monotonic get weight 0.
 fn distort(row: &mut Row, view: &Camera) {
-    let (fx, fy, cx, cy) = view.model.intrinsics();
     for x in 0..row.x.len() {
-        let (u, v) = (f64::from(row.x[x]), f64::from(row.y[x]));
-        let ideal = Point2::new((u - cx) / fx, (v - cy) / fy);
-        if view.model.is_short_of_fold(&ideal) {
-            let pixel = view.model.pixel_from_normalized(&ideal);
-            (row.x[x], row.y[x]) = (pixel.x as f32, pixel.y as f32);
-        } else {
-            row.weight[x] = 0.0;
+        match distorted(view, [row.x[x], row.y[x]]) {
+            Some(place) => [row.x[x], row.y[x]] = place,
+            None => row.weight[x] = 0.0,
         }
     }
 }

@@ -192,14 +192,29 @@ fn standard_errors_without_texture_are_those_of_the_prior() {
 }
 
 #[test]
-fn a_view_between_cameras_and_frames_is_the_true_one() {
+fn a_view_between_cameras_and_frames_is_the_true_one_and_moves_like_it() {
     let walls = [MOVING, STILL];
     let recording = recording(&walls);
     let maps = maps(&recording);
     let mapped: Vec<MappedFrame> =
         recording.iter().zip(&maps).map(|(f, map)| MappedFrame { frame: &f[1], map }).collect();
     let (view, time) = (camera_at(0.15, 0.02), 1.4);
-    let FlowView { rendered, depths } = blend(&mapped, &confidences(&mapped), &view, time);
+    let FlowView { rendered, depths, motions } =
+        blend(&mapped, &confidences(&mapped), &view, time, true);
+    let motions = motions.unwrap();
+    let mut motion_errors = [Vec::new(), Vec::new()];
+    for k in 0..SIZE[0] * SIZE[1] {
+        let place = [(k % SIZE[0]) as f64 + 0.5, (k / SIZE[0]) as f64 + 0.5];
+        let seen = walls.iter().position(|w| w.hit(&view, place, time).is_some()).unwrap();
+        let true_px = walls[seen].velocity.map(|v| v * FOCAL_PX / walls[seen].depth_m);
+        let found = motions.motion(k).velocity;
+        let [du, dv] = [0, 1].map(|c| f64::from(found[c]) - true_px[c]);
+        motion_errors[seen].push(du.hypot(dv));
+    }
+    for errors in motion_errors {
+        let error_px = median(errors);
+        assert!(error_px < 0.05, "{error_px} px a frame");
+    }
     let truth = filmed(&view, &walls, time);
     let (mut error, mut count) = (0.0, 0.0);
     for y in 8..SIZE[1] - 8 {

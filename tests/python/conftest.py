@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
+import shutil
 import subprocess
 import sys
 import venv
@@ -12,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extension_user import step
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -28,6 +31,14 @@ def extension_zip(program: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     output = tmp_path_factory.mktemp("extension") / "stlfr.zip"
     subprocess.run([program, "-q", "setup", "--extension", output], check=True)
     return output
+
+
+@pytest.fixture(scope="session")
+def blender_user(extension_zip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A user's configuration with nothing but the extension in it."""
+    user = tmp_path_factory.mktemp("user")
+    (user / "found.json").write_text(json.dumps(step(user, "install", extension_zip)))
+    return user
 
 
 @pytest.fixture(scope="session")
@@ -54,6 +65,21 @@ def capture_dir(program: Path) -> Path:
         command += ["-o", folder / "tiny"]
         subprocess.run(command, cwd=ROOT, check=True)
     return folder / "tiny"
+
+
+@pytest.fixture
+def own_capture(capture_dir: Path, tmp_path: Path) -> Path:
+    """A copy to write into, with its offsets known."""
+    capture = Path(shutil.copytree(capture_dir, tmp_path / "own"))
+    truth = json.loads((capture / "truth/truth.json").read_text())
+    offset_s = {o["id"]: o["offset_s"] for o in truth["offsets"]}
+    content = json.loads((capture / "capture.json").read_text())
+    for camera in content["cameras"]:
+        clock = camera["clock"]
+        clock["times_s"] = [t + offset_s[camera["id"]] for t in clock["times_s"]]
+        clock["shared"] = True
+    (capture / "capture.json").write_text(json.dumps(content))
+    return capture
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+import tempfile
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -217,6 +218,52 @@ def pictures(capture: str, folder: str) -> dict[str, Any]:
     scene.render.use_crop_to_border = False
     found["uncropped"] = picture(scene, work, time_s, "uncropped")
     return found
+
+
+def displays(capture: str, folder: str) -> dict[str, Any]:
+    """A quilt, a stereo pair and an animation of quilts by the render tab; what the command line needs for the same."""
+    assert enable()
+    work, scene, settings = Path(folder), bpy.context.scene, bpy.context.scene.stlfr
+    scene.render.engine = "STLFR"
+    plain(scene)
+    sentences = {"no capture": refused(bpy.ops.stlfr.picture)}
+    settings.capture = capture
+    filmed = json.loads((Path(capture) / "capture.json").read_text())["cameras"]
+    place(scene, filmed[3])
+    scene.frame_start, scene.frame_end = 1, 2
+    settings.preset, settings.speed = "draft", 0.0
+    settings.time_offset_s = middle_s(capture)
+    sentences["a view"] = refused(bpy.ops.stlfr.picture)
+    shown = drawn()
+    settings.layout = "QUILT"
+    shown += drawn()
+    settings.quilt_display, settings.picture_file = "portrait", str(work / "a.png")
+    settings.use_convergence, settings.convergence_m = True, 1.6
+    bpy.ops.stlfr.picture()
+    image = bpy.data.images["a_qs8x6a0.75.png"]
+    bpy.ops.stlfr.picture(animation=True)
+    settings.use_cone, settings.cone_deg = True, 90.0
+    sentences["cone"] = refused(bpy.ops.stlfr.picture)
+    settings.picture_file = str(work / "a.bmp")
+    sentences["suffix"] = refused(bpy.ops.stlfr.picture)
+    settings.picture_file = str(work / "a.mp4")
+    sentences["video"] = refused(bpy.ops.stlfr.picture)
+    settings.layout, settings.picture_file = "STEREO", str(work / "eyes.png")
+    settings.eye_distance_m = 0.05
+    shown += drawn()
+    bpy.ops.stlfr.picture()
+    view = part("view")
+    request = view.request(scene, scene.camera, Path(capture))
+    left = list(Path(tempfile.gettempdir()).glob("stlfr-picture-*"))
+    return {
+        "sentences": sentences,
+        "drawn": shown,
+        "quilt": list(image.size),
+        "left": [str(path) for path in left],
+        "time_s": request.time_s,
+        "camera": request.camera,
+        "options": request.options,
+    }
 
 
 def animation(capture: str, folder: str) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -17,69 +16,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from extension_user import one_sentence, run_step, step
 from filming import ROOT, SHIPPED, errors, pixels, rig
 
-STEPS = Path(__file__).resolve().parent / "extension_steps.py"
 MANIFEST = ROOT / "blender/stlfr/blender_manifest.toml"
 
 wheel = importlib.import_module("stlfr_extension.wheel")
-
-
-@pytest.fixture(scope="session")
-def blender_user(extension_zip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A user's configuration with nothing but the extension in it."""
-    user = tmp_path_factory.mktemp("user")
-    (user / "found.json").write_text(json.dumps(step(user, "install", extension_zip)))
-    return user
-
-
-@pytest.fixture
-def own_capture(capture_dir: Path, tmp_path: Path) -> Path:
-    """A copy to write into, with its offsets known."""
-    capture = Path(shutil.copytree(capture_dir, tmp_path / "own"))
-    truth = json.loads((capture / "truth/truth.json").read_text())
-    offset_s = {o["id"]: o["offset_s"] for o in truth["offsets"]}
-    content = json.loads((capture / "capture.json").read_text())
-    for camera in content["cameras"]:
-        clock = camera["clock"]
-        clock["times_s"] = [t + offset_s[camera["id"]] for t in clock["times_s"]]
-        clock["shared"] = True
-    (capture / "capture.json").write_text(json.dumps(content))
-    return capture
-
-
-def environment(user: Path) -> dict[str, str]:
-    """Blender's folders of a user who has nothing else."""
-    folders = {
-        f"BLENDER_USER_{name}": str(user / name.lower())
-        for name in ("RESOURCES", "CONFIG", "SCRIPTS", "EXTENSIONS", "DATAFILES")
-    }
-    for folder in folders.values():
-        Path(folder).mkdir(exist_ok=True)
-    return {**os.environ, **folders, "HOME": str(user)}
-
-
-def run_step(
-    user: Path, name: str, *arguments: object
-) -> subprocess.CompletedProcess[str]:
-    """A step in a Blender of its own, however it ends."""
-    return subprocess.run(
-        # Isolated, but for its own folder, where what the steps use lies.
-        [sys.executable, "-E", "-s", "-B", str(STEPS), name, *map(str, arguments)],
-        env=environment(user),
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-
-
-def step(user: Path, name: str, *arguments: object) -> Any:
-    """What a step finds."""
-    ended = run_step(user, name, *arguments)
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert "Traceback" not in ended.stderr, ended.stderr
-    return json.loads(ended.stdout.splitlines()[-1])
 
 
 def by_command_line(
@@ -95,14 +37,6 @@ def by_command_line(
     command += ["--time", repr(wanted["time_s"]), "--options", options, "-o", output]
     subprocess.run(command, check=True)
     return pixels(output)
-
-
-def one_sentence(text: str) -> str:
-    """The sentence of an operator's error."""
-    lines = [line.removeprefix("Error: ").strip() for line in text.splitlines()]
-    assert len([line for line in lines if line]) == 1, text
-    assert not text.startswith("Error: Python") and "Traceback" not in text, text
-    return lines[0]
 
 
 # The package

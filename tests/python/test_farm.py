@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import shutil
@@ -12,8 +13,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+import bpy
 import pytest
-from filming import ROOT, run
+from filming import ROOT, camera, described, run
 
 OPENJD = Path(sys.executable).with_name("openjd")
 FILM = ["--scene", "magazine", "--engine", "workbench", "--size", "160x120"]
@@ -190,9 +192,9 @@ def test_a_path_file_is_named_as_all_machines_see_it(
     program: Path, capture_dir: Path, tmp_path: Path
 ) -> None:
     capture = json.loads((capture_dir / "capture.json").read_text())
-    camera = capture["cameras"][3]
-    view = {key: camera[key] for key in ("width", "height", "model", "params")}
-    view["cam_from_world"] = camera["cam_from_world"]
+    filmed = capture["cameras"][3]
+    view = {key: filmed[key] for key in ("width", "height", "model", "params")}
+    view["cam_from_world"] = filmed["cam_from_world"]
     keys = [{"at_s": at_s, "time_s": 0.1, "camera": view} for at_s in (0, 1)]
     path = {"format": "stlfr-path", "version": 1, "rate_hz": 24, "keys": keys}
     (tmp_path / "path.json").write_text(json.dumps(path))
@@ -212,8 +214,11 @@ def test_what_a_job_cannot_be_made_of_is_refused(
     program: Path, capture_dir: Path, tmp_path: Path
 ) -> None:
     job = tmp_path / "job"
+    formatted = tmp_path / "{{Param.Program}}.json"
+    formatted.write_text("{}")
     for arguments, complaint in (
         ([tmp_path / "nowhere"], "nowhere/capture.json"),
+        ([capture_dir, "--options", formatted], "can't be named in a job"),
         ([capture_dir, "--times", "0:1:3"], "--like"),
         ([capture_dir, "--like", "cam3"], "--times or --path"),
         ([capture_dir, "--like", "cam3", "--time", "0.1"], "--times or --path"),
@@ -245,3 +250,36 @@ def test_several_captures_have_steps_of_their_own(
     names = [step["name"] for step in template["steps"]]
     one = ["check", "offsets", "prepare", "compare"]
     assert names == ["setup", *(f"{name}-{k}" for k in (1, 2) for name in one)]
+
+
+def test_the_camera_of_a_blend_is_rendered_in_chunks(
+    program: Path, capture_dir: Path, tmp_path: Path
+) -> None:
+    """A frame of the scene is an image of the job, which has the bytes of one command."""
+    own = Path(shutil.copytree(capture_dir, tmp_path / "own"))
+    filmed = json.loads((own / "capture.json").read_text())["cameras"][3]
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, 3
+    scene.render.fps, scene.render.fps_base = 24, 1.0
+    scene.render.resolution_x, scene.render.resolution_y = 64, 48
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(scene.camera)
+    matrix = camera.blender_matrix(described.pose_of(filmed)).tolist()
+    scene.camera.matrix_world = importlib.import_module("mathutils").Matrix(matrix)
+    blend = tmp_path / "my.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    render = ["--path", blend, "--time", "0.1", "--preset", "draft"]
+    made = farm(program, own, "-o", tmp_path / "job", *render, "--render-chunk", "2")
+    assert made.returncode == 0, made.stderr
+    run_openjd(tmp_path / "job", tmp_path)
+    whole = tmp_path / "whole"
+    command = [program, "render", own, *render, "-o", whole / "%06d.png"]
+    rendered = run([*map(str, command)])
+    assert rendered.returncode == 0, rendered.stderr
+    names = [path.name for path in sorted(whole.iterdir())]
+    assert names == [f"{k:06}.png" for k in range(3)]
+    for name in names:
+        assert (whole / name).read_bytes() == (
+            tmp_path / "job/frames" / name
+        ).read_bytes()

@@ -65,6 +65,26 @@ class Option(TypedDict):
 def options() -> list[Option]:
     """All options, as `stlfr options --json` prints them. An option's name is its path, such as `blend.cameras`."""
 
+@type_check_only
+class Display(TypedDict):
+    """A light-field display's quilt: a grid of views in a picture of `width` by `height` pixels.
+
+    `aspect` is the display's width divided by its height. Its views span `cone_deg` degrees, or as much
+    as the cameras cover. The name of a quilt's file ends in `suffix` before its own suffix.
+    """
+
+    name: str
+    columns: int
+    rows: int
+    width: int
+    height: int
+    aspect: float
+    cone_deg: float
+    suffix: str
+
+def displays() -> list[Display]:
+    """The light-field displays that `stlfr render --quilt` knows by name."""
+
 def open(path: str | PathLike[str]) -> Capture:
     """Open and check a capture's folder.
 

@@ -1,0 +1,73 @@
+"""Which `stlfr render` gives the pictures that the render tab asks for: quilts and stereo pairs.
+
+F12 can't give them: Blender's own picture has the size of one view.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from . import camera_path, view
+from .described import describe_object
+from .errors import BadInputError
+from .rig_objects import shortest
+
+STILLS = (".png", ".jpg", ".jpeg")
+VIDEOS = (".mp4", ".webm", ".mkv", ".gif")
+
+
+def words(scene: Any, scratch: Path, animation: bool) -> list[str]:
+    """The view or the path, and the options, which are written into a folder, as words of the command line."""
+    if animation:
+        path = scratch / "path.json"
+        path.write_text(json.dumps(camera_path.path(scene)), encoding="utf-8")
+        seen = ["--path", str(path)]
+    else:
+        view.require_perspective(scene.camera)
+        camera = scratch / "view.json"
+        described = describe_object(scene.camera, scene)
+        camera.write_text(json.dumps(described), encoding="utf-8")
+        seen = ["--camera", str(camera), "--time", repr(view.capture_time_s(scene))]
+    options = scratch / "options.json"
+    options.write_text(json.dumps(view.options(scene.stlfr)), encoding="utf-8")
+    return [*seen, "--options", str(options), *layout_words(scene.stlfr)]
+
+
+def layout_words(settings: Any) -> list[str]:
+    """How the picture's views stand."""
+    if settings.layout == "STEREO":
+        found = ["--stereo", repr(shortest(settings.eye_distance_m))]
+    else:
+        found = ["--quilt", settings.quilt_display]
+        if settings.use_cone:
+            found += ["--cone", repr(shortest(settings.cone_deg))]
+    if settings.use_convergence:
+        found += ["--convergence", repr(shortest(settings.convergence_m))]
+    return found
+
+
+def output(wanted: Path, animation: bool) -> Path:
+    """The `-o` of the command: an animation that isn't a video is a numbered sequence."""
+    suffix = wanted.suffix.lower()
+    if suffix not in (*STILLS, *VIDEOS):
+        raise BadInputError(
+            f"{wanted.name} must end in {', '.join(STILLS)} or, for an animation, in {', '.join(VIDEOS)}"
+        )
+    if suffix in VIDEOS:
+        if not animation:
+            raise BadInputError(
+                f"{wanted.name} is a video: name a {STILLS[0]} for one picture"
+            )
+        return wanted
+    # A % would begin a number.
+    stem = wanted.stem.replace("%", "_")
+    return wanted.with_name(f"{stem}-%04d{suffix}" if animation else f"{stem}{suffix}")
+
+
+def written(settings: Any, given: Path, suffixes: dict[str, str]) -> Path:
+    """The file that the command writes for `-o`; the first of a sequence. `suffixes` are those of displays' quilts."""
+    end = "" if settings.layout == "STEREO" else suffixes[settings.quilt_display]
+    stem = given.stem if given.stem.endswith(end) else given.stem + end
+    return given.with_name(stem.replace("%04d", "0000") + given.suffix)
