@@ -79,8 +79,10 @@ impl Capture {
     /// The capture reduced to these cameras, in this order. If they don't include the reference, the first one becomes
     /// the reference.
     pub(crate) fn with_cameras(&self, cameras: &[usize]) -> Self {
+        let errors = self.calibration_errors.as_ref();
         Self {
             reference: cameras.iter().position(|&c| c == self.reference).unwrap_or(0),
+            calibration_errors: errors.map(|errors| Arc::new(errors.of_cameras(cameras))),
             cameras: cameras.iter().map(|&c| self.cameras[c].clone()).collect(),
             ..self.clone()
         }

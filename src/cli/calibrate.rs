@@ -4,9 +4,8 @@ use super::CliError;
 use super::files::{CommandOutput, open_capture};
 use super::import::ClockArgs;
 use super::print::{Page, decimals};
-use crate::camera::CameraFormat;
 use crate::capture::{CAPTURE_FILE, Capture, Opening};
-use crate::exchange::{self, Draft};
+use crate::exchange::{self, Draft, NewCalibration};
 use crate::progress::Reporter;
 use crate::toolchain::{
     Calibration, CalibrationRequest, calibrate, ensure_environment, find_ffmpeg, project_root,
@@ -119,10 +118,13 @@ fn calibrated(
     require_distance(&capture, request)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     let calibration = calibrate(&environment, folder, request, reporter)?;
-    let cameras: Vec<CameraFormat> = calibration.cameras.iter().map(|c| c.format()).collect();
+    let new = NewCalibration {
+        cameras: calibration.cameras.iter().map(|c| c.format()).collect(),
+        covariance: calibration.covariance.clone(),
+    };
     let ffmpeg = find_ffmpeg();
     let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter };
-    exchange::recalibrate(&capture, &cameras, output, &opening)?;
+    exchange::recalibrate(&capture, new, output, &opening)?;
     print_table(&calibration, page);
     for note in &calibration.notes {
         reporter.note(note);
