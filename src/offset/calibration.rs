@@ -76,6 +76,11 @@ pub struct SampleSlopes {
 }
 
 impl SampleSlopes {
+    #[cfg(test)]
+    pub fn new(columns: Vec<usize>, values: Vec<f64>) -> Self {
+        Self { columns, values }
+    }
+
     /// The slopes of one sample as (error, slope); none without calibration errors.
     pub fn of(&self, sample: usize) -> impl Iterator<Item = (usize, f64)> {
         let count = self.columns.len();

@@ -170,3 +170,6 @@ fn save(
         .map_err(|source| CaptureError::Write { path, source })?;
     estimate.offsets.save(capture, options, hash)
 }
+
+#[cfg(test)]
+mod tests;
