@@ -102,7 +102,7 @@ impl CalibrationErrors {
     ) -> Result<Option<Self>, CaptureError> {
         let any_stated = stated.iter().any(Option::is_some);
         match format {
-            None => Ok(any_stated.then(|| Self::independent(stated))),
+            None => Ok(Some(Self::independent(stated)).filter(|e| !e.parameters.is_empty())),
             Some(_) if any_stated => {
                 let reason = "calibration_covariance: the cameras have a calibration_std too";
                 Err(CaptureError::content(file, reason))

@@ -35,6 +35,9 @@ impl<'a> CalibrationUnknowns<'a> {
         let scale = std.map(|s| if s > 0.0 { s.recip() } else { 0.0 });
         let scaled =
             DMatrix::from_diagonal(&scale) * &errors.covariance * DMatrix::from_diagonal(&scale);
+        if scaled.is_empty() {
+            return Self { errors, cameras, factor: scaled };
+        }
         let eigen = scaled.symmetric_eigen();
         let largest = eigen.eigenvalues.iter().copied().fold(0.0, f64::max);
         let count = eigen.eigenvalues.len();
@@ -164,7 +167,7 @@ impl ChangedPair {
             } else {
                 given
             };
-            let ideal_a = if self.is_of_lens && !given[0].is_pinhole() {
+            let ideal_a = if self.is_of_lens {
                 models[0].ideal_from_pixel(&given[0].pixel_from_normalized(&at))?
             } else {
                 sight.ideal_a

@@ -188,7 +188,7 @@ impl<'a> JointSolution<'a> {
             .filter(|p| p.cameras.iter().all(|&c| !lost[c].ambiguous))
             .cloned()
             .collect();
-        let errors = capture.calibration_errors.as_deref();
+        let errors = capture.calibration_errors.as_deref().filter(|e| !e.parameters.is_empty());
         let by_clock = match errors {
             Some(errors) => solve_with_calibration(capture, errors, &mut used, &layout, method),
             None => solve_clocks(&used, &layout, None).by_clock,

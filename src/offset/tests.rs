@@ -22,8 +22,7 @@ fn camera(x_m: f64, model: CameraModel) -> Camera {
 fn crossing_s([a, b]: [&Camera; 2], track: [Point2<f64>; 2], in_b: &Point2<f64>) -> f64 {
     let geometry = EpipolarGeometry::new(b, a).unwrap();
     let line = geometry.line_in_j(&b.model.ideal_from_pixel(in_b).unwrap()).unwrap();
-    let [near, far] =
-        track.map(|p| line.distance(&a.model.ideal_from_pixel(&p).unwrap()));
+    let [near, far] = track.map(|p| line.distance(&a.model.ideal_from_pixel(&p).unwrap()));
     near / (near - far)
 }
 
@@ -66,12 +65,20 @@ fn slopes_are_how_crossings_move() {
         let expected = (crossing_s(cameras, track, &in_b) - time_a_s) / step;
         // The trajectory's two ends are undistorted by slightly different amounts.
         let tolerance = 0.01 * expected.abs() + 1e-3;
-        assert!((slope - expected).abs() < tolerance, "{changed} {parameter:?}: {slope} {expected}");
+        assert!(
+            (slope - expected).abs() < tolerance,
+            "{changed} {parameter:?}: {slope} {expected}"
+        );
     }
 }
 
 /// One pair of a simulated array: candidates whose offsets have noise and errors of the calibration.
-fn pair(cameras: [usize; 2], truth_s: [f64; 2], error: &DVector<f64>, random: &mut Random) -> PairEstimate {
+fn pair(
+    cameras: [usize; 2],
+    truth_s: [f64; 2],
+    error: &DVector<f64>,
+    random: &mut Random,
+) -> PairEstimate {
     let columns = vec![2 * cameras[0], 2 * cameras[0] + 1, 2 * cameras[1], 2 * cameras[1] + 1];
     let (mut samples, mut values) = (Vec::new(), Vec::new());
     for k in 0..240 {
@@ -121,8 +128,10 @@ fn calibration_errors_are_in_the_standard_errors() {
         let truth_s = [0.0, 0.01, -0.02, 0.005];
         let error = DVector::from_fn(8, |k, _| std[k % 2] * random.gaussian());
         let indices = [[0, 1], [1, 2], [2, 3], [0, 2], [1, 3]];
-        let pairs: Vec<_> =
-            indices.iter().map(|&c| pair(c, c.map(|k: usize| truth_s[k]), &error, random)).collect();
+        let pairs: Vec<_> = indices
+            .iter()
+            .map(|&c| pair(c, c.map(|k: usize| truth_s[k]), &error, random))
+            .collect();
         let exact = solve_clocks(&pairs, &layout, None).by_clock;
         let solved = solve_clocks(&pairs, &layout, Some(&factor));
         assert_eq!(solved.errors.len(), 8);

@@ -91,7 +91,9 @@ impl Sandwich {
         // column, the fraction that the columns before it do not explain.
         let cholesky = (&scales * &self.normal * &scales).cholesky()?;
         let unexplained = cholesky.l_dirty().diagonal().map(|d| d * d);
-        (unexplained.min() > MIN_UNEXPLAINED).then(|| &scales * cholesky.inverse() * &scales)
+        // A prior determines what the equations don't.
+        let is_determined = self.prior.is_some() || unexplained.min() > MIN_UNEXPLAINED;
+        is_determined.then(|| &scales * cholesky.inverse() * &scales)
     }
 
     /// The variance of each unknown. `None` if the unknowns are not determined, or if all equations are in
