@@ -50,6 +50,7 @@ pub struct CalibrateArgs {
 ///
 /// Poses are adjusted, and focal lengths and principal points where that is asked for, so that all cameras agree on the
 /// points that they see; the given capture is not changed. The array's mean place, direction and size are kept.
+/// How far it may still be off is saved with the new capture, and counts in the standard errors of its offsets.
 /// What the images don't tell stays as it was given. If focal lengths may be wrong, give --focal: otherwise poses are bent
 /// to make up for them.
 #[derive(Debug, clap::Args)]
