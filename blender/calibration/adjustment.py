@@ -16,7 +16,7 @@ import numpy as np
 from .capture import Array, Camera, pose_of
 from .linear import Linearization, directions, linearized
 from .mapping import DATABASE, MAX_ERROR_PX, mapping_options
-from .uncertainty import StandardErrors, errors_of, inverse
+from .uncertainty import JointCovariance, StandardErrors, errors_of, inverse
 
 FIRST_ERROR_PX = 8.0
 """Matches further off a given calibration are dropped before the first adjustment. Larger, and wrong matches pull cameras;
@@ -70,6 +70,8 @@ class Adjustment:
     def __init__(self, model: Any, given: dict[int, Array], priors: Priors) -> None:
         """`given` are the lens parameters that the priors are of, by camera id."""
         self.model, self.given, self.priors = model, given, priors
+        self.covariance: JointCovariance | None = None
+        """Of the cameras, once they are adjusted."""
 
     def run(self, pycolmap: Any) -> dict[str, StandardErrors]:
         """Adjusts; gives standard errors by image name, empty if there are too few points."""
@@ -99,7 +101,10 @@ class Adjustment:
         # What the robust noise leaves out of errors with long tails still counts.
         spread_px = np.sqrt(np.sum(linear.errors_px**2) / linear.redundancy)
         information, _ = self.normal(linear, max(noise_px, float(spread_px)))
-        return errors_of(linear, inverse(linear, information))
+        covariance = inverse(linear, information)
+        names = [image.name for image in linear.images]
+        self.covariance = JointCovariance(names, linear.refined, covariance)
+        return errors_of(linear, covariance)
 
     @staticmethod
     def noise_px(linear: Linearization) -> float:
@@ -253,8 +258,10 @@ def adjusted(
     cameras: list[Camera],
     priors: Priors,
     pycolmap: Any,
-) -> tuple[Any, dict[str, StandardErrors]]:
-    """Given cameras, moved to where the points of their own images put them; standard errors by image name.
+) -> tuple[Any, dict[str, StandardErrors], JointCovariance | None]:
+    """Given cameras, moved to where the points of their own images put them; standard errors by image name, covariance.
+
+    There are none if there are too few points.
 
     A camera's `expected` are the lens parameters that the priors are of; by default its `params`.
     """
@@ -270,6 +277,8 @@ def adjusted(
         drop_outliers(model, max_error_px)
         errors = Adjustment(model, given, priors).run(pycolmap)
         if not errors:
-            return model, errors
+            return model, errors, None
     drop_outliers(model, MAX_ERROR_PX)
-    return model, Adjustment(model, given, priors).run(pycolmap)
+    last = Adjustment(model, given, priors)
+    errors = last.run(pycolmap)
+    return model, errors, last.covariance

@@ -16,7 +16,7 @@ from .capture import Array, Camera, CheckError, Pose, pose_of
 from .frames import Picture
 from .mapping import DATABASE, map_cameras, mapping_options, match
 from .residuals import Similarity, alignment, angle_deg, robust_mean_rotation
-from .uncertainty import StandardErrors
+from .uncertainty import JointCovariance, StandardErrors
 
 GUESSED_FOCAL = 1.2
 """An unknown focal length, in image widths (or heights, where they are larger): COLMAP's guess."""
@@ -76,13 +76,14 @@ def calibrate(
         mapped = mapped_cameras(scratch, names, unknown, request, pycolmap)
         progress_of("bundle adjustment")
         focal = None if request.focal_px else FOCAL_STD
-        model, errors = adjusted(
+        model, errors, covariance = adjusted(
             scratch, mapped, Priors(focal, None, DISTORTION_STD), pycolmap
         )
     found = described(model, names, errors, unknown)
     poses = {c["id"]: pose_of(c, pycolmap) for c in found}
     scale, notes = world_scale(poses, request.distance)
-    set_world(found, upright(poses, scale), pycolmap)
+    similarity = upright(poses, scale)
+    set_world(found, similarity, pycolmap)
     told = max(c["focal_std_err_fraction"] for c in found)
     if told > TOLD_FOCAL:
         notes.append(
@@ -90,7 +91,12 @@ def calibrate(
             f"{GUESSED_FOCAL:g} image widths. Depth is stretched where it is wrong. "
             "Give --focal, or film with cameras that are turned towards each other."
         )
-    return {"cameras": found, "points": len(model.points3D), "notes": notes}
+    return {
+        "cameras": found,
+        "points": len(model.points3D),
+        "covariance": in_world(covariance, names, similarity),
+        "notes": notes,
+    }
 
 
 def refine(
@@ -113,7 +119,7 @@ def refine(
         scratch = Path(name)
         names = match_backgrounds(capture, cameras, scratch, progress_of, pycolmap)
         progress_of("bundle adjustment")
-        model, errors = adjusted(scratch, cameras, priors, pycolmap)
+        model, errors, covariance = adjusted(scratch, cameras, priors, pycolmap)
     found = described(model, names, errors, cameras)
     given = {c["id"]: pose_of(c, pycolmap) for c in cameras}
     similarity = alignment(given, {c["id"]: pose_of(c, pycolmap) for c in found})
@@ -123,7 +129,21 @@ def refine(
         camera["turned_deg"] = angle_deg(before.rotation.T @ after.rotation)
         camera["moved_m"] = float(np.linalg.norm(before.centre_m - after.centre_m))
     notes = [] if "focal" in groups else [FOCAL_NOTE]
-    return {"cameras": found, "points": len(model.points3D), "notes": notes}
+    return {
+        "cameras": found,
+        "points": len(model.points3D),
+        "covariance": in_world(covariance, names, similarity),
+        "notes": notes,
+    }
+
+
+def in_world(
+    covariance: JointCovariance | None, names: dict[str, str], similarity: Similarity
+) -> dict[str, Any] | None:
+    """The covariance of all cameras in their order, as capture.json has it. `names` are their ids by their images' names."""
+    if covariance is None:
+        return None
+    return covariance.entry(list(names), similarity.rotation, similarity.scale)
 
 
 class Steps:

@@ -35,6 +35,42 @@ class StandardErrors:
     """Of its focal length, as a fraction of it; 0 where it is taken as known."""
 
 
+GROUPS = {
+    "focal": "focal",
+    "centre": "principal_point",
+    "distortion": "distortion",
+}
+"""What capture.json calls the groups of lens parameters."""
+
+
+@dataclass(frozen=True)
+class JointCovariance:
+    """Of all cameras' numbers together, without the seven gauge freedoms."""
+
+    names: list[str]
+    """The images, in the order of the matrix."""
+    refined: tuple[str, ...]
+    """The groups of lens parameters after each pose, in their order."""
+    matrix: Array
+
+    def entry(self, names: list[str], rotation: Array, scale: float) -> dict[str, Any]:
+        """As capture.json has it: for these images in this order, in a world that is turned and scaled."""
+        size = len(self.matrix) // len(self.names)
+        order = [self.names.index(name) for name in names]
+        rows = (np.array(order)[:, None] * size + np.arange(size)).ravel()
+        own = np.eye(size)
+        own[:3, :3], own[3:6, 3:6] = rotation, scale * rotation
+        into = np.kron(np.eye(len(names)), own)
+        matrix = into @ self.matrix[np.ix_(rows, rows)] @ into.T
+        return {
+            "lens": [GROUPS[group] for group in self.refined],
+            "rows": [
+                [float(f"{value:.7g}") for value in row[: k + 1]]
+                for k, row in enumerate(0.5 * (matrix + matrix.T))
+            ],
+        }
+
+
 def standard_errors(model: Any) -> dict[str, StandardErrors]:
     """For each image of pycolmap's `model`, by name. Empty if there are too few points to tell."""
     linear = linearized(model, ())

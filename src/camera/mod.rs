@@ -11,6 +11,7 @@ mod distortion;
 mod epipolar;
 mod format;
 mod model;
+mod parameter;
 mod prism;
 mod radial_curve;
 mod solve;
@@ -18,6 +19,7 @@ mod solve;
 pub use epipolar::{EpipolarGeometry, EpipolarLine};
 pub use format::{CameraFormat, CameraFormatError, MAX_QUATERNION_ERROR, PoseFormat, ViewFormat};
 pub use model::CameraModel;
+pub use parameter::CameraParameter;
 
 use nalgebra::{Isometry3, Point2, Point3, Translation3, Vector3};
 

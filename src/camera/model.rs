@@ -214,9 +214,7 @@ impl CameraModel {
 
     /// The model of the image at `factor` times the resolution in both directions.
     pub fn scaled(&self, factor: f64) -> Self {
-        let has_one_focal =
-            ["SIMPLE_", "RADIAL"].iter().any(|start| self.name().starts_with(start));
-        let intrinsics = if has_one_focal { 3 } else { 4 };
+        let intrinsics = self.focal_count() + 2;
         let mut params = self.params();
         params[..intrinsics].iter_mut().for_each(|v| *v *= factor);
         // Name and number of parameters come from the model itself, so that this can't fail.

@@ -10,7 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// Hashes of the files of an opened capture. The hash of an image is computed when the image is first read.
 #[derive(Debug)]
@@ -79,8 +79,10 @@ impl Capture {
     /// The capture reduced to these cameras, in this order. If they don't include the reference, the first one becomes
     /// the reference.
     pub(crate) fn with_cameras(&self, cameras: &[usize]) -> Self {
+        let errors = self.calibration_errors.as_ref();
         Self {
             reference: cameras.iter().position(|&c| c == self.reference).unwrap_or(0),
+            calibration_errors: errors.map(|errors| Arc::new(errors.of_cameras(cameras))),
             cameras: cameras.iter().map(|&c| self.cameras[c].clone()).collect(),
             ..self.clone()
         }

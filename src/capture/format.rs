@@ -1,5 +1,6 @@
 //! The fields of `capture.json`, and their checks.
 
+use super::calibration::{CalibrationCovarianceFormat, CalibrationStdFormat};
 use super::clock::MAX_TIME_S;
 use super::video::VideoFile;
 use super::{CaptureError, CaptureSource, Clock, FilmedCamera, frames, require_size};
@@ -26,6 +27,9 @@ pub struct CaptureFormat {
     pub reference: Option<String>,
     /// At least one camera.
     pub cameras: Vec<FilmedCameraFormat>,
+    /// How far the calibration may be off, as it was estimated. `stlfr offsets` counts it in the standard errors.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration_covariance: Option<CalibrationCovarianceFormat>,
 }
 
 /// A camera with its frames.
@@ -48,6 +52,9 @@ pub struct FilmedCameraFormat {
     pub params: Vec<f64>,
     /// Pose: rigid transform from the world to the camera's frame.
     pub cam_from_world: PoseFormat,
+    /// How far the camera's calibration may be off, stated by hand; in place of the capture's `calibration_covariance`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration_std: Option<CalibrationStdFormat>,
     /// Whether the frames are read as RGB or as grey.
     #[serde(default)]
     pub color: Color,
@@ -124,6 +131,8 @@ impl FilmedCameraFormat {
         let name = format!("cameras[{index}] ({})", self.id);
         let refused = |reason: String| CaptureError::content(source.description, reason);
         let wrong = |field: &str, reason: String| refused(format!("{name}.{field}: {reason}"));
+        let std = self.calibration_std.unwrap_or_default();
+        std.check().map_err(|e| wrong("calibration_std", e))?;
         let camera = CameraFormat {
             width: self.width,
             height: self.height,

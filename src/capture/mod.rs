@@ -4,6 +4,7 @@
 //!
 //! A camera's frames are an image sequence or a video file. A video is decoded once, into the capture's cache.
 
+mod calibration;
 mod clock;
 mod content;
 mod format;
@@ -13,6 +14,9 @@ mod output_guard;
 mod truth;
 mod video;
 
+pub use calibration::{
+    CalibrationCovarianceFormat, CalibrationErrors, CalibrationStdFormat, LensGroup,
+};
 pub use clock::{Clock, MAX_DRIFT_PPM, are_frame_times, bracket};
 pub(crate) use content::Stored;
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
@@ -49,6 +53,8 @@ pub struct Capture {
     /// The reference's first time stamp in `capture.json`, seconds. It is subtracted from all times, so that the
     /// reference's first frame is at 0.
     pub time_origin_s: f64,
+    /// How far the calibration may be off, as `capture.json` says; `None` if it says nothing.
+    pub calibration_errors: Option<Arc<CalibrationErrors>>,
     /// The capture's cache on disk. [`Capture::cache`] adds the hash of the capture's content to its keys.
     cache: DiskCache,
     hashes: Arc<ContentHashes>,
@@ -171,6 +177,10 @@ impl Capture {
             let ascends = camera.clock.ascends();
             ascends.map_err(|e| refused(format!("cameras[{index}] ({}).clock: {e}", camera.id)))?;
         }
+        let stated: Vec<_> = format.cameras.iter().map(|c| c.calibration_std).collect();
+        let calibrated: Vec<&Camera> = cameras.iter().map(|c| &c.camera).collect();
+        let covariance = format.calibration_covariance.as_ref();
+        let calibration_errors = CalibrationErrors::open(covariance, &stated, &calibrated, &path)?;
         let hashes = Arc::new(ContentHashes::new(&text, &cameras));
         Ok(Self {
             name: format.name,
@@ -178,6 +188,7 @@ impl Capture {
             reference,
             cameras,
             time_origin_s,
+            calibration_errors: calibration_errors.map(Arc::new),
             cache,
             hashes,
             content: ContentHash::default(),
@@ -192,6 +203,7 @@ impl Capture {
             folder: PathBuf::new(),
             reference: 0,
             time_origin_s: 0.0,
+            calibration_errors: None,
             cache: DiskCache::new(Path::new(""), |_| ()),
             hashes: Arc::new(ContentHashes::new("", &cameras)),
             content: ContentHash::default(),

@@ -35,6 +35,45 @@ fn opens_with_the_defaults() {
     assert_eq!(capture.read_frame(1, 2).unwrap().pixel(3, 3), [128.0 / 255.0; 3]);
 }
 
+/// A covariance of two cameras' poses with this variance for each number.
+fn covariance(variance: f64) -> Value {
+    let row = |k: usize| [vec![0.0; k], vec![variance]].concat();
+    json!({"lens": [], "rows": (0..12).map(row).collect::<Vec<_>>()})
+}
+
+#[test]
+fn calibration_errors_are_read_or_their_field_is_named() {
+    assert_eq!(written(|_| ()).1.unwrap().calibration_errors, None);
+    let (_folder, capture) = written(|j| j["calibration_covariance"] = covariance(1e-6));
+    let errors = capture.unwrap().calibration_errors.unwrap();
+    assert_eq!((errors.parameters.len(), errors.covariance[(3, 3)]), (12, 1e-6));
+    let (_folder, capture) = written(|j| {
+        j["cameras"][1]["calibration_std"] = json!({"focal_relative": 0.005, "centre_m": 0.001});
+    });
+    let errors = capture.unwrap().calibration_errors.unwrap();
+    assert_eq!(errors.covariance.diagonal().as_slice(), [1e-6, 1e-6, 1e-6, 0.005 * 0.005]);
+    assert!(errors.parameters.iter().all(|p| p.0 == 1));
+    type Break = fn(&mut Value);
+    let cases: &[(Break, &str)] = &[
+        (|j| j["calibration_covariance"]["rows"][3][0] = json!(1.0), "no covariance"),
+        (|j| j["calibration_covariance"]["rows"][3] = json!([1.0]), "rows[3]: has 1 numbers"),
+        (|j| j["calibration_covariance"]["lens"] = json!(["focal"]), "have 14 numbers"),
+        (|j| j["calibration_covariance"]["lens"] = json!(["focal", "focal"]), "twice"),
+        (|j| j["calibration_covariance"] = covariance(-1.0), "no covariance"),
+        (|j| j["cameras"][0]["calibration_std"] = json!({}), "a calibration_std too"),
+        (|j| j["cameras"][0]["calibration_std"] = json!({"centre_m": -1}), "(a).calibration_std"),
+        (|j| j["cameras"][0]["calibration_std"] = json!({"rotation": 1}), "rotation"),
+    ];
+    for (make_wrong, words) in cases {
+        let (_folder, capture) = written(|j| {
+            j["calibration_covariance"] = covariance(1e-6);
+            make_wrong(j);
+        });
+        let message = capture.unwrap_err().to_string();
+        assert!(message.contains("capture.json") && message.contains(words), "{message}");
+    }
+}
+
 #[test]
 fn every_wrong_field_is_named() {
     type Break = fn(&mut Value);

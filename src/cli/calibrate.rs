@@ -4,9 +4,8 @@ use super::CliError;
 use super::files::{CommandOutput, open_capture};
 use super::import::ClockArgs;
 use super::print::{Page, decimals};
-use crate::camera::CameraFormat;
 use crate::capture::{CAPTURE_FILE, Capture, Opening};
-use crate::exchange::{self, Draft};
+use crate::exchange::{self, Draft, NewCalibration};
 use crate::progress::Reporter;
 use crate::toolchain::{
     Calibration, CalibrationRequest, calibrate, ensure_environment, find_ffmpeg, project_root,
@@ -52,8 +51,9 @@ pub struct CalibrateArgs {
 ///
 /// Bundle adjustment of the poses, and with --focal and --principal-point also of these lens parameters. The given
 /// capture is not changed. The array's mean position, direction and size stay as they are. Parameters that the images
-/// do not determine keep their given values. If focal lengths may be wrong, give --focal: otherwise the error of a
-/// focal length becomes an error of the poses.
+/// do not determine keep their given values. The covariance of the result is saved with the new capture, and counts in
+/// the standard errors of its offsets. If focal lengths may be wrong, give --focal: otherwise the error of a focal
+/// length becomes an error of the poses.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr refine .captures/mine -o .captures/refined\n  \
@@ -120,10 +120,13 @@ fn calibrated(
     require_distance(&capture, request)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     let calibration = calibrate(&environment, folder, request, reporter)?;
-    let cameras: Vec<CameraFormat> = calibration.cameras.iter().map(|c| c.format()).collect();
+    let new = NewCalibration {
+        cameras: calibration.cameras.iter().map(|c| c.format()).collect(),
+        covariance: calibration.covariance.clone(),
+    };
     let ffmpeg = find_ffmpeg();
     let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter };
-    exchange::recalibrate(&capture, &cameras, output, &opening)?;
+    exchange::recalibrate(&capture, new, output, &opening)?;
     print_table(&calibration, page);
     for note in &calibration.notes {
         reporter.note(note);

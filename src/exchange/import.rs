@@ -68,6 +68,7 @@ pub fn import(
         name: name_of(target)?,
         reference: None,
         cameras: filmed,
+        calibration_covariance: None,
     };
     NewCapture { temporary, whole }.finish(&format, target, opening)?;
     Ok(notes)
@@ -325,6 +326,7 @@ fn described(footage: &Footage, frames: String, clock: ClockFormat) -> FilmedCam
         model,
         params,
         cam_from_world,
+        calibration_std: None,
         color: Color::Rgb,
         clock,
     }

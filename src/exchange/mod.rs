@@ -38,7 +38,7 @@ pub use import::{import, require_new};
 pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};
 pub use qualisys::read_qualisys;
-pub use recalibrate::{Draft, recalibrate};
+pub use recalibrate::{Draft, NewCalibration, recalibrate};
 pub use request::{ImportClock, ImportRequest};
 pub use times::{FrameTimes, read_times};
 pub use undistort::Undistortion;

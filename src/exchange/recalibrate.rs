@@ -5,7 +5,7 @@ use super::pairing::{extension, uncalibrated};
 use super::request::{ImportClock, ImportRequest};
 use super::{ExchangeError, content};
 use crate::camera::CameraFormat;
-use crate::capture::{CAPTURE_FILE, Capture, CaptureFormat, Opening};
+use crate::capture::{CAPTURE_FILE, CalibrationCovarianceFormat, Capture, CaptureFormat, Opening};
 use crate::host::temporary::Temporary;
 use crate::json;
 use std::path::{Path, PathBuf};
@@ -55,19 +55,27 @@ impl Draft {
     }
 }
 
-/// Makes the capture `target` of the frames and clocks of `capture`, with these cameras in its order. Frames are
-/// linked, or copied where the file system can't link them. The target appears only once it is complete and can be
-/// opened.
+/// A calibration that was estimated.
+pub struct NewCalibration {
+    /// In the capture's order.
+    pub cameras: Vec<CameraFormat>,
+    /// Its joint covariance, if it is known.
+    pub covariance: Option<CalibrationCovarianceFormat>,
+}
+
+/// Makes the capture `target` of the frames and clocks of `capture`, with another calibration. Frames are linked, or
+/// copied where the file system can't link them. The target appears only once it is complete and can be opened.
 ///
 /// Truth, offsets and COLMAP's model are not copied, because they belong to the earlier calibration.
 ///
 /// Errors: a target that is not empty, another number of cameras, a camera of another size than its frames.
 pub fn recalibrate(
     capture: &Capture,
-    cameras: &[CameraFormat],
+    calibration: NewCalibration,
     target: &Path,
     opening: &Opening,
 ) -> Result<(), ExchangeError> {
+    let NewCalibration { cameras, covariance } = calibration;
     let description = capture.folder.join(CAPTURE_FILE);
     let mut format: CaptureFormat =
         json::read(&description).map_err(|error| content(&description, error))?;
@@ -76,8 +84,9 @@ pub fn recalibrate(
     }
     let new = NewCapture::begin(target)?;
     format.name = name_of(target)?;
+    format.calibration_covariance = covariance;
     for ((filmed, described), camera) in
-        capture.cameras.iter().zip(&mut format.cameras).zip(cameras)
+        capture.cameras.iter().zip(&mut format.cameras).zip(&cameras)
     {
         let id = &filmed.id;
         let linked = |from: &Path, name: String| {
@@ -102,6 +111,7 @@ pub fn recalibrate(
         (described.width, described.height) = (width, height);
         (described.model, described.params) = (model, params);
         described.cam_from_world = cam_from_world;
+        described.calibration_std = None;
     }
     new.finish(&format, target, opening)
 }

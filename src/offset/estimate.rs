@@ -1,18 +1,21 @@
 //! Estimation of offsets from recordings: the order of its stages.
 
 use super::alignment::{activities, rough_offset};
+use super::calibration::CalibrationUnknowns;
 use super::clock::{ClockEstimate, ClockModel, clocks, with_lost_frames};
 use super::joint::{ClockLayout, solve_clocks};
 use super::lost_frames::{FittedClock, detect_lost_frames};
 use super::pair::{
-    MAX_STD_ERR_FRAMES, MIN_AGREEMENT, PairEstimate, PairFailure, PairRounds, estimate_pairs, pairs,
+    MAX_STD_ERR_FRAMES, MIN_AGREEMENT, PairEstimate, PairFailure, PairRounds, estimate_pairs,
+    pairs, refit_pair,
 };
 use super::recording::{Recording, TrackCache};
-use super::{CameraOffset, ONE_FRAME, OffsetOptions, Offsets};
-use crate::capture::{Capture, CaptureError};
+use super::{CameraOffset, ONE_FRAME, OffsetMethod, OffsetOptions, Offsets};
+use crate::capture::{CalibrationErrors, Capture, CaptureError};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// The reason of an unknown offset if too few observations show the camera's lost frames.
 const AMBIGUOUS_LOSSES: &str = "frames may be missing, and too few of its images show where";
@@ -75,7 +78,8 @@ pub fn estimate(
     let results = estimate_pairs(&recording, rounds.collect(), reporter)?;
     let first_s = recording.clocks.iter().map(|c| c.times_s[0]).collect();
     let layout = ClockLayout { of_camera: clock, first_s, drifts, frame_s: capture.frame_s() };
-    let solution = JointSolution::new(capture, pairs.into_iter().zip(results), layout, lost);
+    let results = pairs.into_iter().zip(results).collect();
+    let solution = JointSolution::new(capture, results, layout, lost, options.method);
     Ok(solution.into_estimate())
 }
 
@@ -104,6 +108,44 @@ fn initial_offsets(
         .collect()
 }
 
+/// The number of times that the pairs are fitted again without the calibration errors found.
+const CALIBRATION_ROUNDS: usize = 3;
+
+/// Solves for all clocks and for the calibration's errors; adds these errors to the pairs' standard errors.
+///
+/// The paper's method has no such unknowns: each pair's standard error, calibration included, is that of a clock.
+fn solve_with_calibration(
+    capture: &Capture,
+    errors: &CalibrationErrors,
+    pairs: &mut [PairEstimate],
+    layout: &ClockLayout,
+    method: OffsetMethod,
+) -> Vec<Option<ClockEstimate>> {
+    let cameras = capture.cameras.iter().map(|c| &c.camera).collect();
+    let unknowns = CalibrationUnknowns::new(errors, cameras);
+    pairs.par_iter_mut().for_each(|pair| {
+        pair.slopes = Arc::new(unknowns.slopes(pair.cameras, &pair.samples));
+    });
+    let mut refitted = pairs.to_vec();
+    pairs.iter_mut().for_each(|pair| pair.add_calibration(&unknowns.factor));
+    if method == OffsetMethod::Pairwise {
+        return solve_clocks(pairs, layout, None).by_clock;
+    }
+    let mut solution = solve_clocks(&refitted, layout, Some(&unknowns.factor));
+    for _ in 0..CALIBRATION_ROUNDS {
+        refitted.par_iter_mut().for_each(|pair| {
+            let frames_s = pair.cameras.map(|c| capture.cameras[c].clock.frame_s());
+            let with_rate = pair.cameras.iter().any(|&c| layout.drifts[layout.of_camera[c]]);
+            let longer_s = frames_s[0].max(frames_s[1]);
+            if let Some(again) = refit_pair(pair, &solution.errors, longer_s, with_rate) {
+                *pair = again;
+            }
+        });
+        solution = solve_clocks(&refitted, layout, Some(&unknowns.factor));
+    }
+    solution.by_clock
+}
+
 /// The indices of a pair's cameras, and its estimate or its failure.
 type PairResult = ([usize; 2], Result<PairEstimate, PairFailure>);
 
@@ -123,11 +165,11 @@ struct JointSolution<'a> {
 impl<'a> JointSolution<'a> {
     fn new(
         capture: &'a Capture,
-        results: impl Iterator<Item = PairResult>,
+        results: Vec<PairResult>,
         layout: ClockLayout,
         lost: Vec<FittedClock>,
+        method: OffsetMethod,
     ) -> Self {
-        let results: Vec<PairResult> = results.collect();
         // Whether a pair's offset may be wrong by a period of a periodic motion: its agreement is below
         // MIN_AGREEMENT, and another pair with one of its cameras has failed because its offset contradicts
         // the nominal clocks.
@@ -139,17 +181,20 @@ impl<'a> JointSolution<'a> {
             pair.agreement < MIN_AGREEMENT && results.iter().any(contradicts)
         };
         let max_std_err_s = MAX_STD_ERR_FRAMES * layout.frame_s;
-        let used: Vec<PairEstimate> = results
+        let mut used: Vec<PairEstimate> = results
             .iter()
             .filter_map(|(_, result)| result.as_ref().ok())
             .filter(|p| p.std_err_s <= max_std_err_s && !is_contradicted(p))
             .filter(|p| p.cameras.iter().all(|&c| !lost[c].ambiguous))
             .cloned()
             .collect();
-        let solved = solve_clocks(&used, &layout)
-            .into_iter()
-            .map(|clock| clock.filter(|s| s.std_err_s <= max_std_err_s))
-            .collect();
+        let errors = capture.calibration_errors.as_deref().filter(|e| !e.parameters.is_empty());
+        let by_clock = match errors {
+            Some(errors) => solve_with_calibration(capture, errors, &mut used, &layout, method),
+            None => solve_clocks(&used, &layout, None).by_clock,
+        };
+        let is_known = |s: &ClockEstimate| s.std_err_s <= max_std_err_s;
+        let solved = by_clock.into_iter().map(|clock| clock.filter(is_known)).collect();
         Self { capture, results, clock: layout.of_camera, lost, used, solved }
     }
 

@@ -54,26 +54,35 @@ const SIGMA_OVER_MAD: f64 = 1.4826;
 /// solution. The result is by clock; `None` for a clock that no chain of pairs connects to the reference.
 /// Pairs of cameras that share a clock are ignored. A clock's offset is that at the first frame of its
 /// camera.
-pub fn solve_clocks(pairs: &[PairEstimate], clocks: &ClockLayout) -> Vec<Option<ClockEstimate>> {
+///
+/// With `factor`, L of the calibration errors' covariance L Lᵀ, these errors are unknowns too.
+pub fn solve_clocks(
+    pairs: &[PairEstimate],
+    clocks: &ClockLayout,
+    factor: Option<&DMatrix<f64>>,
+) -> SolvedClocks {
     let mut pairs: Vec<&PairEstimate> = pairs.iter().collect();
     pairs.retain(|p| clocks.of_camera[p.cameras[0]] != clocks.of_camera[p.cameras[1]]);
     let connected = connected_to_reference(&pairs, clocks);
     let mut used = pairs;
     used.retain(|p| connected[clocks.of_camera[p.cameras[0]]]);
-    let mut solved = vec![None; clocks.drifts.len()];
-    solved[0] = Some(ClockEstimate::default());
-    let unknowns = Unknowns::new(clocks, &connected);
+    let mut by_clock = vec![None; clocks.drifts.len()];
+    by_clock[0] = Some(ClockEstimate::default());
+    let errors = DVector::zeros(factor.map_or(0, DMatrix::nrows));
+    let mut solved = SolvedClocks { by_clock, errors };
+    let unknowns = Unknowns::new(clocks, &connected, factor);
     if used.is_empty() {
         return solved;
     }
-    let mut errors: Vec<f64> = used.iter().map(|p| p.std_err_s).collect();
-    errors.sort_by(f64::total_cmp);
-    let min_sigma_s = MIN_STD_ERR_FRACTION * errors[errors.len() / 2];
+    let mut std_errs: Vec<f64> = used.iter().map(|p| p.std_err_s).collect();
+    std_errs.sort_by(f64::total_cmp);
+    let min_sigma_s = MIN_STD_ERR_FRACTION * std_errs[std_errs.len() / 2];
     let systems: Vec<PairSystem> =
         used.iter().map(|p| PairSystem::new(p, &unknowns, min_sigma_s)).collect();
     let Some(solution) = solve_robustly(&systems, &unknowns) else { return solved };
     let variances = solution.variances(&used, &systems, &unknowns);
-    for (clock, solved) in solved.iter_mut().enumerate().skip(1) {
+    solved.errors = solution.x.rows_range(unknowns.clock_count..).into_owned();
+    for (clock, solved) in solved.by_clock.iter_mut().enumerate().skip(1) {
         let Some(offset) = unknowns.offset[clock] else { continue };
         let rate = unknowns.rate[clock];
         let camera = clocks.of_camera.iter().position(|c| *c == clock);
@@ -92,7 +101,15 @@ pub fn solve_clocks(pairs: &[PairEstimate], clocks: &ClockLayout) -> Vec<Option<
     solved
 }
 
-/// The columns of the unknowns in the normal matrix.
+/// The joint solution.
+pub struct SolvedClocks {
+    /// By clock: its estimate.
+    pub by_clock: Vec<Option<ClockEstimate>>,
+    /// The calibration's errors, in the order of the covariance's rows; empty if they are no unknowns.
+    pub errors: DVector<f64>,
+}
+
+/// The columns of the unknowns in the normal matrix: the clocks', then the calibration's errors.
 struct Unknowns<'a> {
     clocks: &'a ClockLayout,
     /// For each clock, the column of its offset; `None` for the reference and unconnected clocks.
@@ -100,7 +117,12 @@ struct Unknowns<'a> {
     /// For each clock, the column of its rate; `None` for the reference, unconnected clocks and clocks that do not
     /// drift.
     rate: Vec<Option<usize>>,
+    /// The number of unknowns of the clocks.
+    clock_count: usize,
     count: usize,
+    /// The clocks' unknowns and the calibration's errors as a linear function of independent unknowns; `None` if the
+    /// calibration is taken as exact.
+    from_independent: Option<DMatrix<f64>>,
 }
 
 /// One equation's row of the design matrix: its nonzero entries as (column, coefficient).
@@ -111,7 +133,7 @@ fn dot(row: &EquationRow, x: &DVector<f64>) -> f64 {
 }
 
 impl<'a> Unknowns<'a> {
-    fn new(clocks: &'a ClockLayout, connected: &[bool]) -> Self {
+    fn new(clocks: &'a ClockLayout, connected: &[bool], factor: Option<&DMatrix<f64>>) -> Self {
         let mut count = 0;
         let mut next = |is_unknown: bool| {
             is_unknown.then(|| {
@@ -122,7 +144,54 @@ impl<'a> Unknowns<'a> {
         let n = clocks.drifts.len();
         let offset = (0..n).map(|c| next(c > 0 && connected[c])).collect();
         let rate = (0..n).map(|c| next(c > 0 && connected[c] && clocks.drifts[c])).collect();
-        Self { clocks, offset, rate, count }
+        let from_independent = factor.map(|factor| {
+            let (rows, columns) = factor.shape();
+            let mut whole = DMatrix::identity(count + rows, count + columns);
+            whole.view_mut((count, count), (rows, columns)).copy_from(factor);
+            whole
+        });
+        let clock_count = count;
+        let count = clock_count + factor.map_or(0, DMatrix::nrows);
+        Self { clocks, offset, rate, clock_count, count, from_independent }
+    }
+
+    /// Whether a pair has a single observation equation, for its estimated offset. With rates or calibration errors, each
+    /// candidate has one.
+    fn is_one_equation(&self) -> bool {
+        self.rate.iter().all(Option::is_none) && self.from_independent.is_none()
+    }
+
+    /// The information of the prior on the independent unknowns: 1 for those of the calibration.
+    fn prior(&self, independent: usize) -> DMatrix<f64> {
+        let is_calibration = |k| if k < self.clock_count { 0.0 } else { 1.0 };
+        DMatrix::from_diagonal(&DVector::from_fn(independent, |k, _| is_calibration(k)))
+    }
+
+    /// The row of one of a pair's candidates.
+    fn sample_row(&self, pair: &PairEstimate, sample: usize) -> EquationRow {
+        let s = &pair.samples[sample].0;
+        let mut row = self.row(s.cameras, s.time_a_s, s.time_b_s);
+        if self.from_independent.is_some() {
+            let slopes = pair.slopes.of(sample);
+            row.extend(slopes.map(|(error, slope)| (self.clock_count + error, slope)));
+        }
+        row
+    }
+
+    /// The solution of the normal equations, and the inverse of their matrix. `None` if it is singular.
+    fn solve(
+        &self,
+        normal: DMatrix<f64>,
+        right: &DVector<f64>,
+    ) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let Some(transform) = &self.from_independent else {
+            let cholesky = normal.cholesky()?;
+            return Some((cholesky.solve(right), cholesky.inverse()));
+        };
+        let normal = transform.tr_mul(&(normal * transform)) + self.prior(transform.ncols());
+        let cholesky = normal.cholesky()?;
+        let x = transform * cholesky.solve(&transform.tr_mul(right));
+        Some((x, transform * cholesky.inverse() * transform.transpose()))
     }
 
     /// The row for the observation equation of `offset_b − offset_a`. The times, at which the two offsets are
@@ -194,14 +263,14 @@ fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustS
             right += &system.right * *w;
         }
         // The matrix is positive definite, since all clocks are connected to the reference.
-        let cholesky = normal.cholesky()?;
-        let x = cholesky.solve(&right);
+        let (x, inverse) = unknowns.solve(normal, &right)?;
         let mut z: Vec<f64> = systems.iter().map(|p| p.deviation(&x)).collect();
         z.sort_by(f64::total_cmp);
         // If there are more equations than unknowns, and deviations exceed the standard errors, all standard
         // errors are scaled up.
         let equations_per_pair = if unknowns.rate.iter().any(Option::is_some) { 2 } else { 1 };
-        let degrees_of_freedom = (equations_per_pair * systems.len()).saturating_sub(n);
+        let degrees_of_freedom =
+            (equations_per_pair * systems.len()).saturating_sub(unknowns.clock_count);
         let scale = if degrees_of_freedom > 0 && iteration + 1 >= L1_ITERATIONS {
             let redundancy =
                 ((equations_per_pair * systems.len()) as f64 / degrees_of_freedom as f64).sqrt();
@@ -209,45 +278,81 @@ fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustS
         } else {
             1.0
         };
-        solution = Some(RobustSolution { x, weights, inverse: cholesky.inverse(), scale });
+        solution = Some(RobustSolution { x, weights, inverse, scale });
     }
     solution
+}
+
+/// A pair's normal matrix while it is summed: dense, over the few unknowns of its two cameras.
+#[derive(Default)]
+struct PairNormal {
+    /// The columns of the pair's unknowns, in the order in which they came.
+    columns: Vec<usize>,
+    /// By row, then by column of the pair's unknowns.
+    entries: Vec<Vec<f64>>,
+}
+
+impl PairNormal {
+    /// Adds an equation's row of the design matrix.
+    fn add(&mut self, row: &EquationRow, weight: f64) {
+        let own: Vec<(usize, f64)> = row.iter().map(|&(c, x)| (self.local(c), x)).collect();
+        for &(i, x) in &own {
+            for &(j, y) in &own {
+                self.entries[i][j] += weight * x * y;
+            }
+        }
+    }
+
+    /// The place of an unknown among the pair's.
+    fn local(&mut self, column: usize) -> usize {
+        if let Some(place) = self.columns.iter().position(|c| *c == column) {
+            return place;
+        }
+        self.columns.push(column);
+        let count = self.columns.len();
+        self.entries.push(Vec::new());
+        self.entries.iter_mut().for_each(|row| row.resize(count, 0.0));
+        count - 1
+    }
+
+    /// The entries times `factor` by (row, column).
+    fn scaled(&self, factor: f64) -> BTreeMap<(usize, usize), f64> {
+        let entries = self.entries.iter().zip(&self.columns).flat_map(|(row, &i)| {
+            row.iter().zip(&self.columns).map(move |(value, &j)| ((i, j), value * factor))
+        });
+        entries.collect()
+    }
 }
 
 impl PairSystem {
     fn new(pair: &PairEstimate, unknowns: &Unknowns, min_sigma_s: f64) -> Self {
         let n = unknowns.count;
-        let (mut normal, mut mean_row) = (BTreeMap::new(), DVector::zeros(n));
+        let (mut normal, mut mean_row) = (PairNormal::default(), DVector::zeros(n));
         let (mut total, mut mean_value, mut right) = (0.0, 0.0, DVector::zeros(n));
         let mut add = |row: &EquationRow, value: f64, sign: f64, weight: f64| {
             for &(i, x) in row {
                 mean_row[i] += weight * sign * x;
                 right[i] += weight * x * value;
-                for &(j, y) in row {
-                    *normal.entry((i, j)).or_default() += weight * x * y;
-                }
             }
+            normal.add(row, weight);
             mean_value += weight * sign * value;
             total += weight;
         };
-        // Without rates, a pair has a single observation equation, for its estimated offset.
-        let is_one_equation = pair.samples.is_empty() || unknowns.rate.iter().all(Option::is_none);
-        if is_one_equation {
+        if pair.samples.is_empty() || unknowns.is_one_equation() {
             let (time_i_s, offset_s) = (pair.clock.reference_s, pair.clock.offset_s);
             add(&unknowns.row(pair.cameras, time_i_s, time_i_s - offset_s), offset_s, 1.0, 1.0);
         } else {
-            for (s, weight) in pair.samples.iter() {
+            for (k, (s, weight)) in pair.samples.iter().enumerate() {
                 let sign = if s.cameras == pair.cameras { 1.0 } else { -1.0 };
-                let row = unknowns.row(s.cameras, s.time_a_s, s.time_b_s);
+                let row = unknowns.sample_row(pair, k);
                 add(&row, s.offset_s(), sign, weight * s.across_px_s * s.across_px_s);
             }
         }
         let sigma_s = pair.std_err_s.max(min_sigma_s).max(f64::MIN_POSITIVE.sqrt());
         // The total is positive, since a pair without information has no estimate.
         let factor = 1.0 / (sigma_s * sigma_s * total);
-        normal.values_mut().for_each(|v: &mut f64| *v *= factor);
         Self {
-            normal,
+            normal: normal.scaled(factor),
             right: right * factor,
             mean: (mean_row / total, mean_value / total),
             sigma_s,
@@ -277,13 +382,12 @@ impl RobustSolution {
         for (k, pair) in used.iter().enumerate() {
             // The pair's weight in the solution is divided among its candidates.
             let factor = systems[k].factor * self.weights[k];
-            let is_one_equation = unknowns.rate.iter().all(Option::is_none);
             let information = |(s, w): &(Sample, f64)| w * s.across_px_s.powi(2);
             let total: f64 = pair.samples.iter().map(information).sum();
-            let scale = if is_one_equation { factor / total } else { factor };
-            for sample in pair.samples.iter() {
+            let scale = if unknowns.is_one_equation() { factor / total } else { factor };
+            for (index, sample) in pair.samples.iter().enumerate() {
                 let s = &sample.0;
-                let row = unknowns.row(s.cameras, s.time_a_s, s.time_b_s);
+                let row = unknowns.sample_row(pair, index);
                 let clock = unknowns.clocks.of_camera[s.cameras[0]];
                 let common_s = s.time_a_s + unknowns.offset[clock].map_or(0.0, |c| self.x[c]);
                 let bin = (common_s / frame_s).round() as i64;
@@ -291,8 +395,11 @@ impl RobustSolution {
                 sandwich.add(&row, scale * information(sample), residual, bin, s.cell);
             }
         }
+        if let Some(transform) = &unknowns.from_independent {
+            sandwich = sandwich.with_prior(transform, unknowns.prior(transform.ncols()));
+        }
         let clustered = sandwich.variances();
-        (0..n)
+        (0..unknowns.clock_count)
             .map(|c| {
                 let independent = self.inverse[(c, c)].max(0.0) * self.scale * self.scale;
                 clustered.as_ref().map_or(independent, |v| v[c].max(independent))
@@ -321,6 +428,7 @@ fn connected_to_reference(pairs: &[&PairEstimate], clocks: &ClockLayout) -> Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::offset::recording::Sight;
     use crate::random::Random;
 
     fn pair(a: usize, b: usize, offset_s: f64) -> PairEstimate {
@@ -342,10 +450,14 @@ mod tests {
         (0..n).flat_map(|a| (a + 1..n).map(move |b| pair(a, b, truth[b] - truth[a]))).collect()
     }
 
+    fn by_clock(pairs: &[PairEstimate], clocks: &ClockLayout) -> Vec<Option<ClockEstimate>> {
+        solve_clocks(pairs, clocks, None).by_clock
+    }
+
     #[test]
     fn consistent_pairs_give_the_offsets_back() {
         let truth = [0.0, 0.01, -0.005, 0.02];
-        let solved = solve_clocks(&all_pairs(&truth), &clocks(&[0, 1, 2, 3], 4));
+        let solved = by_clock(&all_pairs(&truth), &clocks(&[0, 1, 2, 3], 4));
         for (c, s) in solved.into_iter().enumerate() {
             assert!((s.unwrap().clock.offset_s - truth[c]).abs() < 1e-12);
         }
@@ -356,7 +468,7 @@ mod tests {
         let truth = [0.0, 0.01, -0.005, 0.02, 0.015];
         let mut pairs = all_pairs(&truth);
         pairs[2].clock.offset_s += 0.01;
-        for (c, s) in solve_clocks(&pairs, &clocks(&[0, 1, 2, 3, 4], 5)).into_iter().enumerate() {
+        for (c, s) in by_clock(&pairs, &clocks(&[0, 1, 2, 3, 4], 5)).into_iter().enumerate() {
             assert!((s.as_ref().unwrap().clock.offset_s - truth[c]).abs() < 5e-4, "{c} {s:?}");
         }
     }
@@ -364,12 +476,12 @@ mod tests {
     #[test]
     fn unconnected_clocks_are_unknown_and_shared_clocks_are_one() {
         let pairs = [pair(0, 1, 0.01), pair(2, 3, 0.02)];
-        let solved = solve_clocks(&pairs, &clocks(&[0, 1, 2, 3], 4));
+        let solved = by_clock(&pairs, &clocks(&[0, 1, 2, 3], 4));
         assert!(solved[1].is_some() && solved[2].is_none() && solved[3].is_none());
         // Cameras 1 and 2 share a clock, through which camera 3 is connected.
-        let solved = solve_clocks(&pairs, &clocks(&[0, 1, 1, 2], 3));
+        let solved = by_clock(&pairs, &clocks(&[0, 1, 1, 2], 3));
         assert!((solved[2].as_ref().unwrap().clock.offset_s - 0.03).abs() < 1e-12);
-        assert_eq!(solve_clocks(&[], &clocks(&[0], 1)).len(), 1);
+        assert_eq!(by_clock(&[], &clocks(&[0], 1)).len(), 1);
     }
 
     /// In hundreds of random triples of cameras with drift, offset and rate agree with the truth within their
@@ -412,6 +524,7 @@ mod tests {
                                 across_px_s: 150.0,
                                 cell,
                                 window: cell,
+                                sight: Sight::default(),
                             };
                             (sample, 25.0)
                         })
@@ -422,7 +535,7 @@ mod tests {
                     ..pair(a, b, 0.0)
                 })
                 .collect();
-            let solved = solve_clocks(&pairs, &clocks);
+            let solved = by_clock(&pairs, &clocks);
             for c in [1, 2] {
                 let s = solved[c].clone().unwrap();
                 squares[0] += ((s.clock.offset_s - truth[c].0) / s.std_err_s).powi(2);

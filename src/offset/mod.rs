@@ -25,6 +25,7 @@
 //! | `lost_frames` | lost frames: observation, and clock models by block-coordinate descent |
 //! | `pair` | the pairs of cameras, and each pair's offset, by RANSAC and WLS or by the mixture |
 //! | `joint` | all clocks together by robust weighted least squares |
+//! | `calibration` | how the calibration's errors change candidates |
 //! | `uncertainty` | cluster-robust standard errors |
 //! | `offsets` | [`Offsets`], the result, and the frame times that it implies |
 //! | [`mod@file`] | `offsets.json`, and the validation of an edited one |
@@ -42,6 +43,7 @@
 //! - One rate holds for a whole recording.
 
 mod alignment;
+mod calibration;
 mod clock;
 mod estimate;
 pub mod file;
@@ -168,3 +170,6 @@ fn save(
         .map_err(|source| CaptureError::Write { path, source })?;
     estimate.offsets.save(capture, options, hash)
 }
+
+#[cfg(test)]
+mod tests;

@@ -28,6 +28,8 @@ pub struct Sandwich {
     independent: DMatrix<f64>,
     by_time: BTreeMap<i64, DVector<f64>>,
     by_place: BTreeMap<usize, DVector<f64>>,
+    /// The information of the prior on the unknowns, whose error is independent of all equations.
+    prior: Option<DMatrix<f64>>,
 }
 
 impl Sandwich {
@@ -39,6 +41,21 @@ impl Sandwich {
             independent: DMatrix::zeros(unknowns, unknowns),
             by_time: BTreeMap::new(),
             by_place: BTreeMap::new(),
+            prior: None,
+        }
+    }
+
+    /// The problem in other unknowns, of which the present ones are `transform` times the new ones, with a prior of this
+    /// information.
+    pub fn with_prior(self, transform: &DMatrix<f64>, prior: DMatrix<f64>) -> Self {
+        let both = |m: DMatrix<f64>| transform.tr_mul(&(m * transform));
+        Self {
+            unknowns: transform.ncols(),
+            normal: both(self.normal) + &prior,
+            independent: both(self.independent),
+            by_time: self.by_time.into_iter().map(|(k, v)| (k, transform.tr_mul(&v))).collect(),
+            by_place: self.by_place.into_iter().map(|(k, v)| (k, transform.tr_mul(&v))).collect(),
+            prior: Some(prior),
         }
     }
 
@@ -74,7 +91,9 @@ impl Sandwich {
         // column, the fraction that the columns before it do not explain.
         let cholesky = (&scales * &self.normal * &scales).cholesky()?;
         let unexplained = cholesky.l_dirty().diagonal().map(|d| d * d);
-        (unexplained.min() > MIN_UNEXPLAINED).then(|| &scales * cholesky.inverse() * &scales)
+        // A prior determines what the equations don't.
+        let is_determined = self.prior.is_some() || unexplained.min() > MIN_UNEXPLAINED;
+        is_determined.then(|| &scales * cholesky.inverse() * &scales)
     }
 
     /// The variance of each unknown. `None` if the unknowns are not determined, or if all equations are in
@@ -88,11 +107,13 @@ impl Sandwich {
         let independent = sandwich(&self.independent);
         let time = sandwich(&clustered(self.by_time.values(), self.unknowns));
         let place = sandwich(&clustered(self.by_place.values(), self.unknowns));
+        let prior = self.prior.as_ref().map(sandwich);
         Some(
             (0..self.unknowns)
                 .map(|k| {
                     let both = time[k] + place[k] - independent[k];
-                    both.max(time[k]).max(place[k]).max(independent[k])
+                    let scatter = both.max(time[k]).max(place[k]).max(independent[k]);
+                    scatter + prior.as_ref().map_or(0.0, |prior| prior[k])
                 })
                 .collect(),
         )

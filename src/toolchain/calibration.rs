@@ -3,6 +3,7 @@
 use super::setup::Environment;
 use super::{ToolchainError, script};
 use crate::camera::{CameraFormat, PoseFormat};
+use crate::capture::CalibrationCovarianceFormat;
 use crate::progress::Reporter;
 use serde::Deserialize;
 use serde_json::Value;
@@ -119,6 +120,8 @@ pub struct Calibration {
     pub cameras: Vec<CameraEstimate>,
     /// Number of scene points from which the calibration was estimated.
     pub points: usize,
+    /// The covariance of all cameras' poses, and of the lens parameters that were estimated.
+    pub covariance: Option<CalibrationCovarianceFormat>,
     /// Sentences for the user.
     pub notes: Vec<String>,
 }

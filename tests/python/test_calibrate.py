@@ -85,6 +85,46 @@ def test_adjustment_finds_focal_lengths_within_their_standard_errors() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.7
 
 
+def rotations(model: Any) -> dict[str, Array]:
+    return {
+        image.name: image.cam_from_world().rotation.matrix()
+        for image in model.images.values()
+    }
+
+
+def test_the_joint_covariance_is_what_noise_does() -> None:
+    """Turns between cameras, which no gauge changes; and in another world and another order of the cameras."""
+    squares = []
+    for seed in range(4):
+        model = synthetic(seed)
+        right = rotations(model)
+        priors = adjustment.Priors(focal_fraction=0.3)
+        adjusting = adjustment.Adjustment(model, lens_params(model), priors)
+        adjusting.run(pycolmap)
+        found, joint = rotations(model), adjusting.covariance
+        names = joint.names[::-1]
+        world = pycolmap.Rotation3d(np.array([0.3, -0.5, 0.9])).matrix()
+        entry = joint.entry(names, world, 0.1)
+        assert entry["lens"] == ["focal"]
+        lower = np.zeros((7 * len(names), 7 * len(names)))
+        for k, row in enumerate(entry["rows"]):
+            assert len(row) == k + 1
+            lower[k, : k + 1] = row
+        matrix = lower + np.tril(lower, -1).T
+        values = np.linalg.eigvalsh(matrix / np.outer(*[np.sqrt(np.diag(matrix))] * 2))
+        assert values[0] > -1e-6 and np.sum(values < 1e-6) == 7
+        for k in range(1, len(names)):
+            a, b = names[0], names[k]
+            turned = right[b].T @ found[b] @ found[a].T @ right[a]
+            skew = 0.5 * (turned - turned.T)
+            turn = world @ np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+            pick = np.zeros((3, len(matrix)))
+            pick[:, :3], pick[:, 7 * k : 7 * k + 3] = np.eye(3), -np.eye(3)
+            expected = pick @ matrix @ pick.T
+            squares.append(turn @ np.linalg.solve(expected, turn) / 3)
+    assert 0.5 < np.sqrt(np.mean(squares)) < 1.7
+
+
 @pytest.mark.parametrize("distortion", [None, 0.1])
 def test_focal_lengths_that_are_given_stay(distortion: float | None) -> None:
     """Whatever else of the lens is estimated."""

@@ -10,6 +10,7 @@ use crate::offset::OffsetMethod;
 use crate::offset::clock::ClockModel;
 use crate::offset::recording::{FrameTriple, Recording, Sample, TripleFrames};
 use crate::offset::uncertainty::{Sandwich, effective_number, std_err_inflation};
+use nalgebra::DVector;
 use std::sync::Arc;
 
 /// The RANSAC tolerance d of §7, as a fraction of the frame interval Δt.
@@ -156,6 +157,7 @@ pub fn fit_pair(
         frames: frames.collect(),
         std_err_inflation: std_err_inflation(windows),
         samples: samples.into_iter().zip(mixture.weights.iter().copied()).collect(),
+        slopes: Arc::default(),
     };
     if recording.options.method == OffsetMethod::Pairwise {
         let mean = mean_of_frames(&estimate.frames).ok_or(PairFailure::NoConsensus)?;
@@ -165,6 +167,41 @@ pub fn fit_pair(
             .ok_or(PairFailure::NoConsensus)?;
     }
     Ok(estimate)
+}
+
+/// The estimate of a pair from the same candidates without these calibration errors. The clock's rate is fitted anew if
+/// `with_rate`. `frame_s` is the longer one of the two cameras' frame periods, seconds.
+///
+/// `None` if the candidates don't determine it any more.
+pub fn refit_pair(
+    pair: &PairEstimate,
+    errors: &DVector<f64>,
+    frame_s: f64,
+    with_rate: bool,
+) -> Option<PairEstimate> {
+    let observation = |(k, (s, _)): (usize, &(Sample, f64))| {
+        let (sign, on_i_s) =
+            if s.cameras == pair.cameras { (1.0, s.time_a_s) } else { (-1.0, s.time_b_s) };
+        Observation {
+            value_s: sign * (s.offset_s() - pair.slopes.change_s(k, errors)),
+            at_s: on_i_s - pair.clock.reference_s,
+            across_px_s: s.across_px_s,
+        }
+    };
+    let observations: Vec<Observation> = pair.samples.iter().enumerate().map(observation).collect();
+    let center_s = pair.clock.reference_s;
+    let data = PairObservations { samples: Vec::new(), observations, center_s, frame_s };
+    let mixture = fit_line(&data, &pair.clock, with_rate)?;
+    let weights = mixture.weights.iter();
+    let mut refitted = PairEstimate {
+        clock: ClockModel { offset_s: mixture.value_s, rate: mixture.rate, ..pair.clock.clone() },
+        inliers: mixture.inliers.round() as usize,
+        sigma_px: mixture.sigma_px,
+        samples: pair.samples.iter().zip(weights).map(|((s, _), w)| (*s, *w)).collect(),
+        ..pair.clone()
+    };
+    refitted.std_err_s = std_err(&refitted, &data.observations, frame_s, with_rate)?;
+    Some(refitted)
 }
 
 /// Fits the mixture to a pair's observations, and checks that there are enough features, motion across the

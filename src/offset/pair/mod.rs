@@ -6,14 +6,17 @@ mod ransac;
 mod rounds;
 mod time_order;
 
+pub use fit::refit_pair;
 pub use mixture::{Mixture, Observation, consensus_value};
 pub use ransac::{ransac, weighted_least_squares};
 pub use rounds::{PairRounds, estimate_pairs};
 
+use super::calibration::SampleSlopes;
 use super::clock::ClockModel;
 use super::recording::{Recording, Sample, TripleFrames, spread};
 use super::{OffsetMethod, OffsetOptions};
 use crate::capture::Capture;
+use nalgebra::DMatrix;
 use std::sync::Arc;
 
 /// The offset between two cameras, (i, j), estimated from their recordings alone.
@@ -41,6 +44,21 @@ pub struct PairEstimate {
     pub(super) std_err_inflation: f64,
     /// All candidates, each with its weight in the mixture, 1 / px².
     pub(super) samples: Arc<[(Sample, f64)]>,
+    /// How the candidates' offsets change with the calibration's errors; empty where the capture states none.
+    pub(super) slopes: Arc<SampleSlopes>,
+}
+
+impl PairEstimate {
+    /// Adds to the standard error what the calibration's errors, with covariance `factor · factorᵀ`, cause at the weights
+    /// of the candidates.
+    pub(super) fn add_calibration(&mut self, factor: &DMatrix<f64>) {
+        let signed = self.samples.iter().map(|(s, weight)| {
+            let sign = if s.cameras == self.cameras { 1.0 } else { -1.0 };
+            sign * weight * s.across_px_s * s.across_px_s
+        });
+        let signed: Vec<f64> = signed.collect();
+        self.std_err_s = self.std_err_s.hypot(self.slopes.std_err_s(&signed, factor));
+    }
 }
 
 /// The estimates from one frame triple: two successive frames of `camera`, one frame of the pair's

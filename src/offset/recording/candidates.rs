@@ -20,6 +20,8 @@ pub struct Candidate {
     /// pixels per second; negative if it moves towards the line's negative side. A perpendicular error of one
     /// pixel is an error of `1 / across_px_s` seconds in `time_s`.
     pub across_px_s: f64,
+    /// Where the trajectory crosses the epipolar line, undistorted pixels of camera i.
+    pub place: Point2<f64>,
     /// The expected deviation of the true motion from the fitted curve, perpendicular to the epipolar line,
     /// pixels. For straight trajectories it is not estimated, and is 0.
     pub trajectory_error_px: f64,
@@ -160,13 +162,14 @@ impl ThreeFrames<'_> {
         if !span.contains(&time_s) {
             return Some(None);
         }
+        let place = trajectory.at(start + time_s);
         let across_px_s = line.normal.dot(&trajectory.velocity(start + time_s));
         let lower_order = without_farthest(&samples, start + time_s).filter(|_| self.curved);
         let trajectory_error_px = lower_order.map_or(0.0, |lower_order| {
-            let change = trajectory.at(start + time_s) - lower_order.at(start + time_s);
+            let change = place - lower_order.at(start + time_s);
             NEXT_ORDER_FRACTION * line.normal.dot(&change).abs()
         });
-        Some(Some(Candidate { time_s, across_px_s, trajectory_error_px }))
+        Some(Some(Candidate { time_s, across_px_s, place, trajectory_error_px }))
     }
 
     /// The trajectory's samples as (time, position): seconds from camera i's earlier frame, and pixels

@@ -9,6 +9,7 @@ use super::{OffsetMethod, OffsetOptions};
 use crate::capture::{CaptureError, Clock};
 use crate::host::BoundedCache;
 use crate::registration::{FrameStore, Track, flow, temporal_flow_of};
+use nalgebra::Point2;
 use std::sync::Arc;
 
 /// One feature's candidate for the offset of two cameras, a and b (eq. (10)).
@@ -29,6 +30,19 @@ pub struct Sample {
     /// The tile of a fine grid over camera a's image, about two of the tracker's windows wide. Features in
     /// one tile are tracked by nearly the same pixels.
     pub window: usize,
+    /// Where the two cameras see the feature.
+    pub sight: Sight,
+}
+
+/// Where the two cameras of a [`Sample`] see its feature at the time of b's image.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sight {
+    /// In camera a, on the trajectory, undistorted pixels.
+    pub ideal_a: Point2<f64>,
+    /// In camera b, pixels.
+    pub in_b: Point2<f64>,
+    /// The feature's signed speed perpendicular to the epipolar line, pixels per second.
+    pub across_px_s: f64,
 }
 
 impl Sample {
@@ -186,6 +200,12 @@ impl<'a> Recording<'a> {
                 across_px_s: candidate.effective_speed_px_s(),
                 cell: self.cell(a, tracks[track]),
                 window: self.window(a, tracks[track]),
+                sight: Sight {
+                    ideal_a: candidate.place,
+                    // A candidate has a correspondence.
+                    in_b: in_b[track].unwrap_or_default(),
+                    across_px_s: candidate.across_px_s,
+                },
             })
             .collect();
         let moves = |track: &&Track, in_b: &Option<_>| {

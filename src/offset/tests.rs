@@ -1,0 +1,161 @@
+//! The calibration's errors in the joint solution.
+
+use super::calibration::{CalibrationUnknowns, SampleSlopes};
+use super::clock::ClockModel;
+use super::joint::{ClockLayout, solve_clocks};
+use super::pair::PairEstimate;
+use super::recording::{Sample, Sight};
+use crate::camera::{Camera, CameraModel, CameraParameter, EpipolarGeometry};
+use crate::capture::CalibrationErrors;
+use crate::random::Random;
+use nalgebra::{DMatrix, DVector, Isometry3, Point2, Translation3, UnitQuaternion, Vector2};
+use std::sync::Arc;
+
+fn camera(x_m: f64, model: CameraModel) -> Camera {
+    let rotation = UnitQuaternion::from_euler_angles(0.02, -0.3 * x_m, 0.01);
+    let translation = Translation3::from(-(rotation * nalgebra::Vector3::new(x_m, 0.0, 0.0)));
+    let cam_from_world = Isometry3::from_parts(translation, rotation);
+    Camera { width: 640, height: 480, model, cam_from_world }
+}
+
+/// When a straight trajectory crosses the epipolar line of `in_b`, seconds. Places are pixels of the images.
+fn crossing_s([a, b]: [&Camera; 2], track: [Point2<f64>; 2], in_b: &Point2<f64>) -> f64 {
+    let geometry = EpipolarGeometry::new(b, a).unwrap();
+    let line = geometry.line_in_j(&b.model.ideal_from_pixel(in_b).unwrap()).unwrap();
+    let [near, far] = track.map(|p| line.distance(&a.model.ideal_from_pixel(&p).unwrap()));
+    near / (near - far)
+}
+
+#[test]
+fn slopes_are_how_crossings_move() {
+    let radial = CameraModel::Radial { f: 600.0, cx: 320.0, cy: 240.0, k: [-0.1, 0.02] };
+    let pinhole = CameraModel::Pinhole { fx: 600.0, fy: 610.0, cx: 322.0, cy: 238.0 };
+    let (a, b) = (camera(0.0, radial), camera(0.15, pinhole));
+    let all = CameraParameter::POSE.into_iter().chain([
+        CameraParameter::Focal,
+        CameraParameter::PrincipalPoint(0),
+        CameraParameter::PrincipalPoint(1),
+        CameraParameter::Distortion(0),
+    ]);
+    let parameters: Vec<_> = all.flat_map(|p| [(0, p), (1, p)]).collect();
+    let covariance = DMatrix::identity(parameters.len(), parameters.len());
+    let errors = CalibrationErrors { parameters, covariance };
+    let unknowns = CalibrationUnknowns::new(&errors, vec![&a, &b]);
+    let point = nalgebra::Point3::new(0.3, 0.2, 2.0);
+    let in_b = b.project(&point).unwrap();
+    let middle = a.project(&point).unwrap();
+    let motion = Vector2::new(3.0, 8.0);
+    let track = [middle - 0.5 * motion, middle + 0.5 * motion];
+    let time_a_s = crossing_s([&a, &b], track, &in_b);
+    let [from, to] = track.map(|p| a.model.ideal_from_pixel(&p).unwrap());
+    let geometry = EpipolarGeometry::new(&b, &a).unwrap();
+    let line = geometry.line_in_j(&b.model.ideal_from_pixel(&in_b).unwrap()).unwrap();
+    let across_px_s = line.normal.dot(&(to - from));
+    let sight = Sight { ideal_a: from + time_a_s * (to - from), in_b, across_px_s };
+    let (cell, window) = (0, 0);
+    let sample =
+        Sample { cameras: [0, 1], time_a_s, time_b_s: 0.0, across_px_s, cell, window, sight };
+    let slopes = unknowns.slopes([0, 1], &[(sample, 1.0)]);
+    assert_eq!(slopes.of(0).count(), errors.parameters.len());
+    for (column, slope) in slopes.of(0) {
+        let (changed, parameter) = errors.parameters[column];
+        let step = 1e-4;
+        let moved = [&a, &b].map(|c| c.with_change(parameter, step));
+        let cameras = if changed == 0 { [&moved[0], &b] } else { [&a, &moved[1]] };
+        let expected = (crossing_s(cameras, track, &in_b) - time_a_s) / step;
+        // The trajectory's two ends are undistorted by slightly different amounts.
+        let tolerance = 0.01 * expected.abs() + 1e-3;
+        assert!(
+            (slope - expected).abs() < tolerance,
+            "{changed} {parameter:?}: {slope} {expected}"
+        );
+    }
+}
+
+/// One pair of a simulated array: candidates whose offsets have noise and errors of the calibration.
+fn pair(
+    cameras: [usize; 2],
+    truth_s: [f64; 2],
+    error: &DVector<f64>,
+    random: &mut Random,
+) -> PairEstimate {
+    let columns = vec![2 * cameras[0], 2 * cameras[0] + 1, 2 * cameras[1], 2 * cameras[1] + 1];
+    let (mut samples, mut values) = (Vec::new(), Vec::new());
+    for k in 0..240 {
+        let across_px_s: f64 = 60.0 + 30.0 * random.gaussian();
+        let place = random.unit() - 0.5;
+        // A shift of a whole image across the epipolar lines, and one in proportion to the place.
+        let own = [1.0, place, -1.0, -place].map(|px| px / across_px_s);
+        let of_errors: f64 = columns.iter().zip(own).map(|(c, slope)| slope * error[*c]).sum();
+        let noise_s = 0.05 * random.gaussian() / across_px_s;
+        let time_b_s = 0.04 * f64::from(k / 20);
+        let time_a_s = time_b_s + truth_s[1] - truth_s[0] + of_errors + noise_s;
+        let (cell, window, sight) = (k as usize % 20, k as usize, Sight::default());
+        let sample = Sample { cameras, time_a_s, time_b_s, across_px_s, cell, window, sight };
+        samples.push((sample, 400.0));
+        values.extend(own);
+    }
+    let information = |s: &(Sample, f64)| s.1 * s.0.across_px_s.powi(2);
+    let total: f64 = samples.iter().map(information).sum();
+    let mean_s = samples.iter().map(|s| information(s) * s.0.offset_s()).sum::<f64>() / total;
+    PairEstimate {
+        cameras,
+        clock: ClockModel::constant(mean_s),
+        std_err_s: total.sqrt().recip(),
+        std_err_inflation: 1.0,
+        samples: samples.into(),
+        slopes: Arc::new(SampleSlopes::new(columns, values)),
+        ..PairEstimate::default()
+    }
+}
+
+/// Over hundreds of arrays with wrong calibrations, standard errors are what the errors are; without the calibration's
+/// errors they are far too small.
+#[test]
+fn calibration_errors_are_in_the_standard_errors() {
+    let random = &mut Random::new(7);
+    let layout = ClockLayout {
+        of_camera: vec![0, 1, 2, 3],
+        first_s: vec![0.0; 4],
+        drifts: vec![false; 4],
+        frame_s: 0.04,
+    };
+    let std = [0.5, 0.2];
+    let factor = DMatrix::from_diagonal(&DVector::from_fn(8, |k, _| std[k % 2]));
+    let (mut with, mut without, mut errors_s) = (0.0, 0.0, [0.0; 2]);
+    let arrays = 200;
+    for _ in 0..arrays {
+        let truth_s = [0.0, 0.01, -0.02, 0.005];
+        let error = DVector::from_fn(8, |k, _| std[k % 2] * random.gaussian());
+        let indices = [[0, 1], [1, 2], [2, 3], [0, 2], [1, 3]];
+        let pairs: Vec<_> = indices
+            .iter()
+            .map(|&c| pair(c, c.map(|k: usize| truth_s[k]), &error, random))
+            .collect();
+        let exact = solve_clocks(&pairs, &layout, None).by_clock;
+        let solved = solve_clocks(&pairs, &layout, Some(&factor));
+        assert_eq!(solved.errors.len(), 8);
+        for c in 1..4 {
+            let (s, e) = (solved.by_clock[c].as_ref().unwrap(), exact[c].as_ref().unwrap());
+            let off = [s, e].map(|x| x.clock.offset_s - truth_s[c]);
+            with += (off[0] / s.std_err_s).powi(2);
+            without += (off[1] / e.std_err_s).powi(2);
+            errors_s[0] += off[0].powi(2);
+            errors_s[1] += off[1].powi(2);
+        }
+    }
+    let n = f64::from(3 * arrays);
+    let [z, z_without] = [with, without].map(|sum| (sum / n).sqrt());
+    assert!((0.7..1.25).contains(&z) && z_without > 2.0, "{z} {z_without}");
+    assert!(errors_s[0] < 0.5 * errors_s[1], "{errors_s:?}");
+}
+
+#[test]
+fn a_mean_has_the_common_error_of_its_samples() {
+    let slopes = SampleSlopes::new(vec![0, 1], vec![2.0, 0.0, 4.0, -3.0]);
+    let factor = DMatrix::from_row_slice(2, 2, &[0.1, 0.0, 0.0, 0.2]);
+    let std_err_s = slopes.std_err_s(&[3.0, 1.0], &factor);
+    assert!((std_err_s - (0.25_f64.powi(2) + 0.15_f64.powi(2)).sqrt()).abs() < 1e-12);
+    assert_eq!(slopes.std_err_s(&[0.0, 0.0], &factor), 0.0);
+    assert_eq!(SampleSlopes::default().of(3).count(), 0);
+}
