@@ -1,6 +1,7 @@
 //! A camera's own clock, the times of an image's rows, and bounds on the times of frames while the offset is unknown.
 
 use super::{Capture, FilmedCamera};
+use nalgebra::Point2;
 
 /// Shortest time between two frames, seconds. Estimates of offsets and trajectories divide by it.
 const MIN_FRAME_S: f64 = 1e-9;
@@ -86,7 +87,9 @@ impl Clock {
     pub(super) fn readout_fits(&self) -> Result<(), String> {
         let readout_s = self.readout_s;
         if !(0.0..=MAX_READOUT_S).contains(&readout_s) {
-            return Err(format!("readout_s is {readout_s:?}, must be from 0 to {MAX_READOUT_S:?} s"));
+            return Err(format!(
+                "readout_s is {readout_s:?}, must be from 0 to {MAX_READOUT_S:?} s"
+            ));
         }
         let frame_s = self.frame_s();
         // A frame interval that is a rounded fraction, as 1 / 30 s, may be its readout.
@@ -132,10 +135,39 @@ pub fn are_frame_times(times_s: &[f64]) -> bool {
     times_s.iter().all(|t| t.is_finite()) && times_s.windows(2).all(|w| w[0] < w[1])
 }
 
+/// The times of a camera's frames and of the positions in them.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameTimes<'a> {
+    /// By frame: the time of its middle row, seconds on any clock, strictly ascending.
+    pub times_s: &'a [f64],
+    pub rows: RowTimes,
+}
+
+impl<'a> FrameTimes<'a> {
+    /// The times of a global shutter's frames.
+    pub fn global(times_s: &'a [f64]) -> Self {
+        Self { times_s, rows: RowTimes::default() }
+    }
+
+    /// The time at which a position of a frame was exposed, seconds. The position is in the camera's own image,
+    /// pixels.
+    ///
+    /// # Panics
+    /// If there is no such frame.
+    pub fn at(&self, frame: usize, position: &Point2<f64>) -> f64 {
+        self.times_s[frame] + self.rows.offset_s(position.y)
+    }
+}
+
 impl FilmedCamera {
     /// The times of its images' rows.
     pub fn row_times(&self) -> RowTimes {
         RowTimes::new(self.clock.readout_s, self.camera.height)
+    }
+
+    /// The times of positions in its frames, of the frames' times on any clock.
+    pub fn frame_times<'a>(&self, times_s: &'a [f64]) -> FrameTimes<'a> {
+        FrameTimes { times_s, rows: self.row_times() }
     }
 
     /// Upper bound on the recording's duration, from the first frame's start to the last frame's end, seconds on any

@@ -13,7 +13,7 @@ mod output_guard;
 mod truth;
 mod video;
 
-pub use clock::{Clock, MAX_DRIFT_PPM, RowTimes, are_frame_times, bracket};
+pub use clock::{Clock, FrameTimes, MAX_DRIFT_PPM, RowTimes, are_frame_times, bracket};
 pub(crate) use content::Stored;
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
 pub use named_view::NamedView;

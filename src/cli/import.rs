@@ -78,7 +78,9 @@ impl ClockArgs {
         }
         let is_readout = |readout_s: f64| readout_s.is_finite() && readout_s >= 0.0;
         if !self.readout.is_none_or(is_readout) {
-            return Err(CliError::BadInput("--readout must be a number of seconds from 0 on".into()));
+            return Err(CliError::BadInput(
+                "--readout must be a number of seconds from 0 on".into(),
+            ));
         }
         Ok(ImportClock {
             rate_hz: self.rate,

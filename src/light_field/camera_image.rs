@@ -58,8 +58,8 @@ impl Stage for RefinementCosts<'_> {
     fn compute(&self, field: &LightField, context: &Context) -> Result<PairCosts, RenderError> {
         let PairTracks { camera, frame: index, .. } = self.tracks;
         let tracks = field.get_stored(&self.tracks, context)?;
-        let times_s = field.times_s(camera);
-        let tracked = TrackedPair { tracks: &tracks, times_s, index };
+        let times = field.frame_times(camera);
+        let tracked = TrackedPair { tracks: &tracks, times, index };
         let camera = &field.capture().cameras[camera].camera;
         Ok(PairCosts::new(&tracked, [camera.width, camera.height], self.interpolation))
     }
@@ -108,11 +108,11 @@ pub(super) fn image_in(
     };
     let tracks =
         if follows_motion { field.get_stored(&pair_tracks, context)? } else { Arc::default() };
-    let times_s = field.times_s(camera);
+    let times = field.frame_times(camera);
     let pair = FramePair {
         earlier: &earlier_frame,
         later: &later_frame,
-        tracked: TrackedPair { tracks: &tracks, times_s, index: frame },
+        tracked: TrackedPair { tracks: &tracks, times, index: frame },
         parts,
         with_interpolation_error: method.with_error,
     };
@@ -131,7 +131,7 @@ pub(super) fn image_in(
             let costs = RefinementCosts { tracks: pair_tracks, interpolation: &interpolation };
             let costs = field.get(&costs, context)?;
             let outer = |index: Option<usize>| {
-                let index = index.filter(|&k| k < times_s.len());
+                let index = index.filter(|&k| k < times.times_s.len());
                 index.map(|k| frames.get(camera, k)).transpose()
             };
             let (before, after) = (outer(frame.checked_sub(1))?, outer(Some(later + 1))?);

@@ -41,7 +41,9 @@ impl Stage for Undistorted<'_> {
         let gains = field.gains(registration);
         let image = gains.corrected(camera, &image).unwrap_or(image);
         let time = field.in_frames(field.times_s(camera)[frame]);
-        Ok(FlowFrame::new(&field.capture().cameras[camera].camera, &image, time))
+        let filmed = &field.capture().cameras[camera];
+        let row_time = field.in_frames(filmed.row_times().s_per_px());
+        Ok(FlowFrame::new(&filmed.camera, &image, time).with_row_time(row_time))
     }
 }
 

@@ -32,19 +32,21 @@ impl PatchMatcher<'_> {
         // Frames with a much larger cost see another surface, and are left out.
         let max_cost = 2.0 * cost + 0.02;
         self.for_each_gradient(matched, max_cost, |o, [xx, xy, yy], [rx, ry]| {
-            let [mx, my, q] = e.moved(px, py, o.dt);
+            // With rolling shutters, the change of the row, and so of the time, by the unknowns is neglected.
+            let dt = o.time.of_element(e, (px, py), &o.projection);
+            let [mx, my, q] = e.moved(px, py, dt);
             let step = DISPARITY_STEP_PX / self.disparity_px;
             let [u, v, _] = o.projection.project(mx, my, q);
             let [u1, v1, _] = o.projection.project(mx, my, q + step);
             let by_depth = [(u1 - u) / step / s, (v1 - v) / step / s];
-            let (by_velocity, by_acceleration) = (o.dt / s, 0.5 * o.dt * o.dt / s);
+            let (by_velocity, by_acceleration) = (dt / s, 0.5 * dt * dt / s);
             // The Jacobian: derivative of the position in the observing frame, pixels of the level, by each
             // unknown.
             let columns = [
                 by_depth,
                 [by_velocity, 0.0],
                 [0.0, by_velocity],
-                by_depth.map(|d| d * o.dt),
+                by_depth.map(|d| d * dt),
                 [by_acceleration, 0.0],
                 [0.0, by_acceleration],
             ];

@@ -42,6 +42,7 @@ mod matching;
 mod packed;
 mod splat;
 mod sweep;
+mod timing;
 mod transfer;
 
 #[cfg(test)]

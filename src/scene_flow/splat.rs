@@ -2,6 +2,7 @@
 
 use super::geometry::Projection;
 use super::map::{FlowMap, FlowPixel, MappedFrame};
+use super::timing::until;
 use crate::camera::Camera;
 use crate::simd::multiversion;
 use nalgebra::Point2;
@@ -46,10 +47,11 @@ pub struct Splat {
     hiding: f32,
 }
 
-/// The mapping from a frame to a view at an instant.
+/// The mapping from a row of a frame to a view at an instant.
+#[derive(Clone, Copy)]
 struct ToView {
     projection: Projection,
-    /// Time from the frame to the instant, in frames of the reference camera.
+    /// Time from the row to the instant, in frames of the reference camera.
     dt: f32,
     /// Ratio of the view's focal length to the frame's.
     zoom: f32,
@@ -148,7 +150,7 @@ impl Splat {
         let baseline_m = (frame.view.center() - view.center()).norm() as f32;
         let to = ToView {
             projection: Projection::new(&frame.view, view)?,
-            dt: (time - frame.time) as f32,
+            dt: 0.0,
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
             place_error: ERROR_BY_BASELINE * view.focal_px() as f32 * baseline_m,
         };
@@ -165,6 +167,7 @@ impl Splat {
         let mut row = Row::new(map.width);
         let is_pinhole = view.model.is_pinhole();
         for y in 0..map.height {
+            let to = ToView { dt: until(frame, time, y as f32 + 0.5), ..to };
             place_row(&mut row, map, confidences, y, &to);
             let pixels = y * map.width..(y + 1) * map.width;
             if let Some(is_filmed) = &frame.is_filmed {

@@ -8,6 +8,7 @@
 //! Known limit: a feature that moves along its epipolar line has no candidate.
 
 use crate::camera::{Camera, EpipolarGeometry, EpipolarLine};
+use crate::capture::FrameTimes;
 use crate::registration::{Track, Trajectory};
 use nalgebra::Point2;
 
@@ -63,8 +64,8 @@ pub struct ThreeFrames<'a> {
     pub camera_i: &'a Camera,
     /// The camera with one frame.
     pub camera_j: &'a Camera,
-    /// The times of all frames of camera i on its own clock, ascending, seconds.
-    pub times_i: &'a [f64],
+    /// The times of camera i's frames on its own clock. Every position has the time of its row.
+    pub times_i: FrameTimes<'a>,
     /// The index of the earlier one of camera i's two frames; it must not be the last frame.
     pub index_i: usize,
     /// Whether trajectories are curves, which also pass through the feature's positions in the frames before
@@ -132,8 +133,8 @@ impl ThreeFrames<'_> {
     fn crossing(&self, line: &EpipolarLine, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let trajectory = Trajectory::new(samples.iter().copied())?;
-        let start = self.times_i[self.index_i];
-        let interval = self.times_i[self.index_i + 1] - start;
+        let start = self.times_i.at(self.index_i, &track.earlier);
+        let interval = self.times_i.at(self.index_i + 1, &track.later) - start;
         let [near, far] = [0.0, interval].map(|t| line.distance(&trajectory.at(start + t)));
         if (far - near).abs() < self.min_across_px {
             return None;
@@ -166,6 +167,8 @@ impl ThreeFrames<'_> {
             let change = trajectory.at(start + time_s) - lower_order.at(start + time_s);
             NEXT_ORDER_FRACTION * line.normal.dot(&change).abs()
         });
+        // From the frame's time, not that of the feature's row.
+        let time_s = time_s + (start - self.times_i.times_s[self.index_i]);
         Some(Some(Candidate { time_s, across_px_s, trajectory_error_px }))
     }
 
@@ -176,7 +179,7 @@ impl ThreeFrames<'_> {
     /// that exist, or moves abruptly there.
     fn samples(&self, track: &Track) -> Option<Vec<(f64, Point2<f64>)>> {
         let k = self.index_i;
-        let last = self.times_i.len() - 1;
+        let last = self.times_i.times_s.len() - 1;
         let mut at = vec![(k, track.earlier), (k + 1, track.later)];
         if self.curved {
             at.extend(track.before.filter(|_| k > 0).map(|p| (k.wrapping_sub(1), p)));
@@ -185,7 +188,7 @@ impl ThreeFrames<'_> {
         }
         let samples = at
             .into_iter()
-            .map(|(k, p)| Some((self.times_i[k], self.camera_i.model.ideal_from_pixel(&p)?)))
+            .map(|(k, p)| Some((self.times_i.at(k, &p), self.camera_i.model.ideal_from_pixel(&p)?)))
             .collect::<Option<Vec<_>>>()?;
         let is_straight = last == 1 || !self.curved;
         (is_straight || (samples.len() > 2 && is_smooth(&samples))).then_some(samples)
@@ -256,7 +259,7 @@ mod tests {
                 let frames = ThreeFrames {
                     camera_i: &i,
                     camera_j: &j,
-                    times_i: &[-1.0, 0.0, 1.0, 2.0],
+                    times_i: FrameTimes::global(&[-1.0, 0.0, 1.0, 2.0]),
                     index_i: 1,
                     curved,
                     min_across_px: 1.0,
@@ -301,7 +304,7 @@ mod tests {
             let frames = ThreeFrames {
                 camera_i: &middle,
                 camera_j: &other,
-                times_i: &[-1.0, 0.0, 1.0, 2.0],
+                times_i: FrameTimes::global(&[-1.0, 0.0, 1.0, 2.0]),
                 index_i: 1,
                 curved: true,
                 min_across_px: 1.0,
@@ -319,7 +322,7 @@ mod tests {
         let frames = ThreeFrames {
             camera_i: &i,
             camera_j: &j,
-            times_i: &[-1.0, 0.0, 1.0, 2.0],
+            times_i: FrameTimes::global(&[-1.0, 0.0, 1.0, 2.0]),
             index_i: 1,
             curved: true,
             min_across_px: 1.0,
