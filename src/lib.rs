@@ -153,6 +153,8 @@
 //! of its number, or as `--table` says; the notes say which. Frames have the times of `--times`, of `timestamps.csv` beside
 //! the recordings, of the calibration or of the video; `--rate` overrides them. Times of different cameras need not agree:
 //! `stlfr offsets` estimates how far their clocks are apart, unless `--shared` says that they are one.
+//! `--readout` is the readout time of rolling shutters, where it is known: from the first row's exposure to the last
+//! row's. A frame's time is then that of its middle row.
 //! Variable rates, rotation flags, limited range, 10 bits, cameras of different rates and sizes, and recordings that start
 //! or end apart are read as they are. Interlaced or damaged video is refused. A calibration at another resolution is
 //! scaled; images of another shape are refused, unless `--crop` says that they are its top left part.
@@ -235,6 +237,11 @@
 //!   way don't tell their focal length: it is near a guess, and the command says so.
 //! - Cameras' gains and white balances are corrected by one factor a channel for the whole recording.
 //!   Automatic exposure is not followed.
+//! - A rolling shutter's readout time (`readout_s` of a camera's clock) has to be given; it is not estimated. Rows are
+//!   those of the camera's own image, lens distortion included; `--proxy scene-flow` takes those of the undistorted one.
+//!   A camera's own motion is none. These take a frame's rows for simultaneous: `--sync nearest` and `crossfade`,
+//!   traditional light field rendering, the rough alignment of recordings, gains, `plan`, and the page of `publish`.
+//!   `export --frames` writes frames as filmed.
 //! - Bodies that move by more than 60 pixels a frame lose their tracks. They are blurred, and their depth is
 //!   wrong.
 //! - Thin things that move further than they are thick, as a pendulum's rod, vanish between two frames.

@@ -172,13 +172,13 @@ fn error_px(motions: &Image, fractions: RowFractions) -> Vec<f32> {
         let unknown = DISAGREEMENT_PX * (cost - MIN_DISAGREEMENT).max(0.0);
         weight * (motion_px + CHANGE_WEIGHT * change_px + unknown)
     };
-    let rows = motions.data().as_chunks::<MOTION_CHANNELS>().0.chunks(motions.width()).enumerate();
-    let of_row = |(y, row): (usize, &[_])| {
+    let pixels = motions.data().as_chunks::<MOTION_CHANNELS>().0;
+    let mut errors = Vec::with_capacity(pixels.len());
+    for (y, row) in pixels.chunks(motions.width()).enumerate() {
         let fraction = fractions.at(y as f64 + 0.5);
         let weight = (4.0 * fraction * (1.0 - fraction)) as f32;
-        row.iter().map(move |pixel| of_pixel(weight, pixel))
-    };
-    let errors: Vec<f32> = rows.flat_map(of_row).collect();
+        errors.extend(row.iter().map(|pixel| of_pixel(weight, pixel)));
+    }
     max_filter(&errors, motions.width(), OUTLINE_PX)
 }
 

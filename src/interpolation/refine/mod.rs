@@ -34,7 +34,7 @@ mod tests;
 
 use super::InterpolationOptions;
 use super::tracked_pair::{RowFractions, TrackMotion};
-use super::warp::{Warp, cross_fade, cross_fade_rows, difference, warped};
+use super::warp::{Warp, cross_fade_rows, difference, warped};
 use crate::raster::{Image, Tiles, box_filter};
 use blocks::BlockGrid;
 use costs::CostPoints;
