@@ -15,7 +15,7 @@ use stlfr::raster::Image;
 const READOUTS_S: [f64; 3] = [0.5 * FRAME_S, 0.0, 0.3 * FRAME_S];
 
 fn rolling() -> Scene {
-    Scene { velocity: [0.9, 0.8], readouts_s: READOUTS_S, frames: 6, ..Scene::default() }
+    Scene { velocity: [2.5, 2.0], readouts_s: READOUTS_S, frames: 6, ..Scene::default() }
 }
 
 /// The capture as if all shutters were global.

@@ -103,8 +103,8 @@ impl TrackedPair<'_> {
         if self.times.rows.are_global() {
             return at_middle;
         }
-        // The row depends on the time and the time on the row. The first correction leaves less than a tenth of the
-        // offset, as long as the point takes longer than a tenth of the image's height to be read out.
+        // The row depends on the time, and the time on the row. A point that moves by a tenth of the image's height
+        // during a readout is a tenth of its error nearer after each correction.
         let corrected = trajectory.at(self.times.at(frame, &at_middle));
         trajectory.at(self.times.at(frame, &corrected))
     }

@@ -107,7 +107,8 @@ impl LightField {
     }
 
     /// The indices of the frames before and after a time; both are the same if a frame has exactly this time, and all
-    /// its rows have. At the time of a rolling shutter's frame, it is one of two successive frames. In a static light field, every camera's only frame is valid at any time, whatever its clock.
+    /// its rows have. At the time of a rolling shutter's frame, it is one of two successive frames. In a static light
+    /// field, every camera's only frame is valid at any time, whatever its clock.
     pub(super) fn bracket(
         &self,
         camera: usize,

@@ -220,6 +220,7 @@ fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
 mod tests {
     use super::*;
     use crate::camera::CameraModel;
+    use crate::capture::RowTimes;
     use crate::registration::FlowDirection;
     use nalgebra::{Isometry3, Matrix2, Point3};
 
@@ -268,6 +269,38 @@ mod tests {
                 let candidate = frames.candidates(&[&track], &[j.project(&at(t))])[0];
                 assert!((candidate.time_s - t).abs() < tolerance, "{} {t}", candidate.time_s);
             }
+        }
+    }
+
+    /// Positions of a rolling shutter have the times of their rows; the candidate is the true time.
+    #[test]
+    fn candidates_of_rolling_shutters_are_exact() {
+        let (i, j) = (camera(0.0), camera(0.06));
+        let rows = RowTimes::new(0.7, i.height);
+        for k in 0..20 {
+            let k = f64::from(k);
+            let at = move |t: f64| {
+                Point3::new(0.1 * (k * 0.7).sin() + 0.01 * t, 0.2 * (k * 0.9).cos() + 0.05 * t, 1.8)
+            };
+            // The row depends on the time: iterated to the fixed point.
+            let seen = |frame: f64| {
+                let pixel = |t: f64| i.project(&at(t)).unwrap();
+                pixel((0..40).fold(frame, |t, _| frame + rows.offset_s(pixel(t).y)))
+            };
+            let frames = |rows: RowTimes| ThreeFrames {
+                camera_i: &i,
+                camera_j: &j,
+                times_i: FrameTimes { times_s: &[-1.0, 0.0, 1.0, 2.0], rows },
+                index_i: 1,
+                curved: false,
+                min_across_px: 1.0,
+            };
+            let t = 0.05 * k;
+            let (track, in_j) = (track(seen), j.project(&at(t)));
+            let found = |rows| frames(rows).candidates(&[&track], &[in_j])[0].time_s;
+            let offset_s = rows.offset_s(i.project(&at(t)).unwrap().y);
+            assert!((found(rows) - t).abs() < 1e-9, "{} {t}", found(rows));
+            assert!((found(RowTimes::default()) - t).abs() > 0.5 * offset_s.abs());
         }
     }
 
