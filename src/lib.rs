@@ -166,7 +166,8 @@
 //!
 //! Frame times are read from the table `--times`, from `timestamps.csv` beside the recordings, from the calibration, or
 //! from the video files. `--rate` overrides them. The cameras' clocks may differ: `stlfr offsets` estimates their
-//! offsets, unless `--shared` declares that all cameras have one clock.
+//! offsets, unless `--shared` declares that all cameras have one clock. `--readout` gives the readout time of rolling
+//! shutters, from the first row's exposure to the last row's. A frame's time is then that of its middle row.
 //!
 //! Videos may have variable frame rates, rotation flags, limited range or 10 bits. The cameras may differ in frame rate
 //! and image size, and may start and end at different times. Interlaced and damaged videos are refused. If images have
@@ -258,6 +259,11 @@
 //!   way don't tell their focal length: it is near a guess, and the command says so.
 //! - Cameras' gains and white balances are corrected by one factor a channel for the whole recording.
 //!   Automatic exposure is not followed.
+//! - A rolling shutter's readout time (`readout_s` of a camera's clock) has to be given; it is not estimated. Rows are
+//!   those of the camera's own image, lens distortion included; `--proxy scene-flow` takes those of the undistorted one.
+//!   A camera's own motion is none. These take a frame's rows for simultaneous: `--sync nearest` and `crossfade`,
+//!   traditional light field rendering, the rough alignment of recordings, gains, `plan`, and the page of `publish`.
+//!   `export --frames` writes frames as filmed.
 //! - Bodies that move by more than 60 pixels a frame lose their tracks. They are blurred, and their depth is
 //!   wrong.
 //! - Thin things that move further than they are thick, as a pendulum's rod, vanish between two frames.

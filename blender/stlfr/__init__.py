@@ -7,6 +7,7 @@ The extension and the headless scripts (`capture.py`, `check.py`) share these mo
 - `camera`: Blender's camera to COLMAP's `PINHOLE` and back
 - `distortion`: COLMAP's `OPENCV` lens, as filming needs it
 - `described`: a camera as capture.json spells it
+- `rolling`: the rows of a rolling shutter, and the bands that are rendered at once
 - `sensor`: from rendered light to a camera's pixels
 - `scenes`: find a scene, build it or open a .blend, say where the rig stands
 - `plan`: which images a capture consists of, and which of them are there already

@@ -1,7 +1,8 @@
 """Render one image, or the depth and motion of one view, exactly as every other one. The Blender side.
 
 Image: Cycles on the CPU, a fixed number of samples, no denoising, as many bounces as the scene says,
-motion blur as long as the camera's exposure, `Standard` view without a look, no dither; then whatever
+motion blur as long as the camera's exposure, a rolling shutter in bands of rows (`rolling`), `Standard` view without a
+look, no dither; then whatever
 lens and sensor do (`sensor`). Or Workbench: the same cameras, geometry, textures, lenses and sensors under
 a fixed studio light, without shadows, reflections, highlights, motion blur and the noise of few samples.
 Geometry: Cycles with one sample at each pixel's centre, at an instant.
@@ -23,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import camera as cameras
-from . import exr, png, scenes, sensor
+from . import exr, png, rolling, scenes, sensor
 from .described import Camera, describe
 from .plan import Job
 from .rig import RigCamera, RigView
@@ -50,6 +51,9 @@ NOTHING_DEPTH_M = 1e9
 """Farther is nothing: Cycles writes 1e10 where a ray meets none. Above that, the background becomes a surface; much
 smaller, and distant surfaces become background."""
 
+CROP_MARGIN_PX = 0.25
+"""How far a crop's limits lie inside of their pixels. Near 0 or 1, rounding takes the neighbouring row."""
+
 WIDE_SUFFIX = ".wide"
 """Of the second camera of a distorted one; no rig's id has a dot."""
 
@@ -58,7 +62,8 @@ WIDE_SUFFIX = ".wide"
 class Image:
     """One picture to render: which view of the rig, when, how well, and with which noise.
 
-    `seed` is the rendering's, `sensor_seed` the sensor's; without one, the sensor has no noise.
+    `seed` is the rendering's, `sensor_seed` the sensor's; without one, the sensor has no noise, and its
+    shutter is global.
     """
 
     view_id: str
@@ -138,10 +143,14 @@ class Studio:
         self._expose(camera.exposure_s if camera else 0.0)
         self._use_engine(samples)
         _set_passes(geometry=False)
-        if camera and not sensor.is_plain(camera):
-            pixels = sensor.develop(
-                self._light(camera, scratch), camera, image.sensor_seed
+        is_rolling = camera and camera.readout_s > 0.0 and image.sensor_seed is not None
+        if camera and (is_rolling or not sensor.is_plain(camera)):
+            light = (
+                self._rolling_light(camera, image.world_time_s, scratch)
+                if is_rolling
+                else self._light(camera, scratch)
             )
+            pixels = sensor.develop(light, camera, image.sensor_seed)
             partial = _scratch_file(scratch, ".png")
             partial.write_bytes(png.encoded(pixels))
             move_whole(partial, target)
@@ -225,12 +234,52 @@ class Studio:
 
     def _light(self, camera: RigCamera, scratch: Path) -> sensor.Light:
         """What the camera's lens lets through, scene-linear, height x width x 3."""
-        channels = self._render_channels(scratch)
-        layer = bpy.context.view_layer.name
-        light = np.stack([channels[f"{layer}.Combined.{c}"] for c in "RGB"], axis=2)
+        light = self._rendered_light(scratch)
         return (
             self.wides[camera.id].resample(light) if camera.id in self.wides else light
         )
+
+    def _rolling_light(
+        self, camera: RigCamera, world_time_s: float, scratch: Path
+    ) -> sensor.Light:
+        """`_light` of a rolling shutter: every band of rows as it is at its own time."""
+        wide = self.wides.get(camera.id)
+        rendered = []
+        size_px = (camera.width_px, camera.height_px)
+        for band in rolling.bands(size_px, camera.readout_s):
+            self._set_time(world_time_s + band.offset_s)
+            rows = slice(band.first, band.end)
+            with self._cropped(wide.rows_for(rows) if wide else rows) as cropped:
+                light = self._rendered_light(scratch)
+            if wide:
+                whole = np.zeros(
+                    (wide.pinhole.height_px, *light.shape[1:]), dtype=np.float32
+                )
+                whole[cropped] = light
+                light = wide.resample(whole, rows)
+            rendered.append(light)
+        return np.concatenate(rendered)
+
+    def _rendered_light(self, scratch: Path) -> sensor.Light:
+        """The picture that Blender renders, scene-linear, height x width x 3."""
+        channels = self._render_channels(scratch)
+        layer = bpy.context.view_layer.name
+        return np.stack([channels[f"{layer}.Combined.{c}"] for c in "RGB"], axis=2)
+
+    @contextlib.contextmanager
+    def _cropped(self, rows: slice) -> Iterator[slice]:
+        """Render only these rows within."""
+        render = self.scene.render
+        height_px = render.resolution_y
+        render.border_min_x, render.border_max_x = 0.0, 1.0
+        # Blender rounds down to whole pixels, in single precision; its y points up.
+        render.border_min_y = (height_px - rows.stop + CROP_MARGIN_PX) / height_px
+        render.border_max_y = (height_px - rows.start + CROP_MARGIN_PX) / height_px
+        render.use_border = render.use_crop_to_border = True
+        try:
+            yield rows
+        finally:
+            render.use_border = render.use_crop_to_border = False
 
     def _render_channels(self, scratch: Path) -> dict[str, sensor.Light]:
         """Render all passes that are on."""
@@ -262,6 +311,9 @@ class Studio:
     def _aim(self, view_id: str, world_time_s: float, samples: int, seed: int) -> None:
         self._look_through(view_id)
         self.scene.cycles.samples, self.scene.cycles.seed = samples, seed
+        self._set_time(world_time_s)
+
+    def _set_time(self, world_time_s: float) -> None:
         frame, subframe = scenes.frame_at(self.scene, world_time_s)
         self.scene.frame_set(frame, subframe=subframe)
 

@@ -89,6 +89,8 @@ def _clock(camera: RigCamera, shutter: Shutter) -> dict[str, Any]:
         clock["drift"] = True
     if not camera.lost_stamped:
         clock["lost"] = True
+    if camera.readout_s > 0.0:
+        clock["readout_s"] = camera.readout_s
     return clock
 
 

@@ -39,6 +39,7 @@ PIXEL_SOURCES = (
     "plan.py",
     "png.py",
     "rig.py",
+    "rolling.py",
     "scenes.py",
     "sensor.py",
     "tracks.py",

@@ -1,7 +1,8 @@
 """The rig file: cameras, when their shutters open, and the virtual views that truth is rendered from.
 
 The rig frame has COLMAP's axes (+x right, +y down, +z forward) at the rig's centre; metres and seconds.
-World time 0 is the scene's start. The middle of frame k's exposure is, on the camera's own clock and
+World time 0 is the scene's start. The middle of the exposure of frame k, with a rolling shutter that of its middle
+row, is, on the camera's own clock and
 in world time,
 
     c_k = k / rate_hz + jitter_k
@@ -62,7 +63,8 @@ class RigCamera(RigView):
     """A real camera: a view with a shutter and a sensor.
 
     `delay_s` is after the scene's start. `drift_ppm` is positive if the reference's clock goes by
-    faster. `exposure_s` lies around the frame's time. `gain` multiplies light before it is encoded
+    faster. `exposure_s` lies around the frame's time, and so does `readout_s`, from the first row's time to the last
+    row's. `gain` multiplies light before it is encoded
     for display; `noise` is a standard deviation in display-encoded units of 0 to 1.
     """
 
@@ -76,6 +78,7 @@ class RigCamera(RigView):
     lost_stamped: bool
     clock_shared: bool
     exposure_s: float
+    readout_s: float
     gain: float
     noise: float
     color: str
@@ -219,6 +222,7 @@ def _camera(entry: Content) -> RigCamera:
         lost_stamped=entry.get("lost_stamped", True),
         clock_shared=entry.get("clock_shared", False),
         exposure_s=entry.get("exposure_s", 0.0),
+        readout_s=entry.get("readout_s", 0.0),
         gain=entry.get("gain", 1.0),
         noise=entry.get("noise", 0.0),
         color=entry.get("color", "rgb"),

@@ -93,11 +93,13 @@ class Wide:
         scale, shift = self._wide_from_ideal()
         return ideal * scale + shift
 
-    def resample(self, light: Light) -> Light:
-        """The distorted lens's light from the wide pinhole's."""
+    def resample(self, light: Light, rows: slice = slice(None)) -> Light:
+        """The distorted lens's light, of all rows of the image or of some, from the wide pinhole's."""
         squares = (light[:-1] + light[1:]) / 2
         squares = (squares[:, :-1] + squares[:, 1:]) / 2
-        at = self._positions() - 1.0  # the first square's centre is at (1, 1)
+        shape = (self.lens.height_px, self.lens.width_px, 2)
+        at = self._positions().reshape(shape)[rows].reshape(-1, 2)
+        at = at - 1.0  # the first square's centre is at (1, 1)
         left, x_weights = _spline(at[:, 0])
         top, y_weights = _spline(at[:, 1])
         result = np.zeros((len(at), light.shape[2]))
@@ -105,8 +107,15 @@ class Wide:
             for i in range(4):
                 weight = y_weights[j] * x_weights[i]
                 result += weight[:, None] * squares[top + j, left + i]
-        size = (self.lens.height_px, self.lens.width_px, light.shape[2])
+        size = (-1, self.lens.width_px, light.shape[2])
         return result.reshape(size).astype(np.float32)
+
+    def rows_for(self, rows: slice) -> slice:
+        """The rows of the wide image that `resample` reads for these of the image."""
+        shape = (self.lens.height_px, self.lens.width_px, 2)
+        y = self._positions().reshape(shape)[rows, :, 1]
+        first, last = int(np.floor(y.min())) - 3, int(np.floor(y.max())) + 4
+        return slice(max(0, first), min(self.pinhole.height_px, last))
 
     def geometry(
         self, depth_m: Light, before_px: Light, after_px: Light

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from mathutils import Vector
 from mathutils.geometry import intersect_point_tri
 
-from . import film, scenes, truth
+from . import film, rolling, scenes, truth
 from . import rig as rigs
 from .camera import Array
 from .described import Camera, centre_of, direction_of, project
@@ -50,6 +50,8 @@ class Exposure:
     frame: int
     world_time_s: float
     clock_time_s: float
+    readout_s: float = 0.0
+    """Of a rolling shutter; the times are those of its middle row."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class CameraTracks:
 
     camera_id: str
     times_s: list[float]
-    """Of the frames, on the reference camera's clock."""
+    """Of the frames, on the reference camera's clock. With a rolling shutter, points are where they are when their
+    rows are exposed."""
     arrays: dict[str, npt.NDArray[Any]]
     """By name, each over frames and points: `world` in metres, `pixels`, `visible` 0 or 1."""
 
@@ -86,15 +89,21 @@ def follow(
 ) -> Tracks:
     """Up to `count` points of the scene's surfaces, at all exposures."""
     evaluate_as_rendered(studio.scene)
+    described = {e.camera_id: studio.describe(e.camera_id) for e in exposures}
     exposures = sorted(exposures, key=lambda e: (e.world_time_s, e.camera_id))
     candidates = draw(studio, exposures, CANDIDATES * count, seed)
     trajectories_m = np.empty((len(exposures), len(candidates), 3))
     for k, exposure in enumerate(exposures):
-        trajectories_m[k] = positions(evaluated_at(studio.scene, exposure), candidates)
+        camera = described[exposure.camera_id]
+        trajectories_m[k] = exposed_positions(
+            studio.scene, exposure, camera, candidates
+        )
     chosen = choose(trajectories_m, count)
     trajectories_m = trajectories_m[:, chosen]
-    described = {e.camera_id: studio.describe(e.camera_id) for e in exposures}
-    pixels, visible = images_of(studio.scene, exposures, described, trajectories_m)
+    points = [candidates[i] for i in chosen]
+    pixels, visible = images_of(
+        studio.scene, exposures, described, points, trajectories_m
+    )
     cameras = []
     for view_id in studio.views:
         if view_id not in described:
@@ -110,7 +119,7 @@ def follow(
         }
         times_s = [exposures[k].clock_time_s for k in rows]
         cameras.append(CameraTracks(view_id, times_s, arrays))
-    return Tracks([candidates[i] for i in chosen], cameras)
+    return Tracks(points, cameras)
 
 
 def write(tracks: Tracks, folder: Path, scratch: Path) -> None:
@@ -136,6 +145,7 @@ def images_of(
     scene: Any,
     exposures: list[Exposure],
     described: dict[str, Camera],
+    points: list[SurfacePoint],
     trajectories_m: Array,
 ) -> tuple[list[Array], list[npt.NDArray[np.bool_]]]:
     """The points' pixels and visibility at each exposure."""
@@ -144,7 +154,6 @@ def images_of(
     for k, exposure in enumerate(exposures):
         camera = described[exposure.camera_id]
         seen_px = project(camera, trajectories_m[k])
-        graph = evaluated_at(scene, exposure)
         inside = (
             (seen_px >= 0).all(axis=1)
             & (seen_px[:, 0] <= camera["width"])
@@ -152,9 +161,54 @@ def images_of(
         )
         pixels.append(seen_px)
         visible.append(
-            inside & unoccluded(scene, graph, centre_of(camera), trajectories_m[k])
+            inside
+            & exposed_unoccluded(scene, exposure, camera, points, trajectories_m[k])
         )
     return pixels, visible
+
+
+def exposed_positions(
+    scene: Any, exposure: Exposure, camera: Camera, points: list[SurfacePoint]
+) -> Array:
+    """Where the points are when the rows that show them are exposed, metres."""
+    places_m, when = _during(scene, exposure, camera, points)
+    return when.between(places_m)
+
+
+def exposed_unoccluded(
+    scene: Any,
+    exposure: Exposure,
+    camera: Camera,
+    points: list[SurfacePoint],
+    places_m: Array,
+) -> npt.NDArray[np.bool_]:
+    """`unoccluded` when the rows that show the points are exposed, to half of `rolling.NODE_S`."""
+    centre = centre_of(camera)
+    offsets_s = rolling.nodes_s(exposure.readout_s)
+    if len(offsets_s) == 1:
+        graph = evaluated_at(scene, exposure)
+        return unoccluded(scene, graph, centre, places_m)
+    nodes_m, when = _during(scene, exposure, camera, points)
+    result = np.zeros(len(points), dtype=bool)
+    for node, offset_s in enumerate(offsets_s):
+        of_node = when.nearest == node
+        graph = evaluated_at(scene, exposure, float(offset_s))
+        result[of_node] = unoccluded(scene, graph, centre, nodes_m[node, of_node])
+    return result
+
+
+def _during(
+    scene: Any, exposure: Exposure, camera: Camera, points: list[SurfacePoint]
+) -> tuple[Array, rolling.Exposed]:
+    """Where the points are at the instants of the readout (instants, points, 3), and when each is exposed."""
+    places_m = np.array(
+        [
+            positions(evaluated_at(scene, exposure, float(offset_s)), points)
+            for offset_s in rolling.nodes_s(exposure.readout_s)
+        ]
+    )
+    y_px = np.array([project(camera, at_m)[:, 1] for at_m in places_m])
+    return places_m, rolling.exposed(y_px, camera["height"], exposure.readout_s)
 
 
 def exposures(rig: rigs.Rig, frame_count: int) -> list[Exposure]:
@@ -162,8 +216,8 @@ def exposures(rig: rigs.Rig, frame_count: int) -> list[Exposure]:
     shutters = rigs.shutters(rig, frame_count)
     zero_s = truth.reference_zero_s(rig, shutters)
     return [
-        Exposure(shutter.id, k, time_s, time_s - zero_s)
-        for shutter in shutters
+        Exposure(shutter.id, k, time_s, time_s - zero_s, camera.readout_s)
+        for camera, shutter in zip(rig.cameras, shutters, strict=True)
         for k, time_s in enumerate(shutter.world_times_s)
     ]
 
@@ -179,9 +233,9 @@ def evaluate_as_rendered(scene: Any) -> None:
     scene.render.use_simplify = False
 
 
-def evaluated_at(scene: Any, exposure: Exposure) -> Any:
-    """The scene as it is in the middle of the exposure."""
-    frame, subframe = scenes.frame_at(scene, exposure.world_time_s)
+def evaluated_at(scene: Any, exposure: Exposure, offset_s: float = 0.0) -> Any:
+    """The scene as it is in the middle of the exposure, or some time after it."""
+    frame, subframe = scenes.frame_at(scene, exposure.world_time_s + offset_s)
     scene.frame_set(frame, subframe=subframe)
     return bpy.context.evaluated_depsgraph_get()
 

@@ -1,11 +1,17 @@
-//! A camera's own clock, and bounds on the times of its frames while its offset is unknown.
+//! A camera's own clock, the times of an image's rows, and bounds on the times of frames while the offset is unknown.
 
 use super::{Capture, FilmedCamera};
+use nalgebra::Point2;
 
 /// Shortest time between two frames, seconds. Estimates of offsets and trajectories divide by it.
 const MIN_FRAME_S: f64 = 1e-9;
 /// Largest absolute time, seconds (3000 years). Unix times are accepted in seconds and refused in milliseconds.
 pub(super) const MAX_TIME_S: f64 = 1e11;
+
+/// Longest readout of a rolling shutter, seconds. Real ones take at most the tenth part.
+const MAX_READOUT_S: f64 = 1.0;
+/// Relative error of a frame interval due to rounded times. Times are files' decimal numbers.
+const READOUT_ROUNDING: f64 = 1e-6;
 
 /// Largest drift of a clock relative to the reference's clock, parts per million. Drifts of quartz clocks are at most
 /// 100.
@@ -14,7 +20,7 @@ pub const MAX_DRIFT_PPM: f64 = 1000.0;
 /// The times of a camera's frames on its own clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
-    /// The middle of each frame's exposure: seconds from the capture's start, strictly ascending.
+    /// The middle of the exposure of each frame's middle row: seconds from the capture's start, strictly ascending.
     pub times_s: Vec<f64>,
     /// Whether the camera has the common clock. All cameras with this flag share one clock.
     pub shared: bool,
@@ -22,6 +28,45 @@ pub struct Clock {
     pub drift: bool,
     /// Whether frames may be missing although the times show no gap.
     pub lost: bool,
+    /// The time from the first row's exposure to the last row's, seconds; 0 for a global shutter. Every row of a frame
+    /// is exposed at a time of its own ([`RowTimes`]).
+    pub readout_s: f64,
+}
+
+/// The times of an image's rows relative to its frame's time: a rolling shutter exposes one row after the other,
+/// from the first to the last, at a constant rate. A frame's time is that of its middle.
+///
+/// Rows are those of the camera's own image, lens distortion included. On another clock whose rate differs by
+/// [`MAX_DRIFT_PPM`], they are off by a thousandth of the readout, which is neglected.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RowTimes {
+    s_per_px: f64,
+    middle_px: f64,
+}
+
+impl RowTimes {
+    /// A camera's rows: `height` pixels, and the time from the first row's to the last row's. One row has the
+    /// frame's time.
+    pub fn new(readout_s: f64, height: usize) -> Self {
+        let s_per_px = if height > 1 { readout_s / (height - 1) as f64 } else { 0.0 };
+        Self { s_per_px, middle_px: 0.5 * height as f64 }
+    }
+
+    /// The time of a position in the image relative to its frame's time, seconds. `y_px` is its vertical coordinate,
+    /// pixels; the first row's centre is at 0.5. Exactly 0 for a global shutter.
+    pub fn offset_s(&self, y_px: f64) -> f64 {
+        if self.s_per_px == 0.0 { 0.0 } else { self.s_per_px * (y_px - self.middle_px) }
+    }
+
+    /// The time from one row to the next, seconds; 0 for a global shutter.
+    pub fn s_per_px(&self) -> f64 {
+        self.s_per_px
+    }
+
+    /// Whether all rows have the frame's time.
+    pub fn are_global(&self) -> bool {
+        self.s_per_px == 0.0
+    }
 }
 
 impl Clock {
@@ -35,6 +80,25 @@ impl Clock {
                 k + 1
             )),
         }
+    }
+
+    /// An error unless the readout time is finite, not negative, and at most the median time between frames. The error
+    /// is a reason, without the file's name.
+    pub(super) fn readout_fits(&self) -> Result<(), String> {
+        let readout_s = self.readout_s;
+        if !(0.0..=MAX_READOUT_S).contains(&readout_s) {
+            return Err(format!(
+                "readout_s is {readout_s:?}, must be from 0 to {MAX_READOUT_S:?} s"
+            ));
+        }
+        let frame_s = self.frame_s();
+        // A frame interval that is a rounded fraction, as 1 / 30 s, may be its readout.
+        if self.times_s.len() > 1 && readout_s > frame_s * (1.0 + READOUT_ROUNDING) {
+            return Err(format!(
+                "readout_s is {readout_s:?}, longer than the {frame_s:?} s from frame to frame"
+            ));
+        }
+        Ok(())
     }
 
     /// The median time between frames, seconds; 0 for a single frame.
@@ -71,7 +135,41 @@ pub fn are_frame_times(times_s: &[f64]) -> bool {
     times_s.iter().all(|t| t.is_finite()) && times_s.windows(2).all(|w| w[0] < w[1])
 }
 
+/// The times of a camera's frames and of the positions in them.
+#[derive(Clone, Copy, Debug)]
+pub struct FrameTimes<'a> {
+    /// By frame: the time of its middle row, seconds on any clock, strictly ascending.
+    pub times_s: &'a [f64],
+    pub rows: RowTimes,
+}
+
+impl<'a> FrameTimes<'a> {
+    /// The times of a global shutter's frames.
+    pub fn global(times_s: &'a [f64]) -> Self {
+        Self { times_s, rows: RowTimes::default() }
+    }
+
+    /// The time at which a position of a frame was exposed, seconds. The position is in the camera's own image,
+    /// pixels.
+    ///
+    /// # Panics
+    /// If there is no such frame.
+    pub fn at(&self, frame: usize, position: &Point2<f64>) -> f64 {
+        self.times_s[frame] + self.rows.offset_s(position.y)
+    }
+}
+
 impl FilmedCamera {
+    /// The times of its images' rows.
+    pub fn row_times(&self) -> RowTimes {
+        RowTimes::new(self.clock.readout_s, self.camera.height)
+    }
+
+    /// The times of positions in its frames, of the frames' times on any clock.
+    pub fn frame_times<'a>(&self, times_s: &'a [f64]) -> FrameTimes<'a> {
+        FrameTimes { times_s, rows: self.row_times() }
+    }
+
     /// Upper bound on the recording's duration, from the first frame's start to the last frame's end, seconds on any
     /// clock. A camera that may lose frames (`lost`) is assumed to have lost at most half of them.
     fn max_duration_s(&self) -> f64 {
@@ -127,7 +225,22 @@ mod tests {
     use super::*;
 
     fn clock() -> Clock {
-        Clock { times_s: vec![0.0, 1.0, 2.5, 3.5], shared: false, drift: false, lost: false }
+        let times_s = vec![0.0, 1.0, 2.5, 3.5];
+        Clock { times_s, shared: false, drift: false, lost: false, readout_s: 0.0 }
+    }
+
+    #[test]
+    fn rows_are_read_from_the_first_to_the_last_around_the_frame_s_time() {
+        let rows = RowTimes::new(0.03, 4);
+        let offsets = [0.5, 1.5, 2.5, 3.5, 2.0].map(|y| rows.offset_s(y));
+        for (offset, expected) in offsets.iter().zip([-0.015, -0.005, 0.005, 0.015, 0.0]) {
+            assert!((offset - expected).abs() < 1e-15, "{offset}");
+        }
+        assert!(!rows.are_global());
+        for global in [RowTimes::new(0.0, 4), RowTimes::new(0.03, 1), RowTimes::default()] {
+            assert!(global.are_global());
+            assert_eq!(global.offset_s(123.0).to_bits(), 0.0f64.to_bits());
+        }
     }
 
     #[test]

@@ -81,7 +81,8 @@ pub struct ClockFormat {
     /// Time of the first frame, seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_s: Option<f64>,
-    /// The middle of each frame's exposure, seconds: ascending, one time per frame.
+    /// The middle of each frame's exposure, seconds: ascending, one time per frame. With `readout_s`, that of its middle
+    /// row.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times_s: Option<Vec<f64>>,
     /// Whether the camera has the common clock. All cameras with this flag share one clock.
@@ -92,6 +93,11 @@ pub struct ClockFormat {
     /// Whether frames may be missing although the times show no gap.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub lost: bool,
+    /// Readout time of a rolling shutter: from the exposure of the first row to that of the last row, seconds. At most
+    /// the median time between frames; 0 for a global shutter.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0))]
+    pub readout_s: Option<f64>,
 }
 
 impl CaptureFormat {
@@ -199,8 +205,11 @@ impl ClockFormat {
         if self.shared && (self.drift || self.lost) {
             return Err("a shared clock can't have drift or lost frames".into());
         }
-        let clock = Clock { times_s, shared: self.shared, drift: self.drift, lost: self.lost };
+        let (shared, drift, lost) = (self.shared, self.drift, self.lost);
+        let readout_s = self.readout_s.unwrap_or_default();
+        let clock = Clock { times_s, shared, drift, lost, readout_s };
         clock.ascends()?;
+        clock.readout_fits()?;
         Ok(clock)
     }
 }

@@ -17,7 +17,7 @@ mod video;
 pub use calibration::{
     CalibrationCovarianceFormat, CalibrationErrors, CalibrationStdFormat, LensGroup,
 };
-pub use clock::{Clock, MAX_DRIFT_PPM, are_frame_times, bracket};
+pub use clock::{Clock, FrameTimes, MAX_DRIFT_PPM, RowTimes, are_frame_times, bracket};
 pub(crate) use content::Stored;
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
 pub use named_view::NamedView;

@@ -92,6 +92,10 @@ fn every_wrong_field_is_named() {
         (|j| j["cameras"][1]["clock"] = json!({"shared": false, "times_s": [0, 1]}), "2 entries"),
         (|j| j["cameras"][1]["clock"] = json!({"shared": false, "times_s": [0, 1, 1]}), "ascend"),
         (|j| j["cameras"][1]["clock"]["rate_hz"] = json!(0), "rate_hz"),
+        (|j| j["cameras"][1]["clock"]["readout_s"] = json!(-0.01), "(b).clock: readout_s is -0.01"),
+        (|j| j["cameras"][1]["clock"]["readout_s"] = json!(0.034), "(b).clock: readout_s is 0.034"),
+        (|j| j["cameras"][1]["clock"]["readout_s"] = json!(1e300), "(b).clock: readout_s"),
+        (|j| j["cameras"][1]["clock"]["readout_s"] = json!("x"), "cameras[1].clock.readout_s"),
         (
             |j| j["cameras"][1]["clock"]["first_s"] = json!(1e300),
             "(b).clock: the times must be within",
@@ -114,6 +118,17 @@ fn every_wrong_field_is_named() {
         let message = capture.unwrap_err().to_string();
         assert!(message.contains(expected) && !message.contains('\n'), "{expected}: {message}");
     }
+}
+
+#[test]
+fn a_readout_is_at_most_a_frame_interval() {
+    let (_folder, capture) = written(|j| {
+        j["cameras"][1]["clock"]["readout_s"] = json!(1.0 / 30.0);
+    });
+    let capture = capture.unwrap();
+    let [global, rolling] = [0, 1].map(|c| capture.cameras[c].row_times());
+    assert!(global.are_global());
+    assert!((rolling.offset_s(5.5) - rolling.offset_s(0.5) - 1.0 / 30.0).abs() < 1e-15);
 }
 
 #[test]

@@ -33,7 +33,9 @@
 //! | `pixels` | f64 | F, P, 2 | the point's projection, also outside of the image or hidden; NaN behind the camera |
 //! | `visible` | u8 | F, P | 1 where the point is inside the image and nothing occludes it |
 //!
-//! `times_s` are the true middles of the exposures. Files are relative to `truth/tracks/`.
+//! `times_s` are the true middles of the exposures. With a rolling shutter (`readout_s` of the camera's clock in
+//! `capture.json`) they are those of the middle row; a point's place, pixel and visibility are those at the time of its
+//! own row. Images, depth and motion of `views` are always of one instant. Files are relative to `truth/tracks/`.
 //!
 //! A method under test writes `{"reference": "cam3", "cameras": [{"id": "cam0", "offset_s":
 //! 0.0123, "std_err_s": 0.0001}, …]}` (`null` for a camera whose offset is unknown), and

@@ -57,12 +57,17 @@ pub struct ClockArgs {
     /// All cameras share one clock, and offsets are not estimated.
     #[arg(long)]
     pub shared: bool,
+    /// Readout time of the cameras' rolling shutters, from the first row to the last, seconds. A frame's time is that
+    /// of its middle row.
+    #[arg(long, value_name = "SECONDS")]
+    pub readout: Option<f64>,
 }
 
 impl ClockArgs {
     /// Whether any is given.
     pub fn are_given(&self) -> bool {
-        self.rate.is_some() || self.times.is_some() || self.shared || self.first != 0.0
+        let is_any = self.rate.is_some() || self.times.is_some() || self.readout.is_some();
+        is_any || self.shared || self.first != 0.0
     }
 
     /// The clock of every camera, checked.
@@ -71,7 +76,18 @@ impl ClockArgs {
         if !(self.rate.is_none_or(is_rate) && self.first.is_finite()) {
             return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
         }
-        Ok(ImportClock { rate_hz: self.rate, first_s: self.first, shared: self.shared })
+        let is_readout = |readout_s: f64| readout_s.is_finite() && readout_s >= 0.0;
+        if !self.readout.is_none_or(is_readout) {
+            return Err(CliError::BadInput(
+                "--readout must be a number of seconds from 0 on".into(),
+            ));
+        }
+        Ok(ImportClock {
+            rate_hz: self.rate,
+            first_s: self.first,
+            shared: self.shared,
+            readout_s: self.readout,
+        })
     }
 }
 

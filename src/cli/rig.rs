@@ -137,6 +137,9 @@ struct RigClockArgs {
     /// Exposure durations, seconds.
     #[arg(long, value_name = "S,…", default_value = "0", value_delimiter = ',')]
     exposure: Vec<f64>,
+    /// Readout times of rolling shutters, from the first row to the last, seconds.
+    #[arg(long, value_name = "S,…", default_value = "0", value_delimiter = ',')]
+    readout: Vec<f64>,
 }
 
 #[derive(Debug, clap::Args)]
@@ -208,6 +211,7 @@ impl RigArgs {
             }),
             clock_shared: clock.shared_clock,
             exposures_s: clock.exposure.clone(),
+            readouts_s: clock.readout.clone(),
             gains: sensor.gain.clone(),
             noises: sensor.noise.clone(),
             colors: sensor.color.clone(),

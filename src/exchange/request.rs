@@ -11,6 +11,8 @@ pub struct ImportClock {
     pub first_s: f64,
     /// Whether all cameras share one clock.
     pub shared: bool,
+    /// Readout time of the cameras' rolling shutters, seconds; `None` if it is unknown or they have none.
+    pub readout_s: Option<f64>,
 }
 
 /// Recordings to import, and how.

@@ -227,7 +227,7 @@ fn a_model_and_sequences_become_a_capture() {
             cameras.push(NamedCamera { name: format!("{id}/f{k}.png"), time_ns: None, camera });
         }
     }
-    let clock = ImportClock { rate_hz: Some(25.0), first_s: 2.0, shared: false };
+    let clock = ImportClock { first_s: 2.0, ..CLOCK };
     import_by(&cameras, &images, clock, &target).unwrap();
     let capture = Capture::open(&target).unwrap();
     assert_eq!(capture.cameras.len(), 2);
@@ -274,7 +274,8 @@ fn import_by(
     import(cameras, &request, target, &crate::capture::Opening { ffmpeg: None, reporter })
 }
 
-const CLOCK: ImportClock = ImportClock { rate_hz: Some(25.0), first_s: 0.0, shared: false };
+const CLOCK: ImportClock =
+    ImportClock { rate_hz: Some(25.0), first_s: 0.0, shared: false, readout_s: None };
 
 #[test]
 fn every_frame_counts_in_an_import() {
@@ -329,7 +330,7 @@ fn an_import_is_whole_or_not_there() {
 
 #[test]
 fn names_that_lead_elsewhere_are_refused() {
-    let clock = ImportClock { rate_hz: Some(25.0), first_s: 0.0, shared: false };
+    let clock = CLOCK;
     let folder = tempfile::tempdir().unwrap();
     for name in ["../a.png", "", "/", "a%d/0.png", ".x/0.png"] {
         let mut camera = looking_up();

@@ -5,9 +5,9 @@ use super::edge_set::edge_set;
 use super::edges::{EdgeFeature, real_edges};
 use super::morph::{EDGE_BOOST, morph_warp};
 use super::refine::{FourFrames, MOTION_CHANNELS, PairCosts, refined, warp_motions};
-use super::tracked_pair::TrackedPair;
+use super::tracked_pair::{RowFractions, TrackedPair};
 use super::triangulation::{Triangles, triangulation_warp};
-use super::warp::{Warp, cross_dissolve, cross_fade, difference, warped};
+use super::warp::{Warp, cross_dissolve, cross_fade_rows, difference, warped};
 use crate::raster::{Image, Tiles, box_filter, max_filter};
 use crate::registration::Frame;
 
@@ -88,7 +88,7 @@ impl FramePair<'_> {
     /// and [`PairMethod::Crossfade`].
     ///
     /// # Panics
-    /// If [`TrackedPair::times_s`] has no entry for the later frame.
+    /// If [`TrackedPair::times`] has no entry for the later frame.
     pub fn interpolate(
         &self,
         time_s: f64,
@@ -96,13 +96,14 @@ impl FramePair<'_> {
         options: &InterpolationOptions,
     ) -> Synchronized {
         let fraction = self.tracked.fraction(time_s);
+        let fractions = self.tracked.row_fractions(time_s);
         let images = [&self.earlier.image, &self.later.image];
         let warps = match method {
             PairMethod::Nearest => {
                 return Synchronized::filmed(images[usize::from(fraction > 0.5)].clone());
             }
             PairMethod::Crossfade => {
-                return Synchronized::filmed(cross_fade(images[0], images[1], fraction as f32));
+                return Synchronized::filmed(cross_fade_rows(images[0], images[1], fractions));
             }
             PairMethod::Triangulation(triangles) | PairMethod::Refined { triangles, .. } => self
                 .warps(time_s, options, |n, features, [w, h]| {
@@ -120,8 +121,8 @@ impl FramePair<'_> {
         };
         let warps = [&warps[0], &warps[1]];
         let PairMethod::Refined { costs, around, .. } = method else {
-            let image = cross_dissolve(images, warps, fraction as f32, self.parts);
-            let error_px = || error_px(&motions_of(images, warps), fraction);
+            let image = cross_dissolve(images, warps, fractions, self.parts);
+            let error_px = || error_px(&motions_of(images, warps), fractions);
             let interpolation_error_px = self.with_interpolation_error.then(error_px);
             return Synchronized { image, interpolation_error_px };
         };
@@ -133,13 +134,13 @@ impl FramePair<'_> {
             earlier: images[0],
             later: images[1],
             after: around[1].map(|f| &f.image),
-            fraction: fraction as f32,
+            fractions,
             parts: grown.as_ref().or(self.parts),
         };
         let motions = self.tracked.motions(options.curved, |trajectory, _| trajectory.at(time_s));
         let (image, motions) = refined(&frames, warps, motions, costs, options);
         let interpolation_error_px =
-            self.with_interpolation_error.then(|| error_px(&motions, fraction));
+            self.with_interpolation_error.then(|| error_px(&motions, fractions));
         Synchronized { image, interpolation_error_px }
     }
 
@@ -166,13 +167,18 @@ fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
 }
 
 /// [`Synchronized::interpolation_error_px`] from the pixels' motions ([`MOTION_CHANNELS`]).
-fn error_px(motions: &Image, fraction: f64) -> Vec<f32> {
-    let weight = (4.0 * fraction * (1.0 - fraction)) as f32;
-    let of_pixel = |&[motion_px, change_px, cost]: &[f32; MOTION_CHANNELS]| {
+fn error_px(motions: &Image, fractions: RowFractions) -> Vec<f32> {
+    let of_pixel = |weight: f32, &[motion_px, change_px, cost]: &[f32; MOTION_CHANNELS]| {
         let unknown = DISAGREEMENT_PX * (cost - MIN_DISAGREEMENT).max(0.0);
         weight * (motion_px + CHANGE_WEIGHT * change_px + unknown)
     };
-    let errors: Vec<f32> = motions.data().as_chunks().0.iter().map(of_pixel).collect();
+    let pixels = motions.data().as_chunks::<MOTION_CHANNELS>().0;
+    let mut errors = Vec::with_capacity(pixels.len());
+    for (y, row) in pixels.chunks(motions.width()).enumerate() {
+        let fraction = fractions.at(y as f64 + 0.5);
+        let weight = (4.0 * fraction * (1.0 - fraction)) as f32;
+        errors.extend(row.iter().map(|pixel| of_pixel(weight, pixel)));
+    }
     max_filter(&errors, motions.width(), OUTLINE_PX)
 }
 
@@ -190,7 +196,10 @@ mod tests {
         warps[0].source[at][0] -= 3.0;
         warps[1].source[at][0] += 5.0;
         let flat = Image::filled(w, h, 1, 0.5);
-        let found = error_px(&motions_of([&flat, &flat], [&warps[0], &warps[1]]), 0.25);
+        let found = error_px(
+            &motions_of([&flat, &flat], [&warps[0], &warps[1]]),
+            RowFractions::constant(0.25),
+        );
         for (k, px) in found.iter().enumerate() {
             let near = (k % w).abs_diff(15) <= OUTLINE_PX && (k / w).abs_diff(10) <= OUTLINE_PX;
             assert!((px - if near { 6.0 } else { 0.0 }).abs() < 1e-5, "{k}: {px}");
@@ -201,7 +210,8 @@ mod tests {
     fn where_the_frames_disagree_motion_is_unknown() {
         let still = Warp::identity(30, 20);
         let images = [0.2, 0.6].map(|value| Image::filled(30, 20, 1, value));
-        let found = error_px(&motions_of(images.each_ref(), [&still, &still]), 0.5);
+        let found =
+            error_px(&motions_of(images.each_ref(), [&still, &still]), RowFractions::constant(0.5));
         assert!(found.iter().all(|px| (px - 200.0 * 0.37).abs() < 1e-3), "{found:?}");
     }
 }

@@ -18,6 +18,11 @@
 //!
 //! Known limits: in the paper's methods, a surface that only one frame shows is cross-faded with what the
 //! other frame shows there. Motion blur stays as filmed.
+//!
+//! With a rolling shutter, every tracked position has the time of its row, so that the image at an instant shows all
+//! rows at that instant. Where nothing is tracked, and for `nearest` and `crossfade`, the frames stay as filmed. The two
+//! frames are those around the instant in the middle row; near the first and the last row, motion is extrapolated by
+//! up to half the readout.
 
 mod block_change;
 mod edge_set;
@@ -38,6 +43,6 @@ pub use frame_pair::{FramePair, PairMethod, Synchronized};
 pub use morph::{EDGE_BOOST, morph_warp};
 pub use options::{InterpolationOptions, SyncMethod};
 pub use refine::PairCosts;
-pub use tracked_pair::TrackedPair;
+pub use tracked_pair::{RowFractions, TrackedPair};
 pub use triangulation::{Triangles, triangulated, triangulation_warp};
 pub use warp::{Warp, cross_dissolve};

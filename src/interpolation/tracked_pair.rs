@@ -1,6 +1,7 @@
 //! Tracks between two frames of a camera, as the methods of interpolation use them.
 
 use super::edges::EdgeFeature;
+use crate::capture::{FrameTimes, RowTimes};
 use crate::registration::{Moved, Track, Trajectory};
 use nalgebra::{Matrix2, Point2, Vector2};
 
@@ -9,8 +10,8 @@ use nalgebra::{Matrix2, Point2, Vector2};
 pub struct TrackedPair<'a> {
     /// The pair's tracks. If there are none, interpolation is a cross-fade.
     pub tracks: &'a [Track],
-    /// The times of all frames of the camera, seconds, strictly ascending.
-    pub times_s: &'a [f64],
+    /// The times of all frames of the camera.
+    pub times: FrameTimes<'a>,
     /// Index of the earlier frame; the later frame is the next.
     pub index: usize,
 }
@@ -21,22 +22,37 @@ pub(super) fn flow_tracks(tracks: &[Track], forward: bool) -> impl Iterator<Item
 }
 
 impl TrackedPair<'_> {
-    /// (t' − t)/Δt of the instant t': 0 at the earlier frame and 1 at the later one, clamped to 0..=1.
+    /// (t' − t)/Δt of the instant t': 0 at the earlier frame and 1 at the later one, clamped to 0..=1. With a rolling
+    /// shutter, it is that of the frames' middle rows.
     ///
     /// # Panics
-    /// If `times_s` has no entry for the later frame.
+    /// If `times` has no entry for the later frame.
     pub(super) fn fraction(&self, time_s: f64) -> f64 {
-        let [start, end] = [self.times_s[self.index], self.times_s[self.index + 1]];
+        let [start, end] = self.interval_s();
         ((time_s - start) / (end - start)).clamp(0.0, 1.0)
+    }
+
+    /// [`Self::fraction`] of every row.
+    pub(super) fn row_fractions(&self, time_s: f64) -> RowFractions {
+        let [start, end] = self.interval_s();
+        RowFractions {
+            middle: self.fraction(time_s),
+            rows: self.times.rows,
+            interval_s: end - start,
+        }
+    }
+
+    fn interval_s(&self) -> [f64; 2] {
+        [self.times.times_s[self.index], self.times.times_s[self.index + 1]]
     }
 
     /// The track's trajectory: a curve if `curved`, else the straight line of eq. (2).
     fn trajectory(&self, track: &Track, curved: bool) -> Option<Trajectory> {
         if curved {
-            track.trajectory(self.times_s, self.index)
+            track.trajectory(self.times, self.index)
         } else {
             let straight = Track { before: None, after: None, ..track.clone() };
-            straight.trajectory(self.times_s, self.index)
+            straight.trajectory(self.times, self.index)
         }
     }
 
@@ -59,14 +75,15 @@ impl TrackedPair<'_> {
         curved: bool,
         at: impl Fn(&Trajectory, &Track) -> Point2<f64>,
     ) -> Vec<TrackMotion> {
-        let time = |frame: Option<usize>| frame.and_then(|k| self.times_s.get(k)).copied();
-        let (before, after) = (time(self.index.checked_sub(1)), time(Some(self.index + 2)));
+        let exists = |k: &usize| *k < self.times.times_s.len();
+        let before = self.index.checked_sub(1);
+        let after = Some(self.index + 2).filter(exists);
         let motion = |track: &Track| {
             let trajectory = self.trajectory(track, curved)?;
             let at = at(&trajectory, track);
             // The trajectory extrapolates a track that was not extended to a frame.
-            let displacement = |tracked: Option<Point2<f64>>, time: Option<f64>| {
-                let position = tracked.or_else(|| Some(trajectory.at(time?)));
+            let displacement = |tracked: Option<Point2<f64>>, frame: Option<usize>| {
+                let position = tracked.or_else(|| Some(self.in_frame(&trajectory, frame?)));
                 position.map_or(Vector2::zeros(), |p| p - at)
             };
             let to = [
@@ -78,6 +95,48 @@ impl TrackedPair<'_> {
             Some(TrackMotion { at, to, deformation: track.deformation })
         };
         self.tracks.iter().filter_map(motion).collect()
+    }
+
+    /// Where a frame shows a point of this trajectory, pixels.
+    fn in_frame(&self, trajectory: &Trajectory, frame: usize) -> Point2<f64> {
+        let at_middle = trajectory.at(self.times.times_s[frame]);
+        if self.times.rows.are_global() {
+            return at_middle;
+        }
+        // The row depends on the time, and the time on the row. A point that moves by a tenth of the image's height
+        // during a readout is a tenth of its error nearer after each correction.
+        let corrected = trajectory.at(self.times.at(frame, &at_middle));
+        trajectory.at(self.times.at(frame, &corrected))
+    }
+}
+
+/// The instant's place between two frames, by row: rows of a rolling shutter have times of their own.
+#[derive(Clone, Copy, Debug)]
+pub struct RowFractions {
+    /// Of the middle row, 0 to 1.
+    middle: f64,
+    rows: RowTimes,
+    interval_s: f64,
+}
+
+impl RowFractions {
+    /// The same fraction in all rows.
+    pub fn constant(fraction: f64) -> Self {
+        Self { middle: fraction, rows: RowTimes::default(), interval_s: 1.0 }
+    }
+
+    /// Whether all rows have the same fraction.
+    pub fn are_constant(&self) -> bool {
+        self.rows.are_global()
+    }
+
+    /// The fraction at a vertical position, pixels: 0 where the earlier frame has the instant or a later time, 1 where
+    /// the later frame has the instant or an earlier time.
+    pub fn at(&self, y_px: f64) -> f64 {
+        if self.are_constant() {
+            return self.middle;
+        }
+        (self.middle - self.rows.offset_s(y_px) / self.interval_s).clamp(0.0, 1.0)
     }
 }
 

@@ -1,5 +1,6 @@
 //! Backward warps, the cross dissolve of two warped frames, eq. (9), and per-pixel operations on images.
 
+use super::tracked_pair::RowFractions;
 use crate::raster::{Image, Tiles, sample_all};
 use rayon::prelude::*;
 
@@ -44,19 +45,19 @@ pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image
     Image::from_data(warp.width, warp.height, channels, data)
 }
 
-/// The cross dissolve of two warped frames, eq. (9), clamped to 0..=1. `fraction` is (t' − t)/Δt, 0 at the
-/// earlier frame. Pixels outside the tiles `parts`, if given, are black.
+/// The cross dissolve of two warped frames, eq. (9), clamped to 0..=1. `fractions` are (t' − t)/Δt of the rows, 0 at
+/// the earlier frame. Pixels outside the tiles `parts`, if given, are black.
 ///
 /// Both frames must have the same channels, and both warps the same size.
 pub fn cross_dissolve(
     [earlier, later]: [&Image; 2],
     [from_earlier, from_later]: [&Warp; 2],
-    fraction: f32,
+    fractions: RowFractions,
     parts: Option<&Tiles>,
 ) -> Image {
     let [from, to] = [(earlier, from_earlier), (later, from_later)]
         .map(|(image, warp)| warped(image, warp, parts));
-    let mut image = cross_fade(&from, &to, fraction);
+    let mut image = cross_fade_rows(&from, &to, fractions);
     image.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     image
 }
@@ -65,6 +66,20 @@ pub fn cross_dissolve(
 pub(super) fn cross_fade(a: &Image, b: &Image, fraction: f32) -> Image {
     let data = (a.data().iter().zip(b.data())).map(|(a, b)| a + (b - a) * fraction).collect();
     Image::from_data(a.width(), a.height(), a.channels(), data)
+}
+
+/// The cross-fade of two images of the same shape, row by row.
+pub(super) fn cross_fade_rows(a: &Image, b: &Image, fractions: RowFractions) -> Image {
+    if fractions.are_constant() {
+        return cross_fade(a, b, fractions.at(0.0) as f32);
+    }
+    let width = a.width() * a.channels();
+    let rows = a.data().chunks_exact(width).zip(b.data().chunks_exact(width)).enumerate();
+    let data = rows.flat_map(|(y, (a, b))| {
+        let fraction = fractions.at(y as f64 + 0.5) as f32;
+        a.iter().zip(b).map(move |(a, b)| a + (b - a) * fraction)
+    });
+    Image::from_data(a.width(), a.height(), a.channels(), data.collect())
 }
 
 /// The absolute difference of two images of the same shape, averaged over the channels; one value per pixel,

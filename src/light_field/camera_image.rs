@@ -84,8 +84,8 @@ impl RefinementCosts<'_> {
         }
         let PairTracks { camera, frame: index, .. } = self.tracks;
         let tracks = self.tracks.get(field)?;
-        let times_s = field.times_s(camera);
-        let tracked = TrackedPair { tracks: &tracks, times_s, index };
+        let times = field.frame_times(camera);
+        let tracked = TrackedPair { tracks: &tracks, times, index };
         let camera = &field.capture().cameras[camera].camera;
         let size = [camera.width, camera.height];
         Ok(field.insert(self, PairCosts::new(&tracked, size, self.interpolation)))
@@ -121,11 +121,11 @@ pub(super) fn image_in(
         _ => SyncMethod::Crossfade,
     };
     let tracks = if follows_motion { pair_tracks.get(field)? } else { Arc::default() };
-    let times_s = field.times_s(camera);
+    let times = field.frame_times(camera);
     let pair = FramePair {
         earlier: &earlier_frame,
         later: &later_frame,
-        tracked: TrackedPair { tracks: &tracks, times_s, index: frame },
+        tracked: TrackedPair { tracks: &tracks, times, index: frame },
         parts,
         with_interpolation_error: method.with_error,
     };
@@ -144,7 +144,7 @@ pub(super) fn image_in(
             let costs = RefinementCosts { tracks: pair_tracks, interpolation: &interpolation };
             let costs = costs.get(field)?;
             let outer = |index: Option<usize>| {
-                let index = index.filter(|&k| k < times_s.len());
+                let index = index.filter(|&k| k < times.times_s.len());
                 index.map(|k| frames.get(camera, k)).transpose()
             };
             let (before, after) = (outer(frame.checked_sub(1))?, outer(Some(later + 1))?);

@@ -131,16 +131,19 @@ fn observe<'a>(
     let other = &field.capture().cameras[around.camera].camera;
     let Some((own, _)) = seen.first().map(|s| s[0]) else { return };
     let Some(geometry) = EpipolarGeometry::new(own, other) else { return };
-    let times = field.times_s(around.camera);
-    let fraction = if around.near == around.far {
-        0.0
-    } else {
-        // Times ascend strictly, so the interval is not 0.
-        (time_s - times[around.near]) / (times[around.far] - times[around.near])
+    let times = field.frame_times(around.camera);
+    let fraction = |near: &Point2<f64>, far: &Point2<f64>| {
+        if around.near == around.far {
+            return 0.0;
+        }
+        let near_s = times.at(around.near, near);
+        // Rows of two frames have the same time only if a point crosses the whole image between them. It is then
+        // infinitely far off its epipolar line.
+        (time_s - near_s) / (times.at(around.far, far) - near_s)
     };
     for (seen, matched) in seen.iter_mut().zip(matched) {
         let Some([near, far]) = matched else { continue };
-        let p = near + (far - near) * fraction;
+        let p = near + (far - near) * fraction(near, far);
         let off_line = (own.model.ideal_from_pixel(&seen[0].1))
             .and_then(|p_i| geometry.line_in_j(&p_i))
             .zip(other.model.ideal_from_pixel(&p))
@@ -193,7 +196,7 @@ impl Correspondences<'_> {
             return Ok((frame, features));
         }
         let (earlier, use_later) = (near.min(far), near > far);
-        let times = field.times_s(camera);
+        let times = field.frame_times(camera);
         let pair = PairTracks { camera, frame: earlier, registration: self.registration };
         let features = pair
             .get(field)?

@@ -46,8 +46,10 @@ impl Undistorted<'_> {
         let gains = field.gains(registration);
         let image = gains.corrected(camera, &image).unwrap_or(image);
         let time = field.in_frames(field.times_s(camera)[frame]);
-        let camera = &field.capture().cameras[camera].camera;
-        Ok(field.insert(self, FlowFrame::new(camera, &image, time)))
+        let filmed = &field.capture().cameras[camera];
+        let row_time = field.in_frames(filmed.row_times().s_per_px());
+        let frame = FlowFrame::new(&filmed.camera, &image, time).with_row_time(row_time);
+        Ok(field.insert(self, frame))
     }
 }
 

@@ -2,7 +2,7 @@
 //! images.
 
 use super::{LightField, RenderError};
-use crate::capture::Capture;
+use crate::capture::{Capture, FrameTimes};
 use crate::offset::clocks;
 
 /// Checks times, seconds from the capture's start, before the offsets are known, since their estimation may
@@ -37,6 +37,11 @@ impl LightField {
     /// The camera's frame times, seconds from the capture's start; empty if they are unknown.
     pub(super) fn times_s(&self, camera: usize) -> &[f64] {
         self.all_times_s[camera].as_deref().unwrap_or_default()
+    }
+
+    /// The times of the camera's frames and of the positions in them, seconds from the capture's start.
+    pub(super) fn frame_times(&self, camera: usize) -> FrameTimes<'_> {
+        self.capture().cameras[camera].frame_times(self.times_s(camera))
     }
 
     /// Converts a time in seconds to frames of the reference camera. All times of a static light field are 0.
@@ -101,8 +106,9 @@ impl LightField {
         (0..self.capture().cameras.len()).filter(is_between).count()
     }
 
-    /// The indices of the frames before and after a time; both are the same if a frame has exactly this time.
-    /// In a static light field, every camera's only frame is valid at any time, whatever its clock.
+    /// The indices of the frames before and after a time; both are the same if a frame has exactly this time, and all
+    /// its rows have. At the time of a rolling shutter's frame, it is one of two successive frames. In a static light
+    /// field, every camera's only frame is valid at any time, whatever its clock.
     pub(super) fn bracket(
         &self,
         camera: usize,
@@ -117,7 +123,13 @@ impl LightField {
             let reason = self.offsets().cameras[camera].reason.clone().unwrap_or_default();
             return Err(RenderError::CameraClock { camera: id(), reason });
         };
-        crate::capture::bracket(times_s, time_s).ok_or_else(|| {
+        let is_rolling = !capture.cameras[camera].row_times().are_global();
+        let apart = |(frame, later): (usize, usize)| match frame {
+            _ if frame != later || !is_rolling || times_s.len() < 2 => (frame, later),
+            0 => (0, 1),
+            _ => (frame - 1, frame),
+        };
+        crate::capture::bracket(times_s, time_s).map(apart).ok_or_else(|| {
             let times_s = [time_s, times_s[0], times_s[times_s.len() - 1]];
             let [time_s, first_s, last_s] = times_s.map(|t| t + capture.time_origin_s);
             RenderError::CameraTime { camera: id(), time_s, first_s, last_s }

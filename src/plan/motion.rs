@@ -1,7 +1,7 @@
 //! Measurement of motion in the images, on a few frame pairs of every camera.
 
 use super::percentile;
-use crate::capture::CaptureError;
+use crate::capture::{CaptureError, FrameTimes};
 use crate::interpolation::{changed_fraction, largest_change};
 use crate::progress::Reporter;
 use crate::registration::{
@@ -124,7 +124,7 @@ fn curvature(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
     let middle_s = 0.5 * (times_s[k] + times_s[k + 1]);
     let moving = tracks.iter().filter(|t| t.motion().norm() > STILL_PX);
     let offsets_px = moving.filter(|t| t.before.is_some() && t.after.is_some()).filter_map(|t| {
-        let curve: Trajectory = t.trajectory(times_s, k)?;
+        let curve: Trajectory = t.trajectory(FrameTimes::global(times_s), k)?;
         let line = t.earlier + 0.5 * t.motion();
         Some((curve.at(middle_s) - line).norm())
     });

@@ -61,6 +61,7 @@ impl PublishedFrame {
         let frame = FlowFrame {
             view: self.view.clone(),
             time: self.time,
+            row_time: 0.0, // the page knows no rolling shutters
             is_color: self.is_color,
             image: Image::from_data(width, height, 3, data),
             is_filmed: self.map.is_filmed(steps, [width, height]),

@@ -10,7 +10,7 @@ use super::{
     Track, Trajectory, flow, select_references,
 };
 use crate::camera::{Camera, EpipolarGeometry};
-use crate::capture::CaptureError;
+use crate::capture::{CaptureError, RowTimes};
 use nalgebra::Point2;
 
 /// The result of the epipolar test of a track. If several references test it, the last of their results in
@@ -24,6 +24,15 @@ pub enum Verdict {
     /// The feature's match in the reference is off the epipolar line: the track or the match is wrong, and
     /// neither is used.
     Rejected,
+}
+
+/// A feature's position in a reference camera.
+#[derive(Clone, Copy)]
+struct InReference {
+    /// Pixels.
+    position: Point2<f64>,
+    /// The time of the position, seconds on the common clock.
+    time_s: f64,
 }
 
 /// A track to be tested.
@@ -62,6 +71,7 @@ pub fn epipolar_check(
     let mut verdicts = vec![Verdict::Untestable; tracks.len()];
     let Some(own_times) = &times_s[i] else { return Ok(verdicts) };
     let interval_s = [own_times[k], own_times[k + 1]];
+    let filmed = &frames.capture().cameras[i];
     // Errors of the forward flow show at its end, t + Δt; those of the backward flow at its end, t.
     let directed = |is_backward: bool| {
         let (frame, time_s) = if is_backward { (k + 1, interval_s[0]) } else { (k, interval_s[1]) };
@@ -69,7 +79,7 @@ pub fn epipolar_check(
         let own = tracks.iter().enumerate().filter(|(_, track)| is_own(track));
         let tested = own.filter_map(|(index, track)| {
             let start = if is_backward { track.later } else { track.earlier };
-            let trajectory = track.trajectory(own_times, k)?;
+            let trajectory = track.trajectory(filmed.frame_times(own_times), k)?;
             Some((TestedTrack { index, track, trajectory, start }, Verdict::Untestable))
         });
         let mut features: Vec<_> = tested.collect();
@@ -83,6 +93,7 @@ pub fn epipolar_check(
             let pair = Pair {
                 camera_i: &cameras[i].camera,
                 camera_j: &cameras[reference.camera].camera,
+                rows_j: cameras[reference.camera].row_times(),
                 time_s: reference.time_s,
                 options: frames.options(),
             };
@@ -120,7 +131,10 @@ const RETRY_LEVELS: usize = 1;
 struct Pair<'a> {
     camera_i: &'a Camera,
     camera_j: &'a Camera,
-    /// Instant at which the epipolar constraint is tested: t' of eq. (2), seconds on the common clock.
+    /// The times of camera j's rows: a position in its frame is tested at the time of its own row.
+    rows_j: RowTimes,
+    /// Instant at which the epipolar constraint is tested: t' of eq. (2), seconds on the common clock. It is the time
+    /// of the middle row.
     time_s: f64,
     options: &'a RegistrationOptions,
 }
@@ -142,13 +156,22 @@ impl Pair<'_> {
         let starts: Vec<Start> =
             features.iter().map(|f| (f.start, f.trajectory.at(target_s))).collect();
         let mut matches = flow(source, &target, &starts, self.options);
-        self.retry([source, &target], &starts, &mut matches);
-        let mut matched: Vec<_> = matches.into_iter().map(|m| m.map(|m| m.target)).collect();
+        // The position at which a feature's trajectory is when the match was exposed.
+        let at_match = |k: usize, m: &Match| {
+            features[k].trajectory.at(target_s + self.rows_j.offset_s(m.target.y))
+        };
+        self.retry([source, &target], &starts, at_match, &mut matches);
+        let in_reference = |position: Point2<f64>| InReference {
+            position,
+            time_s: target_s + self.rows_j.offset_s(position.y),
+        };
+        let mut matched: Vec<_> =
+            matches.into_iter().map(|m| m.map(|m| in_reference(m.target))).collect();
         if let Some(between) = reference.between {
             let next = frames.get(reference.camera, reference.frame + 1)?;
             self.interpolate([&target, &next], between, features, &mut matched);
         }
-        let verdict = |(feature, p_j): (&&TestedTrack, Option<Point2<f64>>)| {
+        let verdict = |(feature, p_j): (&&TestedTrack, Option<InReference>)| {
             self.verdict(feature, p_j.as_ref()).unwrap_or(Verdict::Untestable)
         };
         Ok(features.iter().zip(matched).map(verdict).collect())
@@ -162,28 +185,40 @@ impl Pair<'_> {
         [frame, next]: [&Frame; 2],
         [first_s, next_s]: [f64; 2],
         features: &[&TestedTrack],
-        matched: &mut [Option<Point2<f64>>],
+        matched: &mut [Option<InReference>],
     ) {
         let (indices, starts): (Vec<usize>, Vec<Start>) = matched
             .iter()
             .zip(features)
             .enumerate()
             .filter_map(|(k, (p, feature))| {
-                let (p, own) = ((*p)?, &feature.trajectory);
+                let (p, own) = (p.as_ref()?.position, &feature.trajectory);
                 Some((k, (p, p + (own.at(next_s) - own.at(first_s)))))
             })
             .unzip();
-        let fraction = (self.time_s - first_s) / (next_s - first_s);
+        let at_instant = |m: Match| {
+            let first_s = first_s + self.rows_j.offset_s(m.source.y);
+            let next_s = next_s + self.rows_j.offset_s(m.target.y);
+            let fraction = (self.time_s - first_s) / (next_s - first_s);
+            let position = m.source + (m.target - m.source) * fraction;
+            InReference { position, time_s: self.time_s }
+        };
         for (k, tracked) in indices.into_iter().zip(flow(frame, next, &starts, self.options)) {
-            matched[k] = tracked.map(|m| m.source + (m.target - m.source) * fraction);
+            matched[k] = tracked.map(at_instant);
         }
     }
 
     /// Tracks features again that have no match, or whose match is off their epipolar line. There are two
     /// initial guesses: the position predicted by the trajectory plus the neighbours' disparity, and the
     /// position in the source frame plus the neighbours' displacement. The match with the smallest residual
-    /// is used.
-    fn retry(&self, frames: [&Frame; 2], starts: &[Start], matches: &mut [Option<Match>]) {
+    /// is used. `at_match` gives a feature's position in camera i at the time of its match.
+    fn retry(
+        &self,
+        frames: [&Frame; 2],
+        starts: &[Start],
+        at_match: impl Fn(usize, &Match) -> Point2<f64>,
+        matches: &mut [Option<Match>],
+    ) {
         let Some(geometry) = EpipolarGeometry::new(self.camera_i, self.camera_j) else { return };
         let is_on_line = |p_i: &Point2<f64>, p_j: &Point2<f64>| {
             let line = geometry.line_in_j(&self.camera_i.model.ideal_from_pixel(p_i)?)?;
@@ -194,7 +229,7 @@ impl Pair<'_> {
         for from_prediction in [true, false] {
             let base = |k: usize| if from_prediction { starts[k].1 } else { starts[k].0 };
             let is_trusted = |k: &usize| {
-                matches[*k].is_some_and(|m| is_on_line(&starts[*k].1, &m.target) == Some(true))
+                matches[*k].is_some_and(|m| is_on_line(&at_match(*k, &m), &m.target) == Some(true))
             };
             let (trusted, others): (Vec<_>, Vec<_>) = (0..starts.len()).partition(is_trusted);
             let displacement = |k: usize| Some((base(k), matches[k]?.target - base(k)));
@@ -209,12 +244,13 @@ impl Pair<'_> {
     fn verdict(
         &self,
         feature: &TestedTrack,
-        in_reference: Option<&Point2<f64>>,
+        in_reference: Option<&InReference>,
     ) -> Option<Verdict> {
+        let in_reference = in_reference?;
         let geometry = EpipolarGeometry::new(self.camera_i, self.camera_j)?;
         let ideal_i = |p: &Point2<f64>| self.camera_i.model.ideal_from_pixel(p);
-        let p_j = self.camera_j.model.ideal_from_pixel(in_reference?)?;
-        let at = feature.trajectory.at(self.time_s);
+        let p_j = self.camera_j.model.ideal_from_pixel(&in_reference.position)?;
+        let at = feature.trajectory.at(in_reference.time_s);
         let line = geometry.line_in_j(&ideal_i(&at)?)?;
         if line.distance(&p_j).abs() > self.options.epipolar_tolerance_px {
             return Some(Verdict::Rejected);
@@ -236,6 +272,7 @@ impl Pair<'_> {
 mod tests {
     use super::*;
     use crate::camera::CameraModel;
+    use crate::capture::FrameTimes;
     use nalgebra::{Isometry3, Matrix2};
 
     fn camera(x: f64) -> Camera {
@@ -263,10 +300,13 @@ mod tests {
     fn verdict(t: &Track, in_reference: Option<[f64; 2]>) -> Verdict {
         let options = RegistrationOptions::default();
         let (a, b) = (camera(0.0), camera(0.06));
-        let pair = Pair { camera_i: &a, camera_j: &b, time_s: 0.5, options: &options };
-        let trajectory = t.trajectory(&[0.0, 1.0], 0).unwrap();
+        let rows_j = RowTimes::default();
+        let pair = Pair { camera_i: &a, camera_j: &b, rows_j, time_s: 0.5, options: &options };
+        let trajectory = t.trajectory(FrameTimes::global(&[0.0, 1.0]), 0).unwrap();
         let feature = TestedTrack { index: 0, track: t, trajectory, start: t.earlier };
-        let verdict = pair.verdict(&feature, in_reference.map(Point2::from).as_ref());
+        let in_reference =
+            in_reference.map(|p| InReference { position: p.into(), time_s: pair.time_s });
+        let verdict = pair.verdict(&feature, in_reference.as_ref());
         verdict.unwrap_or(Verdict::Untestable)
     }
 

@@ -7,7 +7,7 @@ use super::rotating_patches::match_rotating_patches;
 use super::{
     AffineStart, Frame, FrameStore, Match, Neighbors, RegistrationOptions, Trajectory, flow,
 };
-use crate::capture::CaptureError;
+use crate::capture::{CaptureError, FrameTimes};
 use nalgebra::{Matrix2, Point2, Vector2};
 use serde::{Deserialize, Serialize};
 
@@ -98,18 +98,19 @@ impl Track {
     /// The trajectory through the two to four known positions: the straight line of eq. (2), and curves
     /// beyond the paper.
     ///
-    /// `times_s` are the camera's frame times in seconds and `k` is the index of the earlier frame. `None` if
-    /// the times do not strictly ascend.
+    /// `times` are those of the camera's frames and `k` is the index of the earlier frame. Every position has the
+    /// time of its own row. `None` if the times do not strictly ascend.
     ///
     /// # Panics
-    /// If `times_s` has no entry for frame k + 1.
-    pub fn trajectory(&self, times_s: &[f64], k: usize) -> Option<Trajectory> {
-        let before = self.before.zip(k.checked_sub(1)).map(|(p, k)| (times_s[k], p));
-        let after = self.after.filter(|_| k + 2 < times_s.len()).map(|p| (times_s[k + 2], p));
+    /// If `times` has no entry for frame k + 1.
+    pub fn trajectory(&self, times: FrameTimes, k: usize) -> Option<Trajectory> {
+        let sample = |k: usize, p: Point2<f64>| (times.at(k, &p), p);
+        let before = self.before.zip(k.checked_sub(1)).map(|(p, k)| sample(k, p));
+        let after = self.after.filter(|_| k + 2 < times.times_s.len()).map(|p| sample(k + 2, p));
         Trajectory::new(
             before
                 .into_iter()
-                .chain([(times_s[k], self.earlier), (times_s[k + 1], self.later)])
+                .chain([sample(k, self.earlier), sample(k + 1, self.later)])
                 .chain(after),
         )
     }
@@ -253,6 +254,7 @@ pub fn neighbor_consensus(tracks: &[Track], options: &RegistrationOptions) -> Ve
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::RowTimes;
 
     fn a_match(x: f64, dx: f64) -> Match {
         Match {
@@ -319,10 +321,33 @@ mod tests {
     fn trajectories_use_the_positions_that_exist() {
         let mut track = merged(&[a_match(10.0, 3.0)], &[]).remove(0);
         track.before = Some(Point2::new(8.0, 10.0));
-        let times = [0.0, 1.0, 2.0];
-        let curved = track.trajectory(&times, 1).unwrap();
+        let times = FrameTimes::global(&[0.0, 1.0, 2.0]);
+        let curved = track.trajectory(times, 1).unwrap();
         assert!((curved.at(1.5).x - 11.375).abs() < 1e-12);
         // Frame 0 has no frame before it, so that the track's position there is ignored.
-        assert!((track.trajectory(&times, 0).unwrap().at(0.5).x - 11.5).abs() < 1e-12);
+        assert!((track.trajectory(times, 0).unwrap().at(0.5).x - 11.5).abs() < 1e-12);
+    }
+
+    /// A point that moves at constant velocity through a rolling shutter's rows.
+    #[test]
+    fn positions_have_the_times_of_their_rows() {
+        let rows = RowTimes::new(0.8, 101);
+        let at = |t: f64| Point2::new(20.0 + 7.0 * t, 30.0 + 20.0 * t);
+        // The time at which the point is in the row that is exposed: t = k + offset(y(t)), linear in t.
+        let seen = |k: f64| {
+            let t = (k + rows.offset_s(30.0)) / (1.0 - 20.0 * rows.s_per_px());
+            assert!((t - k - rows.offset_s(at(t).y)).abs() < 1e-12);
+            at(t)
+        };
+        let mut track = merged(&[a_match(10.0, 3.0)], &[]).remove(0);
+        (track.earlier, track.later) = (seen(1.0), seen(2.0));
+        (track.before, track.after) = (Some(seen(0.0)), Some(seen(3.0)));
+        let times = FrameTimes { times_s: &[0.0, 1.0, 2.0, 3.0], rows };
+        let trajectory = track.trajectory(times, 1).unwrap();
+        let global = track.trajectory(FrameTimes::global(times.times_s), 1).unwrap();
+        for t in [0.9, 1.0, 1.5, 2.0] {
+            assert!((trajectory.at(t) - at(t)).norm() < 1e-9);
+            assert!((global.at(t) - at(t)).norm() > 1.0);
+        }
     }
 }

@@ -117,6 +117,7 @@ fn camera(at: &str, camera: &RigCamera, reference: &str) -> FieldCheck {
     within(&field("drift_ppm"), camera.drift_ppm, &DRIFT_PPM)?;
     let max = 1.0 / camera.rate_hz;
     within(&field("exposure_s"), camera.exposure_s, &(0.0..=max))?;
+    within(&field("readout_s"), camera.readout_s, &(0.0..=max))?;
     within(&field("gain"), camera.gain, &GAIN)?;
     within(&field("noise"), camera.noise, &NOISE)?;
     if camera.bit_depth != 8 && camera.bit_depth != 16 {

@@ -44,7 +44,7 @@ pub struct Rig {
 ///
 /// Frame k, its nominal number with lost frames counted, is exposed around `delay_s + c + (c − c_0) ·
 /// drift_ppm · 1e-6` in world time, where `c = k / rate_hz + jitter_k` is the time on the camera's
-/// own clock.
+/// own clock. With a rolling shutter, that is the time of its middle row.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RigCamera {
@@ -108,6 +108,11 @@ pub struct RigCamera {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0))]
     pub exposure_s: f64,
+    /// Readout time of a rolling shutter: from the first row's time to the last row's; 0 for a global shutter. At
+    /// most a frame's duration.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0))]
+    pub readout_s: f64,
     /// Factor on the light, before display encoding.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     #[schemars(range(min = *GAIN.start(), max = *GAIN.end()))]

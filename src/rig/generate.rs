@@ -113,6 +113,8 @@ pub struct RigOptions {
     pub clock_shared: bool,
     /// Durations for which the shutters are open, seconds.
     pub exposures_s: Vec<f64>,
+    /// Readout times of the rolling shutters, seconds; 0 for a global shutter.
+    pub readouts_s: Vec<f64>,
     /// Factors on the light, applied before display encoding.
     pub gains: Vec<f64>,
     /// Standard deviations of the noise, as fractions of full scale.
@@ -144,6 +146,7 @@ impl Default for RigOptions {
             loss: None,
             clock_shared: false,
             exposures_s: vec![0.0],
+            readouts_s: vec![0.0],
             gains: vec![1.0],
             noises: vec![0.0],
             colors: vec![RigColor::Rgb],
@@ -223,6 +226,7 @@ impl RigOptions {
             ("list of delays", self.delays == Delays::Listed(Vec::new())),
             ("list of jitters", self.jitters_s.is_empty()),
             ("list of exposures", self.exposures_s.is_empty()),
+            ("list of readouts", self.readouts_s.is_empty()),
             ("list of gains", self.gains.is_empty()),
             ("list of noises", self.noises.is_empty()),
             ("list of colours", self.colors.is_empty()),
@@ -303,6 +307,7 @@ impl RigOptions {
             lost_stamped: true,
             clock_shared: self.clock_shared,
             exposure_s: turn(&self.exposures_s, i),
+            readout_s: turn(&self.readouts_s, i),
             gain: turn(&self.gains, i),
             noise: turn(&self.noises, i),
             color: turn(&self.colors, i),

@@ -128,6 +128,7 @@ fn files_read_back_and_seeds_matter() {
         distortion: RigDistortion { k1: -0.2, k2: 0.05, p1: 1e-3, p2: -2e-3 },
         jitter_stamped: false,
         exposures_s: vec![0.004],
+        readouts_s: vec![0.0, 0.015],
         gains: vec![1.0, 1.3],
         noises: vec![0.01],
         bit_depth: 16,

@@ -2,6 +2,7 @@
 
 use super::geometry::Projection;
 use super::map::MappedFrame;
+use super::timing::TimeBetween;
 use rayon::prelude::*;
 
 /// Maximum time between two frames whose maps are compared, frames of the reference camera.
@@ -37,15 +38,18 @@ fn confidence(mapped: &[MappedFrame], of: usize) -> Vec<u8> {
     let (mut confirmed, mut all) =
         (vec![0.0f32; own.pixels().len()], vec![0.0f32; own.pixels().len()]);
     for (other, MappedFrame { frame: by, map }) in mapped.iter().enumerate() {
-        let dt = (by.time - frame.time) as f32;
+        let time = TimeBetween::new(frame, by);
         let projection = Projection::new(&frame.view, &by.view);
-        let Some(projection) = projection.filter(|_| other != of && dt.abs() <= MAX_CONFIRMING_DT)
+        let Some(projection) =
+            projection.filter(|_| other != of && time.frames().abs() <= MAX_CONFIRMING_DT)
         else {
             continue;
         };
         for (k, pixel) in own.pixels().iter().enumerate() {
             let [x, y] = own.center(k);
-            let ([u, v], here) = own.element(pixel).transferred(x, y, dt, &projection);
+            let element = own.element(pixel);
+            let dt = time.of_element(&element, (x, y), &projection);
+            let ([u, v], here) = element.transferred(x, y, dt, &projection);
             let is_inside = u >= 0.0 && v >= 0.0 && u < map.width as f32 && v < map.height as f32;
             if !is_inside {
                 continue;

@@ -6,6 +6,7 @@ use super::element::Element;
 use super::frame::FlowFrame;
 use super::geometry::Projection;
 use super::map::ElementMap;
+use super::timing::TimeBetween;
 
 /// Maximum time between two frames whose maps are compared, frames of the reference camera.
 const MAX_DT: f32 = 0.8;
@@ -47,7 +48,7 @@ impl Snapshot {
 
 /// Another frame's map, with its time and projection relative to the frame that is estimated.
 struct OtherMap<'a> {
-    dt: f32,
+    time: TimeBetween,
     projection: Projection,
     map: &'a Snapshot,
 }
@@ -68,9 +69,10 @@ impl<'a> OtherMaps<'a> {
         disparity_px: f32,
     ) -> Self {
         let other = |(k, map): (usize, &'a Snapshot)| {
-            let dt = (frames[k].time - frames[of].time) as f32;
+            let time = TimeBetween::new(frames[of], frames[k]);
             let projection = Projection::new(&frames[of].view, &frames[k].view)?;
-            (k != of && dt.abs() <= MAX_DT).then_some(OtherMap { dt, projection, map })
+            let is_near = k != of && time.frames().abs() <= MAX_DT;
+            is_near.then_some(OtherMap { time, projection, map })
         };
         Self { maps: snapshots.iter().enumerate().filter_map(other).collect(), disparity_px }
     }
@@ -81,11 +83,12 @@ impl<'a> OtherMaps<'a> {
     pub fn difference(&self, e: &Element, [x, y]: [f32; 2]) -> f32 {
         let (mut sum, mut count) = (0.0, 0.0);
         let speed = e.speed();
-        for OtherMap { dt, projection, map } in &self.maps {
+        for OtherMap { time, projection, map } in &self.maps {
+            let dt = time.of_element(e, (x, y), projection);
             if dt.abs() * speed > MAX_MOTION_PX {
                 continue;
             }
-            let ([u, v], here) = e.transferred(x, y, *dt, projection);
+            let ([u, v], here) = e.transferred(x, y, dt, projection);
             let (u, v) = (u / map.scale, v / map.scale);
             if u >= 0.0 && v >= 0.0 && u < map.width as f32 && v < map.height as f32 {
                 sum += self.least_difference(map, [u, v], &here);

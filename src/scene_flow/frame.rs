@@ -101,8 +101,12 @@ fn halved(width: usize, height: usize, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
 pub struct FlowFrame {
     /// The pinhole camera.
     pub view: Camera,
-    /// Time in frames of the reference camera, since the capture's start.
+    /// Time in frames of the reference camera, since the capture's start. With a rolling shutter, that of the middle
+    /// row.
     pub time: f64,
+    /// Time from one row to the next, in frames of the reference camera; 0 for a global shutter. It holds for the rows
+    /// of the pinhole camera, and so only approximately for a lens with distortion.
+    pub row_time: f64,
     pub is_color: bool,
     /// Corrected by the camera's gain to the reference camera's exposure; 3 channels.
     pub image: Image,
@@ -130,7 +134,7 @@ pub fn levels(width: usize, height: usize) -> usize {
 
 impl FlowFrame {
     /// A frame from a camera's image, which is already corrected to the reference camera's exposure. `time`
-    /// is in frames of the reference camera.
+    /// is in frames of the reference camera. The shutter is global.
     pub fn new(camera: &Camera, image: &Image, time: f64) -> Self {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let view = Camera { model: CameraModel::Pinhole { fx, fy, cx, cy }, ..camera.clone() };
@@ -142,7 +146,12 @@ impl FlowFrame {
             let (image, is_filmed) = undistorted(camera, &view, &image);
             (image, Some(is_filmed))
         };
-        Self { view, time, is_color, image, is_filmed }
+        Self { view, time, row_time: 0.0, is_color, image, is_filmed }
+    }
+
+    /// The frame of a rolling shutter, with a time from one row to the next in frames of the reference camera.
+    pub fn with_row_time(self, row_time: f64) -> Self {
+        Self { row_time, ..self }
     }
 
     /// The pyramid of the image, finest level first.

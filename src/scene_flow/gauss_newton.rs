@@ -32,15 +32,17 @@ impl PatchMatcher<'_> {
         // Frames with a much larger cost see another surface, and are left out.
         let max_cost = 2.0 * cost + 0.02;
         self.for_each_gradient(matched, max_cost, |o, [xx, xy, yy], [rx, ry]| {
+            // With rolling shutters, the change of the row, and so of the time, by the unknowns is neglected.
+            let dt = o.time.of_element(e, (px, py), &o.projection);
             let by_depth = self.by_inverse_depth(e, [px, py], o).map(|d| d / s);
-            let (by_velocity, by_acceleration) = (o.dt / s, 0.5 * o.dt * o.dt / s);
+            let (by_velocity, by_acceleration) = (dt / s, 0.5 * dt * dt / s);
             // The Jacobian: derivative of the position in the observing frame, pixels of the level, by each
             // unknown.
             let columns = [
                 by_depth,
                 [by_velocity, 0.0],
                 [0.0, by_velocity],
-                by_depth.map(|d| d * o.dt),
+                by_depth.map(|d| d * dt),
                 [by_acceleration, 0.0],
                 [0.0, by_acceleration],
             ];
@@ -78,7 +80,7 @@ impl PatchMatcher<'_> {
     /// `[x, y]` is its pixel of the full image.
     #[inline(always)]
     pub fn by_inverse_depth(&self, e: &Element, [x, y]: [f32; 2], o: &ObservingFrame) -> [f32; 2] {
-        let [mx, my, q] = e.moved(x, y, o.dt);
+        let [mx, my, q] = e.moved(x, y, o.time.of_element(e, (x, y), &o.projection));
         let step = DISPARITY_STEP_PX / self.disparity_px;
         let [u, v, _] = o.projection.project(mx, my, q);
         let [u1, v1, _] = o.projection.project(mx, my, q + step);

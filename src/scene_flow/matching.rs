@@ -3,6 +3,7 @@
 use super::element::Element;
 use super::frame::{MatchingImage, MatchingSample, PyramidFrame, WEIGHTS};
 use super::geometry::Projection;
+use super::timing::TimeBetween;
 use crate::simd::{F32x8, LANES, multiversion};
 
 /// Maximum difference of each channel of a sample. Larger ones, due to occlusion, are truncated.
@@ -39,8 +40,8 @@ pub const MAX_OBSERVATIONS: usize = 16;
 
 /// A frame that observes the elements of the matched frame.
 pub struct ObservingFrame<'a> {
-    /// Time of this frame after the matched frame, in frames of the reference camera.
-    pub dt: f32,
+    /// Time of this frame after the matched frame.
+    pub time: TimeBetween,
     pub projection: Projection,
     pub levels: &'a [MatchingImage],
     truncation: MatchingSample,
@@ -54,7 +55,7 @@ impl<'a> ObservingFrame<'a> {
             truncation[1] = 0.0;
         }
         Some(Self {
-            dt: (by.frame.time - of.frame.time) as f32,
+            time: TimeBetween::new(of.frame, by.frame),
             projection: Projection::new(&of.frame.view, &by.frame.view)?,
             levels: by.levels,
             truncation,
@@ -165,7 +166,10 @@ impl PlacedElement<'_> {
 
     #[inline(always)]
     fn place(&self, o: &ObservingFrame, dx: f32, dy: f32, inverse: f32) -> [f32; 2] {
-        let [mx, my, q] = self.element.at(dx, dy).moved(self.x + dx, self.y + dy, o.dt);
+        let (x, y) = (self.x + dx, self.y + dy);
+        let element = self.element.at(dx, dy);
+        let dt = o.time.of_element(&element, (x, y), &o.projection);
+        let [mx, my, q] = element.moved(x, y, dt);
         let [u, v, _] = o.projection.project(mx, my, q);
         [u * inverse - 0.5, v * inverse - 0.5]
     }

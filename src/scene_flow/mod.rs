@@ -45,6 +45,7 @@ mod motion;
 mod packed;
 mod splat;
 mod sweep;
+mod timing;
 mod transfer;
 mod uncertainty;
 

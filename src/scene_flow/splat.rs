@@ -3,6 +3,7 @@
 use super::geometry::{Projection, distorted};
 use super::map::{FlowMap, FlowPixel, MappedFrame};
 use super::motion::SurfaceMotion;
+use super::timing::until;
 use crate::camera::Camera;
 use crate::simd::multiversion;
 use std::ops::Range;
@@ -40,17 +41,20 @@ pub struct Splat {
     pub weights: Vec<f32>,
     /// Distance of the pixel's centre from the projection of its element (maximum norm), pixels.
     distances: Vec<f32>,
-    to_view: ToView,
+    projection: Projection,
+    /// For each row of the map, the time from the row to the instant, in frames of the reference camera.
+    row_dt: Vec<f32>,
     width: usize,
     rows: Range<usize>,
     /// Difference in inverse depth from which a nearer element occludes another, 1/m.
     hiding: f32,
 }
 
-/// The mapping from a frame to a view at an instant.
+/// The mapping from a row of a frame to a view at an instant.
+#[derive(Clone, Copy)]
 struct ToView {
     projection: Projection,
-    /// Time from the frame to the instant, in frames of the reference camera.
+    /// Time from the row to the instant, in frames of the reference camera.
     dt: f32,
     /// Ratio of the view's focal length to the frame's.
     zoom: f32,
@@ -149,7 +153,7 @@ impl Splat {
         let baseline_m = (frame.view.center() - view.center()).norm() as f32;
         let to_view = ToView {
             projection: Projection::new(&frame.view, view)?,
-            dt: (time - frame.time) as f32,
+            dt: 0.0,
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
             place_error: ERROR_BY_BASELINE * view.focal_px() as f32 * baseline_m,
         };
@@ -159,7 +163,8 @@ impl Splat {
             sources: vec![[0.0; 2]; pixels],
             weights: vec![0.0; pixels],
             distances: vec![0.0; pixels],
-            to_view,
+            projection: to_view.projection,
+            row_dt: (0..map.height).map(|y| until(frame, time, y as f32 + 0.5)).collect(),
             width: view.width,
             rows,
             hiding: HIDING_PX / map.disparity_px,
@@ -167,7 +172,8 @@ impl Splat {
         let mut row = Row::new(map.width);
         let is_pinhole = view.model.is_pinhole();
         for y in 0..map.height {
-            place_row(&mut row, map, confidences, y, &splat.to_view);
+            let to_view = ToView { dt: splat.row_dt[y], ..to_view };
+            place_row(&mut row, map, confidences, y, &to_view);
             let pixels = y * map.width..(y + 1) * map.width;
             if let Some(is_filmed) = &frame.is_filmed {
                 let filmed = &is_filmed[pixels.clone()];
@@ -184,9 +190,11 @@ impl Splat {
     /// The motion in the view, at its instant, of the element at a position of the frame, pixels.
     pub fn motion(&self, map: &FlowMap, [x, y]: [f32; 2]) -> SurfaceMotion {
         let column = (x.max(0.0) as usize).min(map.width - 1);
-        let k = (y.max(0.0) as usize).min(map.height - 1) * map.width + column;
-        let ([cx, cy], ToView { projection, dt, .. }) = (map.center(k), &self.to_view);
-        let (_, there) = map.element(&map.pixels()[k]).transferred(cx, cy, *dt, projection);
+        let row = (y.max(0.0) as usize).min(map.height - 1);
+        let k = row * map.width + column;
+        let [cx, cy] = map.center(k);
+        let element = map.element(&map.pixels()[k]);
+        let (_, there) = element.transferred(cx, cy, self.row_dt[row], &self.projection);
         SurfaceMotion { velocity: there.velocity, inverse_depth_rate: there.inverse_depth_rate }
     }
 

@@ -4,6 +4,7 @@ use super::element::Element;
 use super::frame::FlowFrame;
 use super::geometry::Projection;
 use super::map::ElementMap;
+use super::timing::TimeBetween;
 
 /// Maximum time between two frames that propose elements to each other, frames of the reference camera.
 const MAX_PROPOSAL_DT: f32 = 1.1;
@@ -31,14 +32,16 @@ impl Proposals {
         let pixels = target.elements.len();
         let mut proposals = Self { cheapest: vec![None; pixels], nearest: vec![None; pixels] };
         for (from, map) in maps.iter().enumerate() {
-            let dt = (frames[to].time - frames[from].time) as f32;
+            let time = TimeBetween::new(frames[from], frames[to]);
             let projection = Projection::new(&frames[from].view, &frames[to].view);
-            let Some(projection) = projection.filter(|_| from != to && dt.abs() <= MAX_PROPOSAL_DT)
+            let Some(projection) =
+                projection.filter(|_| from != to && time.frames().abs() <= MAX_PROPOSAL_DT)
             else {
                 continue;
             };
             for (k, element) in map.elements.iter().enumerate() {
                 let [x, y] = map.center(k);
+                let dt = time.of_element(element, (x, y), &projection);
                 let (pixel, there) = element.transferred(x, y, dt, &projection);
                 let Some(t) = target.index(pixel) else { continue };
                 let [cx, cy] = target.center(t);

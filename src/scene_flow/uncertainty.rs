@@ -43,7 +43,7 @@ impl PatchMatcher<'_> {
     }
 
     fn is_inside(&self, element: &Element, [x, y]: [f32; 2], o: &ObservingFrame) -> bool {
-        let [mx, my, q] = element.moved(x, y, o.dt);
+        let [mx, my, q] = element.moved(x, y, o.time.of_element(element, (x, y), &o.projection));
         let [u, v, _] = o.projection.project(mx, my, q);
         let image = &o.levels[self.level];
         let [width, height] = [image.width, image.height].map(|size| size as f32 * self.scale);
@@ -68,7 +68,7 @@ impl PatchMatcher<'_> {
                 continue;
             }
             let [a, b] = self.by_inverse_depth(element, center, o).map(|d| f64::from(d) / by_depth);
-            let dt = f64::from(o.dt) / scale;
+            let dt = f64::from(o.time.frames()) / scale;
             // The position's derivatives by disparity and by the two components of the velocity.
             let columns = [[a, b], [dt, 0.0], [0.0, dt]];
             for (i, [a, b]) in columns.into_iter().enumerate() {

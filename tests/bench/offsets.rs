@@ -14,6 +14,7 @@
 //! | `analytic [PART…]` | synthetic captures: accuracy, error bars, noise, jitter, exposure, bits, time |
 //! | `worse CAPTURE…` | recorded frames with added noise, blur, jitter and quantization |
 //! | `lost` | 60 synthetic captures with lost frames |
+//! | `rolling [CAPTURE…]` | rolling shutters of 0 to 30 ms: offsets and views, with and without the readout |
 //! | `together [CASE [SEEDS]]` | synthetic captures whose cameras lose frames at about the same time |
 //!
 //! Plots go to `.captures/bench-offsets/`.
@@ -32,6 +33,8 @@ mod fig18;
 mod frames;
 #[path = "offsets/lost.rs"]
 mod lost;
+#[path = "offsets/rolling.rs"]
+mod rolling;
 #[path = "offsets/scene.rs"]
 mod scene;
 #[path = "offsets/sweep.rs"]
@@ -62,6 +65,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "analytic" => analytic::run(rest, &output),
         "worse" => degraded::run(rest, &output),
         "lost" => lost::run(),
+        "rolling" => rolling::run(rest, &output),
         "together" => together::run(rest),
         other => Err(format!("there is no command '{other}'").into()),
     }

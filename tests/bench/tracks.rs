@@ -19,7 +19,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::camera::{Camera, EpipolarGeometry};
-use stlfr::capture::{Capture, Truth};
+use stlfr::capture::{Capture, FrameTimes, Truth};
 use stlfr::random::Random;
 use stlfr::registration::{
     FlowDirection, FrameStore, ReferenceQuery, RegistrationOptions, Track, Verdict, epipolar_check,
@@ -179,8 +179,8 @@ impl Scene {
         let references = select_references(&self.capture, &self.times_s, &query);
         let reference = references.first.first()?;
         let [own, other] = [camera, reference.camera].map(|c| &self.capture.cameras[c].camera);
-        let at =
-            own.model.ideal_from_pixel(&sample.track.trajectory(times, k)?.at(reference.time_s))?;
+        let trajectory = sample.track.trajectory(FrameTimes::global(times), k)?;
+        let at = own.model.ideal_from_pixel(&trajectory.at(reference.time_s))?;
         let line = EpipolarGeometry::new(own, other)?.line_in_j(&at)?;
         let (p, _) = self.place(sample.point, reference.camera, reference.frame)?;
         Some(line.distance(&other.model.ideal_from_pixel(&p)?).abs())

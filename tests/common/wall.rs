@@ -44,6 +44,8 @@ pub struct Scene {
     pub order: [usize; 3],
     /// Quarter turns of every image, counterclockwise, its camera turned with it.
     pub quarter_turns: usize,
+    /// Of rolling shutters, from the first row to the last, seconds at [`FRAME_S`]. Images with them aren't turned.
+    pub readouts_s: [f64; 3],
 }
 
 pub const FRAME_S: f64 = 0.04;
@@ -69,6 +71,7 @@ impl Default for Scene {
             start_s: 0.0,
             order: [0, 1, 2],
             quarter_turns: 0,
+            readouts_s: [0.0; 3],
         }
     }
 }
@@ -85,8 +88,14 @@ pub fn texture(x: f64, y: f64) -> f64 {
 impl Scene {
     /// The image of a camera at a place at an instant of the scene, upright.
     pub fn image(&self, center_m: [f64; 3], time_s: f64) -> Image {
+        self.image_by_row(center_m, |_| time_s)
+    }
+
+    /// The image of a camera at a place, each row at its own instant.
+    fn image_by_row(&self, center_m: [f64; 3], time_s: impl Fn(usize) -> f64) -> Image {
         let units_per_m = 2.0 / self.depth_m * self.focal_px / FOCAL_PX;
         let data = (0..W * H).map(|k| {
+            let time_s = time_s(k / W);
             let slope =
                 |v: usize, size: usize| (v as f64 + 0.5 - size as f64 / 2.0) / self.focal_px;
             let (u, v) = (slope(k % W, W), slope(k / W, H));
@@ -142,9 +151,14 @@ impl Scene {
                 camera["color"] = json!("gray");
                 camera["clock"] = json!({"rate_hz": rate_hz, "first_s": self.start_s,
                     "shared": self.shared[c]});
+                if self.readouts_s[c] > 0.0 {
+                    camera["clock"]["readout_s"] = json!(self.readouts_s[c] * self.slowness);
+                }
                 for k in 0..self.frames {
                     let time_s = k as f64 * FRAME_S + self.offsets_s[c];
-                    let image = self.image(self.centers_m[c], time_s);
+                    let row_s = self.readouts_s[c] / (H - 1) as f64;
+                    let at = |row: usize| time_s + (row as f64 - 0.5 * (H - 1) as f64) * row_s;
+                    let image = self.image_by_row(self.centers_m[c], at);
                     let image = turned(&image, self.quarter_turns);
                     let path = folder.path().join(format!("cam{c}/{k}.png"));
                     write_image(&path, &image, None, BitDepth::Sixteen).unwrap();

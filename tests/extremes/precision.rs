@@ -11,7 +11,7 @@ use std::sync::Arc;
 use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
 use stlfr::interpolation::Synchronized;
-use stlfr::interpolation::{Edge, EdgeFeature, Warp, cross_dissolve, morph_warp};
+use stlfr::interpolation::{Edge, EdgeFeature, RowFractions, Warp, cross_dissolve, morph_warp};
 use stlfr::light_field::{Context, GivenImages, Images, LightField, Request, Viewpoint, render};
 use stlfr::lumigraph::BlendMethod;
 use stlfr::lumigraph::Rendered;
@@ -84,13 +84,14 @@ fn warps_and_their_cross_fade() {
             Warp { width: w, height: h, source }
         });
         for fraction in [0.0, 0.3, 1.0] {
-            let found = cross_dissolve(frames.each_ref(), warps.each_ref(), fraction, None);
+            let fractions = RowFractions::constant(fraction);
+            let found = cross_dissolve(frames.each_ref(), warps.each_ref(), fractions, None);
             for (at, v) in found.data().iter().enumerate() {
                 let [a, b] = [0, 1].map(|n| {
                     let [x, y] = warps[n].source[at / channels];
                     naive::cubic(&frames[n], f64::from(x), f64::from(y), at % channels)
                 });
-                let exact = (a + (b - a) * f64::from(fraction)).clamp(0.0, 1.0);
+                let exact = (a + (b - a) * fraction).clamp(0.0, 1.0);
                 assert!((f64::from(*v) - exact).abs() <= 2.0 * SAMPLE_BOUND, "{v} {exact}");
             }
         }

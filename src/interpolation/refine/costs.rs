@@ -247,6 +247,7 @@ impl FrameCosts {
 mod tests {
     use super::super::tests::pair_costs;
     use super::*;
+    use crate::interpolation::tracked_pair::RowFractions;
     use nalgebra::Matrix2;
 
     const SIZE: usize = 60;
@@ -262,7 +263,14 @@ mod tests {
     }
 
     fn pair<'a>(earlier: &'a Image, later: &'a Image, before: Option<&'a Image>) -> FourFrames<'a> {
-        FourFrames { before, earlier, later, after: None, fraction: 0.5, parts: None }
+        FourFrames {
+            before,
+            earlier,
+            later,
+            after: None,
+            fractions: RowFractions::constant(0.5),
+            parts: None,
+        }
     }
 
     #[test]

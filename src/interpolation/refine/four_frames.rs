@@ -20,10 +20,11 @@ const STATIC_EXCESS_FRACTION: f32 = 0.25;
 pub const NEGLIGIBLE_WEIGHT: f32 = 1e-3;
 
 impl FourFrames<'_> {
-    /// The weight of each outer frame where all four agree: 0 at a frame's time, so that the frame stays as
-    /// filmed, and 1/4 halfway between two.
-    pub fn outer_weight(&self) -> f32 {
-        0.25 * (4.0 * self.fraction * (1.0 - self.fraction))
+    /// The weight of each outer frame where all four agree, at a vertical position, pixels: 0 at a frame's time, so
+    /// that the frame stays as filmed, and 1/4 halfway between two.
+    pub fn outer_weight(&self, y_px: f64) -> f32 {
+        let fraction = self.fractions.at(y_px) as f32;
+        0.25 * (4.0 * fraction * (1.0 - fraction))
     }
 }
 
@@ -143,7 +144,7 @@ pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: Block
 /// A static block, without motion compensation: `cross_faded`, the cross-fade of the middle frames, averaged
 /// with the outer frames; 0 outside the image.
 pub fn static_mean(frames: &FourFrames, cross_faded: &Image, area: BlockArea) -> Vec<f32> {
-    let weight = frames.outer_weight();
+    let weight = frames.outer_weight(area.center().y);
     let crop = |image: &Image| area.crop(image.data(), image.channels());
     let middle = crop(cross_faded);
     let mut colors = middle.clone();

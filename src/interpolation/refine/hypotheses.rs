@@ -90,6 +90,11 @@ impl<'a> BlockHypotheses<'a> {
         Self { shared, area, compensated, points, costs: area.crop(shared.costs, 1), agree }
     }
 
+    /// The instant's place between the middle frames, in the block's middle row.
+    fn fraction(&self) -> f32 {
+        self.shared.frames.fractions.at(self.area.center().y) as f32
+    }
+
     /// The weighted mean of all hypotheses, with their weights at each pixel.
     pub fn mean(&self) -> RefinedBlock {
         let mut hypotheses = vec![Hypothesis::new(Visibility::CrossFade, self.costs.clone())];
@@ -148,7 +153,7 @@ impl<'a> BlockHypotheses<'a> {
         let costs = at_pixels(&both, &in_either.collect::<Vec<f32>>());
         let visibility = Visibility::BothFrames(index, points.at_pixels(&both));
         all.push(Hypothesis::new(visibility, costs));
-        let fraction = self.shared.frames.fraction;
+        let fraction = self.fraction();
         for (n, fraction) in [1.0 - fraction, fraction].into_iter().enumerate() {
             let Some(costs) = &one[n] else { continue };
             // A surface is less likely to be missing in a frame that is nearer to the instant.
@@ -196,7 +201,7 @@ impl<'a> BlockHypotheses<'a> {
                 let frames = &self.compensated[*index];
                 let faded = |middle: [Option<&Image>; 2]| {
                     let [earlier, later] = middle.map(|image| image.expect(given));
-                    cross_fade(earlier, later, self.shared.frames.fraction)
+                    cross_fade(earlier, later, self.fraction())
                 };
                 let at_pixels = faded([1, 2].map(|n| frames.at_pixels(n)));
                 let at_points = faded([1, 2].map(|n| frames.at_points(n)));
@@ -206,7 +211,7 @@ impl<'a> BlockHypotheses<'a> {
                 return Cow::Borrowed(self.compensated[*index].at_pixels(*frame).expect(given));
             }
         };
-        let outer_weight = self.shared.frames.outer_weight();
+        let outer_weight = self.shared.frames.outer_weight(self.area.center().y);
         Cow::Owned(fuse(middle, compensated, &self.shared.points, outer_weight))
     }
 

@@ -33,8 +33,8 @@ mod motions;
 mod tests;
 
 use super::InterpolationOptions;
-use super::tracked_pair::TrackMotion;
-use super::warp::{Warp, cross_fade, difference, warped};
+use super::tracked_pair::{RowFractions, TrackMotion};
+use super::warp::{Warp, cross_fade_rows, difference, warped};
 use crate::raster::{Image, Tiles, box_filter};
 use blocks::BlockGrid;
 use costs::CostPoints;
@@ -69,8 +69,8 @@ pub(super) struct FourFrames<'a> {
     pub later: &'a Image,
     /// The frame after the later one, if it exists.
     pub after: Option<&'a Image>,
-    /// (t' − t)/Δt of the instant t': 0 at the earlier frame, 1 at the later.
-    pub fraction: f32,
+    /// (t' − t)/Δt of the instant t' in each row: 0 at the earlier frame, 1 at the later.
+    pub fractions: RowFractions,
     /// The tiles of the image that are needed; `None` for all. Tiles far from them are black.
     pub parts: Option<&'a Tiles>,
 }
@@ -129,11 +129,12 @@ pub(super) fn refined(
     let near = frames.parts.map(|parts| parts.grown(grid.side + 2 * radius));
     let warped = [(frames.earlier, warps[0]), (frames.later, warps[1])]
         .map(|(image, warp)| warped(image, warp, near.as_ref()));
-    let cross_faded = cross_fade(&warped[0], &warped[1], frames.fraction);
+    let cross_faded = cross_fade_rows(&warped[0], &warped[1], frames.fractions);
     let cost = |a: &Image, b: &Image| box_filter(&difference(a, b), w, h, radius);
     let costs = cost(&warped[0], &warped[1]);
     let warp_motions = warp_motions(warps, &costs);
-    let outer_counts = frames.outer_weight() > 0.0;
+    let ends = [0.0, 0.5 * h as f64, h as f64];
+    let outer_counts = ends.iter().any(|&y_px| frames.outer_weight(y_px) > 0.0);
     let shared = SharedInputs {
         frames,
         motions: MotionHypotheses::new(motions, options.search_radius_px),

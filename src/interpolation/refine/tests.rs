@@ -86,7 +86,8 @@ fn at_rest() -> Vec<TrackMotion> {
 
 fn around(frames: &[Image; 4], fraction: f32) -> FourFrames<'_> {
     let [before, earlier, later, after] = frames;
-    FourFrames { before: Some(before), earlier, later, after: Some(after), fraction, parts: None }
+    let fractions = RowFractions::constant(f64::from(fraction));
+    FourFrames { before: Some(before), earlier, later, after: Some(after), fractions, parts: None }
 }
 
 fn psnr(image: &Image, truth: &Image) -> f64 {
@@ -257,9 +258,8 @@ fn near_a_frame_what_only_the_other_shows_does_not_appear() {
 #[test]
 fn where_the_frames_agree_nothing_changes() {
     let frame = scene(0.0);
-    let (before, after) = (None, None);
-    let four =
-        FourFrames { before, earlier: &frame, later: &frame, after, fraction: 0.3, parts: None };
+    let (before, after, fractions) = (None, None, RowFractions::constant(0.3));
+    let four = FourFrames { before, earlier: &frame, later: &frame, after, fractions, parts: None };
     let still = Warp::identity(W, H);
     let (result, _) =
         refined(&four, [&still, &still], &motions(), &InterpolationOptions::default());
@@ -316,7 +316,7 @@ fn tiny_images_stay_finite() {
             earlier: &a,
             later: &b,
             after: Some(&b),
-            fraction: 0.5,
+            fractions: RowFractions::constant(0.5),
             parts: None,
         };
         let still = Warp::identity(w, h);

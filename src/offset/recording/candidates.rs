@@ -8,6 +8,7 @@
 //! Known limit: a feature that moves along its epipolar line has no candidate.
 
 use crate::camera::{Camera, EpipolarGeometry, EpipolarLine};
+use crate::capture::FrameTimes;
 use crate::registration::{Track, Trajectory};
 use nalgebra::Point2;
 
@@ -65,8 +66,8 @@ pub struct ThreeFrames<'a> {
     pub camera_i: &'a Camera,
     /// The camera with one frame.
     pub camera_j: &'a Camera,
-    /// The times of all frames of camera i on its own clock, ascending, seconds.
-    pub times_i: &'a [f64],
+    /// The times of camera i's frames on its own clock. Every position has the time of its row.
+    pub times_i: FrameTimes<'a>,
     /// The index of the earlier one of camera i's two frames; it must not be the last frame.
     pub index_i: usize,
     /// Whether trajectories are curves, which also pass through the feature's positions in the frames before
@@ -134,8 +135,8 @@ impl ThreeFrames<'_> {
     fn crossing(&self, line: &EpipolarLine, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let trajectory = Trajectory::new(samples.iter().copied())?;
-        let start = self.times_i[self.index_i];
-        let interval = self.times_i[self.index_i + 1] - start;
+        let start = self.times_i.at(self.index_i, &track.earlier);
+        let interval = self.times_i.at(self.index_i + 1, &track.later) - start;
         let [near, far] = [0.0, interval].map(|t| line.distance(&trajectory.at(start + t)));
         if (far - near).abs() < self.min_across_px {
             return None;
@@ -169,6 +170,8 @@ impl ThreeFrames<'_> {
             let change = place - lower_order.at(start + time_s);
             NEXT_ORDER_FRACTION * line.normal.dot(&change).abs()
         });
+        // From the frame's time, not that of the feature's row.
+        let time_s = time_s + (start - self.times_i.times_s[self.index_i]);
         Some(Some(Candidate { time_s, across_px_s, place, trajectory_error_px }))
     }
 
@@ -179,7 +182,7 @@ impl ThreeFrames<'_> {
     /// that exist, or moves abruptly there.
     fn samples(&self, track: &Track) -> Option<Vec<(f64, Point2<f64>)>> {
         let k = self.index_i;
-        let last = self.times_i.len() - 1;
+        let last = self.times_i.times_s.len() - 1;
         let mut at = vec![(k, track.earlier), (k + 1, track.later)];
         if self.curved {
             at.extend(track.before.filter(|_| k > 0).map(|p| (k.wrapping_sub(1), p)));
@@ -188,7 +191,7 @@ impl ThreeFrames<'_> {
         }
         let samples = at
             .into_iter()
-            .map(|(k, p)| Some((self.times_i[k], self.camera_i.model.ideal_from_pixel(&p)?)))
+            .map(|(k, p)| Some((self.times_i.at(k, &p), self.camera_i.model.ideal_from_pixel(&p)?)))
             .collect::<Option<Vec<_>>>()?;
         let is_straight = last == 1 || !self.curved;
         (is_straight || (samples.len() > 2 && is_smooth(&samples))).then_some(samples)
@@ -220,6 +223,7 @@ fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
 mod tests {
     use super::*;
     use crate::camera::CameraModel;
+    use crate::capture::RowTimes;
     use crate::registration::FlowDirection;
     use nalgebra::{Isometry3, Matrix2, Point3};
 
@@ -259,7 +263,7 @@ mod tests {
                 let frames = ThreeFrames {
                     camera_i: &i,
                     camera_j: &j,
-                    times_i: &[-1.0, 0.0, 1.0, 2.0],
+                    times_i: FrameTimes::global(&[-1.0, 0.0, 1.0, 2.0]),
                     index_i: 1,
                     curved,
                     min_across_px: 1.0,
@@ -268,6 +272,38 @@ mod tests {
                 let candidate = frames.candidates(&[&track], &[j.project(&at(t))])[0];
                 assert!((candidate.time_s - t).abs() < tolerance, "{} {t}", candidate.time_s);
             }
+        }
+    }
+
+    /// Positions of a rolling shutter have the times of their rows; the candidate is the true time.
+    #[test]
+    fn candidates_of_rolling_shutters_are_exact() {
+        let (i, j) = (camera(0.0), camera(0.06));
+        let rows = RowTimes::new(0.7, i.height);
+        for k in 0..20 {
+            let k = f64::from(k);
+            let at = move |t: f64| {
+                Point3::new(0.1 * (k * 0.7).sin() + 0.01 * t, 0.2 * (k * 0.9).cos() + 0.05 * t, 1.8)
+            };
+            // The row depends on the time: iterated to the fixed point.
+            let seen = |frame: f64| {
+                let pixel = |t: f64| i.project(&at(t)).unwrap();
+                pixel((0..40).fold(frame, |t, _| frame + rows.offset_s(pixel(t).y)))
+            };
+            let frames = |rows: RowTimes| ThreeFrames {
+                camera_i: &i,
+                camera_j: &j,
+                times_i: FrameTimes { times_s: &[-1.0, 0.0, 1.0, 2.0], rows },
+                index_i: 1,
+                curved: false,
+                min_across_px: 1.0,
+            };
+            let t = 0.05 * k;
+            let (track, in_j) = (track(seen), j.project(&at(t)));
+            let found = |rows| frames(rows).candidates(&[&track], &[in_j])[0].time_s;
+            let offset_s = rows.offset_s(i.project(&at(t)).unwrap().y);
+            assert!((found(rows) - t).abs() < 1e-9, "{} {t}", found(rows));
+            assert!((found(RowTimes::default()) - t).abs() > 0.5 * offset_s.abs());
         }
     }
 
@@ -304,7 +340,7 @@ mod tests {
             let frames = ThreeFrames {
                 camera_i: &middle,
                 camera_j: &other,
-                times_i: &[-1.0, 0.0, 1.0, 2.0],
+                times_i: FrameTimes::global(&[-1.0, 0.0, 1.0, 2.0]),
                 index_i: 1,
                 curved: true,
                 min_across_px: 1.0,
@@ -322,7 +358,7 @@ mod tests {
         let frames = ThreeFrames {
             camera_i: &i,
             camera_j: &j,
-            times_i: &[-1.0, 0.0, 1.0, 2.0],
+            times_i: FrameTimes::global(&[-1.0, 0.0, 1.0, 2.0]),
             index_i: 1,
             curved: true,
             min_across_px: 1.0,

@@ -15,7 +15,7 @@ use std::sync::Arc;
 /// One feature's candidate for the offset of two cameras, a and b (eq. (10)).
 ///
 /// The feature's trajectory in camera a crosses the epipolar line of its image in camera b at
-/// `time_a_s` on a's clock. That image was taken at `time_b_s` on b's clock.
+/// `time_a_s` on a's clock. That image was taken at `time_b_s` on b's clock: the time of the row that shows the feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// The indices of cameras a and b.
@@ -169,8 +169,7 @@ impl<'a> Recording<'a> {
         let cameras = &self.frames.capture().cameras;
         let (source, target) = (self.frames.get(a, k)?, self.frames.get(b, m)?);
         let all_tracks = self.tracks(a, k)?;
-        let times_i = &self.clocks[a].times_s;
-        let time_b_s = self.clocks[b].times_s[m];
+        let [times_i, times_j] = [a, b].map(|c| cameras[c].frame_times(&self.clocks[c].times_s));
         let three_frames = ThreeFrames {
             camera_i: &cameras[a].camera,
             camera_j: &cameras[b].camera,
@@ -192,11 +191,11 @@ impl<'a> Recording<'a> {
         let crossings = three_frames.crossings(&tracks, &in_b);
         let samples = crossings
             .iter()
-            .filter_map(|(track, candidate)| Some((*track, (*candidate)?)))
-            .map(|(track, candidate)| Sample {
+            .filter_map(|(track, candidate)| Some((*track, (*candidate)?, in_b[*track]?)))
+            .map(|(track, candidate, p_b)| Sample {
                 cameras: [a, b],
-                time_a_s: times_i[k] + candidate.time_s,
-                time_b_s,
+                time_a_s: times_i.times_s[k] + candidate.time_s,
+                time_b_s: times_j.at(m, &p_b),
                 across_px_s: candidate.effective_speed_px_s(),
                 cell: self.cell(a, tracks[track]),
                 window: self.window(a, tracks[track]),

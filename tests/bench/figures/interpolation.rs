@@ -5,9 +5,10 @@ use crate::draw::{BLUE, Part, RED, YELLOW, arrow, dot, line, magnified, pale};
 use crate::page::{Page, Panel};
 use crate::scene::{Clocks, Scene, TrueView};
 use std::sync::Arc;
+use stlfr::capture::FrameTimes;
 use stlfr::interpolation::{
-    EDGE_BOOST, Edge, EdgeFeature, InterpolationOptions, SyncMethod, cross_dissolve, edge_set,
-    morph_warp, real_edges,
+    EDGE_BOOST, Edge, EdgeFeature, InterpolationOptions, RowFractions, SyncMethod, cross_dissolve,
+    edge_set, morph_warp, real_edges,
 };
 use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
@@ -76,7 +77,7 @@ impl Pair {
         let of_set = |t: &&Track| if forward { t.in_forward_set() } else { t.in_backward_set() };
         let feature = |t: &Track| {
             let straight = Track { before: None, after: None, ..t.clone() };
-            let target = straight.trajectory(&times_s, self.k)?.at(self.time_s);
+            let target = straight.trajectory(FrameTimes::global(&times_s), self.k)?.at(self.time_s);
             let (source, other) = if forward { (t.earlier, t.later) } else { (t.later, t.earlier) };
             Some(EdgeFeature { source, other, target })
         };
@@ -105,7 +106,7 @@ impl Pair {
             edges.retain(|e| virtual_edges || e.mean_fitness.is_some());
             Ok(morph_warp(&edges, [w, h], EDGE_BOOST, papers_interpolation().grid_px))
         };
-        let fraction = ((self.time_s - start) / (end - start)) as f32;
+        let fraction = RowFractions::constant((self.time_s - start) / (end - start));
         let images = [&earlier.image, &later.image];
         Ok(cross_dissolve(images, [&warp(true)?, &warp(false)?], fraction, None))
     }

@@ -7,6 +7,7 @@ use super::{median, percentile, save};
 use nalgebra::{Isometry3, Matrix2, Point2, Vector2};
 use std::path::Path;
 use stlfr::camera::{Camera, CameraModel};
+use stlfr::capture::FrameTimes;
 use stlfr::chart::{Chart, Series};
 use stlfr::offset::{
     Candidate, Mixture, Observation, ThreeFrames, consensus_value, ransac, weighted_least_squares,
@@ -47,7 +48,7 @@ fn candidates(outlier_fraction: f64, random: &mut Random) -> Vec<Candidate> {
     let three = ThreeFrames {
         camera_i: &i,
         camera_j: &j,
-        times_i: &[0.0, 1.0],
+        times_i: FrameTimes::global(&[0.0, 1.0]),
         index_i: 0,
         curved: false,
         min_across_px: 1.0,

@@ -15,7 +15,7 @@ use nalgebra::Point2;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
-use stlfr::capture::{Capture, Truth};
+use stlfr::capture::{Capture, FrameTimes, Truth};
 use stlfr::chart::{Chart, ChartPoint, Series};
 use stlfr::offset::{ThreeFrames, ransac, weighted_least_squares};
 use stlfr::registration::{FrameStore, RegistrationOptions, Track, flow, temporal_flow};
@@ -58,7 +58,7 @@ fn frame_offsets(
     let three = ThreeFrames {
         camera_i: &cameras[i].camera,
         camera_j: &cameras[j].camera,
-        times_i,
+        times_i: FrameTimes::global(times_i),
         index_i: k,
         curved: false,
         min_across_px: 0.0,

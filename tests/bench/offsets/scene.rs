@@ -5,6 +5,7 @@ use nalgebra::{Point3, Rotation3, Vector3};
 use rayon::prelude::*;
 use serde_json::json;
 use std::path::Path;
+use stlfr::capture::RowTimes;
 use stlfr::random::Random;
 use stlfr::raster::Image;
 use stlfr::raster::{BitDepth, write_image};
@@ -82,6 +83,8 @@ pub struct SyntheticCapture {
     /// The standard deviation of the pixels' noise, of full scale.
     pub noise: f64,
     pub exposure_s: f64,
+    /// By camera: the readout of its rolling shutter, seconds; 0 for a global shutter.
+    pub readouts_s: Vec<f64>,
     pub bits: BitDepth,
     /// The distance of a second row of cameras below the first, metres; 0: one row.
     pub second_row_m: f64,
@@ -106,6 +109,7 @@ impl SyntheticCapture {
             stamped: true,
             noise: 0.002,
             exposure_s: 0.0,
+            readouts_s: vec![0.0; delays_frames.len()],
             bits: BitDepth::Eight,
             second_row_m: 0.0,
             seed: 1,
@@ -180,13 +184,16 @@ impl SyntheticCapture {
             let is_reference = c == (self.delays_s.len() - 1) / 2;
             let lost = (self.may_lose || self.lost.iter().any(|l| !l.is_empty()))
                 && (self.reference_loses || !is_reference);
-            let clock = if self.stamped && self.jitter_s > 0.0 {
+            let mut clock = if self.stamped && self.jitter_s > 0.0 {
                 let times: Vec<f64> =
                     errors.iter().enumerate().map(|(k, e)| regular_s(k) + e).collect();
                 json!({"times_s": times, "shared": false})
             } else {
                 json!({"rate_hz": self.rate_hz, "first_s": 0.0, "shared": false, "drift": drift, "lost": lost})
             };
+            if self.readouts_s[c] > 0.0 {
+                clock["readout_s"] = self.readouts_s[c].into();
+            }
             let [w, h] = self.size;
             let focal = self.focal_px();
             cameras.push(json!({"id": format!("cam{c}"), "frames": format!("cam{c}/%04d.png"),
@@ -197,7 +204,8 @@ impl SyntheticCapture {
             std::fs::create_dir_all(folder.join(format!("cam{c}")))?;
         }
         shots.par_iter().try_for_each(|&(c, image, place, time_s, seed)| {
-            let picture = self.image(&texture, place, time_s, (seed * 1e15) as u64);
+            let rows = RowTimes::new(self.readouts_s[c], self.size[1]);
+            let picture = self.image(&texture, place, (time_s, rows), (seed * 1e15) as u64);
             let path = folder.join(format!("cam{c}/{image:04}.png"));
             write_image(&path, &picture, None, self.bits).map_err(std::io::Error::other)
         })?;
@@ -208,17 +216,33 @@ impl SyntheticCapture {
         Ok(means.iter().map(|m| m - reference).collect())
     }
 
+    /// The image of a camera at a place of the plane z = 0, metres, at an instant, seconds: without noise, exposure and
+    /// readout.
+    pub fn true_view(&self, place: [f64; 2], time_s: f64) -> Image {
+        let exact = Self { noise: 0.0, exposure_s: 0.0, ..self.clone() };
+        exact.image(&Texture::new(), place, (time_s, RowTimes::default()), 0)
+    }
+
     fn focal_px(&self) -> f64 {
         1.07 * self.size[0] as f64
     }
 
-    fn image(&self, texture: &Texture, place: [f64; 2], time_s: f64, seed: u64) -> Image {
+    fn image(
+        &self,
+        texture: &Texture,
+        place: [f64; 2],
+        (time_s, rows): (f64, RowTimes),
+        seed: u64,
+    ) -> Image {
         let instants = if self.exposure_s > 0.0 { 8 } else { 1 };
         let [w, h] = self.size;
         let mut sum = vec![0.0_f64; w * h];
         for n in 0..instants {
             let fraction = (n as f64 + 0.5) / f64::from(instants) - 0.5;
-            self.expose(texture, place, time_s + fraction * self.exposure_s, &mut sum);
+            let time_s = time_s + fraction * self.exposure_s;
+            for (y, row) in sum.chunks_exact_mut(w).enumerate() {
+                self.expose_row(texture, place, (y, time_s + rows.offset_s(y as f64 + 0.5)), row);
+            }
         }
         let mut random = Random::new(seed);
         let scale = 1.0 / f64::from(instants);
@@ -228,7 +252,13 @@ impl SyntheticCapture {
         Image::from_data(w, h, 1, data)
     }
 
-    fn expose(&self, texture: &Texture, [x, y]: [f64; 2], t: f64, sum: &mut [f64]) {
+    fn expose_row(
+        &self,
+        texture: &Texture,
+        [x, y]: [f64; 2],
+        (row, t): (usize, f64),
+        sum: &mut [f64],
+    ) {
         let [w, h] = self.size;
         let focal = self.focal_px();
         let eye = Point3::new(x, y, 0.0);
@@ -244,8 +274,8 @@ impl SyntheticCapture {
             // Four rays per pixel against aliasing at edges.
             for (dx, dy) in [(0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)] {
                 let ray = Vector3::new(
-                    ((k % w) as f64 + dx - w as f64 / 2.0) / focal,
-                    ((k / w) as f64 + dy - h as f64 / 2.0) / focal,
+                    (k as f64 + dx - w as f64 / 2.0) / focal,
+                    (row as f64 + dy - h as f64 / 2.0) / focal,
                     1.0,
                 );
                 let mut nearest = (f64::INFINITY, 0.5);
