@@ -19,5 +19,6 @@ JUDGED_ON = (
     "textureless",
     "still",
     "along",
+    "dance",
 )
 """These scenes only judge: what is measured on them changes no parameter."""
