@@ -80,7 +80,9 @@ def limb(
     radii = [(0.45 * from_m, 0.45 * from_m), (0.85 * from_m, 0.85 * from_m)]
     for at in np.linspace(0.0, 1.0, 12):
         # A muscle's bulge in its upper half.
-        radius_m = from_m + (to_m - from_m) * at + 0.12 * from_m * math.sin(math.pi * at)
+        radius_m = (
+            from_m + (to_m - from_m) * at + 0.12 * from_m * math.sin(math.pi * at)
+        )
         centres.append((0.0, 0.0, -length_m * at))
         radii.append((radius_m, radius_m))
     centres += [(0.0, 0.0, -length_m - 0.5 * to_m), (0.0, 0.0, -length_m - 0.8 * to_m)]
@@ -131,7 +133,7 @@ def head(body: Any) -> Any:
         inside = ((x - u) / wide) ** 2 + ((y - v) / high) ** 2 < 1
         return inside.astype(np.float32)
 
-    # The front, −y, is three quarters around.
+    # The front, -y, is three quarters around.
     for u, v, wide, high, code in (
         (342, 128, 10, 6, "f6f2ea"),
         (378, 128, 10, 6, "f6f2ea"),
@@ -143,7 +145,9 @@ def head(body: Any) -> Any:
         face = paint.blended(face, spot(u, v, wide, high), code)
     knit = paint.patchwork("cap", shape, ("3b2a6b", "8a63b8", "e3d7ee", "c04a6e"), 14)
     face = np.where((y > 160)[..., None], knit, face)
-    made = kit.turned("head", kit.printed("face", face), kit.sphere_profile(0.085, 0.0, 28))
+    made = kit.turned(
+        "head", kit.printed("face", face), kit.sphere_profile(0.085, 0.0, 28)
+    )
     made.parent, made.location, made.scale = body, (0.0, 0.0, 0.55), (0.9, 1.0, 1.15)
     return made
 
@@ -154,7 +158,7 @@ def drive(target: Any, path: str, axis: int, expression: str) -> None:
 
 
 def turn(target: Any, axis: int, middle: float, amount: float, rhythm: str) -> None:
-    """Swing a joint about an axis: radians, `rhythm` an expression of `{t}` from −1 to 1."""
+    """Swing a joint about an axis: radians, `rhythm` an expression of `{t}` from -1 to 1."""
     drive(target, "rotation_euler", axis, f"{middle} + {amount}*{rhythm}")
 
 
@@ -163,10 +167,14 @@ def arms(body: Any) -> None:
     sleeve = cloth_of("sleeve", ("c8362b", "f4efe2", "1f3f7a", "e79a3c"), 16)
     skin = kit.printed(
         "skin",
-        paint.photo("skin", (200, 200), ("7d4a33", "b97858", "e2b596", "93583f", "cf9a78"), 12),
+        paint.photo(
+            "skin", (200, 200), ("7d4a33", "b97858", "e2b596", "93583f", "cf9a78"), 12
+        ),
     )
     for side, start in ((-1, 0.3), (1, 1.9)):
-        upper = limb("upper arm", sleeve, 0.21, (0.042, 0.034), body, (side * 0.15, 0.0, 0.33))
+        upper = limb(
+            "upper arm", sleeve, 0.21, (0.042, 0.034), body, (side * 0.15, 0.0, 0.33)
+        )
         turn(upper, 0, 0.15, 0.55, f"sin(6.3*{{t}} + {start})")
         turn(upper, 1, -side * 1.15, 0.75, f"sin(7.4*{{t}} + {start + 0.8})")
         fore = limb("forearm", skin, 0.20, (0.033, 0.024), upper, (0.0, 0.0, -0.215))
@@ -178,9 +186,13 @@ def arms(body: Any) -> None:
 def legs(body: Any) -> None:
     """One leg carries, the other kicks, in turn."""
     denim = cloth_of("trousers", ("1d2f52", "34598f", "7fa1cf", "d9e2ee", "b3452c"), 18)
-    shoe = kit.printed("shoe", paint.patchwork("shoe", (120, 120), ("1c1a1a", "f2ede2", "c7342c"), 12))
+    shoe = kit.printed(
+        "shoe", paint.patchwork("shoe", (120, 120), ("1c1a1a", "f2ede2", "c7342c"), 12)
+    )
     for side, start in ((-1, 0.0), (1, 3.14)):
-        thigh = limb("thigh", denim, 0.29, (0.068, 0.050), body, (side * 0.065, 0.0, -0.06))
+        thigh = limb(
+            "thigh", denim, 0.29, (0.068, 0.050), body, (side * 0.065, 0.0, -0.06)
+        )
         turn(thigh, 0, 0.25, 0.45, f"sin(6.3*{{t}} + {start})")
         turn(thigh, 1, -side * 0.16, 0.14, f"sin(6.3*{{t}} + {start + 1.0})")
         shin = limb("shin", denim, 0.27, (0.048, 0.034), thigh, (0.0, 0.0, -0.295))

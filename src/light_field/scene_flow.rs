@@ -5,7 +5,7 @@ use super::depth::{range, scene_points};
 use super::graph::{LightField, Stage, StoredStage};
 use super::points::nearest;
 use super::slots::{FrameId, Slot, Slots};
-use super::stages::{FlowConfidences, FlowOptions, FrameFlow, Instant, Undistorted};
+use super::stages::{FlowConfidences, FlowOptions, FrameFlow, Instant, StillContent, Undistorted};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::Stored;
@@ -35,13 +35,18 @@ impl Stage for Undistorted<'_> {
         frame.bytes()
     }
 
-    fn compute(&self, field: &LightField, _: &Context) -> Result<FlowFrame, RenderError> {
+    fn compute(&self, field: &LightField, context: &Context) -> Result<FlowFrame, RenderError> {
         let &Self { camera, frame, registration } = self;
         let image = field.capture().read_frame(camera, frame)?;
         let gains = field.gains(registration);
         let image = gains.corrected(camera, &image).unwrap_or(image);
         let time = field.in_frames(field.times_s(camera)[frame]);
-        Ok(FlowFrame::new(&field.capture().cameras[camera].camera, &image, time))
+        let flow_frame = FlowFrame::new(&field.capture().cameras[camera].camera, &image, time);
+        if field.common_place().is_none() {
+            return Ok(flow_frame);
+        }
+        let still = field.get(&StillContent { camera, registration }, context)?;
+        Ok(flow_frame.with_still(&still))
     }
 }
 
@@ -81,7 +86,7 @@ fn slot_maps(
         .zip(&others)
         .map(|(id, others)| (with_pyramid(id), others.iter().map(with_pyramid).collect()))
         .collect();
-    let baseline_m = 2.0 * field.spacing_m();
+    let baseline_m = field.matching_baseline_m();
     let proceed = || context.check().is_ok();
     let maps = Estimation { frames: &list, limits, baseline_m }.run(&proceed);
     context.check()?;
@@ -105,7 +110,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 2 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 3 };
 }
 
 impl Stage for FlowConfidences<'_> {
@@ -198,21 +203,26 @@ fn limits(
     options: FlowOptions,
 ) -> Result<Option<Limits>, RenderError> {
     let Some(&(camera, frame)) = frames.get(frames.len() / 2) else { return Ok(None) };
+    let filmed = &field.capture().cameras;
+    let cameras: BTreeSet<usize> = frames.iter().map(|id| id.0).collect();
+    let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
+    let max_speed = (MAX_SPEED * side.max().unwrap_or(0) as f64) as f32;
+    let wider = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+    if let Some(place) = field.common_place() {
+        let ranges = cameras.iter().filter_map(|&c| field.common_range(place, c));
+        let limits = |range: [f64; 2]| Limits { inverse_depth: range.map(|q| q as f32), max_speed };
+        return Ok(ranges.reduce(wider).map(limits));
+    }
     let time_s = field.while_all_film(field.times_s(camera)[frame]);
     if field.spacing_m() == 0.0 {
         return Ok(None);
     }
     let FlowOptions { registration, still_change, proxy } = options;
     let instant = Instant { time_s, registration, still_change };
-    let filmed = &field.capture().cameras;
     let points = scene_points(field, &filmed[camera].camera, instant, proxy)?;
     let Some(points) = points else { return Ok(None) };
-    let cameras: BTreeSet<usize> = frames.iter().map(|id| id.0).collect();
     let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
-    let both = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-    let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
-    let max_speed = (MAX_SPEED * side.max().unwrap_or(0) as f64) as f32;
-    Ok(both.map(|[min, max]| Limits {
+    Ok(ranges.reduce(wider).map(|[min, max]| Limits {
         inverse_depth: [(min / DEPTH_MARGIN) as f32, (max * DEPTH_MARGIN) as f32],
         max_speed,
     }))

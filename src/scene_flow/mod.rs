@@ -18,6 +18,7 @@
 //! |---|---|
 //! | `frame.rs` | a frame without distortion, and the pyramid that is matched |
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
+//! | `still.rs` | what stands still before a camera |
 //! | `element.rs` | a surface element: depth, path, slant |
 //! | `matching.rs` | the matching cost of an element in all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
@@ -41,6 +42,7 @@ mod map;
 mod matching;
 mod packed;
 mod splat;
+mod still;
 mod sweep;
 mod transfer;
 
@@ -53,4 +55,5 @@ pub use element::Element;
 pub use estimate::Estimation;
 pub use frame::{FlowFrame, MatchingImage, PyramidFrame};
 pub use map::{ElementMap, FlowMap, MappedFrame};
+pub use still::{CompactImage, StillImage};
 pub use sweep::Limits;
