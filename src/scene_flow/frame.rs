@@ -166,8 +166,11 @@ impl FlowFrame {
         Self { view, time, is_color, image, is_filmed, still: None }
     }
 
-    /// The frame with the knowledge of what stands still before its camera.
+    /// The frame with the knowledge of what stands still before its camera. Unchanged if nothing is known to.
     pub fn with_still(self, still: &StillImage) -> Self {
+        if still.is_empty() {
+            return self;
+        }
         let still = Some(still.shown_in(&CompactImage::new(&self.image)));
         Self { still, ..self }
     }

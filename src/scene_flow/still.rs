@@ -67,6 +67,11 @@ impl StillImage {
         Self { width, colors: (0..pixels).into_par_iter().map(color).collect() }
     }
 
+    /// Whether nothing is known to stand still.
+    pub fn is_empty(&self) -> bool {
+        self.colors.iter().all(Option::is_none)
+    }
+
     /// Number of pixels.
     pub fn pixels(&self) -> usize {
         self.colors.len()
