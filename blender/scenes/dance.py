@@ -30,7 +30,7 @@ def cloth() -> None:
     shape = (500, 900)
     random = paint.generator("cloth")
     folds = paint.noise(shape, 120, 2, random)
-    picture = np.broadcast_to(paint.color("2f8f4e"), (*shape, 3)).astype(np.float32)
+    picture = np.broadcast_to(paint.color("58a873"), (*shape, 3)).astype(np.float32)
     material = kit.printed("cloth", paint.shaded(picture, 0.16 * (folds - 0.5)))
     # The profile from the top down, then round the foot of the cloth.
     bend_m = 0.25
@@ -60,7 +60,7 @@ def cloth() -> None:
     hung = kit.lofted("cloth", material, rings)
     hung.location = (*CENTRE_M, FLOOR_M)
     floor = kit.Sheet()
-    floor.rectangle(kit.ink("floor", "2f8f4e"), (-6.0, -6.0), (12.0, 12.0))
+    floor.rectangle(kit.ink("floor", "58a873"), (-6.0, -6.0), (12.0, 12.0))
     laid = floor.build("floor")
     laid.rotation_euler.x = -math.pi / 2
     laid.location = (*CENTRE_M, FLOOR_M - 0.002)
