@@ -20,5 +20,6 @@ JUDGED_ON = (
     "textureless",
     "still",
     "along",
+    "dance",
 )
 """These scenes only judge: what is measured on them changes no parameter."""

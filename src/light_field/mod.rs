@@ -23,6 +23,7 @@
 //! | `geometry.rs` | the depths of a view, and occlusion in the cameras |
 //! | `view.rs` | §6: the blended view |
 //! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, estimated together, and views from them |
+//! | `wide.rs`, `still_content.rs` | cameras around the scene; what stands still before them |
 //! | `flow_frames.rs` | frames with depth and motion, for callers that render views by themselves |
 //! | `all_cameras.rs` | a camera's image, blended from all cameras |
 //! | `image_motion.rs` | motion of a view's pixels to the neighbouring pictures |
@@ -48,9 +49,11 @@ mod request;
 mod scene_flow;
 mod slots;
 mod stages;
+mod still_content;
 mod timeline;
 mod trail;
 mod view;
+mod wide;
 
 pub use context::Context;
 pub use error::RenderError;

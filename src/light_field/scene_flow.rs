@@ -5,7 +5,7 @@ use super::depth::{range, scene_points};
 use super::graph::{LightField, Stage, StoredStage};
 use super::points::nearest;
 use super::slots::{FrameId, Slot, Slots};
-use super::stages::{FlowConfidences, FlowOptions, FrameFlow, Instant, Undistorted};
+use super::stages::{FlowConfidences, FlowOptions, FrameFlow, Instant, StillContent, Undistorted};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::Stored;
@@ -48,8 +48,12 @@ impl Undistorted<'_> {
         let time = field.in_frames(field.times_s(camera)[frame]);
         let filmed = &field.capture().cameras[camera];
         let row_time = field.in_frames(filmed.row_times().s_per_px());
-        let frame = FlowFrame::new(&filmed.camera, &image, time).with_row_time(row_time);
-        Ok(field.insert(self, frame))
+        let flow_frame = FlowFrame::new(&filmed.camera, &image, time).with_row_time(row_time);
+        if field.common_place().is_none() {
+            return Ok(field.insert(self, flow_frame));
+        }
+        let still = StillContent { camera, registration }.get(field)?;
+        Ok(field.insert(self, flow_frame.with_still(&still)))
     }
 }
 
@@ -89,7 +93,7 @@ fn slot_maps(
         .zip(&others)
         .map(|(id, others)| (with_pyramid(id), others.iter().map(with_pyramid).collect()))
         .collect();
-    let baseline_m = 2.0 * field.spacing_m();
+    let baseline_m = field.matching_baseline_m();
     let proceed = || context.check().is_ok();
     let maps = Estimation { frames: &list, limits, baseline_m }.run(&proceed);
     context.check()?;
@@ -216,21 +220,26 @@ fn limits(
     options: FlowOptions,
 ) -> Result<Option<Limits>, RenderError> {
     let Some(&(camera, frame)) = frames.get(frames.len() / 2) else { return Ok(None) };
+    let filmed = &field.capture().cameras;
+    let cameras: BTreeSet<usize> = frames.iter().map(|id| id.0).collect();
+    let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
+    let max_speed = (MAX_SPEED * side.max().unwrap_or(0) as f64) as f32;
+    let wider = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+    if let Some(place) = field.common_place() {
+        let ranges = cameras.iter().filter_map(|&c| field.common_range(place, c));
+        let limits = |range: [f64; 2]| Limits { inverse_depth: range.map(|q| q as f32), max_speed };
+        return Ok(ranges.reduce(wider).map(limits));
+    }
     let time_s = field.while_all_film(field.times_s(camera)[frame]);
     if field.spacing_m() == 0.0 {
         return Ok(None);
     }
     let FlowOptions { registration, still_change, proxy } = options;
     let instant = Instant { time_s, registration, still_change };
-    let filmed = &field.capture().cameras;
     let points = scene_points(field, &filmed[camera].camera, instant, proxy)?;
     let Some(points) = points else { return Ok(None) };
-    let cameras: BTreeSet<usize> = frames.iter().map(|id| id.0).collect();
     let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
-    let both = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-    let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
-    let max_speed = (MAX_SPEED * side.max().unwrap_or(0) as f64) as f32;
-    Ok(both.map(|[min, max]| Limits {
+    Ok(ranges.reduce(wider).map(|[min, max]| Limits {
         inverse_depth: [(min / DEPTH_MARGIN) as f32, (max * DEPTH_MARGIN) as f32],
         max_speed,
     }))

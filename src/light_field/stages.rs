@@ -266,6 +266,13 @@ pub(super) struct Undistorted<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
+/// What stands still before a camera over the whole recording.
+#[derive(Clone, Copy, Serialize)]
+pub(super) struct StillContent<'a> {
+    pub camera: usize,
+    pub registration: &'a RegistrationOptions,
+}
+
 /// Depth and motion of one frame. It is estimated together with the other frames of its slot.
 #[derive(Serialize)]
 pub(super) struct FrameFlow<'a> {

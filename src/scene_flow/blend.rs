@@ -19,6 +19,13 @@ const FRONT: f32 = 0.12;
 /// Weight from which a cluster is opaque, as a fraction of the weight of all candidates. Opacity rises
 /// linearly from 0 at [`FRONT`] to 1.
 const OPAQUE: f32 = 0.25;
+/// Factor on both weights for a cluster that moves, where it is known what stands still: it is in front of no still pixel of
+/// any frame, so that little weight suffices.
+const MOVING: f32 = 0.25;
+/// Number of the eight neighbours of a hole in a moving body that show the body.
+const CLOSING: usize = 5;
+/// Maximum distance of a hole's pixels from its border, pixels. Holes that are farther from it stay open.
+const CLOSED_PX: usize = 4;
 /// Weight above which a cluster is visible through a transparent one in front, as a fraction of the weight
 /// of all candidates.
 const BEHIND: f32 = 0.05;
@@ -37,6 +44,8 @@ struct Pixel {
     color: [f32; 3],
     /// 1/m.
     inverse_depth: f32,
+    /// Whether it is known to move.
+    is_moving: bool,
 }
 
 /// Colours and depths of all pixels of a view, row by row.
@@ -48,6 +57,8 @@ struct Pixels {
     is_mapped: Vec<bool>,
     /// `None` if motion isn't needed.
     motions: Option<MotionMap>,
+    /// Whether the pixel shows something that is known to move.
+    is_moving: Vec<bool>,
 }
 
 impl Pixels {
@@ -57,6 +68,39 @@ impl Pixels {
             colors: vec![[0.0; 3]; count],
             inverse_depths: vec![0.0; count],
             is_mapped: vec![false; count],
+            is_moving: vec![false; count],
+        }
+    }
+
+    /// Closes the holes of moving bodies through which something else shows, inwards ring by ring. A pixel gets the mean
+    /// of its neighbours that show the body.
+    fn close(&mut self, width: usize) {
+        let height = self.is_moving.len() / width;
+        for _ in 0..CLOSED_PX {
+            let closed = |k: usize| {
+                let (x, y) = (k % width, k / width);
+                if self.is_moving[k] || x == 0 || y == 0 || x + 1 == width || y + 1 == height {
+                    return None;
+                }
+                let around = (0..9).map(|n| k + (n / 3) * width + n % 3 - width - 1);
+                let body: Vec<usize> = around.filter(|&n| self.is_moving[n]).collect();
+                let mean = |value: &dyn Fn(usize) -> f32| {
+                    body.iter().map(|&n| value(n)).sum::<f32>() / body.len() as f32
+                };
+                let color = [0, 1, 2].map(|c| mean(&|n| self.colors[n][c]));
+                let inverse_depth = mean(&|n| self.inverse_depths[n]);
+                let is_hole = body.len() >= CLOSING && inverse_depth > self.inverse_depths[k];
+                is_hole.then_some((k, color, inverse_depth))
+            };
+            let found: Vec<_> =
+                (0..self.is_moving.len()).into_par_iter().filter_map(closed).collect();
+            if found.is_empty() {
+                return;
+            }
+            for (k, color, inverse_depth) in found {
+                (self.colors[k], self.inverse_depths[k]) = (color, inverse_depth);
+                (self.is_moving[k], self.is_mapped[k]) = (true, true);
+            }
         }
     }
 
@@ -107,6 +151,15 @@ struct ColorCandidate<'a> {
     inverse_depth: f32,
     source: [f32; 2],
     weight: f32,
+    /// Whether the source is known to move.
+    is_moving: bool,
+}
+
+impl ColorCandidate<'_> {
+    /// The candidate's factor on [`FRONT`].
+    fn front_factor(&self) -> f32 {
+        if self.is_moving { MOVING } else { 1.0 }
+    }
 }
 
 /// A view with its depth map, and the motion of its surfaces if it was asked for.
@@ -115,6 +168,9 @@ pub struct FlowView {
     pub depths: DepthMap,
     pub motions: Option<MotionMap>,
 }
+
+/// Colours, depths, whether a map covers a pixel, and whether it shows motion, of one row of the view.
+type BlendedRow<'a> = (&'a mut [[f32; 3]], &'a mut [f32], &'a mut [bool], &'a mut [bool]);
 
 /// Blends the rows `rows` of a view into `pixels`, as [`blend`] describes.
 fn blend_rows(
@@ -134,9 +190,10 @@ fn blend_rows(
     let band = rows.start * width..rows.end * width;
     let colors = pixels.colors[band.clone()].par_chunks_mut(width);
     let depths = pixels.inverse_depths[band.clone()].par_chunks_mut(width);
-    let is_mapped = pixels.is_mapped[band].par_chunks_mut(width);
+    let is_mapped = pixels.is_mapped[band.clone()].par_chunks_mut(width);
+    let is_moving = pixels.is_moving[band].par_chunks_mut(width);
     let motions = pixels.motions.as_ref();
-    let row = |(y, ((color, depth), is_mapped)): (usize, ((&mut [_], &mut [_]), &mut [_]))| {
+    let row = |(y, (color, depth, is_mapped, moves)): (usize, BlendedRow)| {
         let mut candidates = Vec::with_capacity(splats.len());
         let mut room = Vec::with_capacity(splats.len());
         let mut row = vec![QuantizedMotion::default(); motions.map_or(0, |_| width)];
@@ -144,16 +201,18 @@ fn blend_rows(
             candidates.clear();
             let k = y * width + x;
             for (mapped, splat) in splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0) {
+                let source = splat.sources[k];
                 candidates.push(ColorCandidate {
                     frame: mapped.frame,
                     inverse_depth: splat.inverse_depths[k],
-                    source: splat.sources[k],
+                    source,
                     weight: splat.weights[k],
+                    is_moving: shows_motion(mapped.frame, source),
                 });
             }
             if let Some(found) = pixel_of(&candidates, reach, &mut room) {
                 (color[x], depth[x]) = (found.color, found.inverse_depth);
-                is_mapped[x] = true;
+                (is_mapped[x], moves[x]) = (true, found.is_moving);
                 if let Some(motions) = motions {
                     let of = splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0);
                     row[x] = motions.quantized(motion_of(of, k, (found.inverse_depth, reach)));
@@ -163,7 +222,7 @@ fn blend_rows(
         row
     };
     let rows: Vec<Vec<QuantizedMotion>> =
-        colors.zip(depths).zip(is_mapped).enumerate().map(row).collect();
+        (colors, depths, is_mapped, is_moving).into_par_iter().enumerate().map(row).collect();
     pixels.motions.iter_mut().for_each(|motions| motions.extend(rows.iter().flatten().copied()));
 }
 
@@ -194,6 +253,13 @@ fn motion_of<'a>(
     }
 }
 
+/// Whether a position in a frame is known to show something that moves.
+fn shows_motion(frame: &FlowFrame, [x, y]: [f32; 2]) -> bool {
+    let (width, height) = (frame.view.width, frame.view.height);
+    let inside = |at: f32, size: usize| (at as usize).min(size - 1); // saturates at 0
+    frame.is_moving(inside(y, height) * width + inside(x, width))
+}
+
 /// The view at `time`, in frames of the reference camera since the capture's start. `confidences` are those
 /// of the maps, as [`confidences`](super::confidences) returns them.
 ///
@@ -214,15 +280,18 @@ pub fn blend(
         let rows = first..(first + rows_at_once).min(height);
         blend_rows(mapped, confidences, (view, rows), time, &mut pixels);
     }
+    if mapped.iter().any(|m| m.frame.still.is_some()) {
+        pixels.close(width);
+    }
     pixels.fill(width);
     let behind = Behind::new(mapped, view);
     let colors = pixels.colors.par_iter_mut().zip(&mut pixels.inverse_depths);
     let unmapped = colors.zip(&pixels.is_mapped).enumerate().filter(|(_, (_, mapped))| !**mapped);
     unmapped.for_each(|(k, ((color, inverse_depth), _))| {
         let place = [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5];
-        let pixel = Pixel { color: *color, inverse_depth: *inverse_depth };
+        let pixel = Pixel { color: *color, inverse_depth: *inverse_depth, is_moving: false };
         let filled = undistorted(view, place).and_then(|place| behind.fill(pixel, place));
-        let nothing = Pixel { color: [0.0; 3], inverse_depth: 0.0 };
+        let nothing = Pixel { color: [0.0; 3], inverse_depth: 0.0, is_moving: false };
         let filled = filled.unwrap_or(nothing);
         (*color, *inverse_depth) = (filled.color, filled.inverse_depth);
     });
@@ -312,14 +381,19 @@ fn pixel_of(
         supports.fold((0.0, 0.0), |best, new| if new.1 > best.1 { new } else { best })
     };
     let (mut q, mut weight) = heaviest(f32::NEG_INFINITY, f32::INFINITY);
-    let front = depths().filter(|f| *f > q && support(*f) > FRONT * total).fold(q, f32::max);
+    let is_front = |c: &&ColorCandidate| {
+        c.inverse_depth > q && support(c.inverse_depth) > c.front_factor() * FRONT * total
+    };
+    let front = candidates.iter().filter(is_front).map(|c| c.inverse_depth).fold(q, f32::max);
     if front > q {
         (q, weight) = heaviest(front - reach, front + reach);
     }
     let mut pixel = mean_of(candidates, q, reach, colors)?;
     let (behind, weight_behind) = heaviest(f32::NEG_INFINITY, q - 2.0 * reach);
     if weight_behind > BEHIND * total {
-        let opacity = ((weight / total - FRONT) / (OPAQUE - FRONT)).clamp(0.0, 1.0);
+        let factor = if pixel.is_moving { MOVING } else { 1.0 };
+        let [transparent, opaque] = [factor * FRONT, factor * OPAQUE];
+        let opacity = ((weight / total - transparent) / (opaque - transparent)).clamp(0.0, 1.0);
         if opacity < 1.0
             && let Some(back) = mean_of(candidates, behind, reach, colors)
         {
@@ -344,13 +418,14 @@ fn mean_of(
     let has_color = cluster().any(|c| c.frame.is_color);
     let cluster = || cluster().filter(|c| c.frame.is_color == has_color);
     let most = cluster().map(|c| c.weight).fold(0.0, f32::max);
-    let (mut depths, mut weights) = (0.0, 0.0);
+    let (mut depths, mut weights, mut moving) = (0.0, 0.0, 0.0);
     colors.clear();
     for c in cluster().filter(|c| c.weight >= MIN_SHARE * most) {
         let [x, y] = c.source;
         colors.push((sample(&c.frame.image, x, y, Sampling::Cubic), c.weight));
         depths += c.weight * c.inverse_depth;
         weights += c.weight;
+        moving += if c.is_moving { c.weight } else { 0.0 };
     }
     if colors.is_empty() {
         return None;
@@ -364,7 +439,7 @@ fn mean_of(
         });
     }
     let color = color.map(|c| c.clamp(0.0, 1.0));
-    Some(Pixel { color, inverse_depth: depths / weights })
+    Some(Pixel { color, inverse_depth: depths / weights, is_moving: 2.0 * moving > weights })
 }
 
 /// The mean of the colours, weighted by their weight times `factor`; both are positive.

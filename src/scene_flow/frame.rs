@@ -1,5 +1,6 @@
 //! Frames for matching: an image pyramid of brightness, colour and gradients.
 
+use super::still::{CompactImage, StillImage};
 use crate::camera::{Camera, CameraModel};
 use crate::raster::Image;
 use nalgebra::Point2;
@@ -19,6 +20,8 @@ pub struct MatchingImage {
     pub width: usize,
     pub height: usize,
     samples: Vec<MatchingSample>,
+    /// For each pixel, whether all of it shows what stands still. Empty: unknown.
+    still: Vec<bool>,
 }
 
 impl MatchingImage {
@@ -56,12 +59,18 @@ impl MatchingImage {
                 ]);
             }
         }
-        Self { width, height, samples }
+        Self { width, height, samples, still: Vec::new() }
+    }
+
+    /// Whether a pixel shows what stands still; `None` if that is unknown of the whole image.
+    #[inline(always)]
+    pub fn is_still(&self, x: usize, y: usize) -> Option<bool> {
+        self.still.get(y * self.width + x).copied()
     }
 
     /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.samples.as_slice())
+        size_of_val(self.samples.as_slice()) + self.still.len()
     }
 
     #[inline(always)]
@@ -97,6 +106,16 @@ fn halved(width: usize, height: usize, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
     (0..columns * rows).map(mean).collect()
 }
 
+/// Whether each 2×2 pixels stand still, all four.
+fn halved_still(finer: &MatchingImage) -> Vec<bool> {
+    let (columns, rows) = (finer.width / 2, finer.height / 2);
+    let all = |k: usize| {
+        let at = 2 * (k / columns) * finer.width + 2 * (k % columns);
+        [at, at + 1, at + finer.width, at + finer.width + 1].iter().all(|&k| finer.still[k])
+    };
+    (0..columns * rows).map(all).collect()
+}
+
 /// A camera's frame at its own time, resampled to a pinhole camera.
 pub struct FlowFrame {
     /// The pinhole camera.
@@ -112,6 +131,8 @@ pub struct FlowFrame {
     pub image: Image,
     /// For each pixel, whether it lies inside the camera's original image. `None`: all do.
     pub is_filmed: Option<Vec<bool>>,
+    /// For each pixel, whether it shows what stands still over the whole recording. `None`: unknown.
+    pub still: Option<Vec<bool>>,
 }
 
 /// A frame with the pyramid of its image ([`FlowFrame::pyramid`]).
@@ -146,7 +167,7 @@ impl FlowFrame {
             let (image, is_filmed) = undistorted(camera, &view, &image);
             (image, Some(is_filmed))
         };
-        Self { view, time, row_time: 0.0, is_color, image, is_filmed }
+        Self { view, time, row_time: 0.0, is_color, image, is_filmed, still: None }
     }
 
     /// The frame of a rolling shutter, with a time from one row to the next in frames of the reference camera.
@@ -154,14 +175,38 @@ impl FlowFrame {
         Self { row_time, ..self }
     }
 
+    /// The frame with the knowledge of what stands still before its camera. Unchanged if nothing is known to.
+    pub fn with_still(self, still: &StillImage) -> Self {
+        if still.is_empty() {
+            return self;
+        }
+        let still = Some(still.shown_in(&CompactImage::new(&self.image)));
+        Self { still, ..self }
+    }
+
     /// The pyramid of the image, finest level first.
     pub fn pyramid(&self) -> Vec<MatchingImage> {
-        MatchingImage::pyramid(&self.image, levels(self.view.width, self.view.height))
+        let levels = levels(self.view.width, self.view.height);
+        let mut pyramid = MatchingImage::pyramid(&self.image, levels);
+        if let Some(still) = &self.still {
+            pyramid[0].still.clone_from(still);
+            for level in 1..pyramid.len() {
+                pyramid[level].still = halved_still(&pyramid[level - 1]);
+            }
+        }
+        pyramid
+    }
+
+    /// Whether pixel `k` is known to show something that moves.
+    pub fn is_moving(&self, k: usize) -> bool {
+        self.still.as_ref().is_some_and(|still| !still[k])
     }
 
     /// Size in memory, bytes.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.image.data()) + self.is_filmed.as_ref().map_or(0, Vec::len)
+        let masks = [&self.is_filmed, &self.still];
+        let masks: usize = masks.into_iter().flatten().map(Vec::len).sum();
+        size_of_val(self.image.data()) + masks
     }
 }
 

@@ -445,6 +445,23 @@ impl PatchMatcher<'_> {
         cost_below(&self.placed(e, x, y), patch, limit, costs)
     }
 
+    /// The fraction of the observing frames that show what stands still where they would show the element, among those
+    /// that have it in their image.
+    #[inline(always)]
+    pub fn still_fraction(&self, e: &Element, (x, y): (usize, usize)) -> f32 {
+        let (mut still, mut inside) = (0u32, 0u32);
+        let placed = self.placed(e, x, y);
+        for o in self.observations {
+            let image = &o.levels[self.level];
+            let [u, v] = placed.place(o, 0.0, 0.0, 1.0 / self.scale).map(|c| c + 0.5);
+            if u >= 0.0 && v >= 0.0 && u < image.width as f32 && v < image.height as f32 {
+                inside += 1;
+                still += u32::from(image.is_still(u as usize, v as usize) == Some(true));
+            }
+        }
+        still as f32 / inside.max(1) as f32
+    }
+
     #[inline(always)]
     fn placed<'a>(&'a self, e: &'a Element, x: usize, y: usize) -> PlacedElement<'a> {
         let s = self.scale;

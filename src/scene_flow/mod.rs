@@ -18,6 +18,7 @@
 //! |---|---|
 //! | `frame.rs` | a frame without distortion, and the pyramid that is matched |
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
+//! | `still.rs` | what stands still before a camera |
 //! | `element.rs` | a surface element: depth, path, slant |
 //! | `matching.rs` | the matching cost of an element in all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
@@ -44,6 +45,7 @@ mod matching;
 mod motion;
 mod packed;
 mod splat;
+mod still;
 mod sweep;
 mod timing;
 mod transfer;
@@ -60,5 +62,6 @@ pub use frame::{FlowFrame, MatchingImage, PyramidFrame};
 pub use geometry::{Projection, distorted, undistorted};
 pub use map::{ElementMap, FlowMap, MappedFrame};
 pub use motion::MotionMap;
+pub use still::{CompactImage, StillImage};
 pub use sweep::Limits;
 pub use uncertainty::ElementErrors;

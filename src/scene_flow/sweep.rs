@@ -47,6 +47,14 @@ const INCONSISTENCY: f32 = 0.02;
 /// cost.
 const CONSISTENT_PX: f32 = 1.5;
 
+/// Cost of a moving element that projects onto what stands still in all other frames' images. If it does in some, that
+/// fraction of it.
+const SILHOUETTE: f32 = 0.3;
+
+/// Cost of the nearest depth for a pixel that shows what stands still, rising from 0 at the farthest: where a plain
+/// background matches at many depths, it is behind all bodies.
+const NEARNESS: f32 = 0.01;
+
 /// The search range.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
@@ -97,6 +105,8 @@ struct Best<'a, 'b> {
     /// The maps of the other frames, if they contradict the pixel's initial element. Else the pixel has no
     /// consistency cost.
     others: Option<&'a OtherMaps<'a>>,
+    /// Whether the pixel shows what stands still; `None` if that is unknown.
+    is_still: Option<bool>,
 }
 
 impl Best<'_, '_> {
@@ -107,11 +117,13 @@ impl Best<'_, '_> {
         if !self.limits.contain(&proposal) {
             return;
         }
+        let proposal = if self.is_still == Some(true) { proposal.still() } else { proposal };
         let (x, y) = self.pixel;
         let roughness = self.matcher.roughness(self.map, &proposal, x, y);
         let center = self.map.center(y * self.map.width + x);
         let inconsistency = |o: &OtherMaps| INCONSISTENCY * o.difference(&proposal, center);
         let roughness = roughness + self.others.map_or(0.0, inconsistency);
+        let roughness = roughness + self.still_cost(&proposal);
         if roughness >= self.cost {
             return;
         }
@@ -122,6 +134,18 @@ impl Best<'_, '_> {
             self.element = proposal;
             (self.match_cost, self.cost) = (match_cost, match_cost + roughness);
             self.costs = costs;
+        }
+    }
+
+    /// The cost by what stands still: of a moving element in front of it in other frames, and of a still one that is
+    /// near.
+    #[inline(always)]
+    fn still_cost(&self, e: &Element) -> f32 {
+        let [min, max] = self.limits.inverse_depth;
+        match self.is_still {
+            Some(false) => SILHOUETTE * self.matcher.still_fraction(e, self.pixel),
+            Some(true) => NEARNESS * (e.inverse_depth - min) / (max - min).max(f32::MIN_POSITIVE),
+            None => 0.0,
         }
     }
 
@@ -138,6 +162,14 @@ impl Best<'_, '_> {
             if self.differs(&proposal) {
                 self.consider(proposal);
             }
+        }
+    }
+
+    /// Considers the element without its motion, unless it is so fast that it can't be at rest.
+    fn consider_rest(&mut self) {
+        let speed = self.element.speed();
+        if speed > 0.0 && (self.matcher.level > 0 || speed < MAX_SPEED_TO_REST_PX) {
+            self.consider(self.element.still());
         }
     }
 
@@ -203,6 +235,9 @@ impl PatchMatcher<'_> {
         let mut sum = 0.0;
         for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
             let Some((u, v)) = self.neighbor(x, y, (dx, dy)) else { continue };
+            if self.own.is_still(u, v) != self.own.is_still(x, y) {
+                continue;
+            }
             let difference = color_difference(&self.own.pixel(u, v), &center);
             let weight = (-difference / COLOR).exp() + MIN_COLOR_WEIGHT;
             let here = self.continued(map, (u, v), (dx, dy));
@@ -245,7 +280,9 @@ impl PatchMatcher<'_> {
     fn is_copied(&self, map: &mut ElementMap, x: usize, y: usize) -> bool {
         let (dx, dy) = (x % 2, y % 2);
         let first = (y - dy) * self.own.width + x - dx;
-        let is_copied = (dx, dy) != (0, 0) && self.is_settled(map, x - dx, y - dy);
+        let is_copied = (dx, dy) != (0, 0)
+            && self.own.is_still(x - dx, y - dy) == self.own.is_still(x, y)
+            && self.is_settled(map, x - dx, y - dy);
         if is_copied {
             let k = y * self.own.width + x;
             map.elements[k] =
@@ -253,6 +290,15 @@ impl PatchMatcher<'_> {
             map.costs[k] = map.costs[first];
         }
         is_copied
+    }
+
+    /// Whether a pixel shows what stands still, as do all pixels of its 2×2 block: these keep the element of the coarser
+    /// level.
+    fn is_inherited(&self, x: usize, y: usize) -> bool {
+        let (u, v) = (x - x % 2, y - y % 2);
+        let block = [(u, v), (u + 1, v), (u, v + 1), (u + 1, v + 1)];
+        let inside = |&(u, v): &(usize, usize)| u < self.own.width && v < self.own.height;
+        block.iter().filter(|at| inside(at)).all(|&(u, v)| self.own.is_still(u, v) == Some(true))
     }
 
     fn chance(&self, own: &Element, limits: Limits, random: &mut Random) -> Element {
@@ -289,6 +335,9 @@ impl PatchMatcher<'_> {
         for k in 0..pixels {
             let k = if pass.is_backward() { pixels - 1 - k } else { k };
             let (x, y) = (k % width, k / width);
+            if self.level == 0 && self.is_inherited(x, y) {
+                continue;
+            }
             let difference =
                 pass.others.as_ref().map_or(0.0, |o| o.difference(&map.elements[k], map.center(k)));
             let others = pass.others.as_ref().filter(|_| difference > CONSISTENT_PX);
@@ -297,11 +346,12 @@ impl PatchMatcher<'_> {
                 continue;
             }
             self.fill_patch(x, y, &mut patch);
-            let element = map.elements[k];
+            let is_still = self.own.is_still(x, y);
+            let before = map.elements[k];
+            let element = if is_still == Some(true) { before.still() } else { before };
             let mut costs = [0.0; MAX_OBSERVATIONS];
             // After a level's first pass, matching costs are known from the pass before.
-            let is_known = pass.turn > 0;
-            let match_cost = if is_known {
+            let match_cost = if pass.turn > 0 {
                 map.costs[k]
             } else {
                 self.cost(&element, (x, y), &patch, f32::INFINITY, &mut costs)
@@ -319,14 +369,13 @@ impl PatchMatcher<'_> {
                 cost,
                 costs,
                 others,
+                is_still,
             };
+            best.cost += best.still_cost(&element);
             if !is_settled {
                 best.consider_neighbors(pass);
             }
-            let speed = best.element.speed();
-            if speed > 0.0 && (self.level > 0 || speed < MAX_SPEED_TO_REST_PX) {
-                best.consider(best.element.still());
-            }
+            best.consider_rest();
             if !is_settled {
                 best.consider_proposals(pass, k);
             }

@@ -14,11 +14,60 @@ const COST_PER_FRAME: f32 = 0.01;
 /// Upper bound of the cost of an element that is proposed because it is the frontmost.
 const MAX_NEAR_COST: f32 = 0.1;
 
+/// Angle between two cameras' axes from which the gradients of an element differ between them, radians. Below it they
+/// are copied.
+const TURNED_RAD: f64 = 0.1;
+/// Minimum area in the other frame of a pixel's element, pixels. A smaller one is seen edge-on, and keeps no gradients.
+const MIN_AREA: f32 = 0.1;
+
 /// The elements of other frames' maps that project to each pixel of a map: the one of least cost, and the
 /// frontmost one.
 pub struct Proposals {
     cheapest: Vec<Option<(f32, Element)>>,
     nearest: Vec<Option<Element>>,
+}
+
+/// The transfer of an element at pixel `(x, y)` to another frame, `dt` frames later.
+struct Transfer<'a> {
+    element: &'a Element,
+    x: f32,
+    y: f32,
+    dt: f32,
+    projection: &'a Projection,
+}
+
+impl Transfer<'_> {
+    /// The element `there` at `pixel` of the other frame with the gradients of the same surface there, from where the
+    /// pixels to the right and below go.
+    fn with_gradients(&self, pixel: [f32; 2], there: Element) -> Element {
+        let step = |dx: f32, dy: f32| {
+            let beside = self.element.at(dx, dy);
+            let (at, e) = beside.transferred(self.x + dx, self.y + dy, self.dt, self.projection);
+            let [du, dv] = [at[0] - pixel[0], at[1] - pixel[1]];
+            let [vx, vy] = [0, 1].map(|c| e.velocity[c] - there.velocity[c]);
+            ([du, dv], [e.inverse_depth - there.inverse_depth, vx, vy])
+        };
+        let ([a, b], right) = step(1.0, 0.0);
+        let ([c, d], down) = step(0.0, 1.0);
+        let area = a * d - b * c;
+        if area.abs() < MIN_AREA {
+            let nothing = [[0.0; 2]; 2];
+            return Element {
+                inverse_depth_gradient: [0.0; 2],
+                velocity_gradient: nothing,
+                ..there
+            };
+        }
+        // The changes along the two steps are those per pixel, times the steps.
+        let per_pixel =
+            |k: usize| [(d * right[k] - b * down[k]) / area, (a * down[k] - c * right[k]) / area];
+        let [q, u, v] = [0, 1, 2].map(per_pixel);
+        Element {
+            inverse_depth_gradient: q,
+            velocity_gradient: [[u[0], v[0]], [u[1], v[1]]],
+            ..there
+        }
+    }
 }
 
 impl Proposals {
@@ -39,11 +88,16 @@ impl Proposals {
             else {
                 continue;
             };
+            let is_turned = frames[to].view.axis().angle(&frames[from].view.axis()) > TURNED_RAD;
             for (k, element) in map.elements.iter().enumerate() {
                 let [x, y] = map.center(k);
                 let dt = time.of_element(element, (x, y), &projection);
-                let (pixel, there) = element.transferred(x, y, dt, &projection);
+                let (pixel, mut there) = element.transferred(x, y, dt, &projection);
                 let Some(t) = target.index(pixel) else { continue };
+                if is_turned {
+                    let place = Transfer { element, x, y, dt, projection: &projection };
+                    there = place.with_gradients(pixel, there);
+                }
                 let [cx, cy] = target.center(t);
                 let there = there.at(cx - pixel[0], cy - pixel[1]);
                 let cost = map.costs[k] + COST_PER_FRAME * dt.abs();

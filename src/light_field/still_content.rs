@@ -1,0 +1,43 @@
+//! What stands still before a camera, from frames of its whole recording.
+
+use super::graph::{LightField, Stage};
+use super::stages::StillContent;
+use super::RenderError;
+use crate::scene_flow::{CompactImage, FlowFrame, StillImage};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Maximum number of frames that are compared, spread evenly over the recording.
+const MAX_FRAMES: usize = 15;
+/// Memory of a colour that may be unknown, bytes.
+const PIXEL_BYTES: usize = 4;
+
+impl Stage for StillContent<'_> {
+    type Output = StillImage;
+    const NAME: &'static str = "still content";
+
+    fn bytes(still: &StillImage) -> usize {
+        PIXEL_BYTES * still.pixels()
+    }
+}
+
+impl StillContent<'_> {
+    pub(super) fn get(&self, field: &LightField) -> Result<Arc<StillImage>, RenderError> {
+        if let Some(cached) = field.cached(self) {
+            return Ok(cached);
+        }
+        let &Self { camera, registration } = self;
+        let filmed = &field.capture().cameras[camera];
+        let gains = field.gains(registration);
+        let (count, used) = (filmed.frames.len(), filmed.frames.len().min(MAX_FRAMES));
+        let read = |k: usize| {
+            let image = field.capture().read_frame(camera, (2 * k + 1) * count / (2 * used))?;
+            let image = gains.corrected(camera, &image).unwrap_or(image);
+            // Without lens distortion, as the frames that it is compared with.
+            Ok(CompactImage::new(&FlowFrame::new(&filmed.camera, &image, 0.0).image))
+        };
+        let frames: Vec<CompactImage> =
+            (0..used).into_par_iter().map(read).collect::<Result<_, RenderError>>()?;
+        Ok(field.insert(self, StillImage::new(&frames)))
+    }
+}

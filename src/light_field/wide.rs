@@ -1,0 +1,159 @@
+//! Wide arrays: cameras that stand around the scene, many degrees apart, and look at a common place.
+//!
+//! Features can hardly be matched between such cameras, so that the range of the scene's depths comes from the
+//! volume that most cameras see, and not from points.
+
+use super::graph::LightField;
+use crate::camera::Camera;
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
+
+/// Minimum angle between neighbouring cameras of a wide array, as seen from the place that all look at, radians. The
+/// largest at which features of neighbours are still matched reliably.
+const MIN_ANGLE_RAD: f64 = 0.12;
+/// Baseline to which disparities of a wide array refer, as an angle at the common place, radians.
+const MATCHING_ANGLE_RAD: f64 = 0.2;
+/// Minimum fraction of the other cameras that see a point of the common volume.
+const MIN_SEEING: f64 = 0.5;
+/// Number of rows and of columns of pixels along whose rays the common volume is searched.
+const RAYS: usize = 9;
+/// Searched inverse depths, as multiples of the inverse distance to the common place: the smallest, and the largest.
+const SEARCHED: [f64; 2] = [0.2, 8.0];
+/// Number of searched inverse depths along a ray; they ascend by a constant factor.
+const STEPS: usize = 64;
+
+/// The place that the cameras of a wide array look at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct CommonPlace {
+    /// Median distance of the cameras' centres from it, metres.
+    pub distance_m: f64,
+}
+
+impl CommonPlace {
+    /// The place that all cameras look at, if the array is wide. `None` for cameras that look in parallel or away from
+    /// each other, and for neighbours, `spacing_m` apart, that are close together.
+    fn of(cameras: &[&Camera], spacing_m: f64) -> Option<Self> {
+        let place = nearest_to_axes(cameras)?;
+        let mut distances: Vec<f64> = cameras.iter().map(|c| (c.center() - place).norm()).collect();
+        distances.sort_by(f64::total_cmp);
+        let distance_m = distances[distances.len() / 2];
+        let sees = |c: &&Camera| c.project(&place).is_some_and(|pixel| c.contains(&pixel));
+        let is_wide = cameras.iter().all(sees) && spacing_m > MIN_ANGLE_RAD * distance_m;
+        is_wide.then_some(Self { distance_m })
+    }
+
+    /// Minimum and maximum inverse depth, 1/m, in the camera `own` of the points that at least half of the other cameras
+    /// see. `None` if there are none.
+    fn range(&self, cameras: &[&Camera], own: usize) -> Option<[f64; 2]> {
+        let min_seeing = (MIN_SEEING * (cameras.len() - 1) as f64).ceil() as usize;
+        let ratio = (SEARCHED[1] / SEARCHED[0]).powf(1.0 / (STEPS - 1) as f64);
+        let camera = cameras[own];
+        let mut range: Option<[f64; 2]> = None;
+        for k in 0..RAYS * RAYS {
+            let at = |k: usize, size: usize| (k as f64 + 0.5) / RAYS as f64 * size as f64;
+            let pixel = Point2::new(at(k % RAYS, camera.width), at(k / RAYS, camera.height));
+            let Some(ray) = camera.ray_world(&pixel) else { continue };
+            for step in 0..STEPS {
+                let q = SEARCHED[0] * ratio.powi(step as i32) / self.distance_m;
+                let point = camera.center() + ray / q;
+                let sees = |c: &Camera| c.project(&point).is_some_and(|p| c.contains(&p));
+                let others = cameras.iter().enumerate().filter(|(c, _)| *c != own);
+                if others.filter(|(_, c)| sees(c)).count() >= min_seeing {
+                    let [min, max] = range.unwrap_or([q, q]);
+                    range = Some([min.min(q), max.max(q)]);
+                }
+            }
+        }
+        range
+    }
+}
+
+impl LightField {
+    fn filming(&self) -> Vec<&Camera> {
+        self.capture().cameras.iter().map(|c| &c.camera).collect()
+    }
+
+    /// The place that all cameras look at, if the array is wide ([`CommonPlace::of`]).
+    pub(super) fn common_place(&self) -> Option<CommonPlace> {
+        CommonPlace::of(&self.filming(), self.spacing_m())
+    }
+
+    /// Baseline to which disparities refer, metres: twice the distance of neighbouring cameras. In a wide array it is
+    /// shorter, since surfaces can't be matched as finely there as pixels can be told apart.
+    pub(super) fn matching_baseline_m(&self) -> f64 {
+        let baseline_m = 2.0 * self.spacing_m();
+        let longest_m = self.common_place().map(|p| MATCHING_ANGLE_RAD * p.distance_m);
+        longest_m.map_or(baseline_m, |longest_m| baseline_m.min(longest_m))
+    }
+
+    /// Minimum and maximum inverse depth in a camera of what most cameras see ([`CommonPlace::range`]).
+    pub(super) fn common_range(&self, place: CommonPlace, camera: usize) -> Option<[f64; 2]> {
+        place.range(&self.filming(), camera)
+    }
+}
+
+/// The point nearest to the cameras' optical axes, by least squares; world, metres. `None` for parallel axes.
+fn nearest_to_axes(cameras: &[&Camera]) -> Option<Point3<f64>> {
+    let (mut normal, mut right) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
+    for camera in cameras {
+        let axis = camera.axis();
+        let across = Matrix3::identity() - axis * axis.transpose();
+        normal += across;
+        right += across * camera.center().coords;
+    }
+    Some(Point3::from(normal.try_inverse()? * right)).filter(|p| p.coords.norm().is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraModel;
+    use nalgebra::Isometry3;
+
+    /// Cameras on a circle of 2 m around the origin, `step_deg` apart, that look at it.
+    fn ring(count: usize, step_deg: f64) -> Vec<Camera> {
+        let camera = |k: usize| {
+            let angle = (k as f64 - 0.5 * (count - 1) as f64) * step_deg.to_radians();
+            let center = Point3::new(2.0 * angle.sin(), 0.0, -2.0 * angle.cos());
+            Camera {
+                width: 640,
+                height: 480,
+                model: CameraModel::Pinhole { fx: 686.0, fy: 686.0, cx: 320.0, cy: 240.0 },
+                cam_from_world: Isometry3::face_towards(&center, &Point3::origin(), &Vector3::y())
+                    .inverse(),
+            }
+        };
+        (0..count).map(camera).collect()
+    }
+
+    fn place(cameras: &[Camera], spacing_m: f64) -> Option<CommonPlace> {
+        CommonPlace::of(&cameras.iter().collect::<Vec<_>>(), spacing_m)
+    }
+
+    #[test]
+    fn cameras_around_a_place_are_wide_and_others_are_not() {
+        let found = place(&ring(6, 17.0), 0.59).unwrap();
+        assert!((found.distance_m - 2.0).abs() < 1e-9, "{found:?}");
+        // 2 degrees apart, as `arc8`.
+        assert_eq!(place(&ring(8, 2.0), 0.07), None);
+        let mut parallel = ring(3, 17.0);
+        for (k, camera) in parallel.iter_mut().enumerate() {
+            camera.cam_from_world = Isometry3::translation(k as f64, 0.0, 0.0);
+        }
+        assert_eq!(place(&parallel, 1.0), None);
+        // Outwards: the axes meet behind the cameras.
+        let mut outward = ring(4, 17.0);
+        let turn = Isometry3::rotation(Vector3::y() * std::f64::consts::PI);
+        outward.iter_mut().for_each(|c| c.cam_from_world = turn * c.cam_from_world);
+        assert_eq!(place(&outward, 0.59), None);
+    }
+
+    #[test]
+    fn the_range_of_depths_is_what_half_of_the_other_cameras_see() {
+        let cameras = ring(3, 30.0);
+        let all: Vec<&Camera> = cameras.iter().collect();
+        let [min, max] = place(&cameras, 1.0).unwrap().range(&all, 1).unwrap();
+        assert!(min < 1.0 / 2.5 && max > 1.0 / 1.6, "{min} {max}");
+        // A neighbour 30 degrees aside sees nothing of the middle camera's rays before 0.4 m. Far ends at 10 m.
+        assert!(max < 1.0 / 0.4 && min >= 0.1 - 1e-9, "{min} {max}");
+    }
+}

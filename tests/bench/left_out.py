@@ -1,0 +1,156 @@
+"""A capture without one of its cameras, whose images become the truth: what a light field shows where nobody filmed.
+
+    .venv/bin/python -I tests/bench/left_out.py cut CAPTURE CAMERA OUT
+    .venv/bin/python -I tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--way NAME ...]
+
+`cut` writes the capture OUT, in which CAMERA doesn't film. Its true images at the instants of the truth are the views
+`left-out`, the only ones. The clocks are the true ones. Files are linked, not copied.
+
+`score` renders each such view by every way in turn with PROGRAM, in a fresh process and with an empty cache. It prints
+the PSNR of all pixels and of the moving part, processor seconds and the largest memory, and writes the pictures beside
+the truth into PICTURES. The part that moves by more than half a pixel a frame, dilated by 2 pixels, is as in
+`cargo bench --bench picture`, without the mask of what some camera sees.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+WAYS = {
+    "nearest frames, mesh": ["--sync", "nearest", "--proxy", "mesh"],
+    "nearest frames, depth": ["--sync", "nearest", "--proxy", "depth"],
+    "refined, mesh": ["--sync", "refined", "--proxy", "mesh"],
+    "refined, depth": ["--sync", "refined", "--proxy", "depth"],
+    "all-cameras, depth": ["--sync", "all-cameras", "--proxy", "depth"],
+    "scene flow": ["--proxy", "scene-flow"],
+}
+"""What is compared: options of `stlfr render`."""
+
+
+def cut(capture: Path, camera: str, out: Path) -> None:
+    """Write the capture without the camera."""
+    skipped = shutil.ignore_patterns(".stlfr", "colmap", "offsets*", "review", camera)
+    shutil.copytree(capture, out, copy_function=os.link, ignore=skipped)
+    whole = json.loads((capture / "capture.json").read_text())
+    truth = json.loads((capture / "truth" / "truth.json").read_text())
+    times_s = {entry["id"]: entry["times_s"] for entry in truth["shutter"]}
+    whole["cameras"] = [c for c in whole["cameras"] if c["id"] != camera]
+    for filmed in whole["cameras"]:
+        filmed["clock"] = {"times_s": times_s[filmed["id"]], "shared": True}
+    if whole["reference"] == camera:
+        whole["reference"] = whole["cameras"][0]["id"]
+    ours = [view for view in truth["views"] if view["like"] == camera]
+    kept = [view for view in truth["views"] if view["like"] not in (None, camera)]
+    for view in ours:
+        view["like"], view["id"] = None, view["id"].replace(camera, "left-out")
+    truth["views"] = sorted(kept + ours, key=lambda view: view["time_s"])
+    for part in ("shutter", "offsets"):
+        truth[part] = [entry for entry in truth[part] if entry["id"] != camera]
+    for path, content in (("capture.json", whole), ("truth/truth.json", truth)):
+        temporary = out / f"{path}.new"
+        temporary.write_text(json.dumps(content, indent=2))
+        temporary.replace(out / path)  # not through the link, into the original
+
+
+def run(command: list[str]) -> tuple[int, float, int]:
+    """Exit status, processor seconds and the largest memory in MiB of a program."""
+    child = os.posix_spawn(command[0], command, os.environ)
+    _, status, usage = os.wait4(child, 0)
+    seconds = usage.ru_utime + usage.ru_stime
+    return os.waitstatus_to_exitcode(status), seconds, usage.ru_maxrss // 1024
+
+
+def moving_part(motion_px: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
+    """The part that moves by more than half a pixel a frame, dilated by 2 pixels."""
+    moving = (motion_px > 0.5).astype(np.uint8)
+    return cv2.dilate(moving, np.ones((5, 5), np.uint8)) > 0
+
+
+def psnr_db(a: Any, b: Any, mask: npt.NDArray[np.bool_]) -> float:
+    """PSNR over a mask of images of 0 to 255."""
+    squared = ((a.astype(np.float64) - b) ** 2)[mask].mean()
+    return float(10 * np.log10(255.0**2 / squared))
+
+
+def score(
+    program: Path, capture: Path, pictures: Path, instants: int, ways: list[str]
+) -> None:
+    """Print a line for each instant and way."""
+    truth = json.loads((capture / "truth" / "truth.json").read_text())
+    views = [view for view in truth["views"] if view["like"] is None][:instants]
+    pictures.mkdir(parents=True, exist_ok=True)
+    for view in views:
+        camera = pictures / f"{view['id']}.json"
+        camera.write_text(json.dumps(view["camera"]))
+        true = cv2.imread(str(capture / "truth" / view["image"]))
+        moving = moving_part(np.load(capture / "truth" / view["motion"]))
+        cv2.imwrite(str(pictures / f"{view['id']}-truth.png"), true)
+        print(
+            f"{view['id']} at {view['time_s']:.4f} s, {100 * moving.mean():.1f} % moves"
+        )
+        for way in ways:
+            shutil.rmtree(capture / ".stlfr", ignore_errors=True)
+            out = (
+                pictures
+                / f"{view['id']}-{way.replace(', ', '-').replace(' ', '-')}.png"
+            )
+            command = [
+                str(program),
+                "--quiet",
+                "render",
+                str(capture),
+                "--camera",
+                str(camera),
+            ]
+            command += ["--time", str(view["time_s"]), *WAYS[way], "-o", str(out)]
+            code, seconds, mib = run(command)
+            if code:
+                print(f"  {way:24} exit {code}")
+                continue
+            # A pixel that no camera sees is transparent; it counts as black.
+            image = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
+            image = image[..., :3] * (image[..., 3:] > 0 if image.shape[2] == 4 else 1)
+            everywhere = np.ones_like(moving)
+            whole, part = psnr_db(image, true, everywhere), psnr_db(image, true, moving)
+            print(
+                f"  {way:24} {whole:6.2f} {part:6.2f} dB {seconds:7.1f} s {mib:5} MiB"
+            )
+            sys.stdout.flush()
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    cutting = commands.add_parser("cut")
+    cutting.add_argument("capture", type=Path)
+    cutting.add_argument("camera")
+    cutting.add_argument("out", type=Path)
+    scoring = commands.add_parser("score")
+    scoring.add_argument("program", type=Path)
+    scoring.add_argument("capture", type=Path)
+    scoring.add_argument("pictures", type=Path)
+    scoring.add_argument("--instants", type=int, default=1)
+    scoring.add_argument("--way", action="append", choices=WAYS)
+    arguments = parser.parse_args()
+    if arguments.command == "cut":
+        cut(arguments.capture, arguments.camera, arguments.out)
+    else:
+        a = arguments
+        score(a.program, a.capture, a.pictures, a.instants, a.way or list(WAYS))
+
+
+if __name__ == "__main__":
+    main()
