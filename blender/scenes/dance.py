@@ -114,7 +114,9 @@ def torso(body: Any) -> None:
     ]
     heights = np.linspace(outline[0][0], outline[-1][0], 36)
     z, across, thick = (np.array(column) for column in zip(*outline, strict=True))
-    radii = [(np.interp(h, z, across), np.interp(h, z, thick)) for h in heights]
+    radii = [
+        (float(np.interp(h, z, across)), float(np.interp(h, z, thick))) for h in heights
+    ]
     rings = kit.tube([(0.0, 0.0, h) for h in heights], radii, (0, 1, 0), 40)
     kit.lofted("torso", shirt, rings).parent = body
 

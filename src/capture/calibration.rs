@@ -200,6 +200,11 @@ impl CalibrationErrors {
 
 /// Whether no variance in any direction is negative, within rounding.
 fn is_semidefinite(covariance: &DMatrix<f64>) -> bool {
+    // What has no variance varies with nothing else.
+    let is_fixed = |r: usize| covariance[(r, r)] == 0.0;
+    if (0..covariance.nrows()).any(|r| is_fixed(r) && covariance.row(r).iter().any(|v| *v != 0.0)) {
+        return false;
+    }
     let scale = covariance.diagonal().map(|v| if v > 0.0 { v.sqrt().recip() } else { 1.0 });
     let scaled = DMatrix::from_fn(covariance.nrows(), covariance.ncols(), |r, c| {
         let rounding = if r == c { ROUNDING } else { 0.0 };

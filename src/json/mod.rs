@@ -5,6 +5,7 @@ mod objects;
 use crate::host::read_text;
 use objects::Objects;
 use serde::de::DeserializeOwned;
+use serde_path_to_error::Segment;
 use std::path::Path;
 
 /// Default size limit of a file, bytes: the time stamps of a hundred cameras over twenty minutes. Parsing such a file
@@ -54,7 +55,8 @@ const NUMBERS: [(&str, &str); 5] = [
 fn refusal(error: &serde_path_to_error::Error<serde_json::Error>) -> String {
     let sentence = error.to_string();
     let is_syntax = error.inner().is_syntax() || error.inner().is_eof();
-    if is_syntax && error.path().iter().next().is_none() {
+    let is_placed = |s: &Segment| !matches!(s, Segment::Unknown);
+    if is_syntax && !error.path().iter().any(is_placed) {
         return format!("is no JSON: {sentence}");
     }
     NUMBERS.iter().fold(sentence, |sentence, (from, to)| sentence.replace(from, to))

@@ -1,8 +1,8 @@
 //! What stands still before a camera, from frames of its whole recording.
 
+use super::RenderError;
 use super::graph::{LightField, Stage};
 use super::stages::StillContent;
-use super::RenderError;
 use crate::scene_flow::{CompactImage, FlowFrame, StillImage};
 use rayon::prelude::*;
 use std::sync::Arc;

@@ -35,8 +35,8 @@ const MIN_SHARE: f32 = 0.02;
 /// Distance of a colour from the mean at which its weight falls to a quarter; colours are RGB of 0 to 1.
 const COLOR: f32 = 0.06;
 
-/// Maximum number of a view's pixels that are blended at once. At eight maps, this takes about 100 MB.
-const BAND_PIXELS: usize = 1 << 19;
+/// Maximum number of a view's pixels that are blended at once. At eight maps, this takes about 60 MB.
+const BAND_PIXELS: usize = 5 << 16;
 
 /// Colour and depth of the surface that a pixel of the view shows.
 #[derive(Clone, Copy)]
@@ -48,17 +48,24 @@ struct Pixel {
     is_moving: bool,
 }
 
+/// What the maps show at a pixel of the view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Shown {
+    /// No splat covers the pixel.
+    Nothing,
+    Something,
+    /// Something that is known to move.
+    Moving,
+}
+
 /// Colours and depths of all pixels of a view, row by row.
 struct Pixels {
     colors: Vec<[f32; 3]>,
     /// 1/m; 0 where the depth is unknown.
     inverse_depths: Vec<f32>,
-    /// Whether a splat of some map covers the pixel.
-    is_mapped: Vec<bool>,
+    shown: Vec<Shown>,
     /// `None` if motion isn't needed.
     motions: Option<MotionMap>,
-    /// Whether the pixel shows something that is known to move.
-    is_moving: Vec<bool>,
 }
 
 impl Pixels {
@@ -67,23 +74,24 @@ impl Pixels {
             motions,
             colors: vec![[0.0; 3]; count],
             inverse_depths: vec![0.0; count],
-            is_mapped: vec![false; count],
-            is_moving: vec![false; count],
+            shown: vec![Shown::Nothing; count],
         }
     }
 
     /// Closes the holes of moving bodies through which something else shows, inwards ring by ring. A pixel gets the mean
     /// of its neighbours that show the body.
     fn close(&mut self, width: usize) {
-        let height = self.is_moving.len() / width;
+        let height = self.shown.len() / width;
+        let is_body = |shown: &[Shown], n: usize| shown[n] == Shown::Moving;
         for _ in 0..CLOSED_PX {
             let closed = |k: usize| {
                 let (x, y) = (k % width, k / width);
-                if self.is_moving[k] || x == 0 || y == 0 || x + 1 == width || y + 1 == height {
+                if is_body(&self.shown, k) || x == 0 || y == 0 || x + 1 == width || y + 1 == height
+                {
                     return None;
                 }
                 let around = (0..9).map(|n| k + (n / 3) * width + n % 3 - width - 1);
-                let body: Vec<usize> = around.filter(|&n| self.is_moving[n]).collect();
+                let body: Vec<usize> = around.filter(|&n| is_body(&self.shown, n)).collect();
                 let mean = |value: &dyn Fn(usize) -> f32| {
                     body.iter().map(|&n| value(n)).sum::<f32>() / body.len() as f32
                 };
@@ -92,14 +100,13 @@ impl Pixels {
                 let is_hole = body.len() >= CLOSING && inverse_depth > self.inverse_depths[k];
                 is_hole.then_some((k, color, inverse_depth))
             };
-            let found: Vec<_> =
-                (0..self.is_moving.len()).into_par_iter().filter_map(closed).collect();
+            let found: Vec<_> = (0..self.shown.len()).into_par_iter().filter_map(closed).collect();
             if found.is_empty() {
                 return;
             }
             for (k, color, inverse_depth) in found {
                 (self.colors[k], self.inverse_depths[k]) = (color, inverse_depth);
-                (self.is_moving[k], self.is_mapped[k]) = (true, true);
+                self.shown[k] = Shown::Moving;
             }
         }
     }
@@ -107,7 +114,7 @@ impl Pixels {
     /// Fills the holes, pixels that no map covers, inwards ring by ring. A pixel copies its farthest filled
     /// neighbour, since holes are disoccluded background.
     fn fill(&mut self, width: usize) {
-        let height = self.is_mapped.len() / width;
+        let height = self.shown.len() / width;
         let around = |k: u32| {
             let k = k as usize;
             let (x, y) = (k % width, k / width);
@@ -119,7 +126,7 @@ impl Pixels {
             ];
             around.into_iter().flatten()
         };
-        let mut filled = self.is_mapped.clone();
+        let mut filled: Vec<bool> = self.shown.iter().map(|s| *s != Shown::Nothing).collect();
         // Views have less than 2³² pixels.
         let mut ring: Vec<u32> = (0..filled.len() as u32)
             .filter(|&k| !filled[k as usize] && around(k).any(|n| filled[n]))
@@ -169,8 +176,8 @@ pub struct FlowView {
     pub motions: Option<MotionMap>,
 }
 
-/// Colours, depths, whether a map covers a pixel, and whether it shows motion, of one row of the view.
-type BlendedRow<'a> = (&'a mut [[f32; 3]], &'a mut [f32], &'a mut [bool], &'a mut [bool]);
+/// One row of the view: colours, inverse depths, and what is shown.
+type BlendedRow<'a> = (&'a mut [[f32; 3]], &'a mut [f32], &'a mut [Shown]);
 
 /// Blends the rows `rows` of a view into `pixels`, as [`blend`] describes.
 fn blend_rows(
@@ -190,10 +197,9 @@ fn blend_rows(
     let band = rows.start * width..rows.end * width;
     let colors = pixels.colors[band.clone()].par_chunks_mut(width);
     let depths = pixels.inverse_depths[band.clone()].par_chunks_mut(width);
-    let is_mapped = pixels.is_mapped[band.clone()].par_chunks_mut(width);
-    let is_moving = pixels.is_moving[band].par_chunks_mut(width);
+    let shown = pixels.shown[band].par_chunks_mut(width);
     let motions = pixels.motions.as_ref();
-    let row = |(y, (color, depth, is_mapped, moves)): (usize, BlendedRow)| {
+    let row = |(y, (color, depth, shown)): (usize, BlendedRow)| {
         let mut candidates = Vec::with_capacity(splats.len());
         let mut room = Vec::with_capacity(splats.len());
         let mut row = vec![QuantizedMotion::default(); motions.map_or(0, |_| width)];
@@ -212,7 +218,7 @@ fn blend_rows(
             }
             if let Some(found) = pixel_of(&candidates, reach, &mut room) {
                 (color[x], depth[x]) = (found.color, found.inverse_depth);
-                (is_mapped[x], moves[x]) = (true, found.is_moving);
+                shown[x] = if found.is_moving { Shown::Moving } else { Shown::Something };
                 if let Some(motions) = motions {
                     let of = splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0);
                     row[x] = motions.quantized(motion_of(of, k, (found.inverse_depth, reach)));
@@ -222,7 +228,7 @@ fn blend_rows(
         row
     };
     let rows: Vec<Vec<QuantizedMotion>> =
-        (colors, depths, is_mapped, is_moving).into_par_iter().enumerate().map(row).collect();
+        (colors, depths, shown).into_par_iter().enumerate().map(row).collect();
     pixels.motions.iter_mut().for_each(|motions| motions.extend(rows.iter().flatten().copied()));
 }
 
@@ -286,7 +292,8 @@ pub fn blend(
     pixels.fill(width);
     let behind = Behind::new(mapped, view);
     let colors = pixels.colors.par_iter_mut().zip(&mut pixels.inverse_depths);
-    let unmapped = colors.zip(&pixels.is_mapped).enumerate().filter(|(_, (_, mapped))| !**mapped);
+    let holes = colors.zip(&pixels.shown).enumerate();
+    let unmapped = holes.filter(|(_, (_, shown))| **shown == Shown::Nothing);
     unmapped.for_each(|(k, ((color, inverse_depth), _))| {
         let place = [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5];
         let pixel = Pixel { color: *color, inverse_depth: *inverse_depth, is_moving: false };

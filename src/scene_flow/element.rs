@@ -96,3 +96,12 @@ impl Element {
         ([u, v], there)
     }
 }
+
+/// Standard errors of one pixel's element.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ElementErrors {
+    /// Pixels of disparity, at the baseline of the map.
+    pub disparity_px: f32,
+    /// Of the velocity's larger principal component, pixels per frame.
+    pub velocity_px: f32,
+}

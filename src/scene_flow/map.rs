@@ -1,8 +1,7 @@
 //! Maps of depth and motion: while they are estimated, and as they are stored.
 
-use super::element::Element;
+use super::element::{Element, ElementErrors};
 use super::frame::FlowFrame;
-use super::uncertainty::ElementErrors;
 
 /// A frame's surface elements during estimation, one for each pixel of a pyramid level.
 #[derive(Clone)]

@@ -3,26 +3,14 @@
 use super::element::Element;
 use super::frame::{MatchingImage, MatchingSample, PyramidFrame, WEIGHTS};
 use super::geometry::Projection;
+use super::patch::Patch;
 use super::timing::TimeBetween;
 use crate::simd::{F32x8, LANES, multiversion};
 
 /// Maximum difference of each channel of a sample. Larger ones, due to occlusion, are truncated.
 const TRUNCATION: MatchingSample = [0.12, 0.084, 0.084, 0.084];
-/// Colour difference from the patch's centre at which a pixel's weight falls to 1/e.
-const PATCH_COLOR: f32 = 0.08;
-/// Half-width of a patch at the finest level, and the step between its pixels; both in pixels.
-const PATCH_FINEST: (i32, i32) = (4, 2);
-/// Half-width of a patch at all other levels, and the step between its pixels; both in pixels of the level.
-const PATCH_COARSE: (i32, i32) = (2, 1);
-/// Minimum weight of a pixel in a patch. Pixels below it are left out: they are on another surface, or far
-/// away.
-const MIN_WEIGHT: f32 = 0.05;
 /// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
 const RESIDUAL: f32 = 0.05;
-/// Maximum number of pixels in a patch.
-const PATCH_PIXELS: usize = 25;
-/// Length of a patch's arrays: [`PATCH_PIXELS`] rounded up to whole SIMD vectors.
-const PADDED_PIXELS: usize = PATCH_PIXELS.next_multiple_of(LANES);
 /// Fraction of the observing frames whose costs are averaged: the frames with the smallest costs. The element
 /// may be occluded in the others.
 const BEST_FRACTION: f32 = 0.55;
@@ -60,52 +48,6 @@ impl<'a> ObservingFrame<'a> {
             levels: by.levels,
             truncation,
         })
-    }
-}
-
-/// The pixels around a pixel, weighted by how likely they belong to its surface. Entries from `count` on have
-/// weight 0.
-pub struct Patch {
-    offset_x: [f32; PADDED_PIXELS],
-    offset_y: [f32; PADDED_PIXELS],
-    samples: [MatchingSample; PADDED_PIXELS],
-    /// Each pixel's weight, repeated for every channel.
-    weights: [MatchingSample; PADDED_PIXELS],
-    /// Each pixel's weight.
-    weight: [f32; PADDED_PIXELS],
-    count: usize,
-    /// The reciprocal of the sum of all weights.
-    normalization: f32,
-}
-
-impl Patch {
-    pub fn empty() -> Self {
-        Self {
-            offset_x: [0.0; PADDED_PIXELS],
-            offset_y: [0.0; PADDED_PIXELS],
-            samples: [[0.0; 4]; PADDED_PIXELS],
-            weights: [[0.0; 4]; PADDED_PIXELS],
-            weight: [0.0; PADDED_PIXELS],
-            count: 0,
-            normalization: 0.0,
-        }
-    }
-
-    /// The sum of all weights.
-    pub fn weight(&self) -> f32 {
-        1.0 / self.normalization
-    }
-
-    /// The weighted sums over the patch of the products of its gradients of brightness: `[xx, xy, yy]`.
-    pub fn structure(&self) -> [f32; 3] {
-        let mut sums = [0.0; 3];
-        for (sample, weight) in self.samples[..self.count].iter().zip(&self.weight) {
-            let [gx, gy] = [sample[2] / WEIGHTS[2], sample[3] / WEIGHTS[3]];
-            sums[0] += weight * gx * gx;
-            sums[1] += weight * gx * gy;
-            sums[2] += weight * gy * gy;
-        }
-        sums
     }
 }
 
@@ -243,12 +185,6 @@ fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut
         }
     }
     sorted.mean(n, is_finest)
-}
-
-/// Sum of the absolute differences in brightness and in red minus blue.
-#[inline(always)]
-pub fn color_difference(a: &MatchingSample, b: &MatchingSample) -> f32 {
-    (a[0] - b[0]).abs() + (a[1] - b[1]).abs()
 }
 
 /// Sum of the weighted, truncated differences between a patch's samples and an image at the patch's
@@ -393,41 +329,10 @@ multiversion! {
 }
 
 impl PatchMatcher<'_> {
-    fn patch_shape(&self) -> (i32, i32) {
-        if self.level == 0 { PATCH_FINEST } else { PATCH_COARSE }
-    }
-
     /// Fills `patch` with the pixels around `(x, y)`, pixels of the level.
+    #[inline]
     pub fn fill_patch(&self, x: usize, y: usize, patch: &mut Patch) {
-        let (radius, step) = self.patch_shape();
-        let (width, height) = (self.own.width as i32, self.own.height as i32);
-        let center = self.own.pixel(x, y);
-        let (mut count, mut sum) = (0, 0.0);
-        for dy in (-radius..=radius).step_by(step as usize) {
-            for dx in (-radius..=radius).step_by(step as usize) {
-                let (u, v) = (x as i32 + dx, y as i32 + dy);
-                if u < 0 || v < 0 || u >= width || v >= height {
-                    continue;
-                }
-                let sample = self.own.pixel(u as usize, v as usize);
-                let distance = (dx * dx + dy * dy) as f32 / (radius * radius) as f32;
-                let difference = color_difference(&sample, &center) / PATCH_COLOR;
-                let weight = (-difference - 0.5 * distance).exp();
-                if weight < MIN_WEIGHT {
-                    continue;
-                }
-                patch.weight[count] = weight;
-                (patch.offset_x[count], patch.offset_y[count]) = (dx as f32, dy as f32);
-                (patch.samples[count], patch.weights[count]) = (sample, [weight; 4]);
-                count += 1;
-                sum += weight;
-            }
-        }
-        patch.weights[count..].fill([0.0; 4]);
-        patch.weight[count..].fill(0.0);
-        patch.count = count;
-        // The sum is at least 1, the weight of the centre.
-        patch.normalization = 1.0 / sum;
+        patch.fill(self.own, (x, y), self.level == 0);
     }
 
     /// The cost of an element at pixel `(x, y)` of the level: the mean of the smallest costs in the observing

@@ -20,7 +20,7 @@
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
 //! | `still.rs` | what stands still before a camera |
 //! | `element.rs` | a surface element: depth, path, slant |
-//! | `matching.rs` | the matching cost of an element in all frames |
+//! | `patch.rs`, `matching.rs` | the matching cost of an element in all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
 //! | `sweep.rs` | a pass of PatchMatch over a map |
 //! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of contradicting them |
@@ -44,6 +44,7 @@ mod map;
 mod matching;
 mod motion;
 mod packed;
+mod patch;
 mod splat;
 mod still;
 mod sweep;
@@ -56,7 +57,7 @@ mod tests;
 
 pub use blend::{FlowView, blend};
 pub use confidence::confidences;
-pub use element::Element;
+pub use element::{Element, ElementErrors};
 pub use estimate::Estimation;
 pub use frame::{FlowFrame, MatchingImage, PyramidFrame};
 pub use geometry::{Projection, distorted, undistorted};
@@ -64,4 +65,3 @@ pub use map::{ElementMap, FlowMap, MappedFrame};
 pub use motion::MotionMap;
 pub use still::{CompactImage, StillImage};
 pub use sweep::Limits;
-pub use uncertainty::ElementErrors;

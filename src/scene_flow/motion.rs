@@ -1,6 +1,6 @@
 //! Motion of the surfaces that a view shows.
 
-/// Quantization steps per pixel of motion, and of change of disparity. Larger: bodies faster than 512 pixels a frame
+/// Quantization steps per pixel of motion. Larger: bodies faster than 512 pixels a frame
 /// saturate. Smaller: motion is off by more than 1/128 pixel.
 const STEPS: f32 = 64.0;
 
@@ -13,14 +13,14 @@ pub struct SurfaceMotion {
     pub inverse_depth_rate: f32,
 }
 
-/// The quantized motion of a pixel.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct QuantizedMotion {
-    velocity: [i16; 2],
-    rate: i16,
-}
+/// Quantization steps per pixel of change of disparity per frame: rates beyond 16 pixels saturate.
+const RATE_STEPS: f32 = 8.0;
 
-/// The motion of the surface at every pixel of a view at an instant, quantized to 6 bytes per pixel, row by row.
+/// The quantized motion of a pixel: two numbers of 16 bits and one of 8, as bytes, so that no memory is padded.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct QuantizedMotion([u8; 5]);
+
+/// The motion of the surface at every pixel of a view at an instant, quantized to 5 bytes per pixel, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotionMap {
     /// Disparity of an inverse depth of 1/m, pixels: the unit in which rates are quantized.
@@ -45,20 +45,17 @@ impl MotionMap {
     }
 
     pub fn quantized(&self, motion: SurfaceMotion) -> QuantizedMotion {
-        let rounded = |v: f32| (STEPS * v).round() as i16; // saturates
-        QuantizedMotion {
-            velocity: motion.velocity.map(rounded),
-            rate: rounded(self.disparity_px * motion.inverse_depth_rate),
-        }
+        // Casts saturate.
+        let [[a, b], [c, d]] = motion.velocity.map(|v| ((STEPS * v).round() as i16).to_le_bytes());
+        let rate = (RATE_STEPS * self.disparity_px * motion.inverse_depth_rate).round() as i8;
+        QuantizedMotion([a, b, c, d, rate as u8])
     }
 
     /// The motion of pixel `k`.
     pub fn motion(&self, k: usize) -> SurfaceMotion {
-        let QuantizedMotion { velocity, rate } = self.pixels[k];
-        let value = |v: i16| f32::from(v) / STEPS;
-        SurfaceMotion {
-            velocity: velocity.map(value),
-            inverse_depth_rate: value(rate) / self.disparity_px,
-        }
+        let QuantizedMotion([a, b, c, d, rate]) = self.pixels[k];
+        let velocity = [[a, b], [c, d]].map(|v| f32::from(i16::from_le_bytes(v)) / STEPS);
+        let rate = f32::from(rate as i8) / RATE_STEPS;
+        SurfaceMotion { velocity, inverse_depth_rate: rate / self.disparity_px }
     }
 }

@@ -5,9 +5,8 @@
 use super::consistency::OtherMaps;
 use super::element::Element;
 use super::map::ElementMap;
-use super::matching::{
-    Costs, MAX_OBSERVATIONS, MatchedElement, Patch, PatchMatcher, color_difference,
-};
+use super::matching::{Costs, MAX_OBSERVATIONS, MatchedElement, PatchMatcher};
+use super::patch::{Patch, color_difference};
 use super::transfer::Proposals;
 use crate::random::Random;
 

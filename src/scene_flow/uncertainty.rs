@@ -1,9 +1,10 @@
 //! Standard errors of an element's depth and velocity: those of the least-squares estimate that its patch's
 //! gradients and residuals allow (Gauss–Newton's covariance, as in bundle adjustment).
 
-use super::element::Element;
+use super::element::{Element, ElementErrors};
 use super::map::ElementMap;
-use super::matching::{ObservingFrame, Patch, PatchMatcher};
+use super::matching::{ObservingFrame, PatchMatcher};
+use super::patch::Patch;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
@@ -22,15 +23,6 @@ const SCALE: [f64; 2] = [0.5, 0.4];
 /// Part of the velocity's standard error per unit of acceleration (pixel per frame squared), frames: paths are
 /// not parabolas.
 const BY_ACCELERATION: f32 = 0.05;
-
-/// Standard errors of one pixel's element.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ElementErrors {
-    /// Pixels of disparity, at the baseline of the map.
-    pub disparity_px: f32,
-    /// Of the velocity's larger principal component, pixels per frame.
-    pub velocity_px: f32,
-}
 
 impl PatchMatcher<'_> {
     /// The standard errors of all elements of a map of this level, row by row.
@@ -82,7 +74,7 @@ impl PatchMatcher<'_> {
         let [disparity, velocity] = PRIOR_PX.map(|e| 1.0 / (e * e));
         // The prior makes the matrix positive definite.
         information += Matrix3::from_diagonal(&Vector3::new(disparity, velocity, velocity));
-        let Some(covariance) = information.try_inverse() else { return ElementErrors::unknown() };
+        let Some(covariance) = information.try_inverse() else { return unknown() };
         let [u, v, uv] = [covariance[(1, 1)], covariance[(2, 2)], covariance[(1, 2)]];
         let larger = 0.5 * (u + v) + (0.25 * (u - v) * (u - v) + uv * uv).sqrt();
         // Variances are positive but for rounding.
@@ -95,10 +87,8 @@ impl PatchMatcher<'_> {
     }
 }
 
-impl ElementErrors {
-    /// The errors of an element of which the images say nothing.
-    fn unknown() -> Self {
-        let [disparity_px, velocity_px] = PRIOR_PX.map(|e| e as f32);
-        Self { disparity_px, velocity_px }
-    }
+/// The errors of an element of which the images say nothing.
+fn unknown() -> ElementErrors {
+    let [disparity_px, velocity_px] = PRIOR_PX.map(|e| e as f32);
+    ElementErrors { disparity_px, velocity_px }
 }

@@ -116,7 +116,7 @@ def test_the_joint_covariance_is_what_noise_does() -> None:
         for k in range(1, len(names)):
             a, b = names[0], names[k]
             turned = right[b].T @ found[b] @ found[a].T @ right[a]
-            skew = 0.5 * (turned - turned.T)
+            skew: Any = 0.5 * (turned - turned.T)
             turn = world @ np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
             pick = np.zeros((3, len(matrix)))
             pick[:, :3], pick[:, 7 * k : 7 * k + 3] = np.eye(3), -np.eye(3)
