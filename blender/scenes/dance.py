@@ -1,6 +1,6 @@
 """A figure dances before plain green cloth that runs all round behind it and on along the floor.
 
-For arrays whose cameras stand around the scene, such as `dome12`: textured limbs turn against each other, hide each
+For arrays whose cameras stand around the scene, such as `tests/bench/dome12.json`: textured limbs turn against each other, hide each
 other and the body, and no camera sees more than half of them. The cloth has soft folds and nothing to match.
 
 Depths from the rig: figure 1.6 to 2.5 m, cloth and floor 1.6 to 3.5 m. At 640x480 half of what moves does so by 10
@@ -69,13 +69,15 @@ def cloth() -> None:
 def limb(
     name: str,
     material: Any,
-    length_m: float,
-    radii_m: tuple[float, float],
+    size_m: tuple[float, float, float],
     parent: Any,
     joint_m: tuple[float, float, float],
 ) -> Any:
-    """A rounded limb that hangs down from its joint; its origin is the joint."""
-    from_m, to_m = radii_m
+    """A rounded limb that hangs down from its joint; its origin is the joint.
+
+    `size_m` is its length, and its radii at the joint and at the other end.
+    """
+    length_m, from_m, to_m = size_m
     centres = [(0.0, 0.0, 0.6 * from_m), (0.0, 0.0, 0.35 * from_m)]
     radii = [(0.45 * from_m, 0.45 * from_m), (0.85 * from_m, 0.85 * from_m)]
     for at in np.linspace(0.0, 1.0, 12):
@@ -175,13 +177,13 @@ def arms(body: Any) -> None:
     )
     for side, start in ((-1, 0.3), (1, 1.9)):
         upper = limb(
-            "upper arm", sleeve, 0.21, (0.042, 0.034), body, (side * 0.15, 0.0, 0.33)
+            "upper arm", sleeve, (0.21, 0.042, 0.034), body, (side * 0.15, 0.0, 0.33)
         )
         turn(upper, 0, 0.15, 0.55, f"sin(6.3*{{t}} + {start})")
         turn(upper, 1, -side * 1.15, 0.75, f"sin(7.4*{{t}} + {start + 0.8})")
-        fore = limb("forearm", skin, 0.20, (0.033, 0.024), upper, (0.0, 0.0, -0.215))
+        fore = limb("forearm", skin, (0.20, 0.033, 0.024), upper, (0.0, 0.0, -0.215))
         turn(fore, 0, -0.65, 0.55, f"sin(8.1*{{t}} + {start + 2.0})")
-        hand = limb("hand", skin, 0.07, (0.026, 0.022), fore, (0.0, 0.0, -0.215))
+        hand = limb("hand", skin, (0.07, 0.026, 0.022), fore, (0.0, 0.0, -0.215))
         turn(hand, 0, -0.2, 0.4, f"sin(9.0*{{t}} + {start})")
 
 
@@ -193,13 +195,13 @@ def legs(body: Any) -> None:
     )
     for side, start in ((-1, 0.0), (1, 3.14)):
         thigh = limb(
-            "thigh", denim, 0.29, (0.068, 0.050), body, (side * 0.065, 0.0, -0.06)
+            "thigh", denim, (0.29, 0.068, 0.050), body, (side * 0.065, 0.0, -0.06)
         )
         turn(thigh, 0, 0.25, 0.45, f"sin(6.3*{{t}} + {start})")
         turn(thigh, 1, -side * 0.16, 0.14, f"sin(6.3*{{t}} + {start + 1.0})")
-        shin = limb("shin", denim, 0.27, (0.048, 0.034), thigh, (0.0, 0.0, -0.295))
+        shin = limb("shin", denim, (0.27, 0.048, 0.034), thigh, (0.0, 0.0, -0.295))
         turn(shin, 0, -0.55, 0.45, f"sin(6.3*{{t}} + {start + 0.9})")
-        foot = limb("foot", shoe, 0.11, (0.034, 0.026), shin, (0.0, 0.02, -0.285))
+        foot = limb("foot", shoe, (0.11, 0.034, 0.026), shin, (0.0, 0.02, -0.285))
         turn(foot, 0, -1.2, 0.2, f"sin(6.3*{{t}} + {start})")
 
 

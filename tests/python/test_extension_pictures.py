@@ -29,7 +29,14 @@ def test_quilts_and_pairs_are_the_command_lines(
     camera, options = tmp_path / "view.json", tmp_path / "options.json"
     camera.write_text(json.dumps(found["camera"]))
     options.write_text(json.dumps(found["options"]))
-    view: list[Any] = ["--camera", camera, "--time", repr(found["time_s"]), "--options", options]
+    view: list[Any] = [
+        "--camera",
+        camera,
+        "--time",
+        repr(found["time_s"]),
+        "--options",
+        options,
+    ]
     quilt = ["--quilt", "portrait", "--convergence", repr(1.6)]
     eyes = ["--stereo", "0.05", "--convergence", repr(1.6)]
     for arguments, name, file in (
