@@ -265,7 +265,7 @@
 //!   traditional light field rendering, the rough alignment of recordings, gains, `plan`, and the page of `publish`.
 //!   `export --frames` writes frames as filmed.
 //! - Bodies that move by more than 60 pixels a frame lose their tracks. They are blurred, and their depth is
-//!   wrong.
+//!   wrong. `--proxy scene-flow` needs no tracks: it shows bodies of up to 120 pixels a frame.
 //! - Thin things that move further than they are thick, as a pendulum's rod, vanish between two frames.
 //! - In narrow gaps between bodies that move along the line of cameras, what is behind them gets their
 //!   motion. There, OpenCV's DIS interpolates up to 0.5 dB better.

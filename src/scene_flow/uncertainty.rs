@@ -19,7 +19,7 @@ const VISIBLE_FRACTION: f64 = 0.55;
 const PRIOR_PX: [f64; 2] = [4.0, 8.0];
 /// Factors from the covariance to the standard errors, for disparity and velocity: residuals of neighbours are
 /// correlated, and smoothness adds information. Chosen on filmed scenes, by the median error in standard errors.
-const SCALE: [f64; 2] = [0.5, 0.4];
+const SCALE: [f64; 2] = [0.6, 0.4];
 /// Part of the velocity's standard error per unit of acceleration (pixel per frame squared), frames: paths are
 /// not parabolas.
 const BY_ACCELERATION: f32 = 0.05;
