@@ -37,6 +37,8 @@ const COLOR: f32 = 0.06;
 
 /// Maximum number of a view's pixels that are blended at once. At eight maps, this takes about 60 MB.
 const BAND_PIXELS: usize = 5 << 16;
+/// Number of pixels from which a view is blended in bands of half the size.
+const LARGE_PIXELS: usize = 1 << 23;
 
 /// Colour and depth of the surface that a pixel of the view shows.
 #[derive(Clone, Copy)]
@@ -53,6 +55,8 @@ struct Pixel {
 enum Shown {
     /// No splat covers the pixel.
     Nothing,
+    /// No splat covers the pixel, which got the values of a neighbour.
+    Filled,
     Something,
     /// Something that is known to move.
     Moving,
@@ -126,15 +130,17 @@ impl Pixels {
             ];
             around.into_iter().flatten()
         };
-        let mut filled: Vec<bool> = self.shown.iter().map(|s| *s != Shown::Nothing).collect();
         // Views have less than 2³² pixels.
-        let mut ring: Vec<u32> = (0..filled.len() as u32)
-            .filter(|&k| !filled[k as usize] && around(k).any(|n| filled[n]))
+        let is_empty = |shown: &[Shown], k: usize| shown[k] == Shown::Nothing;
+        let mut ring: Vec<u32> = (0..self.shown.len() as u32)
+            .filter(|&k| {
+                is_empty(&self.shown, k as usize) && around(k).any(|n| !is_empty(&self.shown, n))
+            })
             .collect();
         while !ring.is_empty() {
             let depth = |n: &usize| self.inverse_depths[*n];
             let farthest = |&k: &u32| {
-                let neighbors = around(k).filter(|&n| filled[n]);
+                let neighbors = around(k).filter(|&n| !is_empty(&self.shown, n));
                 neighbors.min_by(|a, b| depth(a).total_cmp(&depth(b))).unwrap_or(k as usize) as u32
             };
             let sources: Vec<u32> = ring.iter().map(farthest).collect();
@@ -142,9 +148,9 @@ impl Pixels {
                 self.colors[k as usize] = self.colors[n as usize];
                 self.inverse_depths[k as usize] = self.inverse_depths[n as usize];
                 self.motions.iter_mut().for_each(|m| m.copy(n as usize, k as usize));
-                filled[k as usize] = true;
+                self.shown[k as usize] = Shown::Filled;
             }
-            let next = |&k: &u32| around(k).filter(|&n| !filled[n]).map(|n| n as u32);
+            let next = |&k: &u32| around(k).filter(|&n| is_empty(&self.shown, n)).map(|n| n as u32);
             ring = ring.iter().flat_map(next).collect();
             ring.sort_unstable();
             ring.dedup();
@@ -281,7 +287,9 @@ pub fn blend(
     let (width, height) = (view.width, view.height);
     let motions = with_motion.then(|| MotionMap::empty(disparity_px(mapped), width * height));
     let mut pixels = Pixels::new(width * height, motions);
-    let rows_at_once = (BAND_PIXELS / width.max(1)).max(1);
+    // A large view needs the memory for its pixels.
+    let band_pixels = if width * height < LARGE_PIXELS { BAND_PIXELS } else { BAND_PIXELS / 2 };
+    let rows_at_once = (band_pixels / width.max(1)).max(1);
     for first in (0..height).step_by(rows_at_once) {
         let rows = first..(first + rows_at_once).min(height);
         blend_rows(mapped, confidences, (view, rows), time, &mut pixels);
@@ -293,7 +301,7 @@ pub fn blend(
     let behind = Behind::new(mapped, view);
     let colors = pixels.colors.par_iter_mut().zip(&mut pixels.inverse_depths);
     let holes = colors.zip(&pixels.shown).enumerate();
-    let unmapped = holes.filter(|(_, (_, shown))| **shown == Shown::Nothing);
+    let unmapped = holes.filter(|(_, (_, shown))| matches!(shown, Shown::Nothing | Shown::Filled));
     unmapped.for_each(|(k, ((color, inverse_depth), _))| {
         let place = [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5];
         let pixel = Pixel { color: *color, inverse_depth: *inverse_depth, is_moving: false };
