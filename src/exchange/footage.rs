@@ -4,7 +4,7 @@ use super::pairing::{
     Pairs, entries, extension, id_of, is_image, is_same, numbers, one_each, pair, pair_by_table,
 };
 use super::request::ImportRequest;
-use super::times::{FrameTimes, TIMES_FILE, read_times, times_of};
+use super::times::{RecordingTimes, TIMES_FILE, read_times, times_of};
 use super::{ExchangeError, NamedCamera, content};
 use crate::capture::{MAX_FRAMES, Opening};
 use crate::host::open_file;
@@ -90,7 +90,7 @@ pub(super) fn find(
 fn frame_times(
     request: &ImportRequest,
     notes: &mut Vec<String>,
-) -> Result<Option<(PathBuf, FrameTimes)>, ExchangeError> {
+) -> Result<Option<(PathBuf, RecordingTimes)>, ExchangeError> {
     let beside = request.images.join(TIMES_FILE);
     let file = match request.times {
         Some(file) => file.to_owned(),
@@ -110,7 +110,7 @@ fn frame_times(
 
 fn checked_times(
     file: &Path,
-    times: &FrameTimes,
+    times: &RecordingTimes,
     id: &str,
     frames: usize,
 ) -> Result<Vec<i64>, ExchangeError> {

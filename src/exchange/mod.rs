@@ -40,7 +40,7 @@ pub use nerf::{read_nerf, write_nerf};
 pub use qualisys::read_qualisys;
 pub use recalibrate::{Draft, NewCalibration, recalibrate};
 pub use request::{ImportClock, ImportRequest};
-pub use times::{FrameTimes, read_times};
+pub use times::{RecordingTimes, read_times};
 pub use undistort::Undistortion;
 
 use crate::camera::{Camera, CameraFormat, CameraModel, PoseFormat};

@@ -29,12 +29,12 @@ const TIME: &[&str] = &[
 ];
 
 /// Ascending times of each camera's frames, nanoseconds, by the camera's name in the table.
-pub type FrameTimes = BTreeMap<String, Vec<i64>>;
+pub type RecordingTimes = BTreeMap<String, Vec<i64>>;
 
 /// Reads the times of all cameras. Rows may have any order. The name of the time's column gives the unit: milliseconds
 /// for `time_ms`, microseconds for `time_us`, nanoseconds for `time_ns`, and otherwise seconds.
-pub fn read_times(path: &Path) -> Result<FrameTimes, ExchangeError> {
-    let mut times = FrameTimes::new();
+pub fn read_times(path: &Path) -> Result<RecordingTimes, ExchangeError> {
+    let mut times = RecordingTimes::new();
     read_columns(path, [CAMERA, TIME], |[_, name], [camera, time]| {
         let digits = match name.rsplit('_').next() {
             Some("ms") => 6,
@@ -59,7 +59,7 @@ pub fn read_times(path: &Path) -> Result<FrameTimes, ExchangeError> {
 /// The times of a camera, listed under its id, or else under the only name with the same numbers as the id, such as `0`
 /// for
 /// `cam_0`. The error is the reason, without the file's name.
-pub(super) fn times_of<'a>(times: &'a FrameTimes, id: &str) -> Result<&'a [i64], String> {
+pub(super) fn times_of<'a>(times: &'a RecordingTimes, id: &str) -> Result<&'a [i64], String> {
     if let Some(times) = times.get(id) {
         return Ok(times);
     }
@@ -75,7 +75,7 @@ pub(super) fn times_of<'a>(times: &'a FrameTimes, id: &str) -> Result<&'a [i64],
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<FrameTimes, String> {
+    fn read(text: &str) -> Result<RecordingTimes, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("t.csv");
         std::fs::write(&path, text).unwrap();
