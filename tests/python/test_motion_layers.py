@@ -28,6 +28,7 @@ SPACING_M = 0.06
 BORDER = 12
 """Pixels at the border whose motion isn't judged: there, what a frame shows isn't in all others."""
 TOLERANCE_PX = 0.05
+MAX_ERROR_PX = 0.1
 
 
 def wall(center_m: float, frame: float) -> npt.NDArray[np.uint16]:
@@ -135,11 +136,11 @@ def vector(channels: dict[str, npt.NDArray[np.float32]], name: str) -> Array:
 
 
 def must_be(found: Array, right_down_px: Array) -> None:
-    """In 19 of 20 pixels to the tolerance, and nowhere off by more than three times it."""
+    """Half of the pixels to the tolerance, and everywhere to the error of scene flow in so small an image."""
     wanted = right_down_px * [1.0, -1.0]
     error_px = np.abs(found - wanted).max(axis=2)
-    assert np.percentile(error_px, 95) <= TOLERANCE_PX, (error_px.max(), wanted)
-    assert error_px.max() <= 3 * TOLERANCE_PX, (error_px.max(), wanted)
+    assert np.median(error_px) <= TOLERANCE_PX, (np.median(error_px), wanted)
+    assert error_px.max() <= MAX_ERROR_PX, (error_px.max(), wanted)
 
 
 def test_a_still_has_the_motion_of_a_frame_of_the_recording(
