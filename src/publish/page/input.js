@@ -108,7 +108,7 @@ function listen(element, motion, changed) {
     changed();
   });
   for (const name of ["pointerup", "pointercancel"]) element.addEventListener(name, (event) => pointers.delete(event.pointerId));
-  element.addEventListener("click", () => askForTilt(motion, changed));
+  element.addEventListener("click", askForTilt);
   element.addEventListener("wheel", (event) => {
     const lines = event.deltaMode === 1 ? 16 : 1;
     if (Math.abs(event.deltaX) > Math.abs(event.deltaY) || event.shiftKey) {
@@ -139,21 +139,20 @@ function listen(element, motion, changed) {
     event.preventDefault();
     changed();
   });
-  if (typeof DeviceOrientationEvent !== "undefined" && !DeviceOrientationEvent.requestPermission) followTilt(motion, changed);
+  followTilt(motion, changed);
 }
 
-let followsTilt = false;
+let hasAskedForTilt = false;
 
-// Some browsers ask the visitor, and only after a touch.
-function askForTilt(motion, changed) {
-  if (followsTilt || typeof DeviceOrientationEvent === "undefined" || !DeviceOrientationEvent.requestPermission) return;
-  followsTilt = true;
-  DeviceOrientationEvent.requestPermission().then((answer) => { if (answer === "granted") followTilt(motion, changed); }, () => {});
+// Some browsers ask the visitor, and only after a touch. Others have the question, but allow it from the start.
+function askForTilt() {
+  if (hasAskedForTilt || typeof DeviceOrientationEvent === "undefined" || !DeviceOrientationEvent.requestPermission) return;
+  hasAskedForTilt = true;
+  DeviceOrientationEvent.requestPermission().catch(() => {});
 }
 
 // The device's turn away from how it was held moves the viewpoint; how it is held is followed slowly.
 function followTilt(motion, changed) {
-  followsTilt = true;
   let held = null;
   addEventListener("deviceorientation", ({ beta, gamma }) => {
     if (beta === null || gamma === null) return;
