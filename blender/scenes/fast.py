@@ -25,7 +25,6 @@ def paddle() -> Any:
         [(0.002, -0.012), (0.12, -0.012), (0.12, 0.012), (0.002, 0.012)],
         64,
     )
-    # A turned body's UV is angle and ring, so rays; the front gets a flat print instead.
     front = kit.Sheet()
     target = kit.printed(
         "target",
@@ -35,10 +34,7 @@ def paddle() -> Any:
     )
     front.rectangle(target, (-0.083, -0.083), (0.166, 0.166))
     front.centred_text(kit.ink("black", "161412"), "FAST", (0, -0.025), 0.07)
-    print_ = front.build("print")
-    print_.rotation_euler.x = -1.5707963
-    print_.location.z = 0.0125
-    print_.parent = disc
+    kit.print_in_front(disc, front, "print", 0.0125)
     grip = kit.printed(
         "grip", paint.planks("grip", (60, 200), 10, ("3a2413", "7a5030", "b98a58"))
     )

@@ -221,6 +221,14 @@ def group(name: str) -> Any:
     return add(bpy.data.objects.new(name, None))
 
 
+def print_in_front(body: Any, sheet: Sheet, name: str, depth_m: float) -> None:
+    """Put a sheet flat in front of a turned body, whose own UV is angle and ring, so rays."""
+    front = sheet.build(name)
+    front.rotation_euler.x = -1.5707963
+    front.location.z = depth_m
+    front.parent = body
+
+
 def box(
     name: str,
     material: Any,

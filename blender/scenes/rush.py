@@ -25,10 +25,7 @@ def disc() -> Any:
     )
     sheet = kit.Sheet()
     sheet.rectangle(face, (-0.063, -0.063), (0.126, 0.126))
-    front = sheet.build("front")
-    front.rotation_euler.x = -1.5707963
-    front.location.z = 0.0105
-    front.parent = body
+    kit.print_in_front(body, sheet, "front", 0.0105)
     return body
 
 

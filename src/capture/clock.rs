@@ -138,7 +138,7 @@ pub fn are_frame_times(times_s: &[f64]) -> bool {
 /// The times of a camera's frames and of the positions in them.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameTimes<'a> {
-    /// By frame: the time of its middle row, seconds on any clock, strictly ascending.
+    /// The time of each frame's middle row, seconds on any clock, strictly ascending.
     pub times_s: &'a [f64],
     pub rows: RowTimes,
 }

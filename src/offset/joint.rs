@@ -103,7 +103,7 @@ pub fn solve_clocks(
 
 /// The joint solution.
 pub struct SolvedClocks {
-    /// By clock: its estimate.
+    /// For each clock, its estimate.
     pub by_clock: Vec<Option<ClockEstimate>>,
     /// The calibration's errors, in the order of the covariance's rows; empty if they are no unknowns.
     pub errors: DVector<f64>,
@@ -288,7 +288,7 @@ fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustS
 struct PairNormal {
     /// The columns of the pair's unknowns, in the order in which they came.
     columns: Vec<usize>,
-    /// By row, then by column of the pair's unknowns.
+    /// Rows of the matrix; rows and columns are in the order of `columns`.
     entries: Vec<Vec<f64>>,
 }
 

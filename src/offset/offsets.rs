@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub struct Offsets {
     /// The reference camera's id.
     pub reference: String,
-    /// By camera, in the capture's order.
+    /// One for each camera, in the capture's order.
     pub cameras: Vec<CameraOffset>,
 }
 

@@ -83,7 +83,7 @@ impl Pixels {
     }
 
     /// Closes the holes of moving bodies through which something else shows, inwards ring by ring. A pixel gets the mean
-    /// of its neighbours that show the body.
+    /// of its neighbours that show the body, and the motion of one of them.
     fn close(&mut self, width: usize) {
         let height = self.shown.len() / width;
         let is_body = |shown: &[Shown], n: usize| shown[n] == Shown::Moving;
@@ -96,21 +96,25 @@ impl Pixels {
                 }
                 let around = (0..9).map(|n| k + (n / 3) * width + n % 3 - width - 1);
                 let body: Vec<usize> = around.filter(|&n| is_body(&self.shown, n)).collect();
+                if body.len() < CLOSING {
+                    return None;
+                }
                 let mean = |value: &dyn Fn(usize) -> f32| {
                     body.iter().map(|&n| value(n)).sum::<f32>() / body.len() as f32
                 };
                 let color = [0, 1, 2].map(|c| mean(&|n| self.colors[n][c]));
                 let inverse_depth = mean(&|n| self.inverse_depths[n]);
-                let is_hole = body.len() >= CLOSING && inverse_depth > self.inverse_depths[k];
-                is_hole.then_some((k, color, inverse_depth))
+                let is_hole = inverse_depth > self.inverse_depths[k];
+                is_hole.then(|| (k, body[0], color, inverse_depth))
             };
             let found: Vec<_> = (0..self.shown.len()).into_par_iter().filter_map(closed).collect();
             if found.is_empty() {
                 return;
             }
-            for (k, color, inverse_depth) in found {
+            for (k, neighbor, color, inverse_depth) in found {
                 (self.colors[k], self.inverse_depths[k]) = (color, inverse_depth);
                 self.shown[k] = Shown::Moving;
+                self.motions.iter_mut().for_each(|m| m.copy(neighbor, k));
             }
         }
     }

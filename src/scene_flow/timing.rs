@@ -69,6 +69,7 @@ impl TimeBetween {
         };
         let first = after(start);
         let second = after(first);
+        // Where the first change is 0, so is the second: the slope is NaN then, and adds nothing.
         let slope = (second - first) / (first - start);
         let change = (second - first) * if slope.abs() < 0.5 { slope / (1.0 - slope) } else { 0.0 };
         second + change

@@ -1,9 +1,9 @@
 //! Standard errors of an element's depth and velocity: those of the least-squares estimate that its patch's
 //! gradients and residuals allow (Gauss–Newton's covariance, as in bundle adjustment).
 
-use super::element::{Element, ElementErrors};
+use super::element::ElementErrors;
 use super::map::ElementMap;
-use super::matching::{ObservingFrame, PatchMatcher};
+use super::matching::PatchMatcher;
 use super::patch::Patch;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
@@ -18,7 +18,8 @@ const VISIBLE_FRACTION: f64 = 0.55;
 /// velocity, pixels per frame.
 const PRIOR_PX: [f64; 2] = [4.0, 8.0];
 /// Factors from the covariance to the standard errors, for disparity and velocity: residuals of neighbours are
-/// correlated, and smoothness adds information. Chosen on filmed scenes, by the median error in standard errors.
+/// correlated, and smoothness adds information. With these, the median errors on `spin`, `bounce`, `magazine` and
+/// `ball` are 0.3 to 0.9 standard errors.
 const SCALE: [f64; 2] = [0.6, 0.4];
 /// Part of the velocity's standard error per unit of acceleration (pixel per frame squared), frames: paths are
 /// not parabolas.
@@ -32,14 +33,6 @@ impl PatchMatcher<'_> {
             (0..map.width).map(|x| self.errors_at(map, (x, y), &mut patch)).collect::<Vec<_>>()
         };
         (0..map.height).into_par_iter().flat_map_iter(row).collect()
-    }
-
-    fn is_inside(&self, element: &Element, [x, y]: [f32; 2], o: &ObservingFrame) -> bool {
-        let [mx, my, q] = element.moved(x, y, o.time.of_element(element, (x, y), &o.projection));
-        let [u, v, _] = o.projection.project(mx, my, q);
-        let image = &o.levels[self.level];
-        let [width, height] = [image.width, image.height].map(|size| size as f32 * self.scale);
-        u > 0.0 && v > 0.0 && u < width && v < height
     }
 
     fn errors_at(
@@ -56,11 +49,17 @@ impl PatchMatcher<'_> {
         let by_depth = scale * f64::from(self.disparity_px);
         let mut information = Matrix3::<f64>::zeros();
         for o in self.observations {
-            if !self.is_inside(element, center, o) {
+            let [x, y] = center;
+            let dt = o.time.of_element(element, (x, y), &o.projection);
+            let [mx, my, q] = element.moved(x, y, dt);
+            let [u, v, _] = o.projection.project(mx, my, q);
+            let image = &o.levels[self.level];
+            let [width, height] = [image.width, image.height].map(|s| s as f32 * self.scale);
+            if !(u > 0.0 && v > 0.0 && u < width && v < height) {
                 continue;
             }
             let [a, b] = self.by_inverse_depth(element, center, o).map(|d| f64::from(d) / by_depth);
-            let dt = f64::from(o.time.frames()) / scale;
+            let dt = f64::from(dt) / scale;
             // The position's derivatives by disparity and by the two components of the velocity.
             let columns = [[a, b], [dt, 0.0], [0.0, dt]];
             for (i, [a, b]) in columns.into_iter().enumerate() {
