@@ -1,12 +1,14 @@
 //! The whole pipeline (Fig. 2): opens a capture as a light field, from which views are rendered, and
 //! chooses methods automatically.
 
+use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::host::CacheKind;
-use crate::light_field::{LightField, RenderError};
+use crate::light_field::{LightField, RenderError, Request, Viewpoint};
 use crate::method::Method;
 use crate::offset::resolve_offsets;
 use crate::options::{AutoOptions, RenderOptions};
+use crate::path::{CameraPath, PathError, PathScene, ReadyMadePath};
 use crate::plan::{Decision, Plan, is_undecided, plan};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
@@ -39,8 +41,8 @@ pub fn open_field(
 }
 
 /// The options with automatic choices resolved. For the stages that `options.auto` names, [`plan`] chooses the method
-/// and its parameters; other stages are unchanged. Without a choice that has an effect, nothing is measured. The plan is cached, keyed with offsets and options. Notes on the
-/// reporter state the chosen methods, and the reasons if the plan is new.
+/// and its parameters; other stages are unchanged. Without a choice that has an effect, nothing is measured. The plan is cached, keyed with offsets
+/// and options. Notes on the reporter state the chosen methods, and the reasons if the plan is new.
 pub fn resolved(
     field: &LightField,
     options: &RenderOptions,
@@ -96,4 +98,38 @@ pub fn plan_again(
         reporter.note(&format!("The plan can't be cached for the next command: {error}."));
     }
     Ok(plan)
+}
+
+/// Why a ready-made path can't be fitted to a capture.
+#[derive(Debug, thiserror::Error)]
+pub enum PathFitError {
+    /// The depths of the scene can't be estimated.
+    #[error(transparent)]
+    Depths(#[from] RenderError),
+    /// The duration is out of range.
+    #[error(transparent)]
+    Path(#[from] PathError),
+}
+
+/// A ready-made path of `duration_s` seconds, fitted to the rig, to the scene's depths and to the recording's times.
+///
+/// `frozen_s` stops time at an instant. Instants are seconds from the capture's start. The views have the size and the
+/// field of view of the reference camera.
+pub fn ready_made_path(
+    field: &LightField,
+    options: &RenderOptions,
+    kind: ReadyMadePath,
+    duration_s: f64,
+    frozen_s: Option<f64>,
+) -> Result<CameraPath, PathFitError> {
+    let capture = field.capture();
+    let lens = &capture.cameras[capture.reference].camera;
+    let own_span = || field.span_s(capture.reference);
+    let span_s = field.common_span_s().or_else(own_span).unwrap_or_default();
+    let middle_s = frozen_s.unwrap_or(0.5 * (span_s.0 + span_s.1));
+    let request = Request::new(Viewpoint::View(lens), middle_s, options);
+    let depths_m = field.depth_range_m(lens, &request)?;
+    let cameras: Vec<Camera> = capture.cameras.iter().map(|c| c.camera.clone()).collect();
+    let scene = PathScene { cameras: &cameras, lens, depths_m, span_s, frozen_s, duration_s };
+    Ok(kind.path(&scene)?)
 }

@@ -165,8 +165,9 @@ fn follow(bar: ProgressBar, interval: Duration, write: impl Fn(String) + Send + 
     let log = Log { resumed: Arc::default(), _end: end };
     let resumed = log.resumed.clone();
     std::thread::spawn(move || {
+        let mut estimate = Estimate::default();
         while ended.recv_timeout(interval) == Err(RecvTimeoutError::Timeout) && !bar.is_finished() {
-            write(state(&bar, resumed.load(Relaxed)));
+            write(state(&bar, resumed.load(Relaxed), &mut estimate));
         }
     });
     log
@@ -177,9 +178,18 @@ pub fn in_words(seconds: f64) -> String {
     HumanDuration(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)).to_string()
 }
 
+/// An estimate of the time left, and when it was made.
+#[derive(Clone, Copy, Default)]
+struct Estimate {
+    /// Number of steps that were done.
+    done: u64,
+    elapsed_s: f64,
+    left_s: f64,
+}
+
 /// The progress as one line. The time left is extrapolated from the steps of this run; the first `resumed` steps are
-/// of an earlier run.
-fn state(bar: &ProgressBar, resumed: u64) -> String {
+/// of an earlier run. Until another step is done, the estimate made after the last one counts down.
+fn state(bar: &ProgressBar, resumed: u64, estimate: &mut Estimate) -> String {
     let (label, done, elapsed_s) = (bar.message(), bar.position(), bar.elapsed().as_secs_f64());
     let Some(total) = bar.length() else {
         return format!("{label}: {} so far", in_words(elapsed_s));
@@ -187,7 +197,11 @@ fn state(bar: &ProgressBar, resumed: u64) -> String {
     if done <= resumed {
         return format!("{label}: {done} of {total}");
     }
-    let left_s = elapsed_s * total.saturating_sub(done) as f64 / (done - resumed) as f64;
+    if done != estimate.done {
+        let left_s = elapsed_s * total.saturating_sub(done) as f64 / (done - resumed) as f64;
+        *estimate = Estimate { done, elapsed_s, left_s };
+    }
+    let left_s = (estimate.left_s - (elapsed_s - estimate.elapsed_s)).max(0.0);
     format!("{label}: {done} of {total}, {} left", in_words(left_s))
 }
 
@@ -211,13 +225,16 @@ mod tests {
         drop(log);
         // Dropping the log ends the thread and its sender, so that this loop ends.
         assert!(lines.iter().all(|line| line.starts_with("filming: 2 of 8, ")));
-        let bar = bar.with_elapsed(Duration::from_secs(60));
-        assert_eq!(state(&bar, 0), "filming: 2 of 8, 3 minutes left");
-        assert_eq!(state(&bar, 1), "filming: 2 of 8, 6 minutes left");
-        assert_eq!(state(&bar, 2), "filming: 2 of 8");
-        assert!(
-            state(&ProgressBar::new_spinner().with_message("check"), 0)
-                .contains("check: 0 seconds so far")
-        );
+        let now = |seconds| bar.clone().with_elapsed(Duration::from_secs(seconds));
+        let first = |bar: &ProgressBar, resumed| state(bar, resumed, &mut Estimate::default());
+        assert_eq!(first(&now(60), 0), "filming: 2 of 8, 3 minutes left");
+        assert_eq!(first(&now(60), 1), "filming: 2 of 8, 6 minutes left");
+        assert_eq!(first(&now(60), 2), "filming: 2 of 8");
+        let mut estimate = Estimate::default();
+        let later = [60, 120, 600].map(|seconds| state(&now(seconds), 0, &mut estimate));
+        let left = ["3 minutes", "2 minutes", "0 seconds"];
+        assert_eq!(later, left.map(|left| format!("filming: 2 of 8, {left} left")));
+        let spinner = ProgressBar::new_spinner().with_message("check");
+        assert!(first(&spinner, 0).contains("check: 0 seconds so far"));
     }
 }

@@ -92,10 +92,34 @@ pub fn run(args: &CaptureArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     let mut options = args.scene.options(&args.rig, &args.output)?;
     options.part = args.part.as_ref().map(Parts::to_string);
     options.silence_s = args.silence;
-    let environment = ensure_environment(&project_root()?, reporter)?;
+    let root = project_root()?;
+    if let FilmedScene::Named(name) = &options.scene {
+        must_be_a_scene(name, &root)?;
+    }
+    let environment = ensure_environment(&root, reporter)?;
     film(&environment, &options, reporter)?;
     page.line(args.output.display());
     Ok(())
+}
+
+/// An error that lists the scenes, if none has this name. A scene is a module of `blender/scenes` with a function
+/// `build`.
+fn must_be_a_scene(name: &str, root: &Path) -> Result<(), CliError> {
+    let is_scene = |file: &Path| {
+        let is_module = file.extension().is_some_and(|extension| extension == "py");
+        is_module && std::fs::read_to_string(file).is_ok_and(|text| text.contains("\ndef build("))
+    };
+    let folder = std::fs::read_dir(root.join("blender/scenes"));
+    let files = folder.into_iter().flatten().flatten().map(|entry| entry.path());
+    let scenes = files.filter(|file| is_scene(file));
+    let mut names: Vec<String> =
+        scenes.filter_map(|file| Some(file.file_stem()?.to_str()?.to_owned())).collect();
+    if names.iter().any(|scene| scene == name) {
+        return Ok(());
+    }
+    names.sort();
+    let names = names.join(", ");
+    Err(CliError::BadInput(format!("--scene {name}: no such scene; there are: {names}")))
 }
 
 impl SceneArgs {

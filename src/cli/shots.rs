@@ -6,16 +6,11 @@ use super::values::{PathSource, Times, positive, rate_hz};
 use super::viewpoint::{ViewpointArgs, far_outside};
 use crate::camera::Camera;
 use crate::capture::{Capture, NamedView};
-use crate::light_field::{CameraAt, LightField, Request, Viewpoint, check_times_before_offsets};
+use crate::light_field::{CameraAt, LightField, Viewpoint, check_times_before_offsets};
 use crate::options::RenderOptions;
-use crate::path::{CameraPath, PathFrame, PathScene, ReadyMadePath};
+use crate::path::{CameraPath, PATH_RATE_HZ, PathFrame, READY_MADE_S, ReadyMadePath};
+use crate::pipeline::{PathFitError, ready_made_path};
 use crate::progress::Reporter;
-
-/// Frame rate along a path without a rate of its own, hertz.
-const PATH_RATE_HZ: f64 = 30.0;
-
-/// Default duration of a ready-made path, seconds.
-const READY_MADE_S: f64 = 4.0;
 
 /// Arguments of the instants.
 #[derive(Debug, clap::Args)]
@@ -273,17 +268,12 @@ impl Shots<'_> {
         let ShotSource::ReadyMade { kind, duration_s, frozen_s } = self.source else {
             return Ok(());
         };
-        let capture = field.capture();
-        let lens = &capture.cameras[capture.reference].camera;
-        let own_span = || field.span_s(capture.reference);
-        let span_s = field.common_span_s().or_else(own_span).unwrap_or_default();
-        let frozen_s = frozen_s.map(|time_s| time_s - capture.time_origin_s);
-        let middle_s = frozen_s.unwrap_or(0.5 * (span_s.0 + span_s.1));
-        let request = Request::new(Viewpoint::View(lens), middle_s, options);
-        let depths_m = field.depth_range_m(lens, &request)?;
-        let cameras: Vec<Camera> = capture.cameras.iter().map(|c| c.camera.clone()).collect();
-        let scene = PathScene { cameras: &cameras, lens, depths_m, span_s, frozen_s, duration_s };
-        let path = kind.path(&scene).map_err(of_path)?;
+        let frozen_s = frozen_s.map(|time_s| time_s - field.capture().time_origin_s);
+        let path = ready_made_path(field, options, kind, duration_s, frozen_s);
+        let path = path.map_err(|error| match error {
+            PathFitError::Depths(error) => error.into(),
+            PathFitError::Path(error) => of_path(error),
+        })?;
         let shot = |PathFrame { camera, time_s }| Shot { view: NamedView::Free(camera), time_s };
         let frames = frames(&path, self.rate_hz.unwrap_or(PATH_RATE_HZ))?;
         self.shots = frames.into_iter().map(shot).collect();

@@ -91,6 +91,11 @@ pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, Ex
         Some("json") => read_nerf(path)?,
         Some("toml") => read_anipose(path)?,
         Some("txt" | "qca" | "xml") => return read_qualisys(path),
+        _ if path.is_file() => {
+            let reason =
+                "is none of .npy, .json, .toml, .txt, .xml, nor the folder of a COLMAP model";
+            return Err(content(path, reason));
+        }
         _ => read_colmap(path)?,
     };
     cameras.iter_mut().for_each(|c| c.camera.cam_from_world.translation.vector *= unit_m);

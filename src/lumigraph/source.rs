@@ -29,7 +29,7 @@ impl<'a> Source<'a> {
 options! {
     /// Options of blending.
     pub struct BlendOptions {
-        /// The cameras' weights.
+        /// The cameras' weights, if auto.blend is false.
         method: BlendMethod = BlendMethod::Lumigraph,
         /// Cameras from which a pixel is blended.
         cameras: usize [1..=1000, "cameras"] = 3,

@@ -64,7 +64,7 @@ methods!(ProxyMethod {
 options! {
     /// The geometry proxy (§6): an estimate of the scene's shape.
     pub struct ProxyOptions {
-        /// The kind of proxy.
+        /// The kind of proxy, if auto.proxy is false.
         method: ProxyMethod = ProxyMethod::Mesh,
         /// Depth of the plane in the view, at which surfaces are in focus; null: fitted to the scene's points.
         plane_depth_m: Option<f64> [1e-9..=1e12, "m"] = None,

@@ -25,7 +25,7 @@ options! {
     /// The options of all stages, in the form of an options file: a JSON object. Missing fields have their defaults,
     /// and unknown fields are errors.
     pub struct RenderOptions {
-        /// How a camera's image is made at an instant between its frames.
+        /// How a camera's image is made at an instant between its frames, if auto.sync is false.
         sync: SyncMethod = SyncMethod::Refined,
         /// The geometry proxy (§6).
         proxy: ProxyOptions,

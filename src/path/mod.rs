@@ -119,6 +119,10 @@ const MAX_PARAM: f64 = 1e9;
 pub const MIN_RATE_HZ: f64 = 1e-3;
 /// Largest frame rate, hertz.
 pub const MAX_RATE_HZ: f64 = 1e3;
+/// Frame rate of a path that has none of its own, hertz.
+pub const PATH_RATE_HZ: f64 = 30.0;
+/// Default duration of a ready-made path, seconds.
+pub const READY_MADE_S: f64 = 4.0;
 /// Maximum number of frames.
 const MAX_FRAMES: usize = 1_000_000;
 
@@ -177,6 +181,14 @@ impl CameraPath {
         keys.iter_mut().for_each(|key| key.at_s = (key.at_s - self.keys[0].at_s) * factor);
         let played = Self::new(keys, self.lengths.is_some());
         played.map_or_else(|_| self.clone(), |path| Self { rate_hz: self.rate_hz, ..path })
+    }
+
+    /// The path, showing instants that are `seconds` later.
+    #[must_use]
+    pub fn later(mut self, seconds: f64) -> Self {
+        self.keys.iter_mut().for_each(|key| key.time_s += seconds);
+        self.times.iter_mut().for_each(|(time_s, _)| *time_s += seconds);
+        self
     }
 
     /// The view at `passed_s` seconds after the first key. Before the first and after the last key, it is that key's

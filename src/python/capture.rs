@@ -3,12 +3,13 @@
 use super::convert::{
     checked, file_error, from_python, image_to_python, to_python, value_error, view_to_python,
 };
+use super::path::{PathKeys, PathSettings};
 use crate::camera::{Camera, CameraFormat, ViewFormat};
 use crate::capture::{Capture, NamedView, Opening};
 use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
 use crate::offset::offsets_from_images;
 use crate::options::{RenderOptions, TrailOptions};
-use crate::pipeline;
+use crate::pipeline::{self, ready_made_path};
 use crate::progress::Reporter;
 use crate::raster::BitDepth;
 use crate::registration::FrameStore;
@@ -17,7 +18,7 @@ use nalgebra::Point3;
 use numpy::{AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArrayLikeDyn, ndarray};
 use pyo3::exceptions::{PyInterruptedError, PyTypeError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 use serde_json::json;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -58,6 +59,12 @@ struct Opened {
 
 #[pymethods]
 impl PyCapture {
+    #[new]
+    #[pyo3(signature = (*_arguments))]
+    fn new(_arguments: &Bound<'_, PyTuple>) -> PyResult<Self> {
+        Err(PyTypeError::new_err("a capture is opened with stlfr.open(path)"))
+    }
+
     /// The capture's name.
     #[getter]
     fn name(&self) -> &str {
@@ -73,7 +80,7 @@ impl PyCapture {
     /// The cameras in the order of capture.json, each as `camera` returns it.
     #[getter]
     fn cameras<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyAny>>> {
-        self.capture.cameras.iter().map(|c| camera_to_python(py, &c.id, &c.camera)).collect()
+        self.capture.cameras.iter().map(|c| camera_to_python(py, Some(&c.id), &c.camera)).collect()
     }
 
     /// A camera, by its id or by the name of a view of the truth, as a dict: width, height, model, params and
@@ -81,9 +88,9 @@ impl PyCapture {
     fn camera<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         match self.capture.named_view(name).map_err(value_error)? {
             NamedView::Filming(index) => {
-                camera_to_python(py, name, &self.capture.cameras[index].camera)
+                camera_to_python(py, Some(name), &self.capture.cameras[index].camera)
             }
-            NamedView::Free(camera) => camera_to_python(py, name, &camera),
+            NamedView::Free(camera) => camera_to_python(py, Some(name), &camera),
         }
     }
 
@@ -221,6 +228,41 @@ impl PyCapture {
         view_to_python(py, &rendered, this.capture.bit_depth(), alpha)
     }
 
+    /// The frames of a camera path, as `stlfr render --path` renders them: a list of dicts with `time_s` and `camera`,
+    /// which `render` takes.
+    ///
+    /// `path` is the name of a ready-made path, which is fitted to this capture, the name of a path's file, or a dict
+    /// with the content of such a file. `rate_hz` is the frame rate, by default that of the path or 30. `duration_s`
+    /// stretches the path; a ready-made one lasts 4 s by default. `time_s` stops time at an instant.
+    #[pyo3(
+        signature = (path, **settings),
+        text_signature = "($self, path, *, rate_hz=None, duration_s=None, time_s=None, options=None, preset=None)"
+    )]
+    fn path<'py>(
+        &self,
+        py: Python<'py>,
+        path: &Bound<'py, PyAny>,
+        settings: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Vec<Bound<'py, PyDict>>> {
+        let mut settings = PathSettings::of(settings)?;
+        let path = match PathKeys::of(path)? {
+            PathKeys::Given(path) => path,
+            PathKeys::ReadyMade(kind) => {
+                let origin_s = self.capture.time_origin_s;
+                let frozen_s = settings.time_s.take().map(|time_s| time_s - origin_s);
+                let options = std::mem::take(&mut settings.options);
+                let duration_s = settings.ready_made_s();
+                let fitted = py.detach(|| {
+                    let Opened { resolved, field, .. } = self.opened(options)?;
+                    ready_made_path(&field, &resolved, kind, duration_s, frozen_s)
+                });
+                let fitted = fitted.map_err(value_error)?;
+                fitted.later(origin_s)
+            }
+        };
+        settings.frames_to_python(py, &path)
+    }
+
     /// One instant, for many views of it: what doesn't depend on the viewpoint is computed once, here.
     ///
     /// A trail in the options is ignored.
@@ -314,18 +356,17 @@ impl ViewSettings {
     }
 }
 
-/// A camera as a Python dict in the form of `capture.json`, with its name as `id`.
-fn camera_to_python<'py>(
+/// A camera as a Python dict in the form of `capture.json`, with its name, if it has one, as `id`.
+pub fn camera_to_python<'py>(
     py: Python<'py>,
-    id: &str,
+    id: Option<&str>,
     camera: &Camera,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let CameraFormat { width, height, model, params, cam_from_world } = camera.into();
-    to_python(
-        py,
-        &json!({ "id": id, "width": width, "height": height, "model": model, "params": params,
-            "cam_from_world": cam_from_world }),
-    )
+    let mut value = serde_json::to_value(CameraFormat::from(camera)).map_err(value_error)?;
+    if let (Some(fields), Some(id)) = (value.as_object_mut(), id) {
+        fields.insert("id".to_owned(), json!(id));
+    }
+    to_python(py, &value)
 }
 
 /// Converts a Python dict in the form of a camera in `capture.json` to a camera.

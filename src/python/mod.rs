@@ -4,6 +4,7 @@
 mod capture;
 mod convert;
 mod functions;
+mod path;
 
 use pyo3::prelude::*;
 

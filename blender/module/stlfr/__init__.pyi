@@ -140,6 +140,13 @@ def colmap_text(images: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, str]:
     the model, which has no points. Raises ValueError if an object is no valid camera.
     """
 
+@type_check_only
+class PathFrame(TypedDict):
+    """A frame of a camera path: the instant, seconds on the reference's clock, and a camera object."""
+
+    time_s: float
+    camera: dict[str, Any]
+
 @final
 class Capture:
     """A capture: calibrated cameras with their recorded frames."""
@@ -210,6 +217,25 @@ class Capture:
         Before every step of an instant, `proceed(done, total)` is called with the number of finished instants
         and of all instants of the trail (1 without a trail). If it returns a false value, rendering stops with
         an InterruptedError.
+        """
+
+    def path(
+        self,
+        path: str | PathLike[str] | dict[str, Any],
+        *,
+        rate_hz: float | None = None,
+        duration_s: float | None = None,
+        time_s: float | None = None,
+        options: dict[str, Any] | None = None,
+        preset: str | None = None,
+    ) -> list[PathFrame]:
+        """The frames of a camera path, as `stlfr render --path` renders them.
+
+        `path` is the name of a ready-made path (`sweep`, `orbit`, `bullet-time`, `dolly`), the name of a
+        path's file, or a dict with the content of such a file. A ready-made path is fitted to this capture,
+        by depths that are estimated with these options. `rate_hz` is the frame rate, by default the path's
+        own or 30. `duration_s` stretches the path; a ready-made one lasts 4 s by default. `time_s` stops time
+        at an instant. Render a frame by `render(frame["time_s"], camera=frame["camera"])`.
         """
 
     def moment(
