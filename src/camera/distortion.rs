@@ -95,7 +95,8 @@ impl Distortion {
         }
     }
 
-    /// Returns the Jacobian of [`Self::distorted`] for Brown's model, and the identity matrix for all other models.
+    /// Returns the Jacobian of [`Self::distorted`] for Brown's model. Other models don't use this function, and get the
+    /// identity matrix.
     fn derivative(&self, n: &Point2<f64>) -> Matrix2<f64> {
         let Self::Brown { k, p: [p1, p2] } = self else { return Matrix2::identity() };
         let (x, y) = (n.x, n.y);
@@ -115,8 +116,8 @@ impl Distortion {
     }
 }
 
-/// Inverts the fisheye model by Newton's method with a bracket on the angle θ from the axis. `None` if no θ below
-/// [`MAX_ANGLE`] and the fold has the distorted radius |d|.
+/// Inverts the fisheye model by Newton's method with a bracket on the angle from the axis. `d` is the distorted point.
+/// `None` if no angle in the invertible range, below [`MAX_ANGLE`], has the distorted radius |d|.
 fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
     let target = d.coords.norm();
     if target == 0.0 {
@@ -160,8 +161,8 @@ fn radial_quotient(k: &[f64; 6]) -> [[f64; 4]; 2] {
     [[1.0, k[0], k[1], k[2]], [1.0, k[3], k[4], k[5]]]
 }
 
-/// Returns the coefficients of N D + 2 s (N′ D − N D′), in ascending powers of s = r². This is the numerator of the
-/// derivative of the distorted radius r N/D with respect to r.
+/// Returns the coefficients, in ascending powers of s = r², of N D + 2 s (N′ D − N D′), where N/D is Brown's radial
+/// factor. This is the numerator of the derivative of the distorted radius r N/D with respect to r.
 fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
     let [above, below] = radial_quotient(k);
     let mut slope = [0.0; 7];

@@ -36,8 +36,8 @@ pub struct EpipolarGeometry {
     j_from_i: Matrix3<f64>,
 }
 
-/// Minimum baseline, as a fraction of the larger distance of the two camera centres from the world's origin. The
-/// direction of a shorter baseline is dominated by rounding errors.
+/// Minimum baseline, as a fraction of the distance from the world's origin to the farther camera centre. The direction
+/// of a shorter baseline is dominated by rounding errors.
 const MIN_BASELINE_FRACTION: f64 = 1e-12;
 
 /// Minimum length of an epipolar line's normal, as a fraction of the norm of F. A pixel with a shorter normal is the

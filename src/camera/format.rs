@@ -18,8 +18,8 @@ use schemars::JsonSchema;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
-/// Pose in JSON: the rigid transform from world coordinates to camera coordinates. In a rig's file, the transform from
-/// rig coordinates to camera coordinates.
+/// Pose in JSON: the rigid transform from world coordinates to camera coordinates. A rig's file has rig coordinates in
+/// place of world coordinates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFormat {
@@ -95,7 +95,8 @@ fn known_models() -> String {
 
 /// Maximum width and height of an image, pixels.
 const MAX_SIZE_PX: u32 = 65_536;
-/// Maximum magnitude of a translation's coordinate, metres. Powers of such a value stay finite when views are computed.
+/// Maximum magnitude of a translation's coordinate, metres. Powers of this value, as rendering computes them, stay
+/// finite.
 const MAX_TRANSLATION_M: f64 = 1e12;
 /// Maximum number of pixels of a view: 8K of digital cinema. Rendering takes about 32 bytes per pixel.
 const MAX_VIEW_PIXELS: u64 = 8192 * 4320;

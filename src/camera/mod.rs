@@ -37,8 +37,8 @@ pub struct Camera {
     pub cam_from_world: Isometry3<f64>,
 }
 
-/// Minimum depth of a point that can be projected, as a fraction of its distance from the camera's centre. The limit is
-/// 89.9999° from the optical axis.
+/// Minimum depth of a point that can be projected, as a fraction of its distance from the camera's centre. It allows
+/// rays up to 89.9999° from the optical axis.
 const MIN_DEPTH_FRACTION: f64 = 1e-6;
 
 impl Camera {

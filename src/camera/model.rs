@@ -248,9 +248,9 @@ impl CameraModel {
         self.distortion().undistorted(&Point2::new((pixel.x - cx) / fx, (pixel.y - cy) / fy))
     }
 
-    /// Removes the distortion from a pixel position: returns where a pinhole camera with the same intrinsics images the
-    /// same viewing ray. Epipolar lines are straight in undistorted pixels. `None` where
-    /// [`Self::normalized_from_pixel`] is `None`.
+    /// Removes the distortion from a pixel position: returns the position at which a pinhole camera with the same focal
+    /// lengths and principal point would see the same point. Epipolar lines are straight in undistorted pixels. `None`
+    /// where [`Self::normalized_from_pixel`] is `None`.
     pub fn ideal_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         if self.is_pinhole() {
             return Some(*pixel);

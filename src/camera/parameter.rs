@@ -1,4 +1,4 @@
-//! The parameters of a camera's calibration. An error of a calibration is a change of one of them.
+//! The parameters of a camera's calibration. Calibration errors are described as changes of these parameters.
 
 use super::{Camera, CameraModel};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -14,7 +14,7 @@ pub enum CameraParameter {
     Focal,
     /// Coordinate x (0) or y (1) of the principal point, pixels.
     PrincipalPoint(usize),
-    /// One of the parameters after the principal point, counted from 0 in COLMAP's order.
+    /// Distortion parameter of the lens model, counted from 0 in COLMAP's order after the principal point.
     Distortion(usize),
 }
 

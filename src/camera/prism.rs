@@ -7,7 +7,7 @@ use nalgebra::{Matrix2, Point2, Vector2};
 ///
 /// A point n of the plane z = 1 has the angle θ from the axis. The vector w = (n / |n|) θ has the direction of n and
 /// the length θ. With s = |w|², the radially distorted point is q = w (1 + k₁s + … + k₆s⁶). The distorted point is q +
-/// 2 (p·b) b + |b|² p + (s₁|b|² + s₂|b|⁴, s₃|b|² + s₄|b|⁴). Here b is q or w, as [`Self::is_nested`] says.
+/// 2 (p·b) b + |b|² p + (s₁|b|² + s₂|b|⁴, s₃|b|² + s₄|b|⁴). Here b is q if [`Self::is_nested`], otherwise w.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PrismFisheye {
     /// Radial coefficients k₁ to k₆.
@@ -16,7 +16,9 @@ pub(super) struct PrismFisheye {
     pub p: [f64; 2],
     /// Thin-prism coefficients s₁ to s₄.
     pub s: [f64; 4],
-    /// True if b is q (`RAD_TAN_THIN_PRISM_FISHEYE`), false if b is w (`THIN_PRISM_FISHEYE`).
+    /// Whether the tangential and thin-prism terms are computed from the radially distorted point, as in
+    /// `RAD_TAN_THIN_PRISM_FISHEYE`. If false, they are computed from the undistorted point, as in
+    /// `THIN_PRISM_FISHEYE`.
     pub is_nested: bool,
 }
 
@@ -25,8 +27,8 @@ impl PrismFisheye {
         self.project_angles(&angles(n))
     }
 
-    /// Returns whether the radially distorted radius grows from the axis to the point `n`, and the Jacobian's
-    /// determinant is positive at `n`.
+    /// Returns whether the model is invertible at the point `n` of the plane z = 1: the radial part grows from the axis
+    /// to `n`, and the Jacobian's determinant is positive at `n`.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         self.is_inside(&angles(n))
     }
@@ -49,7 +51,7 @@ impl PrismFisheye {
             && self.derivative(w).determinant() > MIN_SLOPE
     }
 
-    /// Returns 1 + k₁s + … + k₆s⁶, and its derivative with respect to s.
+    /// Returns the radial factor 1 + k₁s + … + k₆s⁶, and its derivative with respect to s.
     fn radial(&self, s: f64) -> (f64, f64) {
         let [k1, k2, k3, k4, k5, k6] = self.k;
         let value = polynomial(&[1.0, k1, k2, k3, k4, k5, k6], s);
@@ -80,8 +82,8 @@ impl PrismFisheye {
     }
 }
 
-/// Returns the vector w of a point n of the plane z = 1. It has the direction of n. Its length is the angle of n from
-/// the axis, in radians.
+/// Converts a point of the plane z = 1 to angles. The result has the point's direction, and its length is the point's
+/// angle from the axis, in radians.
 fn angles(n: &Point2<f64>) -> Point2<f64> {
     let r = n.coords.norm();
     if r == 0.0 { *n } else { n * (r.atan() / r) }

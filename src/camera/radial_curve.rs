@@ -15,8 +15,8 @@ pub(super) enum RadialCurve {
 }
 
 impl RadialCurve {
-    /// Returns the distorted radius divided by the radius r. A point multiplied by this factor is distorted. The factor
-    /// is meaningful only where [`Self::is_short_of_fold`] is true.
+    /// Returns the distorted radius divided by the radius r. Multiplying a point by this factor gives the distorted
+    /// point. The factor is meaningful only where [`Self::is_short_of_fold`] is true.
     pub fn scale(&self, r: f64) -> f64 {
         match *self {
             Self::Fov { omega } => {
@@ -28,8 +28,8 @@ impl RadialCurve {
         }
     }
 
-    /// Returns whether the distorted radius is a growing function of the radius at r. False for parameters that the
-    /// model doesn't allow.
+    /// Returns whether the distorted radius grows with the radius at r. False for parameters that the model doesn't
+    /// allow.
     pub fn is_short_of_fold(&self, r: f64) -> bool {
         match *self {
             Self::Fov { omega } => omega.abs() < std::f64::consts::PI && r.is_finite(),

@@ -2,8 +2,7 @@
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Length of a Newton step below which the iteration stops, in units of the plane z = 1 and relative to the solution if
-/// that is larger than 1.
+/// Relative length of a step below which Newton's iteration stops.
 pub(super) const STEP: f64 = 1e-14;
 /// Maximum number of Newton steps. Usually 3 to 6 steps suffice. At the border of the invertible domain, convergence is
 /// linear and takes about 30 steps.
@@ -11,15 +10,16 @@ pub(super) const ITERATIONS: usize = 60;
 /// Minimum slope of the distorted radius, and minimum determinant of the distortion's Jacobian, in the invertible
 /// domain.
 pub(super) const MIN_SLOPE: f64 = 1e-9;
-/// Maximum residual of an accepted solution, in units of the plane z = 1.
+/// Maximum residual of an accepted solution, in units of the plane z = 1. For points far from the axis, the limit grows
+/// with the radius.
 pub(super) const MAX_RESIDUAL: f64 = 1e-12;
 /// Maximum angle from the optical axis, radians. A ray at 90° doesn't meet the plane z = 1.
 pub(super) const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
 
 /// Inverts a map of the plane by Newton's method: returns the point of the domain that `value` maps to `d`. `None` if
-/// no such point is found. `derivative` is the map's Jacobian, `is_inside` the domain. A step that would leave the
-/// domain is halved until it stays inside. The domain must contain the origin, and the map must be near to the identity
-/// there.
+/// no such point is found. `derivative` is the map's Jacobian, and `is_inside` tells whether a point is in the domain.
+/// A step that would leave the domain is halved until it stays inside. The domain must contain the origin, and the map
+/// must be near to the identity there.
 pub(super) fn newton(
     d: &Point2<f64>,
     value: impl Fn(&Point2<f64>) -> Point2<f64>,
@@ -59,8 +59,8 @@ pub(super) fn polynomial<const N: usize>(coefficients: &[f64; N], s: f64) -> f64
     coefficients.iter().rev().fold(0.0, |sum, c| sum * s + c)
 }
 
-/// Maximum number of nested bisections. A polynomial whose sign is still undecided then comes close to 0, and is
-/// treated as not positive.
+/// Maximum number of nested bisections of an interval. If the sign of the polynomial is still undecided then, the
+/// polynomial comes close to 0, and counts as not positive.
 const MAX_DEPTH: usize = 40;
 
 /// Returns whether a polynomial is above [`MIN_SLOPE`] on the whole interval [0, end]. The coefficients are in

@@ -11,10 +11,9 @@ use std::path::Path;
 
 /// Covariance of the calibration parameters of all cameras, as `stlfr refine` and `stlfr calibrate` estimate it.
 ///
-/// Every camera has the same parameters, camera after camera. A rotation about each of the world's three axes (radians)
-/// comes first, then a translation of the centre along each axis (metres), then the parameters of `lens` in its order.
-/// The images don't determine the position, the orientation and the scale of the world. These directions have variance
-/// 0.
+/// The parameters are ordered by camera. Each camera has a rotation about each of the world's three axes (radians),
+/// then a translation of its centre along each axis (metres), then the parameters of `lens`. The images don't determine
+/// the world's position, orientation and scale. These directions of the parameter space have variance 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationCovarianceFormat {
@@ -52,14 +51,15 @@ pub struct CalibrationStdFormat {
 /// Covariance of the errors of a capture's calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationErrors {
-    /// Calibration parameters with errors, each with the index of its camera, in the order of the covariance's rows.
+    /// Calibration parameters that may have errors, each with the index of its camera, in the order of the covariance's
+    /// rows.
     pub parameters: Vec<(usize, CameraParameter)>,
     /// Covariance matrix of the parameters' errors. Symmetric, and positive semidefinite up to rounding.
     pub covariance: DMatrix<f64>,
 }
 
-/// Magnitude of the most negative eigenvalue of a scaled covariance that counts as rounding. The scaling makes the
-/// variances 1. Numbers in files have six digits or more.
+/// Tolerance for negative eigenvalues due to rounding, in a covariance matrix scaled to unit variances. Numbers in
+/// files have six digits or more.
 const ROUNDING: f64 = 1e-5;
 
 impl CalibrationStdFormat {
@@ -119,7 +119,7 @@ impl CalibrationErrors {
         }
     }
 
-    /// Builds the diagonal covariance of independent errors with these standard deviations, one entry per camera.
+    /// Builds the diagonal covariance of independent errors with the given standard deviations, one entry per camera.
     fn independent(stated: &[Option<CalibrationStdFormat>]) -> Self {
         let of_lens = [
             CameraParameter::Focal,
@@ -204,7 +204,7 @@ impl CalibrationErrors {
 
 /// Returns whether a covariance matrix is positive semidefinite up to rounding.
 fn is_semidefinite(covariance: &DMatrix<f64>) -> bool {
-    // A parameter without variance must have no covariance with other parameters.
+    // A parameter with variance 0 must have covariance 0 with all other parameters.
     let is_fixed = |r: usize| covariance[(r, r)] == 0.0;
     if (0..covariance.nrows()).any(|r| is_fixed(r) && covariance.row(r).iter().any(|v| *v != 0.0)) {
         return false;

@@ -11,7 +11,7 @@ pub(super) const MAX_TIME_S: f64 = 1e11;
 
 /// Longest allowed readout time of a rolling shutter, seconds. Real cameras take at most a tenth of it.
 const MAX_READOUT_S: f64 = 1.0;
-/// Relative tolerance of a frame interval, because times are rounded decimal numbers.
+/// Relative tolerance when the readout time is compared with the frame interval. Times in files are rounded decimals.
 const READOUT_ROUNDING: f64 = 1e-6;
 
 /// Largest assumed drift of a clock relative to the reference camera's clock, parts per million. Quartz clocks drift by
@@ -173,8 +173,8 @@ impl FilmedCamera {
     }
 
     /// Returns an upper bound on the duration of the recording, from the start of the first frame to the end of the
-    /// last frame, seconds on any clock. A camera that may lose frames (`lost`) is assumed to have lost at most half of
-    /// its frames.
+    /// last frame, seconds on any camera's clock. A camera that may lose frames (`lost`) is assumed to have lost at
+    /// most half of its frames.
     fn max_duration_s(&self) -> f64 {
         let times = &self.clock.times_s;
         let duration_s = times[times.len() - 1] - times[0] + self.clock.frame_s();

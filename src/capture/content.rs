@@ -144,7 +144,7 @@ impl Capture {
         postcard::from_bytes(&self.stored_bytes(kind, inputs)?).ok()
     }
 
-    /// Returns size and state of the cache entry of these inputs. `None` if the cache has no such entry.
+    /// Looks up the cache entry of these inputs without decoding it. `None` if the cache has no such entry.
     pub(crate) fn stored(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Stored> {
         let bytes = self.stored_bytes(kind, inputs)?.len() as u64 + ENTRY_OVERHEAD_BYTES;
         Some(Stored { bytes, was_there: true })

@@ -27,7 +27,7 @@ pub struct CaptureFormat {
     pub reference: Option<String>,
     /// The cameras, at least one.
     pub cameras: Vec<FilmedCameraFormat>,
-    /// Estimated covariance of the calibration's errors. `stlfr offsets` includes them in the standard errors.
+    /// Estimated covariance of the calibration's errors. `stlfr offsets` includes these errors in the standard errors.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration_covariance: Option<CalibrationCovarianceFormat>,
 }

@@ -57,8 +57,7 @@ pub struct Capture {
     pub time_origin_s: f64,
     /// Covariance of the calibration's errors. `None` if `capture.json` states no such errors.
     pub calibration_errors: Option<Arc<CalibrationErrors>>,
-    /// The capture's cache on disk, not yet bound to the content. [`Capture::cache`] adds the hash of the capture's
-    /// content to its keys.
+    /// The capture's cache on disk. [`Capture::cache`] adds the hash of the capture's content to the cache's keys.
     cache: DiskCache,
     hashes: Arc<ContentHashes>,
     content: ContentHash,
@@ -87,7 +86,8 @@ pub struct FilmedCamera {
 /// How videos are decoded while a capture is opened.
 #[derive(Clone, Copy)]
 pub struct Opening<'a> {
-    /// Path of the ffmpeg program that decodes videos. `None` makes a video that isn't decoded yet an error.
+    /// Path of the ffmpeg program that decodes videos. If it is `None`, opening a video that isn't decoded yet is an
+    /// error.
     pub ffmpeg: Option<&'a Path>,
     /// Receives the progress of decoding, and notes about damaged cache entries.
     pub reporter: &'a Reporter,

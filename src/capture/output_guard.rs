@@ -23,7 +23,7 @@ pub(super) const FILM: &str = ".film";
 pub struct OutputGuard {
     /// Folder of the capture that the command reads. `None` if the command reads no capture.
     own: Option<PathBuf>,
-    /// Protected paths of the folders checked so far. `None` for a folder that isn't a capture.
+    /// Protected paths by folder, for the folders checked so far. `None` for a folder that isn't a capture.
     known: HashMap<PathBuf, Option<ProtectedPaths>>,
 }
 

@@ -10,7 +10,7 @@
 //! | where | what |
 //! |---|---|
 //! | `capture.json` | the input of a method: frames, cameras, nominal clocks |
-//! | `truth/truth.json` `offsets` | the clocks: time on the reference's clock = time on the camera's clock + `offset_s` |
+//! | `truth/truth.json` `offsets` | time on the reference's clock = time on the camera's clock + `offset_s` |
 //! | `shutter` | the true middle of every exposure, including the hidden jitter |
 //! | `views` | images of all cameras and of views beside them at common instants, with depth (metres along +z, +inf where there is no surface) and motion (pixels that a surface point moves within one frame before or after, whichever is larger) |
 //! | `video` | images of one view at regular times |
@@ -31,7 +31,7 @@
 //! | file | type | shape | |
 //! |---|---|---|---|
 //! | `world` | f64 | F, P, 3 | metres |
-//! | `pixels` | f64 | F, P, 2 | the point's projection, also where it lies outside of the image or is hidden; NaN behind the camera |
+//! | `pixels` | f64 | F, P, 2 | the point's projection, also outside of the image or occluded; NaN behind the camera |
 //! | `visible` | u8 | F, P | 1 where the point is inside the image and nothing occludes it |
 //!
 //! `times_s` are the true middles of the exposures. With a rolling shutter (`readout_s` of the camera's clock in

@@ -19,7 +19,8 @@ use std::io;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-/// Largest number of frames of one camera, filmed by a simulated rig or decoded from a video. It is an hour at 24 Hz.
+/// Largest number of frames of one camera, filmed by a simulated rig or decoded from a video. It is more than an hour
+/// at 24 Hz.
 pub const MAX_FRAMES: usize = 100_000;
 
 const DECODED_VIDEOS: CacheKind = CacheKind { name: "video", version: 1 };

@@ -126,7 +126,7 @@ impl Chart {
         longest.map_or(0.0, |n| ADVANCE * n as f64 + 16.0)
     }
 
-    /// Returns the number of text rows above the key, which the legend takes.
+    /// Returns the number of text rows that the legend takes above the key.
     fn key_from(&self) -> usize {
         let names = self.series.iter().filter(|s| !s.label.is_empty()).count();
         if names > 0 { names + 1 } else { 0 }

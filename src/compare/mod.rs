@@ -127,7 +127,8 @@ pub struct CompareOptions {
     pub sync: SyncMethod,
     /// True to measure all sync methods on the filming cameras, false to measure only `nearest` and `sync`.
     pub all_methods: bool,
-    /// Motion in pixels above which a surface point belongs to the moving part: its largest motion within ±1 frame.
+    /// Threshold of the moving part, pixels. A pixel belongs to the moving part if its surface point moves farther
+    /// within ±1 frame.
     pub moving_threshold_px: f32,
     /// Radius of the square by which the mask of the moving part is dilated, pixels.
     pub moving_dilation_px: usize,

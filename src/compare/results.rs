@@ -96,8 +96,8 @@ pub struct ViewHeadline {
     pub proxy: ProxyMethod,
     pub gain_whole_db: Option<f64>,
     pub gain_moving_db: Option<f64>,
-    /// PSNR gap between perfect synchronization and ST-LFR over the whole image, decibels. Negative if ST-LFR is
-    /// better.
+    /// PSNR of perfect synchronization minus PSNR of ST-LFR over the whole image, median over views, decibels. Negative
+    /// if ST-LFR is better.
     pub gap_whole_db: Option<f64>,
     pub gap_moving_db: Option<f64>,
     pub views: usize,

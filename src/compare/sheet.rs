@@ -17,10 +17,10 @@ const MOVING_TINT: [f32; 3] = [1.0, 0.62, 0.18];
 const STILL_TINT: [f32; 3] = [0.45; 3];
 /// Width of the margins between panels and around them, pixels.
 const MARGIN_PX: usize = 12;
-/// Panels narrower than this, in pixels, are enlarged by an integer factor.
+/// Minimum panel width, pixels. Narrower panels are enlarged by an integer factor.
 const MIN_PANEL_PX: usize = 300;
-/// Panels whose longer side exceeds this, in pixels, are reduced by an integer factor. A sheet of eight panels then
-/// stays below the largest size of WebP.
+/// Maximum length of a panel's longer side, pixels. Larger panels are reduced by an integer factor. A sheet of eight
+/// panels then stays below the largest size of WebP.
 const MAX_PANEL_PX: usize = 1920;
 
 /// The image of one method in a comparison sheet.

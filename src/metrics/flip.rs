@@ -2,8 +2,8 @@
 //! alternating images", Proc. ACM Comput. Graph. Interact. Tech. 3(2), 2020. FLIP predicts how different two images
 //! look to a viewer who flips between them: 0 for equal images, at most 1.
 //!
-//! This is an own implementation. The crate `nv-flip` (0.1) compiles NVIDIA's C++, takes 8 bits only, and filters the
-//! true image again for every comparison. A test compares this code with the output of NVIDIA's `flip-evaluator`.
+//! Implemented here, because the crate `nv-flip` (0.1) compiles NVIDIA's C++, takes 8 bits only, and filters the true
+//! image again for every comparison. A test compares this code with the output of NVIDIA's `flip-evaluator`.
 
 use super::filter::{gaussian, normalized, separable, single};
 use crate::raster::{Image, linear_from_encoded};
@@ -13,15 +13,16 @@ use rayon::prelude::*;
 /// 0.7 m.
 pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_25;
 
-/// q_c: exponent of the colour difference.
+/// Exponent of the colour difference (q_c in the FLIP paper).
 const COLOR_EXPONENT: f32 = 0.7;
-/// q_f: exponent of the feature difference.
+/// Exponent of the feature difference (q_f in the FLIP paper).
 const FEATURE_EXPONENT: f32 = 0.5;
-/// p_c: fraction of the largest colour difference below which differences are mapped to 0..[`PIVOT_VALUE`].
+/// Fraction of the largest colour difference below which differences are mapped to 0..[`PIVOT_VALUE`] (p_c in the FLIP
+/// paper).
 const PIVOT: f32 = 0.4;
-/// p_t: the value to which the colour difference of [`PIVOT`] times the largest difference is mapped.
+/// Value to which the colour difference of [`PIVOT`] times the largest difference is mapped (p_t in the FLIP paper).
 const PIVOT_VALUE: f32 = 0.95;
-/// Peak-to-trough width of the edge detector, w, degrees of visual angle.
+/// Peak-to-trough width of the edge detector (w in the FLIP paper), degrees of visual angle.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
 /// Contrast sensitivity functions of the achromatic, red-green and blue-yellow channels. Each is a sum of Gaussians,
 /// given by their amplitudes and spreads.
@@ -155,7 +156,8 @@ fn hyab(a: [f32; 3], b: [f32; 3]) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).hypot(a[2] - b[2])
 }
 
-/// Maps a colour difference to 0..=1 (p_c and p_t in the paper). `most` is the largest difference between two colours.
+/// Maps a colour difference to 0..=1 by a piecewise linear function. `most` is the largest difference between two
+/// colours.
 fn redistributed(difference: f32, most: f32) -> f32 {
     let pivot = PIVOT * most;
     if difference < pivot {

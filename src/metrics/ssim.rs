@@ -1,7 +1,7 @@
 //! SSIM: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural similarity",
 //! IEEE TIP 13(4), 2004, with the constants of that paper.
 //!
-//! This is an own implementation. The crate `image-compare` (0.5) takes 8 bits only, and `dssim` is a different metric.
+//! Implemented here, because the crate `image-compare` (0.5) takes 8 bits only, and `dssim` is a different metric.
 
 use super::filter::{gaussian, normalized, separable};
 use crate::raster::Image;

@@ -65,8 +65,8 @@ pub type Displacements<'a> = dyn Fn(usize) -> [[f32; 2]; 2] + Sync + 'a;
 /// | `R`, `G`, `B`, `A` | scene-linear light and alpha, half floats |
 /// | `Z` | depth, metres, 32-bit floats |
 /// | `forward.u`, `forward.v` | motion to the next picture, pixels to the right and up, half floats, named as in Nuke |
-/// | `backward.u`, `backward.v` | motion to the previous picture, pixels to the right and up, half floats, named as in Nuke |
-/// | `Vector.X`, `.Y`, `.Z`, `.W` | the same motion as Blender's Vector pass: X and Y are `backward`, Z and W are minus `forward` |
+/// | `backward.u`, `backward.v` | motion to the previous picture, pixels to the right and up, half floats |
+/// | `Vector.X`, `.Y`, `.Z`, `.W` | Blender's Vector pass: X and Y are `backward`, Z and W are minus `forward` |
 ///
 /// Half floats have 11 significant bits: a motion of 64 pixels is exact to 0.03 pixels.
 ///

@@ -110,8 +110,8 @@ impl<R: BufRead + Seek + 'static> OpenedImage<R> {
     }
 }
 
-/// Maximum length of a PNM header including its comments, bytes. A header of this length is in the first read of a
-/// buffered reader.
+/// Maximum length of a PNM header including its comments, bytes. The first read of a buffered reader contains a header
+/// of this length.
 const MAX_PNM_HEADER: usize = 4096;
 
 /// Returns an error for a PNM file whose header is too long. The PNM decoder reads comments byte by byte, which takes
@@ -181,7 +181,7 @@ pub enum StillFormat {
 }
 
 impl StillFormat {
-    /// Returns whether the format is lossless. A lossless format here also has an alpha channel and 16 bits per
+    /// Returns whether the format is lossless. A lossless format also supports an alpha channel and 16 bits per
     /// channel.
     pub fn is_lossless(self) -> bool {
         self == Self::Png
@@ -197,8 +197,8 @@ impl StillFormat {
     }
 }
 
-/// JPEG quality, at most 100. At lower quality, block artefacts show at edges. At higher quality, files grow without a
-/// visible gain.
+/// JPEG quality on the scale from 1 to 100. At lower quality, block artefacts show at edges. At higher quality, files
+/// grow without a visible gain.
 const JPEG_QUALITY: u8 = 95;
 
 /// Writes a quantized image as an image file. A missing folder is created.

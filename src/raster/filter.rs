@@ -40,7 +40,8 @@ pub(crate) fn padded(values: &[f32], w: usize, count: usize, value: f32) -> Vec<
     out
 }
 
-/// Maximum filter of a plane of width `w`: the maximum over a (2·radius + 1)² window, clipped at the borders.
+/// Computes the maximum filter of a plane of width `w`: the maximum over a (2·radius + 1)² window, clipped at the
+/// borders.
 pub(crate) fn max_filter(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
     let side = 2 * radius + 1;
     let along_rows = sliding(&padded(values, w, radius, f32::NEG_INFINITY), side, 1, f32::max);
@@ -52,7 +53,7 @@ pub(crate) fn max_filter(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
     sliding(&padded_rows, side, w, f32::max)
 }
 
-/// Box filter of a `w`×`h` plane: the mean over a (2·radius + 1)² window, clipped at the borders.
+/// Computes the box filter of a `w`×`h` plane: the mean over a (2·radius + 1)² window, clipped at the borders.
 pub(crate) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> Vec<f32> {
     let span = |at: usize, size: usize| (at.saturating_sub(radius), (at + radius + 1).min(size));
     let shares: Vec<f32> = (0..w)

@@ -57,27 +57,27 @@ impl Image {
         Self { width, height, channels, data }
     }
 
-    /// Width, pixels.
+    /// Returns the width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Height, pixels.
+    /// Returns the height, pixels.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Number of samples per pixel.
+    /// Returns the number of samples per pixel.
     pub fn channels(&self) -> usize {
         self.channels
     }
 
-    /// All samples, row by row, with interleaved channels.
+    /// Returns all samples, row by row, with interleaved channels.
     pub fn data(&self) -> &[f32] {
         &self.data
     }
 
-    /// All samples for modification, row by row, with interleaved channels.
+    /// Returns all samples for modification, row by row, with interleaved channels.
     pub fn data_mut(&mut self) -> &mut [f32] {
         &mut self.data
     }

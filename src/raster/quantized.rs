@@ -21,8 +21,8 @@ pub struct Quantized {
     pub samples: Samples,
 }
 
-/// Rounds a value from 0 to 1 to an 8-bit sample. The cast truncates, so 0.5 is added. It saturates, and converts NaN
-/// to 0.
+/// Rounds a value from 0 to 1 to an 8-bit sample. The cast to an integer truncates, so 0.5 is added. The cast also
+/// saturates, and converts NaN to 0.
 fn eight(value: f32) -> u8 {
     (value * 255.0 + 0.5) as u8
 }

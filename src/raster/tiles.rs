@@ -27,14 +27,15 @@ impl Tiles {
         self.marked.contains(&true)
     }
 
-    /// Marks the tiles that contain pixels which interpolation ([`Sampling`](super::Sampling)) at a position reads. The
-    /// position is in pixels. For positions outside of the image, border tiles are marked, for NaN the first tile.
+    /// Marks the tiles whose pixels are read when an image is interpolated at a position
+    /// ([`Sampling`](super::Sampling)). The position is in pixels. A position outside of the image marks border tiles,
+    /// and NaN marks the first tile.
     pub fn mark_sample(&mut self, x: f32, y: f32) {
         self.mark_samples([x, y], [x, y]);
     }
 
-    /// Marks the tiles that contain pixels which interpolation reads at any position in a rectangle. The rectangle's
-    /// corners are `low` and `high`, pixels.
+    /// Marks the tiles whose pixels are read when an image is interpolated at any position in a rectangle. The
+    /// rectangle's corners are `low` and `high`, pixels.
     pub fn mark_samples(&mut self, low: [f32; 2], high: [f32; 2]) {
         // The support of the cubic filter is two pixels on each side. Positions beyond the range of integers saturate
         // in the cast.
