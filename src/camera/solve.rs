@@ -59,8 +59,8 @@ pub(super) fn polynomial<const N: usize>(coefficients: &[f64; N], s: f64) -> f64
     coefficients.iter().rev().fold(0.0, |sum, c| sum * s + c)
 }
 
-/// Maximum number of nested bisections of an interval. If the sign of the polynomial is still undecided then, the
-/// polynomial comes close to 0, and counts as not positive.
+/// Maximum number of nested bisections of an interval. A polynomial whose positivity is undecided after these
+/// bisections is close to 0, and counts as not positive.
 const MAX_DEPTH: usize = 40;
 
 /// Returns whether a polynomial is above [`MIN_SLOPE`] on the whole interval [0, end]. The coefficients are in

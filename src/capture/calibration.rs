@@ -73,7 +73,7 @@ impl CalibrationStdFormat {
         ]
     }
 
-    /// Checks that every standard deviation is in its allowed range. The error is a reason that starts with the field.
+    /// Checks that every standard deviation is in its allowed range. The error message starts with the field's name.
     pub(super) fn check(&self) -> Result<(), String> {
         let wrong = self.fields().into_iter().find(|(_, value, max)| !(0.0..=*max).contains(value));
         wrong.map_or(Ok(()), |(field, _, max)| Err(format!("{field} must be from 0 to {max}")))
@@ -142,7 +142,7 @@ impl CalibrationErrors {
         Self { parameters, covariance }
     }
 
-    /// Builds the covariance from its lower triangle in `format`. The error is a reason, without the field's name.
+    /// Builds the covariance from its lower triangle in `format`. The error message doesn't name the field.
     fn estimated(
         format: &CalibrationCovarianceFormat,
         cameras: &[&Camera],

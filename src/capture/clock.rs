@@ -71,8 +71,8 @@ impl RowTimes {
 }
 
 impl Clock {
-    /// Returns an error unless the times are strictly ascending and at least [`MIN_FRAME_S`] apart. The error is a
-    /// reason, without the file's name.
+    /// Returns an error unless the times are strictly ascending and at least [`MIN_FRAME_S`] apart. The error message
+    /// doesn't name the file.
     pub(super) fn ascends(&self) -> Result<(), String> {
         match self.times_s.windows(2).position(|w| !(w[1] - w[0] >= MIN_FRAME_S)) {
             None => Ok(()),
@@ -84,7 +84,7 @@ impl Clock {
     }
 
     /// Returns an error unless the readout time is from 0 to [`MAX_READOUT_S`] and at most the median time between
-    /// frames. The error is a reason, without the file's name.
+    /// frames. The error message doesn't name the file.
     pub(super) fn readout_fits(&self) -> Result<(), String> {
         let readout_s = self.readout_s;
         if !(0.0..=MAX_READOUT_S).contains(&readout_s) {
@@ -131,8 +131,8 @@ pub fn bracket(times_s: &[f64], time_s: f64) -> Option<(usize, usize)> {
     if found == time_s { Some((after, after)) } else { Some((after.checked_sub(1)?, after)) }
 }
 
-/// Returns whether times are finite and strictly ascending. They are not if an added, very large offset rounds
-/// neighbouring times to equal values.
+/// Returns whether times are finite and strictly ascending. Adding a very large offset to times can round neighbouring
+/// times to equal values.
 pub fn are_frame_times(times_s: &[f64]) -> bool {
     times_s.iter().all(|t| t.is_finite()) && times_s.windows(2).all(|w| w[0] < w[1])
 }
@@ -198,8 +198,8 @@ impl Capture {
     }
 
     /// Returns lower and upper bounds on the times of a camera's frames for every possible offset, seconds on the
-    /// reference's clock. `None` stands for all cameras together. The bounds are exact for a camera that has the
-    /// reference's clock and loses no frames.
+    /// reference's clock. If `camera` is `None`, the bounds are for all cameras together. The bounds are exact for a
+    /// camera that has the reference's clock and loses no frames.
     pub fn widest_span_s(&self, camera: Option<usize>) -> (f64, f64) {
         let reference = &self.cameras[self.reference];
         let span = |c: usize| {

@@ -103,7 +103,7 @@ pub struct ClockFormat {
 
 impl CaptureFormat {
     /// Checks everything that can be checked without the frames. Returns the index of the reference camera. The error
-    /// is a reason, without the file's name.
+    /// message doesn't name the file.
     pub(super) fn check(&self) -> Result<usize, String> {
         if self.format != "stlfr-capture" {
             return Err(format!("format: is '{}', must be 'stlfr-capture'", short(&self.format)));
@@ -178,7 +178,7 @@ impl FilmedCameraFormat {
 }
 
 impl ClockFormat {
-    /// Returns the clock of a camera with `frames` frames. The error is a reason, without the file's name.
+    /// Returns the clock of a camera with `frames` frames. The error message doesn't name the file.
     fn open(&self, frames: usize, video: Option<&VideoFile>) -> Result<Clock, String> {
         let offer = || video.map_or(String::new(), |v| format!("; {}", v.offer()));
         let times_s = match (self.rate_hz, self.first_s, &self.times_s) {

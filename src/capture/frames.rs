@@ -57,7 +57,7 @@ impl<'a> Pattern<'a> {
 }
 
 /// Finds the files of an image sequence, numbered from 0 without gaps. `root` is the canonical path of the capture's
-/// folder. The error is a reason, without the file's name.
+/// folder. The error message doesn't name the file.
 pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     let parsed = Pattern::parse(pattern)?;
     must_be_relative(pattern)?;
@@ -78,8 +78,8 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     Ok(files)
 }
 
-/// Finds the video that a camera's `frames` field names. `None` if the field names an image sequence. The error is a
-/// reason, without the name of `capture.json`.
+/// Finds the video that a camera's `frames` field names. `None` if the field names an image sequence. The error message
+/// doesn't name `capture.json`.
 pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
     if name.contains('%') {
         return Ok(None);
@@ -94,8 +94,8 @@ pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> 
     Ok(Some(real))
 }
 
-/// Returns the canonical path of a file in `root`. `None` if the file doesn't exist. The error is a reason, such as a
-/// symbolic link that leads out of `root`.
+/// Returns the canonical path of a file in `root`. `None` if the file doesn't exist. The error message gives the
+/// reason, such as a symbolic link that leads out of `root`.
 fn file(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
     let real = match root.join(name).canonicalize() {
         Ok(real) => real,

@@ -167,7 +167,7 @@ impl Truth {
     }
 
     /// Returns an error for another format, for ids and names that `capture.json` couldn't have, and for invalid
-    /// cameras. The error is a reason, without the file's name.
+    /// cameras. The error message doesn't name the file.
     fn check(&self) -> Result<(), String> {
         if self.format != "stlfr-truth" || self.version != 1 {
             return Err("format and version must be 'stlfr-truth' and 1".into());
@@ -272,7 +272,7 @@ pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), CaptureError>
 }
 
 /// Parses an H×W array of little-endian float32 in numpy's file format. Returns the width, the height, and the values
-/// row by row. The error is a reason, without the file's name.
+/// row by row. The error message doesn't name the file.
 fn parse_array(file: &[u8]) -> Result<(usize, usize, Vec<f32>), String> {
     let rest = file.strip_prefix(b"\x93NUMPY\x01\x00").ok_or("is no npy file")?;
     let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;

@@ -63,8 +63,8 @@ fn hash(cache: &DiskCache, path: &Path) -> Result<blake3::Hash, CaptureError> {
 }
 
 impl VideoFile {
-    /// Opens a video whose images must have the given size, [width, height] in pixels. The video is decoded unless its
-    /// frames are cached. `wrong` converts a reason into an error.
+    /// Opens a video whose images must have the given size, `[width, height]` in pixels. The video is decoded unless
+    /// its frames are cached. `wrong` converts a reason into an error.
     pub(super) fn open(
         source: &CaptureSource,
         path: PathBuf,
@@ -167,8 +167,8 @@ impl VideoFile {
     }
 
     /// Returns an error if a constant frame rate contradicts the video's own time stamps. The tolerance is half a frame
-    /// between two consecutive frames and 1 % over all frames, plus [`ROUNDING_S`]. The error is a reason, without the
-    /// file's name.
+    /// between two consecutive frames and 1 % over all frames, plus [`ROUNDING_S`]. The error message doesn't name the
+    /// file.
     pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
         let frame_s = 1.0 / rate_hz;
         let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);

@@ -85,8 +85,8 @@ impl Comparison<'_> {
         Ok(())
     }
 
-    /// Synthesizes the synchronized images at an instant, by sync method and camera. If a view is to be blended, all
-    /// cameras are synchronized by `nearest` and by the chosen method. Otherwise only cameras with a true image are
+    /// Synthesizes the synchronized images at an instant, by sync method and camera. If a view is to be blended,
+    /// `nearest` and the chosen method synchronize all cameras. In all other cases, only cameras with a true image are
     /// synchronized.
     fn synchronize(&self, instant: &TrueInstant) -> Vec<SynchronizedBy> {
         let blends = instant.views.iter().any(|v| v.like.is_none());

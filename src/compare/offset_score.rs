@@ -35,7 +35,7 @@ impl OffsetResult {
 
 /// Returns the errors of the offsets of all cameras except the reference, in the order of the ground truth. `frame_s`
 /// is the reference camera's frame interval, seconds. An error if the offsets aren't relative to the camera
-/// `reference`, or if the ground truth lacks one of their cameras.
+/// `reference`, or if `offsets` has a camera that the ground truth lacks.
 pub fn score_offsets(
     offsets: &Offsets,
     truth: &Truth,

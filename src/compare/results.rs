@@ -296,8 +296,8 @@ fn method_headlines(views: &[ViewResult], rendered: ProxyMethod) -> Vec<MethodHe
     found
 }
 
-/// Returns the PSNR gains of the chosen sync method over the nearest frame, on the pixels of moving surfaces, decibels.
-/// Each image that both methods made has one entry.
+/// Returns the PSNR gains of the chosen sync method over the nearest frame in decibels, on the pixels of moving
+/// surfaces. Each image that both methods rendered gives one entry.
 fn sync_gains(options: &CompareOptions, sync: &[SyncResult]) -> Vec<f64> {
     let psnr = |view: &str, method: SyncMethod| {
         let found = sync.iter().find(|s| s.view == view && s.method == method)?;

@@ -29,7 +29,7 @@ pub(crate) struct TrueView {
     pub stem: String,
 }
 
-/// A true image, and the row-major mask of its pixels of moving surfaces.
+/// A true image, and the row-major mask of the pixels whose surface moves.
 pub(crate) struct TrueImage {
     pub image: Image,
     pub moving: Vec<bool>,

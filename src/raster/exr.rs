@@ -16,7 +16,7 @@ use std::path::Path;
 /// Depth of a pixel without a surface, metres. The value is Blender's.
 const NO_DEPTH_M: f32 = 1e10;
 
-/// Number of rows in a compressed block. The format fixes it for ZIP compression.
+/// Number of rows in a compressed block. The format prescribes this number for ZIP compression.
 const BLOCK_ROWS: usize = 16;
 
 /// Number of blocks that are compressed in parallel. A larger number takes more memory. With a smaller number, threads
@@ -49,13 +49,13 @@ pub struct ExrLayers<'a> {
     pub coverage: &'a [bool],
     /// Depth along the camera's axis, metres. A depth that isn't finite is written as 1e10.
     pub depths_m: &'a [f32],
-    /// Displacements of each pixel's surface point to the previous and to the next picture, by pixel index: pixels to
-    /// the right and down. `None` writes no motion channels.
+    /// Displacements of each pixel's surface point to the previous and to the next picture, pixels to the right and
+    /// down. If it is `None`, no motion channels are written.
     pub motion: Option<&'a Displacements<'a>>,
 }
 
-/// Displacements of a pixel's surface point to the previous picture and to the next picture: each (right, down),
-/// pixels. The argument is the pixel's index.
+/// Two displacements of a pixel's surface point: to the previous picture and to the next picture. Each is in pixels to
+/// the right and down. The argument is the pixel's index.
 pub type Displacements<'a> = dyn Fn(usize) -> [[f32; 2]; 2] + Sync + 'a;
 
 /// Writes layers as an OpenEXR file. A missing folder is created.

@@ -115,8 +115,8 @@ impl<R: BufRead + Seek + 'static> OpenedImage<R> {
 const MAX_PNM_HEADER: usize = 4096;
 
 /// Returns an error for a PNM file whose header is too long. The PNM decoder reads comments byte by byte, which takes
-/// long. `start` has the first bytes of the file. The error is a reason, without the file's name. Files of other
-/// formats are accepted.
+/// long. `start` has the first bytes of the file. The error message doesn't name the file. Files of other formats are
+/// accepted.
 fn pnm_header(start: &[u8]) -> Result<(), String> {
     let (Some(header), [b'P', kind @ b'1'..=b'7', ..]) = (start.get(..MAX_PNM_HEADER), start)
     else {

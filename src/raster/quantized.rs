@@ -60,7 +60,7 @@ impl Quantized {
         Self { width: image.width(), height: image.height(), channels, samples }
     }
 
-    /// Makes a black image without alpha, with 1 or 3 channels. Its size is [width, height], pixels.
+    /// Makes a black image without alpha, with 1 or 3 channels. Its size is `[width, height]`, pixels.
     pub fn blank([width, height]: [usize; 2], channels: usize, depth: BitDepth) -> Self {
         let count = width * height * channels;
         let samples = match depth {

@@ -21,7 +21,7 @@ pub enum VideoError {
         "{ffmpeg}: has no encoder {encoder}, which .{suffix} needs; install an ffmpeg with it, or write .mkv"
     )]
     NoEncoder { ffmpeg: PathBuf, encoder: &'static str, suffix: &'static str },
-    /// A video can't be decoded. `reason` is a sentence without its subject. The caller adds the subject.
+    /// A video can't be decoded. `reason` is like "has no frames". The caller puts the video's name before it.
     #[error("{reason}")]
     Decode { reason: String },
     /// A file can't be read or written, or ffmpeg can't be started.
