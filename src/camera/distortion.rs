@@ -1,4 +1,5 @@
-//! Lens distortion on the normalized image plane z = 1, its inverse, and the domain in which it can be inverted.
+//! Lens distortion on the normalized image plane z = 1, the inverse of the distortion, and the domain on which the
+//! inverse exists.
 
 use super::prism::PrismFisheye;
 use super::radial_curve::RadialCurve;
@@ -7,15 +8,17 @@ use super::solve::{
 };
 use nalgebra::{Matrix2, Point2};
 
-/// A lens's distortion as a map of the normalized plane z = 1 to itself. Coefficients are unitless.
+/// Lens distortion: maps an ideal point of the normalized plane z = 1 to a distorted point of the same plane.
+/// Coefficients are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Distortion {
-    /// No distortion.
+    /// The identity map.
     None,
-    /// Brown's model with a rational radial part: with s = x² + y²,
-    /// (1 + k₁s + k₂s² + k₃s³) / (1 + k₄s + k₅s² + k₆s³), plus the tangential p₁, p₂.
+    /// Brown's model. With s = x² + y², the radial factor is (1 + k₁s + k₂s² + k₃s³) / (1 + k₄s + k₅s² + k₆s³). `p`
+    /// holds the tangential coefficients p₁ and p₂.
     Brown { k: [f64; 6], p: [f64; 2] },
-    /// Kannala and Brandt's model: the angle θ from the axis is mapped to θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸).
+    /// Kannala and Brandt's fisheye model. It maps the angle θ from the axis to the distorted radius θ (1 + k₁θ² + k₂θ⁴
+    /// + k₃θ⁶ + k₄θ⁸).
     Fisheye { k: [f64; 4] },
     /// FOV, division or EUCM model: a radial map whose inverse has a closed form.
     Curve(RadialCurve),
@@ -24,8 +27,8 @@ pub(super) enum Distortion {
 }
 
 impl Distortion {
-    /// The distorted point, by the model's formula. It is meaningful only inside of the fold
-    /// ([`Self::is_short_of_fold`]).
+    /// Returns the distorted image of the point `n` of the plane z = 1. The result is meaningful only where
+    /// [`Self::is_short_of_fold`] is true.
     pub fn distorted(&self, n: &Point2<f64>) -> Point2<f64> {
         match self {
             Self::None => *n,
@@ -52,8 +55,8 @@ impl Distortion {
         }
     }
 
-    /// Whether a point is inside of the fold, the radius where the radial distortion stops growing. Beyond the
-    /// fold the formula maps several points to one pixel, which no lens does.
+    /// Returns whether the point `n` lies inside of the fold. The fold is the radius at which the distorted radius
+    /// stops growing. Beyond the fold, the formula maps several points to one pixel, which no lens does.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         match self {
             Self::None => true,
@@ -72,8 +75,8 @@ impl Distortion {
         }
     }
 
-    /// The inverse of [`Self::distorted`]: the point inside of the fold that is distorted to `d`. `None` if there is
-    /// none, or if a coordinate isn't finite.
+    /// Inverts [`Self::distorted`]: returns the point inside of the fold whose distorted image is `d`. `None` if no
+    /// such point exists, or if a coordinate of `d` isn't finite.
     pub fn undistorted(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
         if !(d.x.is_finite() && d.y.is_finite()) {
             return None;
@@ -92,7 +95,8 @@ impl Distortion {
         }
     }
 
-    /// Jacobian of [`Self::distorted`] for Brown's model; the identity matrix for all other models.
+    /// Returns the Jacobian of [`Self::distorted`] for Brown's model. Other models don't use this function, and get the
+    /// identity matrix.
     fn derivative(&self, n: &Point2<f64>) -> Matrix2<f64> {
         let Self::Brown { k, p: [p1, p2] } = self else { return Matrix2::identity() };
         let (x, y) = (n.x, n.y);
@@ -112,14 +116,15 @@ impl Distortion {
     }
 }
 
-/// Inverts the fisheye model by Newton's method on the angle from the axis, with a bracket. `None` from 90° on.
+/// Inverts the fisheye model by Newton's method with a bracket on the angle from the axis. `d` is the distorted point.
+/// `None` if no angle in the invertible range, below [`MAX_ANGLE`], has the distorted radius |d|.
 fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
     let target = d.coords.norm();
     if target == 0.0 {
         return Some(*d);
     }
     let (value, slope) = (angular(k), angular_slope(k));
-    // Bracket of the angle. An angle beyond the fold, where the slope isn't positive, becomes its upper end.
+    // The bracket [low, high] of the angle. Where the slope isn't positive, θ lies beyond the fold and becomes `high`.
     let (mut low, mut high) = (0.0, MAX_ANGLE);
     let mut theta = target.min(0.99 * high);
     for _ in 0..2 * ITERATIONS {
@@ -150,12 +155,14 @@ fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
     (fits && theta < MAX_ANGLE && is_positive_up_to(&slope, t2)).then(|| d * (theta.tan() / target))
 }
 
-/// Coefficients of the numerator and the denominator of Brown's radial part, in powers of s = r².
+/// Returns the coefficients of the numerator and of the denominator of Brown's radial factor, in ascending powers of s
+/// = r².
 fn radial_quotient(k: &[f64; 6]) -> [[f64; 4]; 2] {
     [[1.0, k[0], k[1], k[2]], [1.0, k[3], k[4], k[5]]]
 }
 
-/// Numerator of the slope of the distorted radius r N/D: N D + 2 s (N′ D − N D′), in powers of s = r².
+/// Returns the coefficients, in ascending powers of s = r², of N D + 2 s (N′ D − N D′), where N/D is Brown's radial
+/// factor. This is the numerator of the derivative of the distorted radius r N/D with respect to r.
 fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
     let [above, below] = radial_quotient(k);
     let mut slope = [0.0; 7];
@@ -167,12 +174,13 @@ fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
     slope
 }
 
-/// Coefficients of the distorted angle over θ: 1 + k₁θ² + …, in powers of θ².
+/// Returns the coefficients of the distorted radius over θ: 1 + k₁θ² + …, in ascending powers of θ².
 fn angular(k: &[f64; 4]) -> [f64; 5] {
     [1.0, k[0], k[1], k[2], k[3]]
 }
 
-/// Coefficients of the distorted angle's derivative: 1 + 3 k₁θ² + 5 k₂θ⁴ + …, in powers of θ².
+/// Returns the coefficients of the derivative of the distorted radius with respect to θ: 1 + 3 k₁θ² + 5 k₂θ⁴ + …, in
+/// ascending powers of θ².
 fn angular_slope(k: &[f64; 4]) -> [f64; 5] {
     [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]]
 }
@@ -196,7 +204,7 @@ mod tests {
                 .map(|i| polynomial(&slope, end * f64::from(i) / 4000.0))
                 .fold(f64::INFINITY, f64::min);
             if min.abs() < 1e-3 {
-                continue; // between two samples it may cross
+                continue; // the polynomial may change its sign between two samples
             }
             assert_eq!(is_positive_up_to(&slope, end), min > 0.0, "{k:?} to {end}");
             *if min > 0.0 { &mut positive } else { &mut negative } += 1;

@@ -1,24 +1,26 @@
-//! Epipolar geometry of two cameras: `p_jᵀ F p_i = 0`, eq. (1) up to the order of the cameras.
+//! Epipolar geometry of two cameras i and j: `p_jᵀ F p_i = 0`. This is eq. (1) of the paper, except for the order of
+//! the two cameras.
 
 use super::Camera;
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
-/// A line `normal · p + offset = 0` in an image.
+/// A line in an image: all pixel positions `p` with `normal · p + offset = 0`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EpipolarLine {
-    /// Unit normal.
+    /// Unit vector perpendicular to the line.
     pub normal: Vector2<f64>,
-    /// Minus the signed distance of the line from the image's origin along the normal, pixels.
+    /// Minus the signed distance, along the normal, from the image's origin to the line, pixels.
     pub offset: f64,
 }
 
 impl EpipolarLine {
-    /// Signed distance of a point, pixels.
+    /// Returns the signed distance of the pixel position `p` from the line, pixels. It is positive on the side to which
+    /// the normal points.
     pub fn distance(&self, p: &Point2<f64>) -> f64 {
         self.normal.dot(&p.coords) + self.offset
     }
 
-    /// The point of the line nearest to `p`, pixels.
+    /// Returns the point of the line nearest to `p`, pixels.
     pub fn nearest(&self, p: &Point2<f64>) -> Point2<f64> {
         p - self.normal * self.distance(p)
     }
@@ -26,27 +28,27 @@ impl EpipolarLine {
 
 /// The fundamental matrix F of an ordered pair of cameras (i, j), eq. (1).
 ///
-/// Pixels of both images are undistorted pixels, as [`ideal_from_pixel`](super::CameraModel::ideal_from_pixel) gives
-/// them.
+/// Pixel positions in both images are undistorted: those that
+/// [`ideal_from_pixel`](super::CameraModel::ideal_from_pixel) returns.
 #[derive(Clone, Debug)]
 pub struct EpipolarGeometry {
-    /// The matrix F. The epipolar line in image j of the pixel `p_i` is `j_from_i · p_i`.
+    /// The matrix F. The pixel `p_i` of image i has the epipolar line `j_from_i · p_i` in image j.
     j_from_i: Matrix3<f64>,
 }
 
-/// Minimum baseline, as a fraction of the camera centres' distance from the world's origin. Rounding dominates shorter
-/// baselines.
+/// Minimum baseline, as a fraction of the distance from the world's origin to the farther camera centre. The direction
+/// of a shorter baseline is dominated by rounding errors.
 const MIN_BASELINE_FRACTION: f64 = 1e-12;
 
-/// Minimum length of an epipolar line's normal, as a fraction of the norm of F. The pixel of a shorter normal is the
+/// Minimum length of an epipolar line's normal, as a fraction of the norm of F. A pixel with a shorter normal is the
 /// epipole.
 const MIN_LINE_FRACTION: f64 = 1e-12;
 
 impl EpipolarGeometry {
-    /// The geometry of an ordered pair of cameras.
+    /// Computes the fundamental matrix of the ordered pair (i, j).
     ///
-    /// `None` for cameras with the same centre: their images are related by a homography, and
-    /// every point is on every epipolar line.
+    /// `None` if both cameras have the same centre. Their images are then related by a homography, and there are no
+    /// epipolar lines.
     pub fn new(camera_i: &Camera, camera_j: &Camera) -> Option<Self> {
         let (ci, cj) = (camera_i.center(), camera_j.center());
         let baseline = cj - ci;
@@ -54,7 +56,7 @@ impl EpipolarGeometry {
         if !(baseline.norm() > MIN_BASELINE_FRACTION * scale) || baseline.norm() == 0.0 {
             return None;
         }
-        // F is defined up to scale. A baseline of unit length neither underflows nor overflows.
+        // F is defined up to scale. A baseline of unit length avoids underflow and overflow.
         let t = -(camera_j.cam_from_world.rotation * baseline.normalize());
         let rotation = (camera_j.cam_from_world.rotation
             * camera_i.cam_from_world.rotation.inverse())
@@ -62,19 +64,19 @@ impl EpipolarGeometry {
         let essential = t.cross_matrix() * rotation.matrix();
         let k_inv = |camera: &Camera| {
             let (fx, fy, cx, cy) = camera.model.intrinsics();
-            // The array lists columns.
+            // The array lists the matrix's columns.
             Matrix3::from([[1.0 / fx, 0.0, 0.0], [0.0, 1.0 / fy, 0.0], [-cx / fx, -cy / fy, 1.0]])
         };
         Some(Self { j_from_i: k_inv(camera_j).transpose() * essential * k_inv(camera_i) })
     }
 
-    /// The epipolar line in image j of a pixel of image i. Pixel and line are undistorted.
+    /// Returns the epipolar line in image j of the pixel `p_i` of image i. Pixel and line are undistorted.
     ///
-    /// `None` if the pixel is the epipole, whose line is undefined.
+    /// `None` if the pixel is the epipole, which has no epipolar line.
     pub fn line_in_j(&self, p_i: &Point2<f64>) -> Option<EpipolarLine> {
         let l = self.j_from_i * Vector3::new(p_i.x, p_i.y, 1.0);
         let length = l.xy().norm();
-        // At the epipole, rounding errors alone make the normal differ from 0.
+        // At the epipole the normal is 0 up to rounding errors.
         if !(length > MIN_LINE_FRACTION * self.j_from_i.norm()) {
             return None;
         }

@@ -1,7 +1,8 @@
-//! JSON of a camera: an entry of `capture.json`, or a view to render.
+//! JSON format of a camera: an entry of `capture.json`, or the file of a view to render.
 //!
-//! The file of a view holds one camera in the form of a camera in `capture.json`. The fields `id`, `frames`, `color`
-//! and `clock` are optional and ignored. Lengths are metres. The axes are COLMAP's: x right, y down, z forward.
+//! The file of a view holds one camera, in the same format as a camera in `capture.json`. The fields `id`, `frames`,
+//! `color` and `clock` are optional and ignored. Lengths are in metres. The axes are COLMAP's: x right, y down, z
+//! forward.
 //!
 //! ```json
 //! { "width": 320, "height": 240, "model": "PINHOLE", "params": [343.1, 343.1, 160.0, 120.0],
@@ -17,17 +18,18 @@ use schemars::JsonSchema;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
-/// A pose in JSON: the rigid transform from the world (in a rig's file, from the rig) to the camera's frame.
+/// Pose in JSON: the rigid transform from world coordinates to camera coordinates. A rig's file has rig coordinates in
+/// place of world coordinates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFormat {
-    /// Rotation as a quaternion (w, x, y, z), of unit length within [`MAX_QUATERNION_ERROR`].
+    /// Rotation as a quaternion (w, x, y, z). Its length differs from 1 by at most [`MAX_QUATERNION_ERROR`].
     pub rotation_wxyz: [f64; 4],
     /// Translation, metres.
     pub translation: [f64; 3],
 }
 
-/// Lens and pose of a camera, in JSON.
+/// Image size, lens model and pose of a camera, in JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraFormat {
@@ -37,13 +39,14 @@ pub struct CameraFormat {
     pub height: u32,
     /// COLMAP's name of the camera model.
     pub model: String,
-    /// The model's parameters in COLMAP's order.
+    /// The camera model's parameters, in COLMAP's order.
     pub params: Vec<f64>,
-    /// Pose, from the world to the camera's frame.
+    /// Pose: the rigid transform from world coordinates to camera coordinates.
     pub cam_from_world: PoseFormat,
 }
 
-/// A view to render, in JSON: lens and pose. Other fields of a camera in `capture.json` are allowed and ignored.
+/// A view to render, in JSON: image size, lens model and pose. Other fields of a camera in `capture.json` are allowed
+/// and ignored.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ViewFormat {
@@ -62,45 +65,47 @@ pub struct ViewFormat {
     _clock: IgnoredAny,
 }
 
-/// An error of a camera object. The message starts with the field.
+/// Error in a camera's JSON. The message starts with the name of the wrong field.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum CameraFormatError {
-    /// Width or height is 0 or too large.
+    /// The width or the height is 0 or too large.
     #[error("{field}: is {value}, must be from 1 to {max}")]
     Size { field: &'static str, value: u32, max: u32 },
-    /// The image has more pixels than [`MAX_PIXELS`], or a view more than 8192×4320.
+    /// The image has more than [`MAX_PIXELS`] pixels, or a view to render has more than 8192×4320 pixels.
     #[error("width: {width}×{height} are more pixels than {max}")]
     Pixels { width: u32, height: u32, max: u64 },
-    /// The model's name is unknown, or its number of parameters wrong.
+    /// The camera model's name is unknown, or its number of parameters is wrong.
     #[error("model: '{name}' with {count} params is not a known model ({})", known_models())]
     Model { name: String, count: usize },
-    /// A parameter is not finite, or a focal length not positive.
+    /// A parameter is not finite, or a focal length is not positive.
     #[error("params: must be finite, and the focal lengths positive")]
     Params,
-    /// The quaternion is not of unit length.
+    /// The length of the quaternion differs from 1 by more than [`MAX_QUATERNION_ERROR`].
     #[error("cam_from_world.rotation_wxyz: has length {}, must be of unit length to 1e-3", number(.length))]
     Quaternion { length: f64 },
-    /// A coordinate of the translation is not finite or too large.
+    /// A coordinate of the translation is not finite, or its magnitude is too large.
     #[error("cam_from_world.translation: must be within {MAX_TRANSLATION_M:e} of 0")]
     Translation,
 }
 
-/// The models with their numbers of parameters, for messages: `PINHOLE has 4, …`.
+/// Lists the camera models with their numbers of parameters, for error messages: `PINHOLE has 4, …`.
 fn known_models() -> String {
     CameraModel::KNOWN.map(|(name, _, count)| format!("{name} has {count}")).join(", ")
 }
 
 /// Maximum width and height of an image, pixels.
 const MAX_SIZE_PX: u32 = 65_536;
-/// Maximum coordinate of a translation, metres. Its powers in the computation of views stay finite.
+/// Maximum magnitude of a translation's coordinate, metres. Powers of this value, as rendering computes them, stay
+/// finite.
 const MAX_TRANSLATION_M: f64 = 1e12;
-/// Maximum number of pixels of a view, 8K of digital cinema. Rendering takes about 32 bytes a pixel.
+/// Maximum number of pixels of a view: 8K of digital cinema. Rendering takes about 32 bytes per pixel.
 const MAX_VIEW_PIXELS: u64 = 8192 * 4320;
-/// Maximum difference of a quaternion's length from 1. Blender's quaternions have single precision.
+/// Maximum difference of a quaternion's length from 1. Quaternions from Blender have single precision.
 pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
 impl ViewFormat {
-    /// Checks every field and converts to a camera. The maximum size of a view is smaller than that of an input image.
+    /// Checks every field and converts the view to a camera. The maximum number of pixels is smaller than for an input
+    /// image.
     pub fn camera(self) -> Result<Camera, CameraFormatError> {
         let Self { width, height, model, params, cam_from_world, .. } = self;
         let camera = CameraFormat { width, height, model, params, cam_from_world }.camera()?;
@@ -112,7 +117,7 @@ impl ViewFormat {
 }
 
 impl CameraFormat {
-    /// Checks every field and converts to a camera.
+    /// Checks every field and converts the JSON to a camera.
     pub fn camera(&self) -> Result<Camera, CameraFormatError> {
         for (field, value) in [("width", self.width), ("height", self.height)] {
             if value == 0 || value > MAX_SIZE_PX {
@@ -140,7 +145,7 @@ impl CameraFormat {
 }
 
 impl PoseFormat {
-    /// Checks the pose and normalizes its quaternion.
+    /// Checks the pose, normalizes its quaternion and converts the pose to a rigid transform.
     pub fn isometry(&self) -> Result<Isometry3<f64>, CameraFormatError> {
         let [w, x, y, z] = self.rotation_wxyz;
         let q = Quaternion::new(w, x, y, z);

@@ -1,11 +1,12 @@
-//! Calibrated cameras, and the conventions that everything else follows.
+//! Calibrated cameras, and the conventions for coordinates that the whole program follows.
 //!
-//! - World: metres, seconds, right-handed.
-//! - Camera: COLMAP's axes, +x right, +y down, +z forward; poses are `cam_from_world`.
+//! - World: right-handed coordinates, in metres.
+//! - Camera: COLMAP's axes, +x right, +y down, +z forward. Poses are `cam_from_world`.
 //! - Pixels: the centre of the top-left pixel is (0.5, 0.5).
-//! - Models: COLMAP's names and parameter order.
+//! - Lens models: COLMAP's names and order of parameters.
 //!
-//! Known limit: a viewing ray is a point of the normalized plane z = 1. The field of view is therefore below 180°.
+//! Known limit: a viewing ray is represented by its point on the normalized plane z = 1. The field of view is therefore
+//! below 180°.
 
 mod distortion;
 mod epipolar;
@@ -30,33 +31,36 @@ pub struct Camera {
     pub width: usize,
     /// Image height, pixels.
     pub height: usize,
-    /// Lens model: maps the normalized plane z = 1 to pixels.
+    /// Lens model: maps points of the normalized plane z = 1 to pixels.
     pub model: CameraModel,
-    /// Pose: maps world points, metres, to the camera's frame (+x right, +y down, +z forward).
+    /// Pose: maps world coordinates, in metres, to camera coordinates (+x right, +y down, +z forward).
     pub cam_from_world: Isometry3<f64>,
 }
 
-/// Minimum depth of a point that projects, as a fraction of its distance from the centre: 89.9999° from the axis.
+/// Minimum depth of a point that can be projected, as a fraction of its distance from the camera's centre. It allows
+/// rays up to 89.9999° from the optical axis.
 const MIN_DEPTH_FRACTION: f64 = 1e-6;
 
 impl Camera {
-    /// The camera at half the resolution. An odd row or column is dropped. `None` if no pixel is left.
+    /// Returns the camera for an image of half the resolution. An odd last row or column is dropped. `None` if no pixel
+    /// is left.
     pub fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         let model = self.model.halved();
         (width > 0 && height > 0).then(|| Self { width, height, model, ..self.clone() })
     }
 
-    /// Projects a world point, metres, to a pixel position, which may lie outside of the image.
+    /// Projects a world point, in metres, to a pixel position. The position may lie outside of the image.
     ///
-    /// `None` for a point behind the camera, at its centre, at 90° from its axis, or beyond the fold of the
-    /// lens model, and for NaN.
+    /// `None` for NaN, and for a point behind the camera, at its centre, at 90° from its axis, or outside of the range
+    /// in which the lens model is invertible ([`CameraModel::is_short_of_fold`]).
     pub fn project(&self, point_world: &Point3<f64>) -> Option<Point2<f64>> {
         let p = self.cam_from_world * point_world;
         self.project_cam(&p)
     }
 
-    /// [`Self::project`] for a point in this camera's frame, metres.
+    /// Projects a point in camera coordinates, in metres, to a pixel position. `None` for the same points as
+    /// [`Self::project`].
     pub fn project_cam(&self, p: &Point3<f64>) -> Option<Point2<f64>> {
         if !(p.z > MIN_DEPTH_FRACTION * p.coords.norm()) {
             return None;
@@ -69,36 +73,37 @@ impl Camera {
         (pixel.x.is_finite() && pixel.y.is_finite()).then_some(pixel)
     }
 
-    /// The viewing direction of a pixel in this camera's frame, scaled to z = 1.
+    /// Returns the viewing direction of a pixel in camera coordinates, scaled to z = 1.
     ///
-    /// `None` where the lens model can't be inverted: far outside the image of a distorted lens.
+    /// `None` where the lens model can't be inverted: far outside of the image of a lens with distortion.
     pub fn ray(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         let n = self.model.normalized_from_pixel(pixel)?;
         Some(Vector3::new(n.x, n.y, 1.0))
     }
 
-    /// [`Self::ray`] in world coordinates. Its component along the optical axis is 1; its length isn't.
+    /// Returns the viewing direction of a pixel in world coordinates. Its component along the optical axis is 1, so its
+    /// length is at least 1. `None` where [`Self::ray`] is `None`.
     pub fn ray_world(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         Some(self.cam_from_world.rotation.inverse_transform_vector(&self.ray(pixel)?))
     }
 
-    /// The centre of projection, metres in the world.
+    /// Returns the centre of projection in world coordinates, metres.
     pub fn center(&self) -> Point3<f64> {
         self.cam_from_world.inverse_transform_point(&Point3::origin())
     }
 
-    /// The camera moved by `shift_m`, metres along its own axes right, down and forward.
+    /// Returns the camera translated by `shift_m`, in metres along its own axes right, down and forward.
     pub fn shifted(&self, shift_m: Vector3<f64>) -> Self {
         let cam_from_world = Translation3::from(-shift_m) * self.cam_from_world;
         Self { cam_from_world, ..self.clone() }
     }
 
-    /// The optical axis, unit length, in the world.
+    /// Returns the direction of the optical axis in world coordinates, with unit length.
     pub fn axis(&self) -> Vector3<f64> {
         self.cam_from_world.rotation.inverse_transform_vector(&Vector3::z())
     }
 
-    /// Whether a pixel position lies on the image, its border included. False for NaN.
+    /// Returns whether a pixel position lies in the image or on its border. False for NaN.
     pub fn contains(&self, pixel: &Point2<f64>) -> bool {
         pixel.x >= 0.0
             && pixel.y >= 0.0
@@ -106,7 +111,8 @@ impl Camera {
             && pixel.y <= self.height as f64
     }
 
-    /// Mean of the two focal lengths, pixels: near the axis, the number of pixels per radian.
+    /// Returns the mean of the two focal lengths, pixels. Near the optical axis, this is the number of pixels per
+    /// radian.
     pub fn focal_px(&self) -> f64 {
         let (fx, fy, ..) = self.model.intrinsics();
         0.5 * (fx + fy)
@@ -118,7 +124,7 @@ pub(crate) mod tests {
     use super::*;
     use nalgebra::{Translation3, UnitQuaternion};
 
-    /// A 640×480 pinhole camera at `center`, looking along +z of the world.
+    /// Returns a 640×480 pinhole camera with its centre at `center`, looking along +z of the world.
     pub(crate) fn pinhole_at(center: [f64; 3]) -> Camera {
         Camera {
             width: 640,

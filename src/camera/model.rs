@@ -1,12 +1,12 @@
-//! Lens models: normalized image plane (z = 1) to pixels and back.
+//! Lens models: maps from the normalized image plane z = 1 to pixels, and their inverses.
 
 use super::distortion::Distortion;
 use super::prism::PrismFisheye;
 use super::radial_curve::RadialCurve;
 use nalgebra::Point2;
 
-/// COLMAP's camera models, in its names and parameter order. Focal lengths and principal point
-/// are in pixels, distortion coefficients are unitless.
+/// COLMAP's camera models, with COLMAP's names and order of parameters. Focal lengths and principal points are in
+/// pixels. Distortion coefficients are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CameraModel {
     /// `SIMPLE_PINHOLE`: f, cx, cy.
@@ -19,7 +19,8 @@ pub enum CameraModel {
     Radial { f: f64, cx: f64, cy: f64, k: [f64; 2] },
     /// `OPENCV`: fx, fy, cx, cy, k1, k2, p1, p2 (Brown's radial and tangential distortion).
     OpenCv { fx: f64, fy: f64, cx: f64, cy: f64, k1: f64, k2: f64, p1: f64, p2: f64 },
-    /// `FULL_OPENCV`: fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 (rational radial distortion, and tangential).
+    /// `FULL_OPENCV`: fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 (rational radial distortion and tangential
+    /// distortion).
     FullOpenCv { fx: f64, fy: f64, cx: f64, cy: f64, k: [f64; 6], p: [f64; 2] },
     /// `SIMPLE_RADIAL_FISHEYE`: f, cx, cy, k.
     SimpleRadialFisheye { f: f64, cx: f64, cy: f64, k: f64 },
@@ -54,7 +55,7 @@ pub enum CameraModel {
 }
 
 impl CameraModel {
-    /// All models: COLMAP's name, its number in COLMAP's binary files, and the number of parameters.
+    /// All camera models: COLMAP's name, the model's number in COLMAP's binary files, and the number of parameters.
     pub const KNOWN: [(&str, i32, usize); 17] = [
         ("SIMPLE_PINHOLE", 0, 3),
         ("PINHOLE", 1, 4),
@@ -75,7 +76,7 @@ impl CameraModel {
         ("EUCM", 16, 6),
     ];
 
-    /// COLMAP's name of the model.
+    /// Returns COLMAP's name of the model.
     pub fn name(&self) -> &'static str {
         match self {
             Self::SimplePinhole { .. } => "SIMPLE_PINHOLE",
@@ -98,7 +99,7 @@ impl CameraModel {
         }
     }
 
-    /// The parameters in COLMAP's order.
+    /// Returns the parameters in COLMAP's order.
     pub fn params(&self) -> Vec<f64> {
         match *self {
             Self::SimplePinhole { f, cx, cy } | Self::SimpleFisheye { f, cx, cy } => {
@@ -135,8 +136,8 @@ impl CameraModel {
         }
     }
 
-    /// The model with COLMAP's name and parameters; `None` if the name is unknown or the number of parameters is
-    /// wrong.
+    /// Returns the model with this COLMAP name and these parameters. `None` if the name is unknown or the number of
+    /// parameters is wrong.
     pub fn from_params(name: &str, params: &[f64]) -> Option<Self> {
         Some(match (name, params) {
             ("SIMPLE_PINHOLE", &[f, cx, cy]) => Self::SimplePinhole { f, cx, cy },
@@ -184,7 +185,7 @@ impl CameraModel {
         })
     }
 
-    /// Focal lengths and principal point fx, fy, cx, cy, pixels.
+    /// Returns the focal lengths and the principal point as (fx, fy, cx, cy), pixels.
     pub fn intrinsics(&self) -> (f64, f64, f64, f64) {
         match *self {
             Self::SimplePinhole { f, cx, cy }
@@ -207,46 +208,49 @@ impl CameraModel {
         }
     }
 
-    /// The model of the image at half the resolution, whose pixels are twice as large.
+    /// Returns the model for the same image at half the resolution.
     pub fn halved(&self) -> Self {
         self.scaled(0.5)
     }
 
-    /// The model of the image at `factor` times the resolution in both directions.
+    /// Returns the model for the same image at `factor` times the resolution in both directions.
     pub fn scaled(&self, factor: f64) -> Self {
         let intrinsics = self.focal_count() + 2;
         let mut params = self.params();
         params[..intrinsics].iter_mut().for_each(|v| *v *= factor);
-        // Name and number of parameters come from the model itself, so that this can't fail.
+        // Name and number of parameters come from the model itself, so the conversion can't fail.
         Self::from_params(self.name(), &params).unwrap_or(*self)
     }
 
-    /// Whether the model has no distortion.
+    /// Returns whether the model has no distortion.
     pub fn is_pinhole(&self) -> bool {
         self.distortion() == Distortion::None
     }
 
-    /// Projects a point of the plane z = 1 to a pixel. The result is meaningful only inside of the fold
-    /// ([`Self::is_short_of_fold`]).
+    /// Projects the point `n` of the plane z = 1 to a pixel. The result is meaningful only where
+    /// [`Self::is_short_of_fold`] is true.
     pub fn pixel_from_normalized(&self, n: &Point2<f64>) -> Point2<f64> {
         let (fx, fy, cx, cy) = self.intrinsics();
         let d = self.distortion().distorted(n);
         Point2::new(fx * d.x + cx, fy * d.y + cy)
     }
 
-    /// Whether a point of the plane z = 1 is inside of the fold, the radius where the distortion stops growing.
+    /// Returns whether the point `n` of the plane z = 1 lies inside of the fold. The fold is the radius at which the
+    /// distorted radius stops growing. Beyond the fold, the model isn't invertible.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         self.distortion().is_short_of_fold(n)
     }
 
-    /// The point of the plane z = 1 that projects to a pixel; `None` if no point inside of the fold does.
+    /// Returns the point of the plane z = 1 that projects to `pixel`. `None` if no point inside of the fold
+    /// ([`Self::is_short_of_fold`]) projects there.
     pub fn normalized_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         let (fx, fy, cx, cy) = self.intrinsics();
         self.distortion().undistorted(&Point2::new((pixel.x - cx) / fx, (pixel.y - cy) / fy))
     }
 
-    /// The pixel at which the same camera without distortion would see the point of `pixel`. Undistorted pixels have
-    /// straight epipolar lines. `None` where [`Self::normalized_from_pixel`] is `None`.
+    /// Removes the distortion from a pixel position: returns the position at which a pinhole camera with the same focal
+    /// lengths and principal point would see the same point. Epipolar lines are straight in undistorted pixels. `None`
+    /// where [`Self::normalized_from_pixel`] is `None`.
     pub fn ideal_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         if self.is_pinhole() {
             return Some(*pixel);
@@ -256,7 +260,7 @@ impl CameraModel {
         Some(Point2::new(fx * n.x + cx, fy * n.y + cy))
     }
 
-    /// The model's distortion on the plane z = 1.
+    /// Returns the model's distortion on the plane z = 1.
     fn distortion(&self) -> Distortion {
         let (k, p) = match *self {
             Self::SimplePinhole { .. } | Self::Pinhole { .. } => return Distortion::None,
@@ -284,7 +288,7 @@ impl CameraModel {
             Self::ThinPrismFisheye { k: [k1, k2, k3, k4], p: [p1, p2], s: [sx1, sy1], .. } => {
                 return Distortion::Prism(PrismFisheye {
                     k: [k1, k2, k3, k4, 0.0, 0.0],
-                    // Brown's p2 is the coefficient of x.
+                    // In Brown's model p2 is the coefficient of x.
                     p: [p2, p1],
                     s: [sx1, 0.0, sy1, 0.0],
                     is_nested: false,
@@ -306,7 +310,7 @@ impl CameraModel {
 mod tests {
     use super::*;
 
-    /// One model of each kind, with a realistic distortion, for a 640×480 image.
+    /// Returns one model of each kind, with a realistic distortion, for a 640×480 image.
     fn one_of_each() -> Vec<CameraModel> {
         let (f, fx, fy, cx, cy) = (400.0, 686.0, 680.0, 321.0, 239.0);
         let params: [&[f64]; 17] = [
@@ -404,7 +408,7 @@ mod tests {
         assert!(!folding.is_short_of_fold(&Point2::new(f64::NAN, 0.0)));
     }
 
-    /// Further out the slope is positive again, but the pixels there are also images of points nearer to the axis.
+    /// Beyond the second fold the slope is positive again, but points nearer to the axis project to the same pixels.
     #[test]
     fn a_lens_that_folds_twice_ends_at_the_first() {
         let model = CameraModel::Radial { f: 1.0, cx: 0.0, cy: 0.0, k: [-1.0, 0.3] };
@@ -417,8 +421,7 @@ mod tests {
         assert!(inverse.is_none_or(|n| n.coords.norm() < 0.65), "{inverse:?}");
     }
 
-    /// Covers barrel distortion up to the fold, and pincushion distortion, which moves points beyond the fold's
-    /// radius.
+    /// Tests barrel distortion up to the fold, and pincushion distortion, which moves points beyond the fold's radius.
     #[test]
     fn strong_distortion_is_inverted_up_to_its_fold() {
         let barrel = CameraModel::SimpleRadial { f: 1.0, cx: 0.0, cy: 0.0, k: -0.5 };
@@ -442,7 +445,7 @@ mod tests {
         }
     }
 
-    /// `tests/golden/make_lens_reference.py` writes the reference pixels, computed by pycolmap.
+    /// The reference pixels were computed by pycolmap, in `tests/golden/make_lens_reference.py`.
     #[test]
     fn points_are_projected_as_pycolmap_does() {
         let text = include_str!("../../tests/golden/lenses.json");

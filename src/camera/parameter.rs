@@ -1,25 +1,25 @@
-//! The numbers of a camera's calibration, by which its errors are described.
+//! The parameters of a camera's calibration. Calibration errors are described as changes of these parameters.
 
 use super::{Camera, CameraModel};
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// One number of a camera's calibration.
+/// One parameter of a camera's calibration. The unit of its changes follows from the kind of parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraParameter {
-    /// A turn about an axis of the world, radians.
+    /// Rotation of the camera about its centre, around the world's axis 0, 1 or 2, radians.
     Rotation(usize),
-    /// A move of the centre along an axis of the world, metres.
+    /// Translation of the camera's centre along the world's axis 0, 1 or 2, metres.
     Center(usize),
-    /// The logarithm of the focal lengths.
+    /// Natural logarithm of the focal lengths. A change scales fx and fy by the same factor.
     Focal,
-    /// A coordinate of the principal point, pixels.
+    /// Coordinate x (0) or y (1) of the principal point, pixels.
     PrincipalPoint(usize),
-    /// One of the model's further parameters, in COLMAP's order.
+    /// Distortion parameter of the lens model, counted from 0 in COLMAP's order after the principal point.
     Distortion(usize),
 }
 
 impl CameraParameter {
-    /// The six numbers of a pose: the turn, then the move.
+    /// The six parameters of a pose: rotations, then translations.
     pub const POSE: [Self; 6] = [
         Self::Rotation(0),
         Self::Rotation(1),
@@ -29,29 +29,30 @@ impl CameraParameter {
         Self::Center(2),
     ];
 
-    /// Whether the number belongs to the lens, not to the pose.
+    /// Returns whether the parameter belongs to the lens model, not to the pose.
     pub fn is_of_lens(self) -> bool {
         !matches!(self, Self::Rotation(_) | Self::Center(_))
     }
 }
 
 impl CameraModel {
-    /// The number of focal lengths among the parameters, 1 or 2. They come first, then the principal point.
+    /// Returns the number of focal lengths among the parameters, 1 or 2. In COLMAP's order the focal lengths come
+    /// first, then the principal point.
     pub fn focal_count(&self) -> usize {
         let has_one_focal =
             ["SIMPLE_", "RADIAL"].iter().any(|start| self.name().starts_with(start));
         if has_one_focal { 1 } else { 2 }
     }
 
-    /// The number of parameters after the focal lengths and the principal point.
+    /// Returns the number of parameters after the focal lengths and the principal point.
     pub fn distortion_count(&self) -> usize {
         self.params().len() - self.focal_count() - 2
     }
 }
 
 impl Camera {
-    /// The camera with one number of its calibration changed by `change`. Without the number, as the third
-    /// distortion parameter of a pinhole, the camera is unchanged.
+    /// Returns the camera with `change` added to one parameter of its calibration. If the camera model lacks the
+    /// parameter, such as the third distortion parameter of a pinhole, the camera is returned unchanged.
     pub fn with_change(&self, parameter: CameraParameter, change: f64) -> Self {
         let mut camera = self.clone();
         let axis = |axis: usize| Vector3::ith(axis, change);
@@ -84,13 +85,14 @@ impl Camera {
 }
 
 impl CameraModel {
-    /// The model with some of its parameters changed.
+    /// Returns the model with `change` applied to the parameters whose indices are in `which`. Indices are in COLMAP's
+    /// order.
     fn changed(&self, which: std::ops::Range<usize>, change: impl Fn(f64) -> f64) -> Self {
         let mut params = self.params();
         for value in params.get_mut(which).into_iter().flatten() {
             *value = change(*value);
         }
-        // Name and number of parameters come from the model itself, so that this can't fail.
+        // Name and number of parameters come from the model itself, so the conversion can't fail.
         Self::from_params(self.name(), &params).unwrap_or(*self)
     }
 }

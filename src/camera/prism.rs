@@ -5,18 +5,20 @@ use nalgebra::{Matrix2, Point2, Vector2};
 
 /// Radial, tangential and thin-prism distortion of a fisheye.
 ///
-/// The vector w = (n / |n|) θ has the direction of the point n of the plane z = 1, and as length the angle θ from the
-/// axis. With s = |w|², the radial part is q = w (1 + k₁s + … + k₆s⁶). The image is q + 2 (p·b) b + |b|² p + (s₁|b|² +
-/// s₂|b|⁴, s₃|b|² + s₄|b|⁴), where b is q or w.
+/// A point n of the plane z = 1 has the angle θ from the axis. The vector w = (n / |n|) θ has the direction of n and
+/// the length θ. With s = |w|², the radially distorted point is q = w (1 + k₁s + … + k₆s⁶). The distorted point is q +
+/// 2 (p·b) b + |b|² p + (s₁|b|² + s₂|b|⁴, s₃|b|² + s₄|b|⁴). Here b is q if [`Self::is_nested`], otherwise w.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PrismFisheye {
     /// Radial coefficients k₁ to k₆.
     pub k: [f64; 6],
-    /// Tangential coefficients of x and y.
+    /// Tangential coefficients: the components x and y of the vector p.
     pub p: [f64; 2],
     /// Thin-prism coefficients s₁ to s₄.
     pub s: [f64; 4],
-    /// Whether b is q (`RAD_TAN_THIN_PRISM_FISHEYE`) or w (`THIN_PRISM_FISHEYE`).
+    /// Whether the tangential and thin-prism terms are computed from the radially distorted point, as in
+    /// `RAD_TAN_THIN_PRISM_FISHEYE`. If false, they are computed from the undistorted point, as in
+    /// `THIN_PRISM_FISHEYE`.
     pub is_nested: bool,
 }
 
@@ -25,7 +27,8 @@ impl PrismFisheye {
         self.project_angles(&angles(n))
     }
 
-    /// Whether the radial part grows from the axis to this point, and the Jacobian's determinant is positive there.
+    /// Returns whether the model is invertible at the point `n` of the plane z = 1: the radial part grows from the axis
+    /// to `n`, and the Jacobian's determinant is positive at `n`.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         self.is_inside(&angles(n))
     }
@@ -48,7 +51,7 @@ impl PrismFisheye {
             && self.derivative(w).determinant() > MIN_SLOPE
     }
 
-    /// 1 + k₁s + … + k₆s⁶, and its derivative with respect to s.
+    /// Returns the radial factor 1 + k₁s + … + k₆s⁶, and its derivative with respect to s.
     fn radial(&self, s: f64) -> (f64, f64) {
         let [k1, k2, k3, k4, k5, k6] = self.k;
         let value = polynomial(&[1.0, k1, k2, k3, k4, k5, k6], s);
@@ -63,7 +66,7 @@ impl PrismFisheye {
         Point2::from(q + b * (2.0 * p.dot(&b)) + p * b2 + prism)
     }
 
-    /// Jacobian of [`Self::project_angles`].
+    /// Returns the Jacobian of [`Self::project_angles`] at `w`.
     fn derivative(&self, w: &Point2<f64>) -> Matrix2<f64> {
         let (value, slope) = self.radial(w.coords.norm_squared());
         let by_radius = w.coords * w.coords.transpose() * (2.0 * slope);
@@ -79,7 +82,8 @@ impl PrismFisheye {
     }
 }
 
-/// The vector w of a point of the plane z = 1: its direction from the axis, with the angle from the axis as length.
+/// Converts a point of the plane z = 1 to angles. The result has the point's direction, and its length is the point's
+/// angle from the axis, in radians.
 fn angles(n: &Point2<f64>) -> Point2<f64> {
     let r = n.coords.norm();
     if r == 0.0 { *n } else { n * (r.atan() / r) }

@@ -1,9 +1,9 @@
-//! Radial distortions whose inverses are closed forms: COLMAP's FOV, division and EUCM models.
+//! Radial distortions whose inverses have closed forms: COLMAP's FOV, division and EUCM models.
 
 use super::solve::MIN_SLOPE;
 use nalgebra::Point2;
 
-/// A radial map of the plane z = 1.
+/// A radial distortion of the plane z = 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum RadialCurve {
     /// FOV model of Devernay and Faugeras, with field of view ω: the radius r is mapped to atan(2 r tan(ω/2)) / ω.
@@ -15,8 +15,8 @@ pub(super) enum RadialCurve {
 }
 
 impl RadialCurve {
-    /// The distorted radius over the radius r, the factor that distorts a point. It is meaningful only inside of the
-    /// fold.
+    /// Returns the distorted radius divided by the radius r. Multiplying a point by this factor gives the distorted
+    /// point. The factor is meaningful only where [`Self::is_short_of_fold`] is true.
     pub fn scale(&self, r: f64) -> f64 {
         match *self {
             Self::Fov { omega } => {
@@ -28,7 +28,8 @@ impl RadialCurve {
         }
     }
 
-    /// Whether the distorted radius grows with the radius at r. False for parameters that the model doesn't allow.
+    /// Returns whether the distorted radius grows with the radius at r. False for parameters that the model doesn't
+    /// allow.
     pub fn is_short_of_fold(&self, r: f64) -> bool {
         match *self {
             Self::Fov { omega } => omega.abs() < std::f64::consts::PI && r.is_finite(),
@@ -40,7 +41,7 @@ impl RadialCurve {
         }
     }
 
-    /// The point that is distorted to `d`; `None` if there is none.
+    /// Returns the point whose distorted image is `d`. `None` if no such point exists.
     pub fn undistorted(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
         let rd = d.coords.norm();
         let factor = match *self {

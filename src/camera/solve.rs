@@ -1,28 +1,32 @@
-//! Numerical inversion of lens distortion: polynomials, and Newton's method inside a domain.
+//! Numerical inversion of lens distortion: positivity of polynomials, and Newton's method inside a domain.
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Newton's method stops when a step is shorter than this, in units of the plane z = 1.
+/// Relative length of a step below which Newton's iteration stops.
 pub(super) const STEP: f64 = 1e-14;
-/// Maximum number of Newton steps. Usually 3 to 6 suffice; next to the fold, convergence is linear and takes about 30.
+/// Maximum number of Newton steps. Usually 3 to 6 steps suffice. At the border of the invertible domain, convergence is
+/// linear and takes about 30 steps.
 pub(super) const ITERATIONS: usize = 60;
-/// Minimum slope of the distorted radius, and minimum determinant of the distortion's Jacobian, inside of the fold.
+/// Minimum slope of the distorted radius, and minimum determinant of the distortion's Jacobian, in the invertible
+/// domain.
 pub(super) const MIN_SLOPE: f64 = 1e-9;
-/// Maximum residual of a solution, in units of the plane z = 1.
+/// Maximum residual of an accepted solution, in units of the plane z = 1. For points far from the axis, the limit grows
+/// with the radius.
 pub(super) const MAX_RESIDUAL: f64 = 1e-12;
-/// Maximum angle from the axis, radians. A ray at 90° doesn't meet the plane z = 1.
+/// Maximum angle from the optical axis, radians. A ray at 90° doesn't meet the plane z = 1.
 pub(super) const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
 
-/// Inverts a map by Newton's method: the point of a domain that the map takes to `d`, or `None` if there is none. A
-/// step that would leave the domain is halved. The domain must contain the origin, and the map must be near to the
-/// identity there.
+/// Inverts a map of the plane by Newton's method: returns the point of the domain that `value` maps to `d`. `None` if
+/// no such point is found. `derivative` is the map's Jacobian, and `is_inside` tells whether a point is in the domain.
+/// A step that would leave the domain is halved until it stays inside. The domain must contain the origin, and the map
+/// must be near to the identity there.
 pub(super) fn newton(
     d: &Point2<f64>,
     value: impl Fn(&Point2<f64>) -> Point2<f64>,
     derivative: impl Fn(&Point2<f64>) -> Matrix2<f64>,
     is_inside: impl Fn(&Point2<f64>) -> bool,
 ) -> Option<Point2<f64>> {
-    // The start is the distorted point itself, moved towards the origin until it is inside the domain.
+    // The iteration starts at the distorted point, moved towards the origin until it is inside of the domain.
     let mut n = *d;
     for _ in 0..ITERATIONS {
         if is_inside(&n) {
@@ -50,20 +54,20 @@ pub(super) fn newton(
     ((value(&n) - d).norm() < MAX_RESIDUAL * (1.0 + d.coords.norm())).then_some(n)
 }
 
-/// Value of a polynomial at s. Coefficients are in ascending powers.
+/// Returns the value of a polynomial at s. The coefficients are in ascending powers.
 pub(super) fn polynomial<const N: usize>(coefficients: &[f64; N], s: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, c| sum * s + c)
 }
 
-/// Maximum depth of the bisection. A polynomial that is undecided at this depth touches zero, and counts as crossing
-/// it.
+/// Maximum number of nested bisections of an interval. A polynomial whose positivity is undecided after these
+/// bisections is close to 0, and counts as not positive.
 const MAX_DEPTH: usize = 40;
 
-/// Whether a polynomial is above [`MIN_SLOPE`] on all of [0, end]. Coefficients are in ascending powers, the first is
-/// 1.
+/// Returns whether a polynomial is above [`MIN_SLOPE`] on the whole interval [0, end]. The coefficients are in
+/// ascending powers. The first coefficient must be 1.
 ///
-/// The Bernstein coefficients bound the polynomial on an interval (Farouki 2012, §3). Where the bounds don't decide,
-/// the interval is bisected. False if a coefficient or `end` is not finite.
+/// The smallest Bernstein coefficient is a lower bound of the polynomial on an interval (Farouki 2012, §3). Where the
+/// bound doesn't decide, the interval is bisected. False if a coefficient or `end` is not finite.
 pub(super) fn is_positive_up_to<const N: usize>(coefficients: &[f64; N], end: f64) -> bool {
     let mut scaled = *coefficients;
     let mut power = 1.0;
@@ -93,8 +97,8 @@ fn is_bernstein_positive<const N: usize>(b: [f64; N], depth: usize) -> bool {
     if depth == 0 || !(b[0] > MIN_SLOPE && b[N - 1] > MIN_SLOPE) {
         return false;
     }
-    // De Casteljau's subdivision at the middle: the first entry of each row belongs to the left half, the last to the
-    // right.
+    // De Casteljau's subdivision at the middle. The first entry of each row is a coefficient of the left half, the last
+    // entry one of the right half.
     let (mut left, mut right, mut row) = ([0.0; N], b, b);
     for i in 0..N {
         left[i] = row[0];

@@ -1,6 +1,6 @@
-//! How far a capture's calibration may be off: the fields of `capture.json` that say so, and the covariance that follows.
+//! Errors of a capture's calibration: the fields of `capture.json` that state them, and their covariance.
 //!
-//! A calibration's errors are common to all that a camera sees, so that they do not average out over features or frames.
+//! A calibration error of a camera affects all features in all of its frames alike. It therefore doesn't average out.
 
 use super::CaptureError;
 use crate::camera::{Camera, CameraParameter};
@@ -9,22 +9,22 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// The covariance of all cameras' calibration, as `stlfr refine` and `stlfr calibrate` estimate it.
+/// Covariance of the calibration parameters of all cameras, as `stlfr refine` and `stlfr calibrate` estimate it.
 ///
-/// Every camera has the same numbers, camera after camera: a turn about the world's three axes (radians), a move of its
-/// centre along them (metres), then those of `lens` in its order. Directions that no image shows (where the world is, how
-/// it is turned, how large its unit is) have no variance.
+/// The parameters are ordered by camera. Each camera has a rotation about each of the world's three axes (radians),
+/// then a translation of its centre along each axis (metres), then the parameters of `lens`. The images don't determine
+/// the world's position, orientation and scale. These directions of the parameter space have variance 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationCovarianceFormat {
-    /// The lens parameters that were estimated: `focal` is one number, the logarithm of the focal lengths;
-    /// `principal_point` two, pixels; `distortion` the model's further parameters.
+    /// The lens parameters that were estimated. `focal` is one parameter, the logarithm of the focal lengths.
+    /// `principal_point` is two parameters, in pixels. `distortion` is the camera model's further parameters.
     pub lens: Vec<LensGroup>,
-    /// The lower triangle of the symmetric matrix by rows: one number in the first row, one more in each row after it.
+    /// Lower triangle of the symmetric covariance matrix, row by row. Row k, counted from 0, has k + 1 numbers.
     pub rows: Vec<Vec<f64>>,
 }
 
-/// Parameters of a lens that are estimated together.
+/// A group of lens parameters that are estimated together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LensGroup {
@@ -33,35 +33,37 @@ pub enum LensGroup {
     Distortion,
 }
 
-/// How far a camera's calibration may be off, stated by hand: standard deviations, 0 where a field is left out. Errors of
+/// Standard deviations of the errors of one camera's calibration, stated by hand. A missing field is 0. Errors of
 /// different cameras are independent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CalibrationStdFormat {
-    /// Of the turn about each axis, degrees, at most 45.
+    /// Standard deviation of the rotation about each axis, degrees, at most 45.
     pub rotation_deg: f64,
-    /// Of the centre along each axis, metres, at most 1000.
+    /// Standard deviation of the camera's centre along each axis, metres, at most 1000.
     pub centre_m: f64,
-    /// Of the focal lengths, as a fraction of them, at most 0.5.
+    /// Standard deviation of the focal lengths, as a fraction of the focal lengths, at most 0.5.
     pub focal_relative: f64,
-    /// Of each coordinate of the principal point, pixels, at most 1000.
+    /// Standard deviation of each coordinate of the principal point, pixels, at most 1000.
     pub principal_point_px: f64,
 }
 
-/// The covariance of the errors of a capture's calibration.
+/// Covariance of the errors of a capture's calibration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CalibrationErrors {
-    /// The numbers that may be off, with the index of their camera, in the order of the covariance's rows.
+    /// Calibration parameters that may have errors, each with the index of its camera, in the order of the covariance's
+    /// rows.
     pub parameters: Vec<(usize, CameraParameter)>,
-    /// Symmetric and positive semidefinite within rounding.
+    /// Covariance matrix of the parameters' errors. Symmetric, and positive semidefinite up to rounding.
     pub covariance: DMatrix<f64>,
 }
 
-/// The most negative eigenvalue that is rounding, as a fraction of the variances: numbers in files have six digits or more.
+/// Tolerance for negative eigenvalues due to rounding, in a covariance matrix scaled to unit variances. Numbers in
+/// files have six digits or more.
 const ROUNDING: f64 = 1e-5;
 
 impl CalibrationStdFormat {
-    /// The fields, each with its name and its largest value.
+    /// Returns the fields, each with its name, its value and its largest allowed value.
     fn fields(&self) -> [(&'static str, f64, f64); 4] {
         [
             ("rotation_deg", self.rotation_deg, 45.0),
@@ -71,13 +73,14 @@ impl CalibrationStdFormat {
         ]
     }
 
-    /// The error is a reason that starts with the field.
+    /// Checks that every standard deviation is in its allowed range. The error message starts with the field's name.
     pub(super) fn check(&self) -> Result<(), String> {
         let wrong = self.fields().into_iter().find(|(_, value, max)| !(0.0..=*max).contains(value));
         wrong.map_or(Ok(()), |(field, _, max)| Err(format!("{field} must be from 0 to {max}")))
     }
 
-    /// The standard deviation of a parameter.
+    /// Returns the standard deviation of a calibration parameter: radians, metres, pixels, or a fraction of the focal
+    /// length.
     fn of(&self, parameter: CameraParameter) -> f64 {
         match parameter {
             CameraParameter::Rotation(_) => self.rotation_deg.to_radians(),
@@ -90,10 +93,11 @@ impl CalibrationStdFormat {
 }
 
 impl CalibrationErrors {
-    /// The errors that the fields of a capture state; `None` if they state none. `stated` are the cameras' own fields.
+    /// Converts the calibration errors that `capture.json` states. `None` if it states no errors. `stated` has each
+    /// camera's `calibration_std`, `format` is the capture's `calibration_covariance`.
     ///
-    /// Errors: both kinds of fields, a matrix of another size, a number that is not finite, a matrix that is no
-    /// covariance.
+    /// Errors: both kinds of fields are given, the matrix has a wrong size, a number is not finite, or the matrix is
+    /// not positive semidefinite.
     pub(super) fn open(
         format: Option<&CalibrationCovarianceFormat>,
         stated: &[Option<CalibrationStdFormat>],
@@ -115,7 +119,7 @@ impl CalibrationErrors {
         }
     }
 
-    /// Independent errors with these standard deviations.
+    /// Builds the diagonal covariance of independent errors with the given standard deviations, one entry per camera.
     fn independent(stated: &[Option<CalibrationStdFormat>]) -> Self {
         let of_lens = [
             CameraParameter::Focal,
@@ -138,7 +142,7 @@ impl CalibrationErrors {
         Self { parameters, covariance }
     }
 
-    /// The error is a reason without the field's name.
+    /// Builds the covariance from its lower triangle in `format`. The error message doesn't name the field.
     fn estimated(
         format: &CalibrationCovarianceFormat,
         cameras: &[&Camera],
@@ -182,7 +186,7 @@ impl CalibrationErrors {
         Ok(Self { parameters, covariance })
     }
 
-    /// Those of some of the cameras, in this order.
+    /// Returns the errors of the given cameras, with the cameras renumbered in this order.
     pub(super) fn of_cameras(&self, cameras: &[usize]) -> Self {
         let mut parameters = Vec::new();
         let mut rows = Vec::new();
@@ -198,9 +202,9 @@ impl CalibrationErrors {
     }
 }
 
-/// Whether no variance in any direction is negative, within rounding.
+/// Returns whether a covariance matrix is positive semidefinite up to rounding.
 fn is_semidefinite(covariance: &DMatrix<f64>) -> bool {
-    // What has no variance varies with nothing else.
+    // A parameter with variance 0 must have covariance 0 with all other parameters.
     let is_fixed = |r: usize| covariance[(r, r)] == 0.0;
     if (0..covariance.nrows()).any(|r| is_fixed(r) && covariance.row(r).iter().any(|v| *v != 0.0)) {
         return false;

@@ -1,43 +1,44 @@
-//! A camera's own clock, the times of an image's rows, and bounds on the times of frames while the offset is unknown.
+//! A camera's own clock, the times of an image's rows, and bounds on the times of frames while temporal offsets are
+//! unknown.
 
 use super::{Capture, FilmedCamera};
 use nalgebra::Point2;
 
-/// Shortest time between two frames, seconds. Estimates of offsets and trajectories divide by it.
+/// Shortest allowed time between two frames, seconds. The estimation of offsets and trajectories divides by this time.
 const MIN_FRAME_S: f64 = 1e-9;
-/// Largest absolute time, seconds (3000 years). Unix times are accepted in seconds and refused in milliseconds.
+/// Largest allowed absolute time, seconds (3000 years). Unix times are accepted in seconds and refused in milliseconds.
 pub(super) const MAX_TIME_S: f64 = 1e11;
 
-/// Longest readout of a rolling shutter, seconds. Real ones take at most the tenth part.
+/// Longest allowed readout time of a rolling shutter, seconds. Real cameras take at most a tenth of it.
 const MAX_READOUT_S: f64 = 1.0;
-/// Relative error of a frame interval due to rounded times. Times are files' decimal numbers.
+/// Relative tolerance when the readout time is compared with the frame interval. Times in files are rounded decimals.
 const READOUT_ROUNDING: f64 = 1e-6;
 
-/// Largest drift of a clock relative to the reference's clock, parts per million. Drifts of quartz clocks are at most
-/// 100.
+/// Largest assumed drift of a clock relative to the reference camera's clock, parts per million. Quartz clocks drift by
+/// at most 100.
 pub const MAX_DRIFT_PPM: f64 = 1000.0;
 
-/// The times of a camera's frames on its own clock.
+/// Times of a camera's frames on its own clock, and how this clock may differ from the reference camera's clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
-    /// The middle of the exposure of each frame's middle row: seconds from the capture's start, strictly ascending.
+    /// Middle of the exposure of each frame's middle row: seconds from the capture's start, strictly ascending.
     pub times_s: Vec<f64>,
-    /// Whether the camera has the common clock. All cameras with this flag share one clock.
+    /// Whether the camera runs on the common clock. All cameras with this flag share one clock.
     pub shared: bool,
-    /// Whether the clock's rate may differ from that of the reference's clock.
+    /// Whether the clock's rate may differ from the rate of the reference camera's clock.
     pub drift: bool,
     /// Whether frames may be missing although the times show no gap.
     pub lost: bool,
-    /// The time from the first row's exposure to the last row's, seconds; 0 for a global shutter. Every row of a frame
-    /// is exposed at a time of its own ([`RowTimes`]).
+    /// Time from the exposure of a frame's first row to the exposure of its last row, seconds. 0 for a global shutter.
+    /// [`RowTimes`] gives the time of each row.
     pub readout_s: f64,
 }
 
-/// The times of an image's rows relative to its frame's time: a rolling shutter exposes one row after the other,
-/// from the first to the last, at a constant rate. A frame's time is that of its middle.
+/// Exposure times of an image's rows, relative to the frame's time. A rolling shutter exposes the rows one after
+/// another, from the first to the last, at a constant rate. The frame's time is the time of the middle of the image.
 ///
-/// Rows are those of the camera's own image, lens distortion included. On another clock whose rate differs by
-/// [`MAX_DRIFT_PPM`], they are off by a thousandth of the readout, which is neglected.
+/// Rows are counted in the camera's own image, with lens distortion. On a clock whose rate differs by
+/// [`MAX_DRIFT_PPM`], row times are wrong by a thousandth of the readout time. This error is neglected.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RowTimes {
     s_per_px: f64,
@@ -45,33 +46,33 @@ pub struct RowTimes {
 }
 
 impl RowTimes {
-    /// A camera's rows: `height` pixels, and the time from the first row's to the last row's. One row has the
-    /// frame's time.
+    /// Makes the row times of an image of `height` pixels. `readout_s` is the time from the first row to the last row,
+    /// seconds. An image with a single row has the frame's time.
     pub fn new(readout_s: f64, height: usize) -> Self {
         let s_per_px = if height > 1 { readout_s / (height - 1) as f64 } else { 0.0 };
         Self { s_per_px, middle_px: 0.5 * height as f64 }
     }
 
-    /// The time of a position in the image relative to its frame's time, seconds. `y_px` is its vertical coordinate,
-    /// pixels; the first row's centre is at 0.5. Exactly 0 for a global shutter.
+    /// Returns the exposure time of a position in the image, relative to the frame's time, seconds. `y_px` is the
+    /// vertical coordinate in pixels. The first row's centre is at 0.5. Exactly 0 for a global shutter.
     pub fn offset_s(&self, y_px: f64) -> f64 {
         if self.s_per_px == 0.0 { 0.0 } else { self.s_per_px * (y_px - self.middle_px) }
     }
 
-    /// The time from one row to the next, seconds; 0 for a global shutter.
+    /// Returns the time from one row to the next, seconds. 0 for a global shutter.
     pub fn s_per_px(&self) -> f64 {
         self.s_per_px
     }
 
-    /// Whether all rows have the frame's time.
+    /// Returns whether all rows are exposed at the frame's time, as with a global shutter.
     pub fn are_global(&self) -> bool {
         self.s_per_px == 0.0
     }
 }
 
 impl Clock {
-    /// An error unless the times are strictly ascending and at least [`MIN_FRAME_S`] apart. The error is a reason,
-    /// without the file's name.
+    /// Returns an error unless the times are strictly ascending and at least [`MIN_FRAME_S`] apart. The error message
+    /// doesn't name the file.
     pub(super) fn ascends(&self) -> Result<(), String> {
         match self.times_s.windows(2).position(|w| !(w[1] - w[0] >= MIN_FRAME_S)) {
             None => Ok(()),
@@ -82,8 +83,8 @@ impl Clock {
         }
     }
 
-    /// An error unless the readout time is finite, not negative, and at most the median time between frames. The error
-    /// is a reason, without the file's name.
+    /// Returns an error unless the readout time is from 0 to [`MAX_READOUT_S`] and at most the median time between
+    /// frames. The error message doesn't name the file.
     pub(super) fn readout_fits(&self) -> Result<(), String> {
         let readout_s = self.readout_s;
         if !(0.0..=MAX_READOUT_S).contains(&readout_s) {
@@ -92,7 +93,7 @@ impl Clock {
             ));
         }
         let frame_s = self.frame_s();
-        // A frame interval that is a rounded fraction, as 1 / 30 s, may be its readout.
+        // The readout time may equal a frame interval that is a rounded fraction such as 1 / 30 s.
         if self.times_s.len() > 1 && readout_s > frame_s * (1.0 + READOUT_ROUNDING) {
             return Err(format!(
                 "readout_s is {readout_s:?}, longer than the {frame_s:?} s from frame to frame"
@@ -101,14 +102,14 @@ impl Clock {
         Ok(())
     }
 
-    /// The median time between frames, seconds; 0 for a single frame.
+    /// Returns the median time between frames, seconds. 0 for a single frame.
     pub fn frame_s(&self) -> f64 {
         let mut gaps: Vec<f64> = self.times_s.windows(2).map(|w| w[1] - w[0]).collect();
         gaps.sort_by(f64::total_cmp);
         gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// The index of the frame nearest to a time, the earlier one of two equally near.
+    /// Returns the index of the frame nearest to a time. Of two equally near frames, the earlier one.
     pub fn nearest(&self, time_s: f64) -> usize {
         let times = &self.times_s;
         let after = times.partition_point(|&t| t < time_s).min(times.len().saturating_sub(1));
@@ -119,59 +120,61 @@ impl Clock {
     }
 }
 
-/// Indices of the last frame at or before a time, and of the first frame at or after it. They are equal if a frame has
-/// exactly this time.
+/// Returns the indices of the last frame at or before a time, and of the first frame at or after the time. The two are
+/// equal if a frame has exactly this time.
 ///
-/// `None` before the first time, after the last, and for NaN. `times_s` must ascend; of equal times, the first counts.
+/// `None` for a time before the first frame or after the last frame, and for NaN. `times_s` must ascend. Among equal
+/// times, the first frame is returned.
 pub fn bracket(times_s: &[f64], time_s: f64) -> Option<(usize, usize)> {
     let after = times_s.partition_point(|&t| t < time_s);
     let found = *times_s.get(after)?;
     if found == time_s { Some((after, after)) } else { Some((after.checked_sub(1)?, after)) }
 }
 
-/// Whether times are finite and strictly ascending. Adding a very large offset rounds neighbouring times to equal
-/// values.
+/// Returns whether times are finite and strictly ascending. Adding a very large offset to times can round neighbouring
+/// times to equal values.
 pub fn are_frame_times(times_s: &[f64]) -> bool {
     times_s.iter().all(|t| t.is_finite()) && times_s.windows(2).all(|w| w[0] < w[1])
 }
 
-/// The times of a camera's frames and of the positions in them.
+/// Times of a camera's frames, and of the rows in the frames.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameTimes<'a> {
-    /// The time of each frame's middle row, seconds on any clock, strictly ascending.
+    /// Time of each frame's middle row, seconds on any clock, strictly ascending.
     pub times_s: &'a [f64],
     pub rows: RowTimes,
 }
 
 impl<'a> FrameTimes<'a> {
-    /// The times of a global shutter's frames.
+    /// Makes the times of frames with a global shutter.
     pub fn global(times_s: &'a [f64]) -> Self {
         Self { times_s, rows: RowTimes::default() }
     }
 
-    /// The time at which a position of a frame was exposed, seconds. The position is in the camera's own image,
-    /// pixels.
+    /// Returns the time at which a position of a frame was exposed, seconds. The position is in the camera's own image
+    /// with lens distortion, pixels.
     ///
     /// # Panics
-    /// If there is no such frame.
+    /// If the camera has no frame with this index.
     pub fn at(&self, frame: usize, position: &Point2<f64>) -> f64 {
         self.times_s[frame] + self.rows.offset_s(position.y)
     }
 }
 
 impl FilmedCamera {
-    /// The times of its images' rows.
+    /// Returns the exposure times of this camera's image rows, relative to a frame's time.
     pub fn row_times(&self) -> RowTimes {
         RowTimes::new(self.clock.readout_s, self.camera.height)
     }
 
-    /// The times of positions in its frames, of the frames' times on any clock.
+    /// Combines the given times of this camera's frames, on any clock, with the times of its image rows.
     pub fn frame_times<'a>(&self, times_s: &'a [f64]) -> FrameTimes<'a> {
         FrameTimes { times_s, rows: self.row_times() }
     }
 
-    /// Upper bound on the recording's duration, from the first frame's start to the last frame's end, seconds on any
-    /// clock. A camera that may lose frames (`lost`) is assumed to have lost at most half of them.
+    /// Returns an upper bound on the duration of the recording, from the start of the first frame to the end of the
+    /// last frame, seconds on any camera's clock. A camera that may lose frames (`lost`) is assumed to have lost at
+    /// most half of its frames.
     fn max_duration_s(&self) -> f64 {
         let times = &self.clock.times_s;
         let duration_s = times[times.len() - 1] - times[0] + self.clock.frame_s();
@@ -181,21 +184,22 @@ impl FilmedCamera {
 }
 
 impl Capture {
-    /// Upper bound on the time between a camera's recording and the reference's, seconds. Offsets are estimated along
-    /// chains of overlapping recordings; the longest chain has all recordings one after the other.
+    /// Returns an upper bound on the time between any camera's recording and the reference's recording, seconds.
+    /// Offsets are estimated along chains of overlapping recordings. In the longest chain, all recordings follow one
+    /// another.
     pub fn reach_s(&self) -> f64 {
         self.cameras.iter().map(FilmedCamera::max_duration_s).sum()
     }
 
-    /// Whether a camera is the reference, or shares its clock.
+    /// Returns whether a camera is the reference, or shares the reference's clock.
     pub fn has_reference_clock(&self, camera: usize) -> bool {
         let shares = |c: usize| self.cameras[c].clock.shared;
         camera == self.reference || (shares(camera) && shares(self.reference))
     }
 
-    /// Bounds on the times of a camera's frames for every possible offset, seconds on the reference's clock. `None`
-    /// stands for all cameras together. The bounds are exact for a camera with the reference's clock that loses no
-    /// frames.
+    /// Returns lower and upper bounds on the times of a camera's frames for every possible offset, seconds on the
+    /// reference's clock. If `camera` is `None`, the bounds are for all cameras together. The bounds are exact for a
+    /// camera that has the reference's clock and loses no frames.
     pub fn widest_span_s(&self, camera: Option<usize>) -> (f64, f64) {
         let reference = &self.cameras[self.reference];
         let span = |c: usize| {

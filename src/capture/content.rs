@@ -1,7 +1,7 @@
-//! Hashes of a capture's content, and cached results on disk that are keyed with this content.
+//! Hashes of a capture's content, and results cached on disk under keys that include this hash.
 //!
-//! Results are stored in postcard's binary form. A frame that changes after the capture was opened is an error. A
-//! result is therefore never computed from two contents, or stored with the key of another content.
+//! Results are stored in postcard's binary form. A frame that changes after the capture was opened is an error.
+//! Therefore no result is computed from a mixture of old and new content, or stored under the key of another content.
 
 use super::{Capture, CaptureError, FilmedCamera};
 use crate::host::{CacheKind, DiskCache, ENTRY_OVERHEAD_BYTES};
@@ -22,7 +22,7 @@ pub(super) struct ContentHashes {
 
 #[derive(Debug)]
 struct FrameContent {
-    /// State of the file (size and times) when the capture was opened.
+    /// State of the file (size and times) when the capture was opened. `None` if the file's metadata couldn't be read.
     state: Option<FileState>,
     hash: OnceLock<blake3::Hash>,
 }
@@ -41,13 +41,13 @@ impl ContentHashes {
         Self { description: blake3::hash(description.as_bytes()), frames }
     }
 
-    /// The hash of a frame's file; `None` if the file hasn't been read yet.
+    /// Returns the hash of a frame's file. `None` if the hash isn't known yet, because the file hasn't been read.
     fn get(&self, frame: &Path) -> Option<blake3::Hash> {
         self.frames.get(frame).and_then(|known| known.hash.get()).copied()
     }
 
-    /// An error if a frame was read with other bytes than before. At the first reading, an error if the file was
-    /// replaced or modified since the capture was opened.
+    /// Returns an error if a frame's bytes differ from those of an earlier reading. At the first reading, returns an
+    /// error if the file was replaced or modified since the capture was opened.
     pub fn require_unchanged(&self, frame: &Path, read: &FileRead) -> Result<(), CaptureError> {
         let Some(known) = self.frames.get(frame) else { return Ok(()) };
         let is_opened = known.state.is_none_or(|state| read.state.has_content_of(&state));
@@ -64,8 +64,8 @@ impl ContentHashes {
     }
 }
 
-/// The hash of a capture's content, computed once. A clone starts without the hash, because its cameras may be
-/// replaced.
+/// Hash of a capture's content, computed once. A clone starts without the hash, because the cameras of a cloned capture
+/// may be replaced.
 #[derive(Debug, Default)]
 pub(super) struct ContentHash(OnceLock<String>);
 
@@ -76,8 +76,8 @@ impl Clone for ContentHash {
 }
 
 impl Capture {
-    /// The capture reduced to these cameras, in this order. If they don't include the reference, the first one becomes
-    /// the reference.
+    /// Returns the capture with only the given cameras, in this order. If the reference isn't among them, the first one
+    /// becomes the reference.
     pub(crate) fn with_cameras(&self, cameras: &[usize]) -> Self {
         let errors = self.calibration_errors.as_ref();
         Self {
@@ -88,12 +88,14 @@ impl Capture {
         }
     }
 
-    /// Hash of the capture's content (`capture.json`, and the bytes of all frames or videos), 64 hexadecimal digits.
+    /// Returns the hash of the capture's content (`capture.json` and the bytes of all frames or videos), 64 hexadecimal
+    /// digits.
     ///
-    /// Computed once. Hashes of files that haven't changed since an earlier command come from the cache.
+    /// The hash is computed once. Hashes of files that haven't changed since an earlier command come from the cache.
     ///
     /// # Errors
-    /// [`CaptureError::Read`], or [`CaptureError::Changed`] for a frame that changed since the capture was opened.
+    /// [`CaptureError::Read`] for a file that can't be read, [`CaptureError::Changed`] for a frame that changed since
+    /// the capture was opened.
     pub fn content_hash(&self) -> Result<&str, CaptureError> {
         if let Some(content) = self.content.0.get() {
             return Ok(content);
@@ -124,16 +126,16 @@ impl Capture {
         Ok(self.content.0.get_or_init(|| hasher.finalize().to_hex().to_string()))
     }
 
-    /// The capture's cache on disk, keyed with its content.
+    /// Returns the capture's cache on disk. Its keys include the hash of the capture's content.
     ///
     /// # Errors
-    /// As [`Self::content_hash`].
+    /// The errors of [`Self::content_hash`].
     pub fn cache(&self) -> Result<DiskCache, CaptureError> {
         Ok(self.cache.for_content(self.content_hash()?))
     }
 
-    /// Loads the cached result of these inputs; `None` if it isn't stored. The capture's content is hashed only if the
-    /// cache has results of this kind.
+    /// Loads the cached result of these inputs. `None` if no result is stored. The capture's content is hashed only if
+    /// the cache has results of this kind.
     pub(crate) fn load_stored<T: DeserializeOwned>(
         &self,
         kind: CacheKind,
@@ -142,7 +144,7 @@ impl Capture {
         postcard::from_bytes(&self.stored_bytes(kind, inputs)?).ok()
     }
 
-    /// The entry of these inputs in the cache on disk; `None` if there is none.
+    /// Looks up the cache entry of these inputs without decoding it. `None` if the cache has no such entry.
     pub(crate) fn stored(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Stored> {
         let bytes = self.stored_bytes(kind, inputs)?.len() as u64 + ENTRY_OVERHEAD_BYTES;
         Some(Stored { bytes, was_there: true })
@@ -156,7 +158,7 @@ impl Capture {
     /// Stores the result of these inputs in the cache on disk.
     ///
     /// # Errors
-    /// Those of [`Self::cache`], and [`CaptureError::Write`] if it can't be written.
+    /// The errors of [`Self::cache`], and [`CaptureError::Write`] if the result can't be written.
     pub(crate) fn store(
         &self,
         kind: CacheKind,
@@ -177,8 +179,8 @@ impl Capture {
 /// A result that is stored in the cache on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stored {
-    /// Size of the result's file, bytes.
+    /// Size of the cache entry's file, bytes.
     pub bytes: u64,
-    /// Whether the result had been stored before.
+    /// True if the result was already in the cache, false if it was stored just now.
     pub was_there: bool,
 }

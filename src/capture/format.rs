@@ -22,12 +22,12 @@ pub struct CaptureFormat {
     /// The capture's name, at most 1000 characters.
     #[schemars(length(max = MAX_NAME_LENGTH))]
     pub name: String,
-    /// Id of the reference camera; by default the middle one, `cameras[(n − 1) / 2]`.
+    /// Id of the reference camera. By default the middle camera, `cameras[(n − 1) / 2]` of n cameras.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<String>,
-    /// At least one camera.
+    /// The cameras, at least one.
     pub cameras: Vec<FilmedCameraFormat>,
-    /// How far the calibration may be off, as it was estimated. `stlfr offsets` counts it in the standard errors.
+    /// Estimated covariance of the calibration's errors. `stlfr offsets` includes these errors in the standard errors.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration_covariance: Option<CalibrationCovarianceFormat>,
 }
@@ -36,11 +36,11 @@ pub struct CaptureFormat {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FilmedCameraFormat {
-    /// A name, unique among the cameras: letters, digits, `_`, `-`, `.` and spaces, but no space first or
-    /// last. At most 100 characters, and neither `.` nor `..`.
+    /// Name of the camera, unique among the cameras. Allowed are letters, digits, `_`, `-`, `.` and spaces, but no
+    /// space at the start or the end. At most 100 characters, and neither `.` nor `..`.
     #[schemars(regex(pattern = ID_PATTERN), length(max = MAX_ID_LENGTH))]
     pub id: String,
-    /// An image sequence such as `cam0/%04d.png`, or a video such as `cam0.mkv`.
+    /// Path of an image sequence such as `cam0/%04d.png`, or of a video such as `cam0.mkv`.
     pub frames: String,
     /// Image width, pixels.
     pub width: u32,
@@ -48,21 +48,22 @@ pub struct FilmedCameraFormat {
     pub height: u32,
     /// COLMAP's name of the camera model.
     pub model: String,
-    /// The model's parameters in COLMAP's order.
+    /// The camera model's parameters, in COLMAP's order.
     pub params: Vec<f64>,
-    /// Pose: rigid transform from the world to the camera's frame.
+    /// Pose: the rigid transform from world coordinates to camera coordinates.
     pub cam_from_world: PoseFormat,
-    /// How far the camera's calibration may be off, stated by hand; in place of the capture's `calibration_covariance`.
+    /// Standard deviations of the calibration's errors, stated by hand. Replaces the capture's
+    /// `calibration_covariance`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration_std: Option<CalibrationStdFormat>,
     /// Whether the frames are read as RGB or as grey.
     #[serde(default)]
     pub color: Color,
-    /// Times of the frames on the camera's own clock.
+    /// Times of the frames on the camera's own clock, and how this clock may differ from the reference camera's clock.
     pub clock: ClockFormat,
 }
 
-/// Whether a camera's frames are colours or luminance.
+/// Whether a camera's frames are RGB colours or luminance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Color {
@@ -71,38 +72,38 @@ pub enum Color {
     Gray,
 }
 
-/// A camera's clock: either `rate_hz` and `first_s`, or `times_s`.
+/// A camera's clock. The times of the frames are given either by `rate_hz` and `first_s`, or by `times_s`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClockFormat {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     /// Frame rate, hertz.
     pub rate_hz: Option<f64>,
-    /// Time of the first frame, seconds.
+    /// Time of the first frame on the camera's own clock, seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_s: Option<f64>,
-    /// The middle of each frame's exposure, seconds: ascending, one time per frame. With `readout_s`, that of its middle
-    /// row.
+    /// Middle of each frame's exposure on the camera's own clock, seconds. Ascending, one time per frame. With
+    /// `readout_s`, the middle of the exposure of the frame's middle row.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times_s: Option<Vec<f64>>,
-    /// Whether the camera has the common clock. All cameras with this flag share one clock.
+    /// Whether the camera runs on the common clock. All cameras with this flag share one clock.
     pub shared: bool,
-    /// Whether the clock's rate may differ from that of the reference's clock.
+    /// Whether the clock's rate may differ from the rate of the reference camera's clock.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub drift: bool,
     /// Whether frames may be missing although the times show no gap.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub lost: bool,
-    /// Readout time of a rolling shutter: from the exposure of the first row to that of the last row, seconds. At most
-    /// the median time between frames; 0 for a global shutter.
+    /// Readout time of a rolling shutter: the time from the exposure of the first row to the exposure of the last row,
+    /// seconds. At most the median time between frames. 0 for a global shutter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0))]
     pub readout_s: Option<f64>,
 }
 
 impl CaptureFormat {
-    /// Checks everything that needs no frames; returns the index of the reference camera. The error is a reason,
-    /// without the file's name.
+    /// Checks everything that can be checked without the frames. Returns the index of the reference camera. The error
+    /// message doesn't name the file.
     pub(super) fn check(&self) -> Result<usize, String> {
         if self.format != "stlfr-capture" {
             return Err(format!("format: is '{}', must be 'stlfr-capture'", short(&self.format)));
@@ -177,7 +178,7 @@ impl FilmedCameraFormat {
 }
 
 impl ClockFormat {
-    /// The clock of a camera with this many frames. The error is the reason, without the file's name.
+    /// Returns the clock of a camera with `frames` frames. The error message doesn't name the file.
     fn open(&self, frames: usize, video: Option<&VideoFile>) -> Result<Clock, String> {
         let offer = || video.map_or(String::new(), |v| format!("; {}", v.offer()));
         let times_s = match (self.rate_hz, self.first_s, &self.times_s) {

@@ -1,12 +1,12 @@
-//! A camera's frame files, which lie inside the capture's folder.
+//! File names of a camera's frames, inside the capture's folder.
 
 use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
-/// Files and folders that the program writes into a capture.
+/// Files and folders in a capture's folder that the program itself writes.
 const RESERVED: [&str; 5] = [super::CAPTURE_FILE, "offsets.json", "offsets.svg", ".stlfr", ".film"];
 
-/// A printf pattern with one integer field, split around the field: `cam0/%04d.png` is `cam0/`, 4 and `.png`.
+/// A printf pattern with one integer field, split around the field: `cam0/%04d.png` becomes `cam0/`, 4 and `.png`.
 #[derive(Debug, PartialEq)]
 struct Pattern<'a> {
     before: &'a str,
@@ -14,20 +14,21 @@ struct Pattern<'a> {
     after: &'a str,
 }
 
-/// Splits a pattern around its integer field into the text before the field, the field's width, and the text after it.
+/// Splits a pattern around its integer field. Returns the text before the field, the field's width, and the text after
+/// it. `None` for a pattern without such a field.
 fn split(pattern: &str) -> Option<(&str, &str, &str)> {
     let (before, rest) = pattern.split_once('%')?;
     let (width, after) = rest.split_once('d')?;
     Some((before, width, after))
 }
 
-/// The digits in the name of a sequence's file, between the texts `before` and `after`; `None` for another name.
+/// Returns the digits of a file name between the texts `before` and `after`. `None` if the name has another form.
 fn number<'a>(name: &'a str, before: &str, after: &str) -> Option<&'a str> {
     let number = name.strip_prefix(before)?.strip_suffix(after)?;
     (!number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())).then_some(number)
 }
 
-/// Whether a file name matches a pattern. A pattern without an integer field is the name of a video.
+/// Returns whether a file name matches a pattern. A pattern without an integer field is the name of a video.
 pub(super) fn is_named(pattern: &str, name: &str) -> bool {
     match split(pattern) {
         Some((before, _, after)) => number(name, before, after).is_some(),
@@ -55,8 +56,8 @@ impl<'a> Pattern<'a> {
     }
 }
 
-/// Finds the files of a pattern, numbered from 0 without gaps. `root` is the capture's canonical folder. The error is
-/// a reason, without the file's name.
+/// Finds the files of an image sequence, numbered from 0 without gaps. `root` is the canonical path of the capture's
+/// folder. The error message doesn't name the file.
 pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     let parsed = Pattern::parse(pattern)?;
     must_be_relative(pattern)?;
@@ -77,8 +78,8 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     Ok(files)
 }
 
-/// Finds the video that a camera's `frames` names; `None` if it names a sequence. The error is the reason, without the
-/// name of `capture.json`.
+/// Finds the video that a camera's `frames` field names. `None` if the field names an image sequence. The error message
+/// doesn't name `capture.json`.
 pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
     if name.contains('%') {
         return Ok(None);
@@ -93,8 +94,8 @@ pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> 
     Ok(Some(real))
 }
 
-/// The canonical path of a file in `root`; `None` if it doesn't exist. The error is a reason, such as a link that
-/// leads out of `root`.
+/// Returns the canonical path of a file in `root`. `None` if the file doesn't exist. The error message gives the
+/// reason, such as a symbolic link that leads out of `root`.
 fn file(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
     let real = match root.join(name).canonicalize() {
         Ok(real) => real,
@@ -125,7 +126,8 @@ fn must_be_relative(name: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// The first file number after a gap in a sequence; `missing` is the first missing number. `None` if no file follows.
+/// Finds the smallest file number after a gap in an image sequence. `missing` is the first missing number. `None` if no
+/// later file exists.
 fn number_beyond(root: &Path, pattern: &Pattern, missing: usize) -> Option<usize> {
     let sample = root.join(pattern.name(0));
     let before = pattern.before.rsplit('/').next().unwrap_or_default();

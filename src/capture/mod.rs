@@ -1,8 +1,10 @@
-//! A capture: a folder with `capture.json` and the cameras' frames.
+//! A capture: a folder with the file `capture.json` and the frames of all cameras.
 //!
-//! Opening a capture checks every field, every frame's header and every clock. Pixels are decoded when they are used.
+//! Opening a capture checks every field of `capture.json`, every frame's header and every clock. Pixels are decoded
+//! when they are used.
 //!
-//! A camera's frames are an image sequence or a video file. A video is decoded once, into the capture's cache.
+//! The frames of a camera are an image sequence or a video file. A video is decoded once, into the capture's cache on
+//! disk.
 
 mod calibration;
 mod clock;
@@ -36,26 +38,26 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The file in a capture's folder that describes it.
+/// Name of the file that describes a capture, in the capture's folder.
 pub const CAPTURE_FILE: &str = "capture.json";
 
-/// A capture: its folder, and its cameras in the order of `capture.json`.
+/// A capture: its folder, its cameras, and the errors of their calibration.
 #[derive(Clone, Debug)]
 pub struct Capture {
     /// The capture's name in `capture.json`.
     pub name: String,
-    /// The folder as it was given to [`Capture::open`].
+    /// The folder, as it was passed to [`Capture::open`].
     pub folder: PathBuf,
-    /// Index of the reference camera, whose clock all times refer to.
+    /// Index of the reference camera. All times refer to the clock of this camera.
     pub reference: usize,
     /// All cameras, in the order of `capture.json`.
     pub cameras: Vec<FilmedCamera>,
-    /// The reference's first time stamp in `capture.json`, seconds. It is subtracted from all times, so that the
-    /// reference's first frame is at 0.
+    /// Time of the reference camera's first frame in `capture.json`, seconds. It is subtracted from all times in
+    /// memory, so that the reference's first frame is at 0.
     pub time_origin_s: f64,
-    /// How far the calibration may be off, as `capture.json` says; `None` if it says nothing.
+    /// Covariance of the calibration's errors. `None` if `capture.json` states no such errors.
     pub calibration_errors: Option<Arc<CalibrationErrors>>,
-    /// The capture's cache on disk. [`Capture::cache`] adds the hash of the capture's content to its keys.
+    /// The capture's cache on disk. [`Capture::cache`] adds the hash of the capture's content to the cache's keys.
     cache: DiskCache,
     hashes: Arc<ContentHashes>,
     content: ContentHash,
@@ -70,36 +72,39 @@ pub struct FilmedCamera {
     pub camera: Camera,
     /// Whether frames are converted to RGB or to grey.
     pub color: Color,
-    /// Times of the frames on the camera's own clock.
+    /// Times of the frames on the camera's own clock, and how this clock may differ from the reference's clock.
     pub clock: Clock,
-    /// Frame files in order, inside the capture's folder. Decoded frames of a video lie in the capture's cache.
+    /// Frame files in the order of recording, inside the capture's folder. The decoded frames of a video lie in the
+    /// capture's cache.
     pub frames: Vec<PathBuf>,
-    /// The video that the frames were decoded from; `None` for an image sequence.
+    /// The video file that the frames were decoded from. `None` for an image sequence.
     pub video: Option<VideoFile>,
     /// The largest bit depth of the frames.
     pub bit_depth: BitDepth,
 }
 
-/// Decoding of videos while a capture is opened.
+/// How videos are decoded while a capture is opened.
 #[derive(Clone, Copy)]
 pub struct Opening<'a> {
-    /// The ffmpeg that decodes videos. If it is `None`, a video that isn't decoded yet is an error.
+    /// Path of the ffmpeg program that decodes videos. If it is `None`, opening a video that isn't decoded yet is an
+    /// error.
     pub ffmpeg: Option<&'a Path>,
-    /// Receives the progress of decoding, and notes on damaged cache entries.
+    /// Receives the progress of decoding, and notes about damaged cache entries.
     pub reporter: &'a Reporter,
 }
 
-/// The folder of a capture that is being opened.
+/// The folder of a capture that is being opened, with the means to decode its videos.
 struct CaptureSource<'a> {
-    /// `capture.json`.
+    /// Path of `capture.json`.
     description: &'a Path,
-    /// The folder's canonical path.
+    /// Canonical path of the capture's folder.
     root: &'a Path,
     cache: &'a DiskCache,
     opening: &'a Opening<'a>,
 }
 
-/// An error of a capture's folder, its `truth/` included. Every message is one sentence with the file.
+/// Error of reading a capture's folder, including its ground truth in `truth/`. Every message is one sentence that
+/// starts with the path of the file.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// A file or folder can't be read.
@@ -111,16 +116,16 @@ pub enum CaptureError {
     /// A file or the cache of decoded videos can't be written.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
-    /// A file's contents are refused; the reason starts with the field, if it is known.
+    /// The contents of a file are refused. The reason starts with the name of the wrong field, if it is known.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
-    /// A frame can't be read, or has another size than its camera.
+    /// A frame can't be read, or its size in pixels differs from its camera's size.
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
-    /// A frame has changed since the capture was opened, or a video while it was decoded.
+    /// A frame has changed since the capture was opened, or a video has changed while it was decoded.
     #[error("{path}: changed while it was being used")]
     Changed { path: PathBuf },
-    /// A video isn't decoded yet, and there is no ffmpeg.
+    /// A video isn't decoded yet, and no ffmpeg is available.
     #[error("{path}: is a video, and reading one needs ffmpeg: install it, or run stlfr setup")]
     NoFfmpeg { path: PathBuf },
 }
@@ -131,19 +136,21 @@ impl CaptureError {
     }
 }
 
-/// The JSON Schema of `capture.json`.
+/// Returns the JSON Schema of `capture.json`.
 pub fn schema() -> serde_json::Value {
     schemars::schema_for!(CaptureFormat).into()
 }
 
 impl Capture {
-    /// Opens and checks a capture's folder. New videos are decoded by the first ffmpeg on `PATH`.
+    /// Opens a capture's folder and checks its contents. Videos that aren't decoded yet are decoded by the first ffmpeg
+    /// on `PATH`.
     pub fn open(folder: &Path) -> Result<Self, CaptureError> {
         let (ffmpeg, reporter) = (ffmpeg_on_path(), &Reporter::silent());
         Self::open_with(folder, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })
     }
 
-    /// Opens and checks a capture's folder. New videos are decoded by the ffmpeg of `opening`.
+    /// Opens a capture's folder and checks its contents. Videos that aren't decoded yet are decoded by the ffmpeg in
+    /// `opening`.
     pub fn open_with(folder: &Path, opening: &Opening) -> Result<Self, CaptureError> {
         let path = folder.join(CAPTURE_FILE);
         let failed = |source| CaptureError::Json { path: path.clone(), source };
@@ -172,7 +179,7 @@ impl Capture {
             filmed.map(|(k, camera)| camera.open(k, &source)).collect::<Result<Vec<_>, _>>()?;
         let time_origin_s = cameras[reference].clock.times_s[0];
         for (index, camera) in cameras.iter_mut().enumerate() {
-            // Subtracted for precision: an f64 resolves 1e-16 s near 0, but only 2.4e-7 s at Unix times.
+            // The subtraction keeps the precision: an f64 resolves 1e-16 s near 0, but only 2.4e-7 s at Unix times.
             camera.clock.times_s.iter_mut().for_each(|t| *t -= time_origin_s);
             let ascends = camera.clock.ascends();
             ascends.map_err(|e| refused(format!("cameras[{index}] ({}).clock: {e}", camera.id)))?;
@@ -195,7 +202,7 @@ impl Capture {
         })
     }
 
-    /// A capture of cameras without frame files; the first is the reference.
+    /// Makes a capture of cameras without frame files. The first camera is the reference.
     #[cfg(test)]
     pub(crate) fn without_files(cameras: Vec<FilmedCamera>) -> Self {
         Self {
@@ -211,22 +218,23 @@ impl Capture {
         }
     }
 
-    /// Index of the camera with an id; `None` if no camera has it.
+    /// Returns the index of the camera with this id. `None` if no camera has the id.
     pub fn camera_index(&self, id: &str) -> Option<usize> {
         self.cameras.iter().position(|c| c.id == id)
     }
 
-    /// Times of a camera's frames as they are in `capture.json`, up to rounding: seconds on the camera's own clock.
+    /// Returns the times of a camera's frames as they are in `capture.json`, up to rounding: seconds on the camera's
+    /// own clock.
     pub fn times_in_file_s(&self, camera: usize) -> Vec<f64> {
         self.cameras[camera].clock.times_s.iter().map(|t| t + self.time_origin_s).collect()
     }
 
-    /// Whether every camera has one frame: a light field that is constant in time.
+    /// Returns whether every camera has exactly one frame. The light field is then constant in time.
     pub fn is_static(&self) -> bool {
         self.cameras.iter().all(|c| c.frames.len() == 1)
     }
 
-    /// An error for a capture of one camera, which has no offsets.
+    /// Returns an error if the capture has only one camera: a temporal offset needs two cameras.
     pub fn require_two_cameras(&self) -> Result<(), CaptureError> {
         if self.cameras.len() > 1 {
             return Ok(());
@@ -235,10 +243,11 @@ impl Capture {
         Err(CaptureError::content(&self.folder.join(CAPTURE_FILE), reason))
     }
 
-    /// Decodes one frame and converts it to RGB or grey, as [`FilmedCamera::color`] says.
+    /// Decodes one frame and converts it to RGB or grey, according to [`FilmedCamera::color`].
     ///
     /// # Errors
-    /// If the file can't be read, has another size than its camera, or has changed since the capture was opened.
+    /// If the file can't be read, if its size in pixels differs from the camera's size, or if the file has changed
+    /// since the capture was opened.
     pub fn read_frame(&self, camera: usize, frame: usize) -> Result<Image, CaptureError> {
         let filmed = &self.cameras[camera];
         let path = &filmed.frames[frame];
@@ -252,19 +261,19 @@ impl Capture {
         })
     }
 
-    /// The reference camera's median time between frames, seconds; 0 if it has one frame. It is the unit of offsets
-    /// "in frames".
+    /// Returns the reference camera's median time between frames, seconds. It is the unit of offsets "in frames". 0 if
+    /// the reference has one frame.
     pub fn frame_s(&self) -> f64 {
         self.cameras[self.reference].clock.frame_s()
     }
 
-    /// The bit depth of rendered images: the largest bit depth of the cameras' frames.
+    /// Returns the bit depth of rendered images: the largest bit depth of all cameras' frames.
     pub fn bit_depth(&self) -> BitDepth {
         self.cameras.iter().map(|c| c.bit_depth).max().unwrap_or(BitDepth::Eight)
     }
 }
 
-/// An error if an image's size, `[width, height]` in pixels, isn't that of its camera.
+/// Returns an error if an image's size, `[width, height]` in pixels, differs from the size of its camera.
 pub(crate) fn require_size(
     path: &Path,
     [width, height]: [usize; 2],

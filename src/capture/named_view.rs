@@ -1,35 +1,36 @@
-//! Views by name: a camera of the capture, or a view of its ground truth.
+//! Lookup of views by name: a camera of the capture, or a view of its ground truth.
 
 use super::{CAPTURE_FILE, Capture, CaptureError, Truth, TruthView};
 use crate::camera::Camera;
 use crate::text::short;
 use std::collections::BTreeSet;
 
-/// A view that was given by name.
+/// A view that was found by its name.
 #[derive(Clone, Debug)]
 pub enum NamedView {
-    /// A camera of the capture, by its index.
+    /// A camera of the capture, as an index into [`Capture::cameras`].
     Filming(usize),
-    /// Any other view, as a camera.
+    /// A view without a filming camera: its lens and pose.
     Free(Camera),
 }
 
-/// Largest number of names that the error of an unknown name lists.
+/// Largest number of names that the error message for an unknown name lists.
 const LISTED: usize = 12;
 
 impl TruthView {
-    /// The part of the view's id after the instant: `between` for `t0-between`.
+    /// Returns the part of the view's id after the instant: `between` for `t0-between`.
     fn place(&self) -> &str {
         self.id.split_once('-').map_or(&self.id, |(_, place)| place)
     }
 }
 
 impl Capture {
-    /// Finds a camera by its id, or else a view of the ground truth by its id (`t0-between`) or by the part of its id
-    /// after the instant (`between`).
+    /// Finds a camera of the capture by its id. If there is none, finds a view of the ground truth by its id
+    /// (`t0-between`) or by the part of its id after the instant (`between`).
     ///
     /// # Errors
-    /// If nothing has the name; the message lists the names. If the truth can't be read.
+    /// If no camera and no view has the name, or if the ground truth can't be read. The message for an unknown name
+    /// lists the known names.
     pub fn named_view(&self, name: &str) -> Result<NamedView, CaptureError> {
         if let Some(index) = self.camera_index(name) {
             return Ok(NamedView::Filming(index));

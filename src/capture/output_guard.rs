@@ -1,9 +1,9 @@
-//! Checks of output paths, so that no output replaces a part of a capture.
+//! Checks of output paths, so that no output overwrites a part of a capture.
 //!
-//! Protected are `capture.json`, the frames, all names that match a camera's frame pattern, `truth/`, `colmap/`, the
-//! offsets and the cache. Paths that lead to protected files through links are refused too. Other files in the
-//! capture's folder, and its `review/`, may be replaced. A folder into which a simulated rig films is protected as a
-//! whole.
+//! These parts are protected: `capture.json`, the frames, all names that match a camera's frame pattern, `truth/`,
+//! `colmap/`, the offsets and the cache. Paths that lead to protected files through symbolic links are refused too.
+//! Other files in the capture's folder, and its folder `review/`, may be overwritten. While a simulated rig films into
+//! a folder, the whole folder is protected.
 
 use super::{CAPTURE_FILE, CaptureError, frames};
 use crate::host::obstacle;
@@ -12,22 +12,22 @@ use serde_json::Value;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-/// Protected paths in a capture's folder, besides its description and frames.
+/// Protected paths in a capture's folder, in addition to `capture.json` and the frames.
 const PARTS: [&str; 6] = ["truth", "colmap", ".stlfr", FILM, "offsets.json", "offsets.svg"];
 
-/// Hidden folder of the filming script. If it exists and `capture.json` doesn't, filming is unfinished.
+/// Hidden folder of the filming script. If this folder exists and `capture.json` doesn't, filming is unfinished.
 pub(super) const FILM: &str = ".film";
 
-/// Checks outputs before a computation begins. An output file may replace a regular file or nothing, and no output may
-/// replace a part of a capture.
+/// Checks output paths before a computation begins. An output file may overwrite a regular file, but no output may
+/// overwrite a part of a capture.
 pub struct OutputGuard {
-    /// The folder of the capture that the command reads; `None` if it reads no capture.
+    /// Folder of the capture that the command reads. `None` if the command reads no capture.
     own: Option<PathBuf>,
-    /// The captures found so far, by folder; `None` for a folder that isn't a capture.
+    /// Protected paths by folder, for the folders checked so far. `None` for a folder that isn't a capture.
     known: HashMap<PathBuf, Option<ProtectedPaths>>,
 }
 
-/// The protected paths of one capture, all canonical.
+/// Protected paths of one capture. All paths are canonical.
 struct ProtectedPaths {
     root: PathBuf,
     is_filming: bool,
@@ -37,20 +37,20 @@ struct ProtectedPaths {
     frames: HashSet<PathBuf>,
 }
 
-/// The names that a camera's frames may have.
+/// The file names that a camera's frames may have.
 struct FramePattern {
     folder: PathBuf,
-    /// A file name with an integer field, or a video's name.
+    /// File name with an integer field, such as `%04d.png`, or the file name of a video.
     name: String,
 }
 
 impl OutputGuard {
-    /// Protects all captures around the outputs, and the capture in the folder `own`.
+    /// Makes a guard for the capture in the folder `own`, and for all captures whose folders contain an output.
     pub fn new(own: Option<&Path>) -> Self {
         Self { own: own.map(Path::to_owned), known: HashMap::new() }
     }
 
-    /// An error for an output file that isn't allowed.
+    /// Returns an error if `path` is not allowed as an output file.
     pub fn check_file(&mut self, path: &Path) -> Result<(), CaptureError> {
         let name = path.as_os_str().as_encoded_bytes();
         if path.file_name().is_none() || name.ends_with(b"/") || name.ends_with(b"/.") {
@@ -62,8 +62,8 @@ impl OutputGuard {
         self.check(path, false, ProtectedPaths::against_file)
     }
 
-    /// An error for an output folder that isn't allowed. `names` lists what will be written into it: files, and
-    /// sub-folders with a final `/`. They may exist already.
+    /// Returns an error if `path` is not allowed as an output folder. `names` lists what will be written into the
+    /// folder: files, and sub-folders with a final `/`. They may exist already.
     pub fn check_folder(&mut self, path: &Path, names: &[&str]) -> Result<(), CaptureError> {
         must_be_a_folder(path)?;
         self.check(path, true, ProtectedPaths::against_capture)?;
@@ -74,8 +74,8 @@ impl OutputGuard {
         })
     }
 
-    /// An error for the folder of a new or unfinished capture that isn't allowed. An unfinished capture must not
-    /// contain links to folders, because filming would write through them.
+    /// Returns an error if `path` is not allowed as the folder of a new or unfinished capture. An unfinished capture
+    /// must not contain symbolic links to folders, because filming would write through them.
     pub fn check_capture(&mut self, path: &Path) -> Result<(), CaptureError> {
         must_be_a_folder(path)?;
         if !path.join(CAPTURE_FILE).exists() {
@@ -87,7 +87,8 @@ impl OutputGuard {
     }
 
     /// Checks a path against the protected paths of the command's own capture and of all captures in folders above the
-    /// path. Links in parent folders are followed. If `is_folder`, the path itself is followed too.
+    /// path. Symbolic links in parent folders are resolved. If `is_folder`, a link at the path itself is resolved too.
+    /// `against` returns the reason why the path is protected, or `None`.
     fn check(
         &mut self,
         path: &Path,
@@ -115,7 +116,7 @@ fn must_be_a_folder(path: &Path) -> Result<(), CaptureError> {
     Err(CaptureError::content(path, "is no folder"))
 }
 
-/// An error for a link to a folder, because outputs would be written to where it leads.
+/// Returns an error if the path is a symbolic link to a folder, because outputs would be written to the link's target.
 fn must_be_no_link(path: &Path) -> Result<(), CaptureError> {
     if path.is_dir() && path.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
         return Err(CaptureError::content(path, "is a link, which is not written through"));
@@ -123,7 +124,7 @@ fn must_be_no_link(path: &Path) -> Result<(), CaptureError> {
     Ok(())
 }
 
-/// Resolves the links in the parent folders of a path, but not the path itself.
+/// Resolves the symbolic links in the parent folders of a path, but not a link at the path itself.
 fn real(absolute: &Path) -> PathBuf {
     let found = absolute.ancestors().skip(1).find_map(|folder| {
         let rest = absolute.strip_prefix(folder).ok()?;
@@ -132,20 +133,20 @@ fn real(absolute: &Path) -> PathBuf {
     found.unwrap_or_else(|| absolute.to_owned())
 }
 
-/// The canonical path; the unchanged path if it doesn't exist.
+/// Returns the canonical path. If the path doesn't exist, it is returned unchanged.
 fn followed(path: PathBuf) -> PathBuf {
     path.canonicalize().unwrap_or(path)
 }
 
 impl ProtectedPaths {
-    /// The protected paths of a capture's folder; `None` for a folder that isn't a capture.
+    /// Finds the protected paths of a capture's folder. `None` for a folder that isn't a capture.
     fn of(folder: &Path) -> Option<Self> {
         let description = folder.join(CAPTURE_FILE);
         let is_described = description.is_file();
         if !is_described && !folder.join(FILM).is_dir() {
             return None;
         }
-        // If the description can't be read, only the parts with fixed names are protected.
+        // If `capture.json` can't be read, only the parts with fixed names are protected.
         let read: Value = json::read(&description).unwrap_or_default();
         if read["format"].as_str().is_some_and(|format| format != "stlfr-capture") {
             return None;
@@ -209,7 +210,8 @@ mod tests {
     use crate::host::write_atomically;
     use std::os::unix::fs::symlink;
 
-    /// A capture's folder with one image sequence and one video, and a store that a frame is linked to.
+    /// Makes the folder of a capture with two image sequences and one video. One frame is a symbolic link into
+    /// `store/`.
     fn capture() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let text = r#"{"format": "stlfr-capture", "cameras": [
@@ -305,7 +307,7 @@ mod tests {
         std::fs::write(&description, "[").unwrap();
         let mut guard = OutputGuard::new(None);
         assert!(guard.check_file(&folder.path().join("truth/truth.json")).is_err());
-        // A file of that name by another program doesn't make the folder a capture.
+        // A file named `capture.json` that another program wrote doesn't make the folder a capture.
         std::fs::write(&description, r#"{"format": "stlfr-rig"}"#).unwrap();
         let mut guard = OutputGuard::new(None);
         guard.check_file(&folder.path().join("colmap/cameras.txt")).unwrap();

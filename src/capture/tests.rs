@@ -2,7 +2,8 @@ use super::*;
 use crate::raster::write_image;
 use serde_json::{Value, json};
 
-/// A capture of two cameras with three frames each, in a temporary folder.
+/// Writes and opens a capture of two cameras with three frames each, in a temporary folder. `change` edits
+/// `capture.json` before it is written.
 fn written(change: impl FnOnce(&mut Value)) -> (tempfile::TempDir, Result<Capture, CaptureError>) {
     let folder = tempfile::tempdir().unwrap();
     let camera = |id: &str| {
@@ -35,7 +36,7 @@ fn opens_with_the_defaults() {
     assert_eq!(capture.read_frame(1, 2).unwrap().pixel(3, 3), [128.0 / 255.0; 3]);
 }
 
-/// A covariance of two cameras' poses with this variance for each number.
+/// Returns a diagonal `calibration_covariance` of two cameras' poses, with this variance for each parameter.
 fn covariance(variance: f64) -> Value {
     let row = |k: usize| [vec![0.0; k], vec![variance]].concat();
     json!({"lens": [], "rows": (0..12).map(row).collect::<Vec<_>>()})
@@ -148,7 +149,7 @@ fn the_hash_follows_the_content() {
     assert!(![before, &changed].contains(&hash().as_str()));
 }
 
-/// A result that was computed from other bytes must not get the key of the content.
+/// A result that was computed from changed frames must not be stored under the key of the old content.
 #[test]
 fn a_frame_that_changes_while_it_is_used_is_refused() {
     let change = |folder: &tempfile::TempDir| {
@@ -159,14 +160,14 @@ fn a_frame_that_changes_while_it_is_used_is_refused() {
         let message = error.to_string();
         assert!(message.ends_with("b/01.png: changed while it was being used"), "{message}");
     };
-    // Hashed first, then read.
+    // The content is hashed first. Then the changed frame is read.
     let (folder, capture) = written(|_| ());
     let capture = capture.unwrap();
     capture.content_hash().unwrap();
     change(&folder);
     refused(capture.read_frame(1, 1).unwrap_err());
     capture.read_frame(1, 2).unwrap();
-    // Read first, then hashed or read again.
+    // The frame is read first. After the change, the content is hashed and the frame is read again.
     let (folder, capture) = written(|_| ());
     let capture = capture.unwrap();
     capture.read_frame(1, 1).unwrap();
@@ -205,7 +206,7 @@ fn a_frame_that_changes_before_it_is_read_is_told() {
     };
     changed(capture.read_frame(1, 1).map(|_| String::new()));
     changed(capture.content_hash().map(str::to_owned));
-    // Once restored, the file is the one that was opened.
+    // Once restored, the file is the same as when the capture was opened.
     std::fs::rename(&kept, &path).unwrap();
     capture.read_frame(1, 1).unwrap();
     capture.content_hash().unwrap();

@@ -1,19 +1,20 @@
-//! Ground truth of a simulated capture, in its folder `truth/`. Only `compare` and `tradeoff` read it; `render --like`
-//! reads the cameras of its views.
+//! Ground truth of a simulated capture, in the capture's folder `truth/`. Only `compare` and `tradeoff` read its images
+//! and clocks. `render --like` reads the cameras of its views.
 //!
 //! # A benchmark of sub-frame synchronization
 //!
-//! A capture with its truth is a test case for any method that synchronizes cameras. `stlfr capture RIG --scene NAME
-//! --tracks 1000 -o CAPTURE` films one. The rig's file delays each shutter by a fraction of a frame, and adds jitter.
+//! A capture with ground truth is a test case for any method that synchronizes cameras. `stlfr capture RIG --scene NAME
+//! --tracks 1000 -o CAPTURE` films such a capture. The rig's file delays each shutter by a fraction of a frame and adds
+//! jitter.
 //!
 //! | where | what |
 //! |---|---|
 //! | `capture.json` | the input of a method: frames, cameras, nominal clocks |
-//! | `truth/truth.json` `offsets` | time on the reference's clock = time on the camera's + `offset_s` |
-//! | `shutter` | the true middle of every exposure, hidden jitter included |
-//! | `views` | images of all cameras and of views beside them at common instants, with depth (metres along +z, +inf where there is nothing) and motion (the pixels that a surface point moves within a frame, the larger of before and after) |
-//! | `video` | one view, evenly over time |
-//! | `tracks` | points of the surfaces in 3D, their pixels and their visibility at every frame of every camera |
+//! | `truth/truth.json` `offsets` | time on the reference's clock = time on the camera's clock + `offset_s` |
+//! | `shutter` | the true middle of every exposure, including the hidden jitter |
+//! | `views` | images of all cameras and of views beside them at common instants, with depth (metres along +z, +inf where there is no surface) and motion (pixels that a surface point moves within one frame before or after, whichever is larger) |
+//! | `video` | images of one view at regular times |
+//! | `tracks` | 3D points on the surfaces, their pixels and their visibility at every frame of every camera |
 //!
 //! `tracks/tracks.json`:
 //!
@@ -24,23 +25,23 @@
 //!                  "visible": "cam0.visible.npy" } ] }
 //! ```
 //!
-//! `object` has for each point the index of its object in `objects`. A point stays at its place on
-//! the surface, which may move and bend. For each camera, with F frames and P points:
+//! `object` has one entry per point: the index of the point's object in `objects`. A point stays at its place on the
+//! surface, which may move and bend. For each camera, with F frames and P points:
 //!
 //! | file | type | shape | |
 //! |---|---|---|---|
 //! | `world` | f64 | F, P, 3 | metres |
-//! | `pixels` | f64 | F, P, 2 | the point's projection, also outside of the image or hidden; NaN behind the camera |
+//! | `pixels` | f64 | F, P, 2 | the point's projection, also outside of the image or occluded; NaN behind the camera |
 //! | `visible` | u8 | F, P | 1 where the point is inside the image and nothing occludes it |
 //!
 //! `times_s` are the true middles of the exposures. With a rolling shutter (`readout_s` of the camera's clock in
-//! `capture.json`) they are those of the middle row; a point's place, pixel and visibility are those at the time of its
-//! own row. Images, depth and motion of `views` are always of one instant. Files are relative to `truth/tracks/`.
+//! `capture.json`), `times_s` are the middles of the exposure of the middle row, but a point's position, pixel and
+//! visibility are those at the exposure time of the point's own row. Images, depth and motion of `views` are always of
+//! one instant. File names are relative to `truth/tracks/`.
 //!
-//! A method under test writes `{"reference": "cam3", "cameras": [{"id": "cam0", "offset_s":
-//! 0.0123, "std_err_s": 0.0001}, …]}` (`null` for a camera whose offset is unknown), and
-//! `stlfr compare CAPTURE --offsets FILE` prints each camera's error in frames, its error in
-//! standard errors, the median and the maximum.
+//! A method under test writes `{"reference": "cam3", "cameras": [{"id": "cam0", "offset_s": 0.0123, "std_err_s":
+//! 0.0001}, …]}`, with `null` for a camera whose offset is unknown. `stlfr compare CAPTURE --offsets FILE` then prints
+//! each camera's error in frames and in standard errors, with the median and the maximum.
 
 use super::{CaptureError, require_size};
 use crate::camera::{Camera, CameraFormat};
@@ -53,8 +54,7 @@ use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-/// The contents of `truth/truth.json`. Paths are relative to `truth/`; times are on the reference
-/// camera's clock.
+/// The contents of `truth/truth.json`. Paths are relative to `truth/`. Times are on the reference camera's clock.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Truth {
@@ -66,35 +66,37 @@ pub struct Truth {
     pub scene: String,
     /// Name of the rig.
     pub rig: String,
-    /// The clock of every camera.
+    /// True clock of every camera.
     pub offsets: Vec<TruthOffset>,
-    /// The exposures of every camera.
+    /// True exposure times of every camera.
     pub shutter: Vec<TruthShutter>,
-    /// True images.
+    /// True images of views at single instants.
     pub views: Vec<TruthView>,
-    /// True images of one view over time.
+    /// True images of one view over time. `None` if no such images were filmed.
     #[serde(default)]
     pub video: Option<TruthVideo>,
-    /// Path of the file with the point tracks, `tracks.json`, relative to `truth/`.
+    /// Path of the file with the point tracks, `tracks/tracks.json`, relative to `truth/`. `None` if no points were
+    /// tracked.
     #[serde(default)]
     pub tracks: Option<String>,
     #[serde(skip)]
     folder: PathBuf,
-    /// Hashes of the files that were read. A file that is read again must have the same bytes.
+    /// Hash of each file that was read. A file that is read again must have the same bytes.
     #[serde(skip)]
     hashes: Arc<Mutex<HashMap<PathBuf, blake3::Hash>>>,
 }
 
-/// The true clock of one camera: time_ref = time_cam + (time_cam − first_cam) · `rate_ppm` · 1e-6 + `offset_s`, where
-/// first_cam is the time of the camera's first frame.
+/// True clock of one camera. With the time first_cam of the camera's first frame, time_ref = time_cam + (time_cam −
+/// first_cam) · `rate_ppm` · 1e-6 + `offset_s`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthOffset {
     /// The camera's id.
     pub id: String,
-    /// Offset at the camera's first time, seconds.
+    /// Offset at the time of the camera's first frame, seconds: time on the reference's clock minus time on the
+    /// camera's clock.
     pub offset_s: f64,
-    /// Drift, parts per million.
+    /// Drift relative to the reference's clock, parts per million.
     #[serde(default)]
     pub rate_ppm: f64,
     /// For each missing frame, the index of the next recorded image.
@@ -102,17 +104,17 @@ pub struct TruthOffset {
     pub lost_before: Vec<u32>,
 }
 
-/// The true middle of every exposure of one camera, seconds on the reference's clock.
+/// True middle of every exposure of one camera, seconds on the reference's clock.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthShutter {
     /// The camera's id.
     pub id: String,
-    /// Times in ascending order, one per frame.
+    /// Times in ascending order, one per frame, seconds on the reference's clock.
     pub times_s: Vec<f64>,
 }
 
-/// Largest number of true images.
+/// Largest number of true images in [`Truth::views`].
 const MAX_VIEWS: usize = 10_000;
 
 /// A true image of a view at an instant.
@@ -123,15 +125,15 @@ pub struct TruthView {
     pub id: String,
     /// The instant, seconds on the reference's clock.
     pub time_s: f64,
-    /// Id of the filming camera at the view's place, if there is one.
+    /// Id of the filming camera with the same lens and pose as this view. `None` if there is no such camera.
     pub like: Option<String>,
-    /// Lens and pose of the view.
+    /// Image size, lens and pose of the view.
     pub camera: CameraFormat,
-    /// File of the image.
+    /// Image file, relative to `truth/`.
     pub image: String,
-    /// npy, f32, H×W: metres along the camera's +z.
+    /// npy file of the depth, relative to `truth/`: f32, H×W, metres along the camera's +z.
     pub depth: String,
-    /// npy, f32, H×W: motion of the surface point within ±1 frame, pixels.
+    /// npy file of the motion, relative to `truth/`: f32, H×W, pixels that the surface point moves within ±1 frame.
     pub motion: String,
 }
 
@@ -143,14 +145,14 @@ pub struct TruthVideo {
     pub view: String,
     /// Times of the images, seconds on the reference's clock.
     pub times_s: Vec<f64>,
-    /// Lens and pose of the view.
+    /// Image size, lens and pose of the view.
     pub camera: CameraFormat,
-    /// Pattern of the image files, such as `video/%04d.png`.
+    /// Pattern of the image files relative to `truth/`, such as `video/%04d.png`.
     pub images: String,
 }
 
 impl Truth {
-    /// Reads `CAPTURE/truth/truth.json`; `None` if the capture has no truth.
+    /// Reads `CAPTURE/truth/truth.json`. `None` if the capture has no ground truth.
     pub fn open(capture: &Path) -> Result<Option<Self>, CaptureError> {
         let folder = capture.join("truth");
         let path = folder.join("truth.json");
@@ -164,8 +166,8 @@ impl Truth {
         Ok(Some(truth))
     }
 
-    /// An error for another format, for ids and names that `capture.json` couldn't have, and for wrong cameras. The
-    /// error is a reason, without the file's name.
+    /// Returns an error for another format, for ids and names that `capture.json` couldn't have, and for invalid
+    /// cameras. The error message doesn't name the file.
     fn check(&self) -> Result<(), String> {
         if self.format != "stlfr-truth" || self.version != 1 {
             return Err("format and version must be 'stlfr-truth' and 1".into());
@@ -192,17 +194,17 @@ impl Truth {
         Ok(())
     }
 
-    /// A camera's true offset, seconds; `None` for an unknown id.
+    /// Returns a camera's true offset, seconds. `None` for an unknown id.
     pub fn offset_s(&self, id: &str) -> Option<f64> {
         self.clock(id).map(|o| o.offset_s)
     }
 
-    /// A camera's true clock; `None` for an unknown id.
+    /// Returns a camera's true clock. `None` for an unknown id.
     pub fn clock(&self, id: &str) -> Option<&TruthOffset> {
         self.offsets.iter().find(|o| o.id == id)
     }
 
-    /// The path of a file of the ground truth. An error if it doesn't exist, or lies outside of `truth/`.
+    /// Returns the path of a file of the ground truth. An error if the file doesn't exist or lies outside of `truth/`.
     pub fn file(&self, relative: &str) -> Result<PathBuf, CaptureError> {
         let path = self.folder.join(relative);
         let inside = Path::new(relative).components().all(|c| matches!(c, Component::Normal(_)));
@@ -215,7 +217,7 @@ impl Truth {
         }
     }
 
-    /// An error if a file has other bytes than when it was first read.
+    /// Returns an error if the bytes of a file have changed since it was first read.
     fn require_unchanged(&self, path: &Path, hash: blake3::Hash) -> Result<(), CaptureError> {
         match *lock(&self.hashes).entry(path.to_owned()).or_insert(hash) == hash {
             true => Ok(()),
@@ -223,7 +225,7 @@ impl Truth {
         }
     }
 
-    /// The hash of a file of the ground truth. All later reads of the file must find the same bytes.
+    /// Returns the hash of a file of the ground truth. All later reads of the file must find the same bytes.
     pub(crate) fn hash(&self, relative: &str) -> Result<blake3::Hash, CaptureError> {
         let path = self.file(relative)?;
         let hash =
@@ -231,7 +233,7 @@ impl Truth {
         self.require_unchanged(&path, hash).map(|()| hash)
     }
 
-    /// Reads an image of the ground truth. It must have the camera's size.
+    /// Reads an image of the ground truth. The image must have the camera's size.
     pub(crate) fn image(&self, relative: &str, camera: &Camera) -> Result<Image, CaptureError> {
         let path = self.file(relative)?;
         let (image, read) = read_hashed_image(&path)?;
@@ -240,7 +242,8 @@ impl Truth {
         Ok(image)
     }
 
-    /// Reads a depth or motion image of the ground truth, H×W values row by row. It must have the camera's size.
+    /// Reads a depth or motion image of the ground truth. Returns H×W values row by row. The image must have the
+    /// camera's size.
     pub(crate) fn array(&self, relative: &str, camera: &Camera) -> Result<Vec<f32>, CaptureError> {
         let path = self.file(relative)?;
         let (bytes, read) = read_hashed(&path, MAX_ARRAY_BYTES)
@@ -256,7 +259,8 @@ impl Truth {
 /// Largest array that is read, bytes: 8192×8192 float32 and a header.
 const MAX_ARRAY_BYTES: u64 = (256 << 20) + 10 + 0xffff;
 
-/// Reads a depth or motion image, an H×W array in numpy's format, version 1: width, height, and values row by row.
+/// Reads a depth or motion image: an H×W array in numpy's file format, version 1. Returns the width, the height, and
+/// the values row by row.
 ///
 /// # Errors
 /// If the file can't be read, if the array isn't float32 in C order with two axes, or if the file's size contradicts
@@ -267,7 +271,8 @@ pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), CaptureError>
     parse_array(&bytes).map_err(|reason| CaptureError::content(path, reason))
 }
 
-/// Parses an H×W array of little-endian float32. The error is a reason, without the file's name.
+/// Parses an H×W array of little-endian float32 in numpy's file format. Returns the width, the height, and the values
+/// row by row. The error message doesn't name the file.
 fn parse_array(file: &[u8]) -> Result<(usize, usize, Vec<f32>), String> {
     let rest = file.strip_prefix(b"\x93NUMPY\x01\x00").ok_or("is no npy file")?;
     let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;
@@ -294,7 +299,7 @@ fn parse_array(file: &[u8]) -> Result<(usize, usize, Vec<f32>), String> {
 mod tests {
     use super::*;
 
-    /// A file as numpy writes it.
+    /// Returns the bytes of a file as numpy writes it.
     fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
         let mut header =
             format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");

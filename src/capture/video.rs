@@ -1,12 +1,12 @@
-//! The video of a camera. It is decoded into the capture's cache, and read from there as an image sequence.
+//! Video file of a camera. It is decoded into the capture's cache, and read from there as an image sequence.
 //!
-//! The cache entry holds the hashes of the decoded frames. It is saved after the last frame, so that it means that all
-//! frames are there. Frames that don't match their hashes when the capture is opened are decoded again. While one
-//! process decodes a video, others wait.
+//! The cache entry holds the hashes of the decoded frames. The entry is saved after the last frame, so an entry implies
+//! that all frames were written. If frames don't match their hashes when the capture is opened, the video is decoded
+//! again. While one process decodes a video, other processes wait.
 //!
-//! ffmpeg 5.1 or newer must be able to read the video. The camera's clock is that of `capture.json`, because
-//! containers round time stamps (Matroska to 1 ms). A `rate_hz` that contradicts the video's time stamps is an error;
-//! its message names the file in the cache that lists the time stamps as `times_s`.
+//! The installed ffmpeg, 5.1 or newer, must be able to read the video. The frames' times come from `capture.json`,
+//! because containers round time stamps (Matroska to 1 ms). A `rate_hz` that contradicts the video's time stamps is an
+//! error. The error message names the file in the cache that lists the time stamps as `times_s`.
 
 use super::{CaptureError, CaptureSource};
 use crate::host::temporary::Temporary;
@@ -19,7 +19,8 @@ use std::io;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-/// Largest number of frames of one camera, filmed by a simulated rig or decoded from a video: an hour at 24 Hz.
+/// Largest number of frames of one camera, filmed by a simulated rig or decoded from a video. It is more than an hour
+/// at 24 Hz.
 pub const MAX_FRAMES: usize = 100_000;
 
 const DECODED_VIDEOS: CacheKind = CacheKind { name: "video", version: 1 };
@@ -27,19 +28,20 @@ const DECODED_VIDEOS: CacheKind = CacheKind { name: "video", version: 1 };
 /// Name of the file, in the folder of decoded frames, that lists the video's own time stamps for the user.
 const STAMPS_FILE: &str = "frames.json";
 
-/// Largest rounding error of the time between two time stamps, seconds. Matroska rounds to whole milliseconds.
+/// Largest rounding error of the time between two time stamps, seconds. Matroska rounds time stamps to whole
+/// milliseconds.
 const ROUNDING_S: f64 = 2e-3;
 
-/// A camera's video file, decoded.
+/// A camera's video file whose frames are decoded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VideoFile {
     /// Path of the video, with symbolic links resolved.
     pub path: PathBuf,
-    /// Hash of its bytes.
+    /// Hash of the video file's bytes.
     pub(super) hash: blake3::Hash,
-    /// The cache's folder of decoded frames.
+    /// Folder of the decoded frames, inside the capture's cache.
     folder: PathBuf,
-    /// Hashes of the decoded frames' files.
+    /// Hashes of the decoded frames' files, in order.
     pub(super) frames: Vec<blake3::Hash>,
     /// The video's own time stamps, seconds.
     stamps_s: Vec<f64>,
@@ -50,7 +52,7 @@ pub struct VideoFile {
 struct DecodedVideo {
     /// The video's own time stamps, seconds.
     times_s: Vec<f64>,
-    /// The hash of every frame's file, in hexadecimal digits.
+    /// Hash of every decoded frame's file, in hexadecimal digits.
     frames: Vec<String>,
 }
 
@@ -61,8 +63,8 @@ fn hash(cache: &DiskCache, path: &Path) -> Result<blake3::Hash, CaptureError> {
 }
 
 impl VideoFile {
-    /// Opens a video whose images have the given size. It is decoded unless its frames are cached. `wrong` converts a
-    /// reason into an error.
+    /// Opens a video whose images must have the given size, `[width, height]` in pixels. The video is decoded unless
+    /// its frames are cached. `wrong` converts a reason into an error.
     pub(super) fn open(
         source: &CaptureSource,
         path: PathBuf,
@@ -87,17 +89,18 @@ impl VideoFile {
         Ok(video)
     }
 
-    /// The path of the cache entry.
+    /// Returns the path of the video's cache entry.
     fn entry(&self) -> PathBuf {
         self.folder.with_extension("")
     }
 
-    /// The files of the decoded frames.
+    /// Returns the paths of the decoded frames' files.
     pub(super) fn files(&self) -> Vec<PathBuf> {
         (0..self.frames.len()).map(|k| self.folder.join(frame_name(k))).collect()
     }
 
-    /// Loads the cache entry. `false` if there is none, or the frames are incomplete or don't match their hashes.
+    /// Loads the cache entry. Returns `false` if there is no entry, or if its frames are incomplete or don't match
+    /// their hashes.
     fn load(&mut self, cache: &DiskCache) -> bool {
         let entry = cache.load_json::<DecodedVideo>(DECODED_VIDEOS, self.hash.as_bytes());
         let Some(entry) = entry else { return false };
@@ -127,9 +130,9 @@ impl VideoFile {
         let _phase = source.opening.reporter.phase(&format!("decoding {name}"));
         lock.lock().map_err(failed)?;
         if self.load(cache) {
-            return Ok(()); // the process that held the lock has decoded it
+            return Ok(()); // another process has decoded the video while this one waited for the lock
         }
-        // Other processes wait for the lock, so that none uses the folder now.
+        // Other processes wait for the lock, so no other process uses the folder now.
         cache.remove(DECODED_VIDEOS, self.hash.as_bytes()).map_err(failed)?;
         let temporary = Temporary::inside(parent).map_err(failed)?;
         let partial = temporary.path().join(FRAMES);
@@ -143,7 +146,7 @@ impl VideoFile {
             return Err(changed());
         }
         let times_s = decoded.map_err(|error| match error {
-            // The error names the cache's folder, because the temporary folder is removed before the message is read.
+            // The error names the cache's folder. The temporary folder is removed before the user reads the message.
             VideoError::File { path, source } if path.starts_with(&partial) => failed(source),
             VideoError::File { path, source } => CaptureError::Write { path, source },
             error => wrong(format!("'{name}' {error}")),
@@ -163,8 +166,9 @@ impl VideoFile {
         Ok(())
     }
 
-    /// An error if a constant rate contradicts the video's own time stamps: by half a frame between two frames, or by
-    /// 1 % over all frames, beyond a rounding of [`ROUNDING_S`]. The error is a reason, without the file's name.
+    /// Returns an error if a constant frame rate contradicts the video's own time stamps. The tolerance is half a frame
+    /// between two consecutive frames and 1 % over all frames, plus [`ROUNDING_S`]. The error message doesn't name the
+    /// file.
     pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
         let frame_s = 1.0 / rate_hz;
         let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
@@ -187,22 +191,22 @@ impl VideoFile {
         ))
     }
 
-    /// Advice that follows the message about a clock that contradicts the video.
+    /// Returns the advice that follows an error message about a clock that contradicts the video.
     pub(super) fn offer(&self) -> String {
         let stamps = self.folder.join(STAMPS_FILE);
         format!("give times_s (the video's own are in {})", stamps.display())
     }
 }
 
-/// The hashes of the decoded frames in a folder; `None` if they don't match the cache entry. The entry may be forged,
-/// because its checksum uses no secret. Its numbers are therefore checked first.
+/// Returns the hashes of the decoded frames in a folder. `None` if they don't match the cache entry. The entry's
+/// checksum uses no secret, so the entry may be forged. Its numbers are therefore checked first.
 fn matching_hashes(
     cache: &DiskCache,
     folder: &Path,
     entry: &DecodedVideo,
 ) -> Option<Vec<blake3::Hash>> {
     let frames = entry.frames.len();
-    // A link could lead to files outside of the capture.
+    // A symbolic link could lead to files outside of the capture.
     let is_file =
         |k| folder.join(frame_name(k)).symlink_metadata().is_ok_and(|found| found.is_file());
     let is_plausible = (1..=MAX_FRAMES).contains(&frames)
@@ -213,7 +217,7 @@ fn matching_hashes(
     is_same.then_some(hashes)
 }
 
-/// The hashes of the first `frames` frames in a folder.
+/// Returns the hashes of the first `frames` frames in a folder.
 fn hash_frames(cache: &DiskCache, folder: &Path, frames: usize) -> io::Result<Vec<blake3::Hash>> {
     let files: Vec<PathBuf> = (0..frames).map(|k| folder.join(frame_name(k))).collect();
     let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
@@ -221,16 +225,17 @@ fn hash_frames(cache: &DiskCache, folder: &Path, frames: usize) -> io::Result<Ve
     Ok(found.iter().map(|read| read.hash).collect())
 }
 
-/// Opens the file that is locked while a video is decoded into `folder`. A pipe or a link in its place is removed.
+/// Opens the file that is locked while a video is decoded into `folder`. A pipe or a symbolic link in its place is
+/// removed first.
 fn lock_file(folder: &Path) -> io::Result<File> {
     let path = folder.with_extension("lock");
     remove_special(&path)?;
-    // Another process may put a pipe or a link there before the file is opened.
+    // Another process may put a pipe or a symbolic link there before the file is opened.
     let flags = libc::O_NOFOLLOW | libc::O_NONBLOCK;
     File::options().write(true).create(true).truncate(false).custom_flags(flags).open(path)
 }
 
-/// The name of the frames' folder in a temporary folder.
+/// Name of the folder that holds the frames inside a temporary folder.
 const FRAMES: &str = "frames";
 
 #[cfg(test)]

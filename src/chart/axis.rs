@@ -1,32 +1,34 @@
-//! Chart axes: positions of values on the page, and ticks at round values.
+//! Axes of charts: positions of values on the page, and ticks at round values.
 
-/// Maps values to positions on the page, in pixels or as fractions of a width, linearly or logarithmically.
+/// Maps values to positions on the page, linearly or logarithmically. Positions are in pixels or fractions of the
+/// width.
 pub(super) struct Axis {
-    /// The smallest value of the axis, or its decimal logarithm.
+    /// The smallest value of the axis, or the value's decimal logarithm on a logarithmic axis.
     low: f64,
-    /// The largest value of the axis, or its decimal logarithm.
+    /// The largest value of the axis, or the value's decimal logarithm on a logarithmic axis.
     high: f64,
-    /// Position of `low` on the page.
+    /// Position on the page of the axis's smallest value, pixels or a fraction of the width.
     from: f64,
-    /// Position of `high` on the page.
+    /// Position on the page of the axis's largest value, pixels or a fraction of the width.
     to: f64,
     log: bool,
 }
 
-/// Margin beyond the smallest and the largest value, as a fraction of their range.
+/// Margin beyond the smallest and the largest value, as a fraction of the range of the values.
 const MARGIN: f64 = 0.05;
 
-/// Approximate number of ticks.
+/// Approximate number of ticks on an axis.
 const TICKS: f64 = 6.0;
 
-/// Largest number of ticks. For a small range of huge values, rounding errors would give thousands.
+/// Largest number of ticks on an axis. Without this limit, rounding errors in a small range of huge values would
+/// produce thousands.
 const MAX_TICKS: usize = 20;
 
 impl Axis {
-    /// The axis that shows all values. Its ends are at the positions `from` and `to`.
+    /// Makes an axis that shows all values. Its ends are at the positions `from` and `to`.
     ///
-    /// Ignores values that aren't finite and, on a logarithmic axis, values that aren't positive. A single value, or
-    /// none, still gets a range.
+    /// Values that aren't finite are ignored, and on a logarithmic axis also values that aren't positive. With a single
+    /// value or none, the axis still has a range of positive length.
     pub fn around(values: impl Iterator<Item = f64>, log: bool, from: f64, to: f64) -> Self {
         let values = values.map(|v| if log { v.log10() } else { v }).filter(|v| v.is_finite());
         let (low, high) = values
@@ -36,14 +38,14 @@ impl Axis {
         Self { low: low - margin, high: high + margin, from, to, log }
     }
 
-    /// Position of a value; `None` for a value outside of the axis.
+    /// Returns the position of a value on the page. `None` for a value outside of the axis.
     pub fn at(&self, value: f64) -> Option<f64> {
         let value = if self.log { value.log10() } else { value };
         let fraction = (value - self.low) / (self.high - self.low);
         (0.0..=1.0).contains(&fraction).then_some(self.from + fraction * (self.to - self.from))
     }
 
-    /// Round values on the axis, about [`TICKS`].
+    /// Returns round values on the axis, about [`TICKS`] of them.
     pub fn ticks(&self) -> Vec<f64> {
         let raw = (self.high - self.low) / TICKS;
         if self.log && raw > 0.12 {
@@ -66,7 +68,7 @@ impl Axis {
     }
 }
 
-/// A tick's value as text, with a typographic minus and without digits that are rounding errors.
+/// Formats a tick's value, with a typographic minus sign and without digits that are rounding errors.
 pub(super) fn tick_text(tick: f64) -> String {
     if tick != 0.0 && (tick.abs() < 1e-4 || tick.abs() >= 1e6) {
         return format!("{tick:.0e}").replace('-', "−");

@@ -1,39 +1,39 @@
-//! Dot plots: rows of labelled dots on one axis, as SVG for use inside an HTML page.
+//! Dot plots: labelled rows of dots on one axis, as SVG for use inside of an HTML page.
 //!
-//! Every element has a CSS class. The page's style sheet colours it for a light or a dark scheme.
+//! Every element has a CSS class. The page's style sheet defines the colours for light and dark schemes.
 
 use super::axis::{Axis, tick_text};
 use super::template::filled;
 use minijinja::{Value, context};
 
-/// Rows of dots on a common axis.
+/// Labelled rows of dots on a common horizontal axis.
 #[derive(Clone, Debug, Default)]
 pub struct DotPlot {
     /// The rows, from top to bottom.
     pub rows: Vec<DotRow>,
-    /// Quantity and unit of the axis.
+    /// Label of the axis: quantity and unit.
     pub x_label: String,
-    /// Whether the axis extends equally far to both sides of 0, and a line marks 0.
+    /// True if the axis extends equally far to both sides of 0, and a line marks 0.
     pub symmetric: bool,
 }
 
-/// A row: a label and its dots.
+/// A row of a dot plot: a label and its dots.
 #[derive(Clone, Debug, Default)]
 pub struct DotRow {
     pub label: String,
-    /// The dots. Those that aren't finite are not drawn.
+    /// Dots of the row. Dots that aren't finite are not drawn.
     pub dots: Vec<Dot>,
 }
 
-/// A dot of a row, in the axis's unit.
+/// A dot of a row. Values are in the axis's unit.
 #[derive(Clone, Debug, Default)]
 pub struct Dot {
     pub value: f64,
-    /// Half the length of the error bar.
+    /// Half the length of the error bar, in the axis's unit. `None` for no error bar.
     pub bar: Option<f64>,
-    /// Number of the colour. The page's CSS classes `s0` to `s5` are its colours, by this number modulo 6.
+    /// Number of the dot's colour. The page's CSS classes `s0` to `s5` define six colours, which repeat.
     pub series: usize,
-    /// Tooltip.
+    /// Text of the dot's tooltip.
     pub title: String,
 }
 
@@ -45,7 +45,7 @@ impl Dot {
         self.value.is_finite() && self.bar.is_none_or(f64::is_finite)
     }
 
-    /// The ends of the error bar.
+    /// Returns the two ends of the error bar. Without an error bar, both are the dot's value.
     fn ends(&self) -> [f64; 2] {
         let bar = self.bar.unwrap_or(0.0);
         [self.value - bar, self.value + bar]
@@ -53,8 +53,8 @@ impl Dot {
 }
 
 impl DotPlot {
-    /// The plot as inline SVG of class `plot`, in two versions: `wide`, and `narrow` for telephones. The page shows
-    /// one of them. An empty string if no dot is finite.
+    /// Returns the plot as inline SVG of class `plot`, in two versions: `wide`, and `narrow` for phones. The page shows
+    /// one of the two. The text is empty if no dot is finite.
     pub fn svg(&self) -> String {
         let dots = self.rows.iter().flat_map(|r| &r.dots).filter(|d| d.is_finite());
         let mut ends: Vec<f64> = dots.flat_map(Dot::ends).collect();

@@ -1,24 +1,24 @@
-//! Placement of texts beside points, without overlaps.
+//! Placement of text labels next to points, without overlaps.
 
 use super::template::{ADVANCE, TEXT_SIZE};
 
-/// A rectangle on the page: left, top, right and bottom, pixels.
+/// Rectangle on the page: left, top, right and bottom, pixels.
 pub(super) type Box4 = [f64; 4];
 
 /// Candidate distances of a text from its point, pixels, in the order in which they are tried.
 const DISTANCES: [f64; 6] = [7.0, 14.0, 24.0, 36.0, 50.0, 66.0];
 /// Number of candidate directions at each distance.
 const DIRECTIONS: usize = 16;
-/// The first candidate direction, radians anticlockwise from the right: up and to the left. In a plot of quality over
-/// cost, that side of the best points is free.
+/// First candidate direction, radians anticlockwise from the right: up and to the left. In a plot of quality over cost,
+/// the area up and left of the best points is free.
 const FIRST_ANGLE: f64 = 2.4;
 
 fn overlap(a: &Box4, b: &Box4) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// The rectangle of a text that is `width` pixels wide. It lies `distance` pixels from the point `at`, in the direction
-/// `angle`, radians anticlockwise from the right.
+/// Returns the rectangle of a text that is `width` pixels wide. The rectangle lies `distance` pixels from the point
+/// `at`, in the direction `angle`, radians anticlockwise from the right.
 fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     let (w, h) = (0.5 * width, 0.5 * TEXT_SIZE);
     let (dx, dy) = (angle.cos(), -angle.sin());
@@ -27,10 +27,10 @@ fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     [x - w, y - h, x + w, y + h]
 }
 
-/// Chooses a rectangle for each text, beside its point.
+/// Chooses a rectangle for each text, next to the text's point. Each label is a point and a text.
 ///
-/// The rectangle is the nearest candidate inside the frame that overlaps neither an obstacle nor an earlier text. If
-/// there is none, it is the first candidate.
+/// The rectangle is the nearest candidate inside of the frame that overlaps neither an obstacle nor the rectangle of an
+/// earlier text. If no candidate qualifies, the first candidate is taken.
 pub(super) fn place(labels: &[([f64; 2], &str)], obstacles: &[Box4], frame: &Box4) -> Vec<Box4> {
     let mut taken: Vec<Box4> = obstacles.to_vec();
     labels

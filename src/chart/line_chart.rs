@@ -5,7 +5,7 @@ use super::labels::{self, Box4};
 use super::template::{ADVANCE, TEXT_SIZE, filled};
 use minijinja::{Value, context};
 
-/// A line or scatter chart. The default is empty, with linear axes.
+/// A line or scatter chart. The default chart is empty and has linear axes.
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
     pub title: String,
@@ -13,21 +13,21 @@ pub struct Chart {
     pub y_label: String,
     /// Whether the x axis is logarithmic. A logarithmic axis doesn't show values that aren't positive.
     pub log_x: bool,
-    /// Whether the y axis is logarithmic.
+    /// Whether the y axis is logarithmic. A logarithmic axis doesn't show values that aren't positive.
     pub log_y: bool,
-    /// A range that the y axis includes, whatever the points.
+    /// Smallest and largest value of a range that the y axis includes, even if no point lies there.
     pub y_shows: Option<(f64, f64)>,
-    /// Later series are drawn over earlier ones.
+    /// Point sets of the chart. Later series are drawn over earlier series.
     pub series: Vec<Series>,
-    /// Horizontal lines, such as a truth or a target, with their labels.
+    /// Horizontal lines, such as a true value or a target: each with its y value and label.
     pub rules: Vec<(f64, String)>,
-    /// Texts beside points.
+    /// Texts next to points.
     pub labels: Vec<Label>,
-    /// Explanations, a line of text each, at the right of the frame.
+    /// Explanations at the right of the frame, one entry per line of text.
     pub key: Vec<String>,
 }
 
-/// A text at a point of the chart, in the axes' units.
+/// A text at a point of the chart. The coordinates are in the axes' units.
 #[derive(Clone, Debug)]
 pub struct Label {
     pub x: f64,
@@ -36,29 +36,29 @@ pub struct Label {
     pub bold: bool,
 }
 
-/// A set of points of one colour.
+/// A set of points with a common colour.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// Name in the legend; if it is empty, the legend leaves the series out.
+    /// Name in the legend. If the name is empty, the series isn't in the legend.
     pub label: String,
-    /// The points, in the order in which the line joins them. Those that aren't finite are not drawn.
+    /// The points, in the order in which the line joins them. Points that aren't finite are not drawn.
     pub points: Vec<ChartPoint>,
     /// Whether the points are joined by a line.
     pub line: bool,
-    /// Whether each point has a dot.
+    /// Whether each point is drawn as a dot.
     pub dots: bool,
-    /// Whether the series is grey.
+    /// Whether the series is drawn in grey.
     pub faint: bool,
 }
 
-/// A point of a series, in the axes' units.
+/// A point of a series. The coordinates are in the axes' units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChartPoint {
     pub x: f64,
     pub y: f64,
-    /// Half the length of the error bar along y; 0 for none.
+    /// Half the length of the error bar along y, in the y axis's unit. 0 for no error bar.
     pub bar: f64,
-    /// Ends of the error bar along x.
+    /// The two ends of the error bar along x, in the x axis's unit. `None` for no error bar.
     pub x_range: Option<(f64, f64)>,
 }
 
@@ -68,22 +68,22 @@ impl From<(f64, f64)> for ChartPoint {
     }
 }
 
-/// Size of a chart without a key, pixels at a zoom of 1.
+/// Width of a chart without a key, pixels at a zoom of 1. `HEIGHT` is the height.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 340.0;
-/// Left, right, top and bottom margins between the chart's edges and its frame, pixels; ticks and titles stand in
-/// them.
+/// Left, right, top and bottom margins between the chart's edges and its frame, pixels. They contain the ticks and
+/// titles.
 const MARGINS: [f64; 4] = [74.0, 16.0, 34.0, 48.0];
 /// Height of a line of text, pixels.
 const ROW: f64 = 15.0;
-/// Factor on the size of a chart that has a key.
+/// Factor by which a chart with a key is enlarged.
 const KEYED: f64 = 1.4;
-/// Colours of the series, distinct in hue and in lightness.
+/// Colours of the series, which differ in hue and in lightness.
 const COLORS: [&str; 8] =
     ["#0b62a4", "#d1495b", "#2a9d5c", "#8a5fbf", "#c77d00", "#00868b", "#6b4c3b", "#555555"];
 const FAINT: &str = "#b4b4b4";
 
-/// Charts side by side, `columns` a row, as one standalone SVG file.
+/// Draws charts side by side, `columns` charts per row, as one standalone SVG file.
 ///
 /// `columns` is clamped to the range from 1 to the number of charts. Without charts, the page is empty.
 pub fn svg(charts: &[Chart], columns: usize) -> String {
@@ -104,7 +104,7 @@ pub fn svg(charts: &[Chart], columns: usize) -> String {
     filled(include_str!("line_chart.svg"), page)
 }
 
-/// A chart's axes, and the frame that they span.
+/// The axes of a chart, and the rectangle that they span.
 struct Axes {
     x: Axis,
     y: Axis,
@@ -126,7 +126,7 @@ impl Chart {
         longest.map_or(0.0, |n| ADVANCE * n as f64 + 16.0)
     }
 
-    /// Number of text rows above the key: those of the legend.
+    /// Returns the number of text rows that the legend takes above the key.
     fn key_from(&self) -> usize {
         let names = self.series.iter().filter(|s| !s.label.is_empty()).count();
         if names > 0 { names + 1 } else { 0 }
@@ -150,7 +150,7 @@ impl Chart {
         Axes { x, y, frame }
     }
 
-    /// The values for the template, in pixels from the chart's top left corner.
+    /// Returns the values for the SVG template, in pixels from the chart's top left corner.
     fn drawn(&self) -> Value {
         let axes = self.axes();
         let ticks = |axis: &Axis| -> Vec<Value> {
@@ -179,7 +179,7 @@ impl Chart {
         }
     }
 
-    /// The rectangle of the legend inside the frame.
+    /// Returns the rectangle of the legend inside of the chart's frame.
     fn legend_box(&self, axes: &Axes) -> Box4 {
         let [left, top, ..] = axes.frame;
         let names = self.series.iter().map(|s| s.label.chars().count()).filter(|n| *n > 0);
@@ -188,8 +188,8 @@ impl Chart {
         [left, top, left + 26.0 + ADVANCE * longest, top + ROW * rows + 4.0]
     }
 
-    /// Places the texts beside their points, clear of dots, lines, the legend and each other. A line joins a distant
-    /// text to its point.
+    /// Places the texts next to their points, without overlapping dots, lines, the legend or each other. A line joins a
+    /// distant text to its point.
     fn drawn_labels(&self, axes: &Axes) -> Vec<Value> {
         let placed: Vec<([f64; 2], &Label)> = self
             .labels
@@ -217,13 +217,13 @@ impl Chart {
 }
 
 impl Series {
-    /// The points inside the axes, each with its position.
+    /// Returns the points inside of the axes, each with its position on the page.
     fn placed(&self, axes: &Axes) -> Vec<([f64; 2], ChartPoint)> {
         let place = |p: &ChartPoint| Some(([axes.x.at(p.x)?, axes.y.at(p.y)?], *p));
         self.points.iter().filter_map(place).collect()
     }
 
-    /// Positions that labels must not cover: the dots, and samples of the line every 6 pixels.
+    /// Returns the positions that labels must not cover: the dots, and points on the line every 6 pixels.
     fn obstacles(&self, axes: &Axes) -> Vec<[f64; 2]> {
         let mut positions: Vec<[f64; 2]> = self.placed(axes).iter().map(|(at, _)| *at).collect();
         if self.line {

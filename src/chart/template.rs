@@ -1,4 +1,4 @@
-//! Charts are templates of SVG, filled in by minijinja, which escapes all texts.
+//! SVG templates of charts. minijinja fills them in, and escapes all texts.
 
 use minijinja::syntax::SyntaxConfig;
 use minijinja::{Environment, Value};
@@ -6,14 +6,14 @@ use minijinja::{Environment, Value};
 /// Width of a letter, pixels.
 pub(super) const ADVANCE: f64 = 7.0;
 
-/// Font size, pixels. Letters of monospaced fonts are 0.6 of it wide, which is [`ADVANCE`].
+/// Font size, pixels. A letter of a monospaced font is 0.6 times as wide, which is [`ADVANCE`].
 pub(super) const TEXT_SIZE: f64 = 11.7;
 
-/// Fills in an SVG template. Filters for its values: `px` gives a position with one decimal, `number` a number without
-/// trailing zeros.
+/// Fills in an SVG template. The template's values can be formatted by two filters: `px` writes a position with one
+/// decimal, and `number` writes a number without trailing zeros.
 ///
 /// # Panics
-/// If the template is wrong, whatever the values.
+/// If the template is wrong, for any values.
 pub(super) fn filled(template: &'static str, values: Value) -> String {
     let mut env = Environment::new();
     let mut syntax = SyntaxConfig::builder();

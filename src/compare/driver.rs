@@ -1,4 +1,4 @@
-//! Runs a comparison: all instants of the truth, then the files of the report.
+//! Runs a comparison: all instants of the ground truth, then the files of the report.
 
 use super::results::{CaptureFacts, Metrics, OffsetResult, StageTimes, headline};
 use super::{
@@ -12,15 +12,16 @@ use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
-/// Compares the renderer's images with the truth, and writes the folder `out`.
+/// Compares the renderer's images with the ground truth, and writes the results into the folder `out`.
 ///
-/// A true view at a filming camera's place is compared with that camera's synchronized image. Any other true view is
-/// compared with three blended views: from each camera's nearest frame (traditional LFR), from the synchronized images
-/// (ST-LFR), and from the true images of all cameras (perfect sync).
+/// A true image from a filming camera's place is compared with this camera's synchronized image. Any other true image
+/// is compared with three blended views per proxy geometry. They are blended from each camera's nearest frame
+/// (traditional LFR), from the synchronized images (ST-LFR), and from the true images of all cameras (perfect sync).
 ///
 /// # Errors
-/// [`CompareError::NoTruth`] without truth. The truth and the options are checked before anything is rendered. A file
-/// that can't be written is an error. If the video fails, all other files are written before its error is returned.
+/// [`CompareError::NoTruth`] if `truth` is `None`. The ground truth and the options are checked before anything is
+/// rendered. A file that can't be written is an error. If the video fails, all other files are written before the
+/// video's error is returned.
 pub fn compare(
     renderer: &dyn Renderer,
     truth: Option<&Truth>,
@@ -33,7 +34,7 @@ pub fn compare(
     let truth = truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
     options.check()?;
     let instants = truths::instants(truth, capture)?;
-    // ffmpeg is run once before rendering, so that a broken one is found early.
+    // ffmpeg is run once before rendering, so that a broken ffmpeg is found early.
     let codec = options.video.as_ref().map(|video| Codec::for_browsers(&video.ffmpeg)).transpose();
     let codec = codec.map_err(video::ReviewVideoError::from)?;
 

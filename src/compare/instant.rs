@@ -1,5 +1,5 @@
-//! Compares one instant of the truth: synchronizes the cameras, measures their images, and writes the pictures.
-//! `views.rs` blends views from these images.
+//! Compares the images of one instant of the ground truth: synchronizes the cameras, measures their images, and writes
+//! the pictures. `views.rs` blends views from these images.
 
 use super::results::{StageTimes, SyncResult, ViewResult};
 use super::sheet::{Panel, sheet};
@@ -24,26 +24,27 @@ pub(super) struct Comparison<'a> {
     pub out: &'a Path,
 }
 
-/// The results of the instants so far.
+/// The results of the instants compared so far.
 #[derive(Default)]
 pub(super) struct Results {
     pub sync: Vec<SyncResult>,
     pub views: Vec<ViewResult>,
-    /// The views that the report's viewer shows.
+    /// The true images that the report's viewer shows, each with its comparison sheets.
     pub figures: Vec<Figure>,
 }
 
-/// A true image, with its view and instant. Rendered images are measured against it.
+/// A true image with its view and its instant. Rendered images are compared with this image.
 pub(super) struct ComparedTarget<'a> {
     pub instant: &'a TrueInstant,
     pub view: &'a TrueView,
     pub truth: &'a TrueImage,
 }
 
-/// An image, or a sentence that says why it is missing.
+/// An image, or a sentence that says why the image is missing.
 pub(super) type ImageOrReason = Result<Image, String>;
 
-/// A sync method, with the synchronized image of each camera by index, or a sentence that says why it is missing.
+/// A sync method with the synchronized image of each camera, in the capture's order. A missing image is replaced by a
+/// sentence that gives the reason.
 pub(super) type SynchronizedBy = (SyncMethod, Vec<Result<Arc<Synchronized>, String>>);
 
 const RENDERING: &str = "synchronized images";
@@ -51,7 +52,7 @@ const BLENDING: &str = "views";
 const MEASURING: &str = "truth, metrics, sheets and files";
 
 impl Comparison<'_> {
-    /// Compares all true images of one instant.
+    /// Compares all true images of one instant with rendered images, and appends the scores to `results`.
     pub fn compare(
         &self,
         instant: &TrueInstant,
@@ -84,8 +85,9 @@ impl Comparison<'_> {
         Ok(())
     }
 
-    /// Synchronized images by method and camera. If a view is to be blended, all cameras are synchronized, else only
-    /// those with a true image.
+    /// Synthesizes the synchronized images at an instant, by sync method and camera. If a view is to be blended,
+    /// `nearest` and the chosen method synchronize all cameras. In all other cases, only cameras with a true image are
+    /// synchronized.
     fn synchronize(&self, instant: &TrueInstant) -> Vec<SynchronizedBy> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
         let cameras = self.renderer.field().capture().cameras.len();
@@ -102,7 +104,7 @@ impl Comparison<'_> {
         self.options.methods().into_iter().map(all).collect()
     }
 
-    /// Measures the images of one filming camera by all sync methods.
+    /// Measures the images of one filming camera at an instant, one image per sync method.
     fn measure_sync(
         &self,
         target: &ComparedTarget,
@@ -147,13 +149,13 @@ impl Comparison<'_> {
         Ok((rows, Figure::new(&self.truth.views[view.index].id, true_file, sheets, truth, first)))
     }
 
-    /// The path of a file in the comparison's folder. An error if a link lies on the path.
+    /// Returns the path of a file in the comparison's folder. An error if the path contains a symbolic link.
     pub(super) fn file(&self, name: &str) -> Result<PathBuf, CompareError> {
         let failed = |source| CompareError::Write { path: self.out.join(name), source };
         beneath(self.out, name).map_err(failed)
     }
 
-    /// Writes an image in the capture's bit depth; returns its path relative to the comparison's folder.
+    /// Writes an image in the capture's bit depth. Returns the file's path relative to the comparison's folder.
     pub(super) fn write(
         &self,
         target: &ComparedTarget,
@@ -181,7 +183,8 @@ impl Comparison<'_> {
         Ok(SheetFile { file, title })
     }
 
-    /// The image as its file will hold it, clamped and rounded. An error if its size isn't that of the truth.
+    /// Returns the image as its file will hold it: clamped and rounded. An error if the image's size differs from the
+    /// size of the true image.
     pub(super) fn checked(&self, image: Result<&Image, &String>, truth: &Image) -> ImageOrReason {
         let image = image.map_err(Clone::clone)?;
         if (image.width(), image.height()) != (truth.width(), truth.height()) {

@@ -1,5 +1,5 @@
-//! Text in images, in Noto Sans Mono. The glyphs are rasterized in advance (`noto-sans-mono-bitmap`), so that no font
-//! file is needed and the result is the same everywhere.
+//! Text in images, in the font Noto Sans Mono. The glyphs were rasterized in advance (`noto-sans-mono-bitmap`).
+//! Therefore no font file is needed, and the result is the same on every machine.
 
 use crate::raster::Image;
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
@@ -10,26 +10,26 @@ pub const LINE_PX: usize = 18;
 /// Style of a line of text.
 #[derive(Clone, Copy)]
 pub struct TextStyle {
-    /// Bold or regular letters.
+    /// True for bold letters, false for regular letters.
     pub bold: bool,
-    /// Red, green and blue, each from 0 to 1.
+    /// Text colour: red, green and blue, each from 0 to 1.
     pub color: [f32; 3],
 }
 
-/// Horizontal advance of every glyph, pixels.
+/// Returns the horizontal advance of every glyph, pixels.
 fn advance_px() -> usize {
     get_raster_width(FontWeight::Regular, RasterHeight::Size16)
 }
 
-/// Width of a line of text, pixels.
+/// Returns the width of a line of text, pixels.
 pub fn width_px(text: &str) -> usize {
     text.chars().count() * advance_px()
 }
 
-/// Draws a line of text into an RGB image. Its top left corner is at the pixel (x, y), and its width is at most
-/// `room_px`.
+/// Draws a line of text into an RGB image. The text's top left corner is at the pixel (x, y). The text is at most
+/// `room_px` pixels wide.
 ///
-/// A longer line is cut off and ends with an ellipsis. A character that the font lacks becomes `?`. Pixels outside of
+/// A longer line is cut off and ends with two dots. A character that the font lacks is drawn as `?`. Pixels outside of
 /// the image are skipped.
 pub fn write(
     image: &mut Image,
@@ -40,7 +40,7 @@ pub fn write(
 ) {
     let font = if style.bold { FontWeight::Bold } else { FontWeight::Regular };
     for (k, letter) in fitted(text, room_px / advance_px()).into_iter().enumerate() {
-        // The font has no minus sign.
+        // The font lacks the minus sign.
         let letter = if letter == '−' { '-' } else { letter };
         let [raster, unknown] = [letter, '?'].map(|c| get_raster(c, font, RasterHeight::Size16));
         let Some(raster) = raster.or(unknown) else { continue };
@@ -56,7 +56,7 @@ pub fn write(
     }
 }
 
-/// The characters of a text. If there are more than `max`, the end is replaced by an ellipsis.
+/// Returns the characters of a text. If there are more than `max`, the text is cut off and ends with two dots.
 fn fitted(text: &str, max: usize) -> Vec<char> {
     if text.chars().count() <= max {
         return text.chars().collect();

@@ -12,7 +12,7 @@ use crate::progress::Reporter;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A light field with its options, and the time that opening it took.
+/// A light field with its rendering options.
 pub struct ComparedLightField {
     field: LightField,
     options: RenderOptions,
@@ -20,8 +20,8 @@ pub struct ComparedLightField {
 }
 
 impl ComparedLightField {
-    /// Opens a capture's light field. Unknown offsets are read from `offsets.json` or estimated. Methods that are
-    /// `auto` are replaced by those of a plan.
+    /// Opens a capture's light field. Temporal offsets are read from `offsets.json` or estimated. Options with the
+    /// method `auto` are replaced by the methods that the capture's plan selects.
     pub fn open(
         capture: Arc<Capture>,
         options: &RenderOptions,
@@ -50,7 +50,7 @@ impl Renderer for ComparedLightField {
     }
 
     fn view(&self, view: &ComparedView) -> Result<Rendered, String> {
-        // The truth shows an instant, so that a trail is switched off.
+        // A true image shows one instant, so a motion trail is switched off.
         let mut options = RenderOptions { trail: TrailOptions::default(), ..self.options.clone() };
         // The traditional baseline must not depend on the options.
         if matches!(view.images, Images::By(TRADITIONAL)) && options.sync != TRADITIONAL {

@@ -1,32 +1,33 @@
-//! §8: comparison of rendered images with the ground truth.
+//! Comparison of rendered images with the ground truth (§8 of the paper).
 //!
-//! [`compare`] renders every view that the truth has an image of, measures the results, and writes into one folder:
+//! [`compare`] renders every view of which the ground truth has an image, measures the differences, and writes these
+//! files into one folder:
 //!
-//! - `metrics.json`: all numbers; the same bytes in every run, for any number of threads
+//! - `metrics.json`: all scores; the same bytes in every run, for any number of threads
 //! - `timings.json`: run times of the stages
-//! - `report.html`: numbers, plots, and a viewer of the pictures in `images/`
+//! - `report.html`: scores, plots, and a viewer of the pictures in `images/`
 //! - `sheets/`: truth, methods and difference images side by side, as lossless WebP
-//! - `images/`: the rendered images, in the input's bit depth
-//! - `review.json`: the layout of `review.blend`
-//! - `review.mp4`, and the lossless videos in `video/`, if the options ask for them
+//! - `images/`: the rendered images, in the bit depth of the capture's frames
+//! - `review.json`: the layout of the Blender file `review.blend`
+//! - `review.mp4`, and the lossless videos in `video/`, if the options ask for a video
 //!
-//! | file | what |
+//! | file | contents |
 //! |---|---|
-//! | `mod.rs` | the interface to the renderer, options, errors, the summary |
-//! | `driver.rs` | the loop over all instants, then the report's files |
-//! | `light_field.rs` | the light field that is compared |
+//! | `mod.rs` | the renderer's interface, options, errors, the summary |
+//! | `driver.rs` | the loop over all instants, then the files of the report |
+//! | `light_field.rs` | the renderer of a light field |
 //! | `instant.rs` | one instant: synchronizes the cameras and measures their images |
-//! | `views.rs` | one view at an instant: blends it by every method, and measures the results |
-//! | `truths.rs` | the truth's images and moving parts |
-//! | `results.rs` | the contents of `metrics.json` and `timings.json`, and the headline |
+//! | `views.rs` | one view at an instant: blends the view by every method, and measures the results |
+//! | `truths.rs` | the true images and their moving parts |
+//! | `results.rs` | the contents of `metrics.json` and `timings.json`, and the main results |
 //! | `sheet.rs`, `lettering.rs` | pictures with labels |
 //! | `viewer.rs` | the data of the report's viewer |
 //! | `report.rs`, `report.html`, `report.css`, `report.js` | the report |
 //! | `video.rs` | the review video |
 //! | `review.rs` | the layout of `review.blend` |
 //!
-//! Known limits: images are measured after rounding to the bit depth of their files. The noise of the true images
-//! bounds every PSNR, and is unknown.
+//! Known limits: images are measured after rounding to the bit depth of their files. The true images contain an unknown
+//! amount of rendering noise, which bounds every PSNR.
 
 mod driver;
 mod instant;
@@ -61,7 +62,7 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Fixed names in a comparison's folder: files, and sub-folders with a final `/`.
+/// Names of the files and folders that every comparison may write into its folder. Folders have a final `/`.
 pub const FILES: [&str; 8] = [
     "report.html",
     "metrics.json",
@@ -73,21 +74,21 @@ pub const FILES: [&str; 8] = [
     "video/",
 ];
 
-/// The sync method of traditional light field rendering, which is the baseline.
+/// The sync method of traditional light field rendering, the baseline: each camera's frame nearest in time.
 pub const TRADITIONAL: SyncMethod = SyncMethod::Nearest;
 
-/// Renders the images that are compared. Implemented by an opened light field, and in tests by images of known error.
-/// Calls are sequential, so that an implementation may use all cores and a cache.
+/// Renders the images that are compared with the ground truth. [`ComparedLightField`] implements it for an opened light
+/// field. Tests implement it with images of known error. Calls are sequential, so an implementation may use all cores
+/// and a cache.
 ///
 /// Times are seconds on the reference's clock, from the capture's start
 /// ([`Capture::time_origin_s`](crate::capture::Capture::time_origin_s) subtracted). An `Err` is a sentence for the
-/// report that says why the image can't be rendered. The report then lacks this camera or view, and the comparison
-/// goes on.
+/// report that says why the image can't be rendered. The report then lacks this image, and the comparison continues.
 pub trait Renderer: Sync {
-    /// The light field, with the capture and its offsets.
+    /// Returns the light field, with the capture and its temporal offsets.
     fn field(&self) -> &LightField;
 
-    /// A filming camera's image at a time.
+    /// Synthesizes a filming camera's image at a time, from frames of the capture, by the given sync method.
     fn synchronized(
         &self,
         sync: SyncMethod,
@@ -95,13 +96,13 @@ pub trait Renderer: Sync {
         time_s: f64,
     ) -> Result<Arc<Synchronized>, String>;
 
-    /// A view, blended from images of the filming cameras.
+    /// Renders a view, blended from images of the filming cameras.
     fn view(&self, view: &ComparedView) -> Result<Rendered, String>;
 
-    /// The options of all stages, which are written beside the results.
+    /// Returns the options of all rendering stages. They are written into `metrics.json`.
     fn options(&self) -> &RenderOptions;
 
-    /// Run times of the preparation.
+    /// Returns the run times of the preparation: opening the light field, with its offsets.
     fn timings(&self) -> Vec<StageTime>;
 }
 
@@ -111,9 +112,9 @@ pub struct ComparedView<'a> {
     pub target: &'a Camera,
     pub time_s: f64,
     pub proxy: ProxyMethod,
-    /// The images that are blended.
+    /// The filming cameras' images that are blended.
     pub images: Images<'a>,
-    /// The images from which depth per pixel is estimated.
+    /// The filming cameras' images from which depth per pixel is estimated.
     pub shape: Images<'a>,
 }
 
@@ -121,19 +122,21 @@ pub struct ComparedView<'a> {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CompareOptions {
-    /// The sync method of ST-LFR.
+    /// The sync method of space-time light field rendering (ST-LFR): how a camera's image between two of its frames is
+    /// made.
     pub sync: SyncMethod,
-    /// Whether all sync methods are measured on the filming cameras, not only `nearest` and `sync`.
+    /// True to measure all sync methods on the filming cameras, false to measure only `nearest` and `sync`.
     pub all_methods: bool,
-    /// A surface point belongs to the moving part if it moves by more than this within ±1 frame, pixels.
+    /// Threshold of the moving part, pixels. A pixel belongs to the moving part if its surface point moves farther
+    /// within ±1 frame.
     pub moving_threshold_px: f32,
-    /// Dilation radius of the moving part, pixels.
+    /// Radius of the square by which the mask of the moving part is dilated, pixels.
     pub moving_dilation_px: usize,
-    /// Viewing condition of the FLIP metric, pixels per degree.
+    /// Viewing condition of the FLIP metric: pixels per degree of visual angle.
     pub pixels_per_degree: f64,
-    /// Factor on the difference images of the sheets.
+    /// Factor by which the difference images of the sheets are amplified.
     pub difference_gain: f32,
-    /// Options of the side-by-side video; `None` for no video.
+    /// Options of the side-by-side review video. `None` writes no video.
     pub video: Option<video::VideoOptions>,
 }
 
@@ -151,7 +154,7 @@ impl Default for CompareOptions {
     }
 }
 
-/// Why a comparison failed. The message is one sentence.
+/// Reason why a comparison failed. The message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
     #[error("{folder} has no truth/truth.json to compare with")]
@@ -172,7 +175,7 @@ pub enum CompareError {
     Video(#[from] video::ReviewVideoError),
 }
 
-/// The main results, and the paths of the files.
+/// The main results of a comparison, and the paths of its main files.
 #[derive(Clone, Debug)]
 pub struct Summary {
     pub headline: Headline,
@@ -199,7 +202,7 @@ impl CompareOptions {
         }
     }
 
-    /// The sync methods to measure, cheapest first.
+    /// Returns the sync methods to measure, cheapest first.
     fn methods(&self) -> Vec<SyncMethod> {
         let wanted = |m: &SyncMethod| self.all_methods || [TRADITIONAL, self.sync].contains(m);
         SyncMethod::ALL.iter().copied().filter(wanted).collect()

@@ -1,12 +1,12 @@
-//! Errors of offsets against the truth: the sub-frame synchronization benchmark.
+//! Errors of temporal offsets against the ground truth: the sub-frame synchronization benchmark.
 
 use super::results::OffsetResult;
 use crate::capture::Truth;
 use crate::offset::{CameraOffset, Offsets};
 
 impl OffsetResult {
-    /// Compares a camera's offset with the true one. `frame_s` is the frame interval, seconds; without it, errors in
-    /// frames are `None`.
+    /// Compares a camera's offset with its true offset. `frame_s` is the frame interval in seconds. If it is `None`,
+    /// errors in frames are `None`.
     pub(super) fn new(
         camera: &str,
         given: Option<&CameraOffset>,
@@ -33,9 +33,9 @@ impl OffsetResult {
     }
 }
 
-/// The errors of the offsets of all cameras but the reference, in the order of the truth. `frame_s` is the reference
-/// camera's frame interval, seconds. Offsets must be relative to the camera `reference`, as the truth's are; otherwise
-/// an error of one sentence.
+/// Returns the errors of the offsets of all cameras except the reference, in the order of the ground truth. `frame_s`
+/// is the reference camera's frame interval, seconds. An error if the offsets aren't relative to the camera
+/// `reference`, or if `offsets` has a camera that the ground truth lacks.
 pub fn score_offsets(
     offsets: &Offsets,
     truth: &Truth,
@@ -60,7 +60,7 @@ pub fn score_offsets(
     Ok(scored.collect())
 }
 
-/// Absolute errors of the estimated offsets, frames, ascending.
+/// Returns the absolute errors of the estimated offsets in frames, ascending. Cameras without an error are skipped.
 pub fn errors_frames(scored: &[OffsetResult]) -> Vec<f64> {
     let errors = scored.iter().filter_map(|camera| camera.error_frames);
     let mut errors: Vec<f64> = errors.map(f64::abs).collect();

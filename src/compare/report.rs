@@ -1,8 +1,8 @@
-//! `report.html`, the report of a comparison. It needs no network, only the folders `images` and `sheets` beside it.
+//! `report.html`, the report of a comparison. It needs no network, only the folders `images` and `sheets` next to it.
 //!
-//! The page is the template `report.html` beside this file, filled in by minijinja, which escapes all text from files.
-//! The style sheet `report.css` and the script `report.js` are embedded. Pictures are the measured files in `images`;
-//! the browser loads those of the current view. Plots are SVG.
+//! minijinja fills in the template `report.html`, which lies next to this source file, and escapes all text from files.
+//! The style sheet `report.css` and the script `report.js` are embedded. Pictures are the measured files in `images`.
+//! The browser loads only the pictures of the current view. Plots are SVG.
 
 use super::results::{Metrics, StageTime, ViewHeadline, ViewMethod, used};
 use super::viewer::{Figure, groups};
@@ -14,7 +14,7 @@ use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
 use std::path::Path;
 
-/// The report as HTML.
+/// Returns the report as HTML.
 pub(super) fn html(
     metrics: &Metrics,
     stages: &[StageTime],
@@ -52,20 +52,21 @@ pub(super) fn html(
     })
 }
 
-/// JSON for a `script` element. It is escaped, so that no text inside can close the element.
+/// Returns a value as JSON text for a `script` element. The text is escaped, so it can't close the element.
 fn in_script(value: &impl Serialize) -> Value {
     let text = serde_json::to_string(value).unwrap_or_default();
     Value::from_safe_string(text.replace('<', "\\u003c"))
 }
 
-/// The headline of the views with the proxy that `render` uses.
+/// Returns the summary of the views with the proxy geometry that the command `render` uses. `None` if no such view was
+/// rendered.
 fn rendered(metrics: &Metrics) -> Option<&ViewHeadline> {
     let headline = &metrics.headline;
     let proxy = headline.methods.iter().find(|method| method.is_rendered)?.proxy;
     headline.views.iter().find(|views| views.proxy == proxy)
 }
 
-/// A table of scores. A row is a compared image, a column a method.
+/// A table of scores. Each row is a compared image, each column a method.
 #[derive(Serialize)]
 struct ScoreTable {
     columns: Vec<&'static str>,
@@ -130,7 +131,7 @@ fn sync_table(metrics: &Metrics) -> ScoreTable {
     ScoreTable::new(methods.iter().map(|method| method.name()).collect(), images)
 }
 
-/// A number with `digits` decimals and a typographic minus; a dash if it is missing or infinite.
+/// Formats a number with `digits` decimals and a typographic minus sign. A missing or infinite number becomes a dash.
 fn num(value: Value, digits: usize) -> String {
     match f64::try_from(value) {
         Ok(v) if v.is_finite() => rounded(v, digits).replace('-', "−"),
@@ -138,15 +139,15 @@ fn num(value: Value, digits: usize) -> String {
     }
 }
 
-/// [`num`] with an explicit sign, except for 0.
+/// Formats a number like [`num`], with an explicit plus sign if it is positive after rounding.
 fn signed(value: Value, digits: usize) -> String {
     let plus = f64::try_from(value.clone())
         .is_ok_and(|v| v.is_finite() && v > 0.0 && rounded(v, digits) != rounded(0.0, digits));
     format!("{}{}", if plus { "+" } else { "" }, num(value, digits))
 }
 
-/// Number of decimals for a value with the standard error `std_err` × `factor`: the error has two digits. 4 without an
-/// error.
+/// Returns the number of decimals for a value whose standard error is `std_err` × `factor`. The standard error then has
+/// two significant digits. Returns 4 if the standard error is missing or not positive.
 fn decimals(std_err: Value, factor: f64) -> usize {
     let error = f64::try_from(std_err).map(|error| factor * error);
     match error {
@@ -157,28 +158,28 @@ fn decimals(std_err: Value, factor: f64) -> usize {
     }
 }
 
-/// The value with `digits` decimals, and no minus sign before a zero.
+/// Formats a number with `digits` decimals. A number that is rounded to zero has no minus sign.
 fn rounded(v: f64, digits: usize) -> String {
     let text = format!("{v:.digits$}");
     let zero = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
     if zero { text.trim_start_matches('-').to_owned() } else { text }
 }
 
-/// The PSNR of [`crate::metrics::Scores`] as text; for identical images a word, since the PSNR is infinite.
+/// Formats the PSNR of [`crate::metrics::Scores`]. Identical images have an infinite PSNR, which becomes "identical".
 fn psnr(scores: Value) -> Result<String, minijinja::Error> {
     let (pixels, psnr_db) = (scores.get_attr("pixels")?, scores.get_attr("psnr_db")?);
     let same = psnr_db.is_none() && u64::try_from(pixels).unwrap_or(0) > 0;
     Ok(if same { "identical".into() } else { num(psnr_db, 1) })
 }
 
-/// The smallest and the largest fraction of a view that is measured, percent.
+/// Returns the smallest and the largest fraction of a view that is measured, percent. `None` if no view was measured.
 fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
     let fractions = || metrics.views.iter().filter_map(|v| v.measured);
     let (min, max) = (fractions().min_by(f64::total_cmp)?, fractions().max_by(f64::total_cmp)?);
     Some([min, max].map(|fraction| format!("{:.1}", 100.0 * fraction)))
 }
 
-/// Names and help texts of the given methods. The help texts start in lower case, for use within a sentence.
+/// Returns names and help texts of the given methods. The help texts start in lower case, for use within a sentence.
 fn explained<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<Value> {
     let explain = |method: M| {
         let mut letters = method.help().chars();
@@ -189,7 +190,7 @@ fn explained<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<Value> {
     used(occurring).into_iter().map(explain).collect()
 }
 
-/// Plot of the offset errors, thousandths of a frame, with bars of two standard errors.
+/// Returns the SVG plot of the offset errors in thousandths of a frame, with error bars of two standard errors.
 fn offset_plot(metrics: &Metrics) -> String {
     let rows: Vec<DotRow> = metrics
         .offsets
@@ -209,7 +210,8 @@ fn offset_plot(metrics: &Metrics) -> String {
     DotPlot { rows, x_label, symmetric: true }.svg()
 }
 
-/// Plot of the PSNR of the moving part of each camera's image: a row per camera, a colour per method.
+/// Returns the SVG plot of the PSNR on the moving part of each camera's image. Each camera has a row, each sync method
+/// a colour.
 fn sync_plot(metrics: &Metrics) -> String {
     let methods = used(metrics.sync.iter().map(|row| row.method));
     let dots = metrics.sync.iter().map(|row| ScoredDot {
@@ -221,7 +223,8 @@ fn sync_plot(metrics: &Metrics) -> String {
     psnr_plot(dots, "PSNR on the moving part, dB (a dot per instant)")
 }
 
-/// Plot of the PSNR of the moving part of each view: a row per view and proxy, a colour per method.
+/// Returns the SVG plot of the PSNR on the moving part of each view. Each view with each proxy geometry has a row, each
+/// method a colour.
 fn view_plot(metrics: &Metrics) -> String {
     let dots = metrics.views.iter().map(|row| {
         let label = format!("{}, {}", row.view, row.proxy.name());
@@ -235,16 +238,17 @@ fn view_plot(metrics: &Metrics) -> String {
     psnr_plot(dots, "PSNR on the moving part, dB")
 }
 
-/// A dot in a plot of PSNR, for one image.
+/// A dot in a PSNR plot, for one image.
 struct ScoredDot {
-    /// The label of its row.
+    /// Label of the dot's row.
     label: String,
     title: String,
     series: usize,
     scores: Option<RegionScores>,
 }
 
-/// Plot of the PSNR of the moving part. Dots with the same label form a row; rows are in order of first appearance.
+/// Returns an SVG plot of the PSNR on the moving part. Dots with the same label form a row. Rows are in order of first
+/// appearance.
 fn psnr_plot(dots: impl Iterator<Item = ScoredDot>, x_label: &str) -> String {
     let mut rows: Vec<DotRow> = Vec::new();
     for ScoredDot { label, title, series, scores } in dots {

@@ -1,4 +1,4 @@
-//! The results of a comparison, in the form of `metrics.json` and `timings.json`.
+//! The results of a comparison, as they are written into `metrics.json` and `timings.json`.
 
 use super::CompareOptions;
 use crate::interpolation::SyncMethod;
@@ -8,16 +8,16 @@ use crate::options::ProxyMethod;
 use serde::Serialize;
 use std::time::Instant;
 
-/// `metrics.json`: all results except run times, so that every run writes the same bytes.
+/// Contents of `metrics.json`: all results except run times, so that every run writes the same bytes.
 #[derive(Clone, Debug, Serialize)]
 pub struct Metrics {
     pub format: &'static str,
     pub version: u32,
-    /// The version of stlfr.
+    /// Version of the stlfr program.
     pub stlfr: &'static str,
     pub capture: CaptureFacts,
     pub options: CompareOptions,
-    /// The options of all stages.
+    /// Options of all rendering stages.
     pub renderer: serde_json::Value,
     pub headline: Headline,
     pub offsets: Vec<OffsetResult>,
@@ -25,7 +25,7 @@ pub struct Metrics {
     pub views: Vec<ViewResult>,
 }
 
-/// Facts about the capture.
+/// Facts about the capture that was compared.
 #[derive(Clone, Debug, Serialize)]
 pub struct CaptureFacts {
     pub name: String,
@@ -33,54 +33,55 @@ pub struct CaptureFacts {
     pub rig: String,
     pub reference: String,
     pub cameras: usize,
-    /// The smallest and the largest number of frames of a camera.
+    /// Smallest and largest number of frames of a camera.
     pub frames: (usize, usize),
-    /// Image size of the reference camera, pixels.
+    /// Image size of the reference camera: width and height, pixels.
     pub size_px: (usize, usize),
-    /// Frame interval of the reference camera, seconds: the unit "frame".
+    /// Frame interval of the reference camera, seconds. Errors in "frames" are in this unit.
     pub frame_s: f64,
     pub bits: u32,
 }
 
-/// The main results. Gains are medians over images, in decibels of PSNR.
+/// The main results of a comparison. Gains are medians over images, in decibels of PSNR.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Headline {
     pub offset: OffsetHeadline,
     pub sync: SyncHeadline,
     pub views: Vec<ViewHeadline>,
-    /// Scores of every method with every proxy; the baseline is first.
+    /// Median scores of every view method with every proxy geometry. The baseline is first.
     pub methods: Vec<MethodHeadline>,
-    /// Number of images that couldn't be rendered: synchronized images of cameras, and blended views.
+    /// Number of images that couldn't be rendered. Both the cameras' synchronized images and the blended views are
+    /// counted.
     pub missing_images: usize,
-    /// Number of images that were to be rendered.
+    /// Number of images that should have been rendered.
     pub wanted_images: usize,
-    /// The most frequent reason for a missing image.
+    /// The most frequent reason for a missing image. `None` if no image is missing.
     pub missing_reason: Option<String>,
 }
 
-/// Scores of one method with one proxy: medians over all views.
+/// Scores of one view method with one proxy geometry: medians over all views.
 #[derive(Clone, Debug, Serialize)]
 pub struct MethodHeadline {
     pub proxy: ProxyMethod,
     pub method: ViewMethod,
-    /// Whether `render` uses this method and this proxy with the same options.
+    /// Whether the command `render` uses this method and this proxy when it has the same options.
     pub is_rendered: bool,
     pub scores: RegionScores,
     pub views: usize,
 }
 
-/// Errors of the estimated offsets against the truth, in frames.
+/// Summary of the errors of the estimated temporal offsets against the ground truth, in frames.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct OffsetHeadline {
     pub median_frames: Option<f64>,
     pub worst_frames: Option<f64>,
-    /// Number of cameras whose clock is not the reference's.
+    /// Number of cameras whose clock differs from the reference's clock.
     pub unknown_clocks: usize,
-    /// Number of cameras whose clock is not the reference's and whose offset was estimated.
+    /// Number of cameras whose clock differs from the reference's clock and whose offset was estimated.
     pub estimated: usize,
 }
 
-/// Gain of the chosen sync method over the nearest frame, on the moving part.
+/// PSNR gain of the chosen sync method over the nearest frame, on the pixels of moving surfaces.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct SyncHeadline {
     pub method: SyncMethod,
@@ -89,19 +90,20 @@ pub struct SyncHeadline {
     pub images: usize,
 }
 
-/// PSNR gain of ST-LFR over traditional LFR, and PSNR gap to perfect synchronization, for one proxy.
+/// PSNR gain of ST-LFR over traditional LFR, and PSNR gap to perfect synchronization, with one proxy geometry.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ViewHeadline {
     pub proxy: ProxyMethod,
     pub gain_whole_db: Option<f64>,
     pub gain_moving_db: Option<f64>,
-    /// Gap of the whole image, decibels; negative if ST-LFR is better than perfect synchronization.
+    /// PSNR of perfect synchronization minus PSNR of ST-LFR over the whole image, median over views, decibels. Negative
+    /// if ST-LFR is better.
     pub gap_whole_db: Option<f64>,
     pub gap_moving_db: Option<f64>,
     pub views: usize,
 }
 
-/// One camera's estimated and true offset.
+/// A camera's estimated and true temporal offset.
 #[derive(Clone, Debug, Serialize)]
 pub struct OffsetResult {
     pub camera: String,
@@ -111,36 +113,36 @@ pub struct OffsetResult {
     pub truth_s: Option<f64>,
     pub error_frames: Option<f64>,
     pub std_err_frames: Option<f64>,
-    /// The error divided by its standard error.
+    /// The offset's error divided by its standard error.
     pub z: Option<f64>,
-    /// Sentence that says why the offset is unknown.
+    /// Sentence that says why the offset is unknown. `None` if the offset is known.
     pub reason: Option<String>,
 }
 
-/// A filming camera's image at an instant by one sync method.
+/// Scores of a filming camera's image at one instant, made by one sync method.
 #[derive(Clone, Debug, Serialize)]
 pub struct SyncResult {
     pub view: String,
     pub camera: String,
-    /// Seconds on the reference's clock, as in the truth's file.
+    /// Time of the image in seconds on the reference's clock, as in `truth.json`.
     pub time_s: f64,
     pub method: SyncMethod,
     pub scores: Option<RegionScores>,
     pub image: Option<String>,
-    /// Sentence that says why the image is missing.
+    /// Sentence that says why the image is missing. `None` if there is an image.
     pub reason: Option<String>,
 }
 
-/// A method of blended views, by the source of its input images. Its help text is its name in reports.
+/// Method of a blended view: which images of the filming cameras are blended. The help text is its name in reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViewMethod {
-    /// Each camera's nearest frame.
+    /// Traditional light field rendering: blends each camera's nearest frame.
     #[default]
     TraditionalLfr,
-    /// The chosen sync method.
+    /// Space-time light field rendering: blends images synchronized by the chosen sync method.
     StLfr,
-    /// The true images of all cameras at the instant, an upper bound for synchronization.
+    /// Blends the true images of all cameras at the instant. This is an upper bound for any synchronization.
     PerfectSync,
 }
 
@@ -150,7 +152,7 @@ methods!(ViewMethod {
     PerfectSync = "perfect-sync": "Perfect sync",
 });
 
-/// The result of a blended view at an instant, for one method and one proxy.
+/// Scores of a blended view at one instant, for one method and one proxy geometry.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewResult {
     pub view: String,
@@ -159,16 +161,17 @@ pub struct ViewResult {
     pub method: ViewMethod,
     /// Number of cameras whose images are blended.
     pub cameras: usize,
-    /// Cameras whose images are missing.
+    /// Cameras that have no image at this instant, with the reasons.
     pub excluded: Vec<ExcludedCamera>,
-    /// Fraction of the view's pixels that is measured: the pixels that all methods cover with all proxies.
+    /// Fraction of the view's pixels that are measured: the pixels covered by every method with every proxy geometry.
+    /// `None` if the view has no image.
     pub measured: Option<f64>,
     pub scores: Option<RegionScores>,
     pub image: Option<String>,
     pub reason: Option<String>,
 }
 
-/// A camera that has no image at an instant.
+/// A camera that has no image at an instant, with the reason.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ExcludedCamera {
     pub camera: String,
@@ -186,7 +189,7 @@ pub struct StageTime {
 pub(super) struct StageTimes(pub Vec<StageTime>);
 
 impl StageTimes {
-    /// Runs `work`, and adds its time to the stage's time.
+    /// Runs `work`, adds its run time to the time of `stage`, and returns its result.
     pub fn time<T>(&mut self, stage: &str, work: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = work();
@@ -194,7 +197,7 @@ impl StageTimes {
         result
     }
 
-    /// Adds the time elapsed since `start` to the stage's time.
+    /// Adds the time since `start` to the time of `stage`.
     pub fn add(&mut self, stage: &str, start: Instant) {
         let seconds = start.elapsed().as_secs_f64();
         match self.0.iter_mut().find(|s| s.stage == stage) {
@@ -204,13 +207,13 @@ impl StageTimes {
     }
 }
 
-/// The distinct methods among the given ones, cheapest first.
+/// Returns the distinct methods among the given ones, cheapest first.
 pub(super) fn used<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<M> {
     let occurring: Vec<M> = occurring.collect();
     M::ALL.iter().copied().filter(|method| occurring.contains(method)).collect()
 }
 
-/// Summarizes all results in the headline.
+/// Summarizes all results into the main results. `rendered` is the proxy geometry that the command `render` uses.
 pub(super) fn headline(
     options: &CompareOptions,
     rendered: ProxyMethod,
@@ -247,7 +250,7 @@ pub(super) fn headline(
     }
 }
 
-/// The reasons of all missing images, one per image.
+/// Returns the reasons of all missing images, one reason per image.
 fn missing_reasons<'a>(sync: &'a [SyncResult], views: &'a [ViewResult]) -> Vec<&'a str> {
     let unknown = |reason: &'a Option<String>| reason.as_deref().unwrap_or("no image");
     let cameras = sync.iter().filter(|s| s.scores.is_none()).map(|s| unknown(&s.reason));
@@ -261,8 +264,8 @@ fn most_frequent(reasons: &[&str]) -> Option<String> {
     reasons.iter().max_by_key(count).map(|reason| (*reason).to_owned())
 }
 
-/// Median scores over views of every method with every proxy. The baseline is first: traditional LFR with the cheapest
-/// proxy.
+/// Returns the median scores over views of every method with every proxy geometry. The baseline is first: traditional
+/// LFR with the cheapest proxy.
 fn method_headlines(views: &[ViewResult], rendered: ProxyMethod) -> Vec<MethodHeadline> {
     let mut found = Vec::new();
     for method in used(views.iter().map(|v| v.method)) {
@@ -293,8 +296,8 @@ fn method_headlines(views: &[ViewResult], rendered: ProxyMethod) -> Vec<MethodHe
     found
 }
 
-/// PSNR gains of the chosen sync method over the nearest frame, on the moving part: one per image that both methods
-/// gave.
+/// Returns the PSNR gains of the chosen sync method over the nearest frame in decibels, on the pixels of moving
+/// surfaces. Each image that both methods rendered gives one entry.
 fn sync_gains(options: &CompareOptions, sync: &[SyncResult]) -> Vec<f64> {
     let psnr = |view: &str, method: SyncMethod| {
         let found = sync.iter().find(|s| s.view == view && s.method == method)?;
@@ -310,7 +313,7 @@ fn view_headline(all: &[ViewResult], proxy: ProxyMethod) -> ViewHeadline {
     let by =
         |method: ViewMethod| all.iter().filter(move |v| v.proxy == proxy && v.method == method);
     let ours = || by(ViewMethod::StLfr);
-    // Median PSNR gain of ST-LFR over another method.
+    // Returns the median PSNR gain of ST-LFR over another method.
     let over = |other: ViewMethod, psnr: fn(&RegionScores) -> Option<f64>| {
         let gain = |v: &ViewResult| {
             let same = by(other).find(|o| o.view == v.view)?;

@@ -1,4 +1,4 @@
-//! `review.json`: the layout of `review.blend`.
+//! `review.json`: the layout of the Blender file `review.blend`.
 
 use super::TRADITIONAL;
 use super::results::{Metrics, SyncResult, ViewMethod, ViewResult};
@@ -7,22 +7,22 @@ use crate::interpolation::SyncMethod;
 use crate::method::Method;
 use serde::Serialize;
 
-/// Name of the file in the folder of the comparison.
+/// Name of the layout file in the comparison's folder.
 pub const FILE: &str = "review.json";
 
 /// Display time of a still picture, seconds.
 const STILL_S: f64 = 2.0;
 
-/// Frame rate of the review if it has no video, hertz.
+/// Frame rate of the sequences of still pictures, hertz.
 const STILL_RATE_HZ: f64 = 12.0;
 
-/// The contents of the file. Paths are relative to the file's folder.
+/// Contents of `review.json`. Paths are relative to the file's folder.
 #[derive(Debug, Serialize)]
 pub(super) struct ReviewLayout {
     format: &'static str,
     version: u32,
     title: String,
-    /// Factor on the difference images.
+    /// Factor by which difference images are amplified.
     difference_gain: f32,
     reels: Vec<Reel>,
 }
@@ -35,7 +35,8 @@ struct Reel {
     shots: Vec<ReviewShot>,
 }
 
-/// Truth and two methods, shown side by side for a number of frames. A missing picture is `None`.
+/// True picture and the pictures of two methods, shown side by side for a number of frames. A missing picture is
+/// `None`.
 #[derive(Debug, Serialize)]
 struct ReviewShot {
     label: String,
@@ -52,7 +53,8 @@ struct ReviewPanel {
     file: String,
 }
 
-/// The layout of the review: one reel each for the video, the blended views, and the filming cameras' images.
+/// Returns the layout of the review. The video, the blended views and the filming cameras' images have one sequence
+/// each.
 pub(super) fn layout(metrics: &Metrics, video: Option<&ReviewVideo>) -> ReviewLayout {
     let mut reels: Vec<Reel> = video.map(movie_reel).into_iter().collect();
     for (name, shots) in [("Views", view_shots(metrics)), ("Cameras", camera_shots(metrics))] {
@@ -85,8 +87,8 @@ fn movie_reel(video: &ReviewVideo) -> Reel {
     Reel { name: "Video", rate_hz: video.rate_hz, shots: vec![shot] }
 }
 
-/// A shot of still pictures: traditional LFR, ST-LFR, and the true picture from the same folder. `None` if both
-/// methods have no picture.
+/// Makes a shot of still pictures: by traditional LFR, by ST-LFR, and the true picture from the same folder. `None` if
+/// both methods have no picture.
 fn still(label: String, panels: [Option<ReviewPanel>; 2]) -> Option<ReviewShot> {
     let (folder, _) = panels.iter().flatten().next()?.file.rsplit_once('/')?;
     let truth = Some(format!("{folder}/truth.png"));

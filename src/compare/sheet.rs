@@ -1,5 +1,5 @@
-//! Comparison sheets: the truth and each method's image side by side, with labels, and the amplified differences
-//! below.
+//! Comparison sheets: the true image and each method's image side by side, with labels. Below are the amplified
+//! differences.
 
 use super::lettering::{LINE_PX, TextStyle, width_px, write};
 use super::truths::TrueImage;
@@ -7,37 +7,37 @@ use crate::metrics::{RegionScores, Scores};
 use crate::raster::Image;
 use std::borrow::Cow;
 
-/// Grey value of the background, 0 to 1.
+/// Grey value of the background, from 0 to 1.
 const BACKGROUND: f32 = 0.09;
 const TITLE: TextStyle = TextStyle { bold: true, color: [0.93; 3] };
 const CAPTION: TextStyle = TextStyle { bold: false, color: [0.65; 3] };
-/// Tint of the moving part, RGB of 0 to 1.
+/// Tint of the pixels of moving surfaces: red, green and blue, each from 0 to 1.
 const MOVING_TINT: [f32; 3] = [1.0, 0.62, 0.18];
-/// Tint of all other pixels, RGB of 0 to 1.
+/// Tint of the pixels of static surfaces: red, green and blue, each from 0 to 1.
 const STILL_TINT: [f32; 3] = [0.45; 3];
-/// Margin between panels and around them, pixels.
+/// Width of the margins between panels and around them, pixels.
 const MARGIN_PX: usize = 12;
-/// Panels narrower than this, in pixels, are enlarged by a whole factor.
+/// Minimum panel width, pixels. Narrower panels are enlarged by an integer factor.
 const MIN_PANEL_PX: usize = 300;
-/// Panels whose longer side exceeds this, in pixels, are reduced by a whole factor. A sheet of eight panels then stays
-/// below the largest size of WebP.
+/// Maximum length of a panel's longer side, pixels. Larger panels are reduced by an integer factor. A sheet of eight
+/// panels then stays below the largest size of WebP.
 const MAX_PANEL_PX: usize = 1920;
 
-/// The image of one method, for a sheet.
+/// The image of one method in a comparison sheet.
 pub(super) struct Panel<'a> {
-    /// The method's name.
+    /// Name of the method, shown above the image.
     pub title: String,
-    /// The image, or the reason why it is missing.
+    /// The image, or the reason why the image is missing.
     pub image: Result<&'a Image, &'a String>,
-    /// Scores against the truth; `None` without an image.
+    /// Scores of the image against the true image. `None` if there is no image.
     pub scores: Option<RegionScores>,
 }
 
-/// Draws a sheet as an RGB image. The truth, with its moving part marked, is at the left, then follow the methods.
-/// Below each method is its difference image times `gain`.
+/// Draws a comparison sheet as an RGB image. The true image is at the left, with its moving part marked below. The
+/// methods' images follow. Below each is its absolute difference from the true image times `gain`.
 ///
 /// # Panics
-/// If an image differs from the truth in size or channels.
+/// If an image differs from the true image in size or number of channels.
 pub(super) fn sheet(title: &str, truth: &TrueImage, panels: &[Panel], gain: f32) -> Image {
     let factor = truth.image.width().max(truth.image.height()).div_ceil(MAX_PANEL_PX);
     let [width, height] = [truth.image.width(), truth.image.height()].map(|n| n.div_ceil(factor));
@@ -80,7 +80,7 @@ pub(super) fn sheet(title: &str, truth: &TrueImage, panels: &[Panel], gain: f32)
     sheet
 }
 
-/// The true image, dark and grey, with its moving part tinted.
+/// Returns the true image in dark grey, with the pixels of moving surfaces tinted.
 fn marked(truth: &TrueImage) -> Image {
     let gray = truth.image.to_gray();
     let pixels = gray.data().iter().zip(&truth.moving).flat_map(|(v, moves)| {
@@ -90,17 +90,17 @@ fn marked(truth: &TrueImage) -> Image {
     Image::from_data(gray.width(), gray.height(), 3, pixels.collect())
 }
 
-/// The absolute difference |a − b| times `gain`, clamped to 1.
+/// Returns the absolute difference |a − b| times `gain`, clamped to 1.
 ///
 /// # Panics
-/// If the images differ in size or channels.
+/// If the images differ in size or number of channels.
 fn difference(a: &Image, b: &Image, gain: f32) -> Image {
     assert_eq!((a.width(), a.channels()), (b.width(), b.channels()), "images of one kind");
     let data = a.data().iter().zip(b.data()).map(|(a, b)| ((a - b).abs() * gain).min(1.0));
     Image::from_data(a.width(), a.height(), a.channels(), data.collect())
 }
 
-/// One line of text per metric, with the scores of the whole image and of the moving part.
+/// Returns one line of text per metric, with the scores of the whole image and of the moving part.
 fn score_lines(scores: &RegionScores) -> [String; 3] {
     let number = |v: Option<f64>, digits: usize| match v {
         Some(v) => format!("{v:.digits$}"),
@@ -121,8 +121,8 @@ fn score_lines(scores: &RegionScores) -> [String; 3] {
     ]
 }
 
-/// The image reduced by a whole factor: means of blocks of `factor`×`factor` pixels, which are smaller at the right
-/// and lower borders.
+/// Reduces an image by an integer factor: each output pixel is the mean of a block of `factor`×`factor` pixels. Blocks
+/// at the right and lower borders may be smaller.
 fn reduced(image: &Image, factor: usize) -> Cow<'_, Image> {
     if factor == 1 {
         return Cow::Borrowed(image);
@@ -141,7 +141,7 @@ fn reduced(image: &Image, factor: usize) -> Cow<'_, Image> {
     Cow::Owned(Image::from_data(width, height, image.channels(), data))
 }
 
-/// Copies an image into an RGB sheet at (x, y), enlarged by `scale`.
+/// Copies an image into an RGB sheet, enlarged by the integer factor `scale`. Its top left corner is at (x, y).
 ///
 /// # Panics
 /// If the enlarged image doesn't fit into the sheet.
@@ -158,7 +158,7 @@ pub fn paste(sheet: &mut Image, (x, y): (usize, usize), image: &Image, scale: us
     }
 }
 
-/// A frame of the review video: images side by side, each with a title, and a heading above. Width and height are
+/// Draws a frame of the review video: images side by side, each with a title, and a heading above. Width and height are
 /// even, because H.264 requires it.
 pub(super) fn strip(heading: &str, panels: &[(&str, &Image)]) -> Image {
     let widest = panels.iter().map(|(_, i)| i.width()).max().unwrap_or(1);

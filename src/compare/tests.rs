@@ -1,4 +1,4 @@
-//! The driver, tested on a tiny capture with a renderer of known errors.
+//! Tests of the comparison on a tiny capture, with a renderer whose errors are known.
 
 use super::*;
 use crate::capture::{CAPTURE_FILE, Capture, Truth};
@@ -9,12 +9,12 @@ use serde_json::{Value, json};
 
 const W: usize = 24;
 const H: usize = 20;
-/// Time of the capture's first instant in its file, seconds. Inside the program it is 0.
+/// Time of the capture's first instant in `capture.json`, seconds. Inside the program this time is 0.
 const ORIGIN_S: f64 = 100.0;
 /// A valid camera id that isn't safe as a file name.
 const EVIL: &str = "an odd id";
 
-/// A camera at 8 frames a second, whose frame times are exact in binary.
+/// Returns the JSON of a camera with 8 frames per second. Its frame times are exact binary numbers.
 fn camera(id: &str) -> Value {
     json!({"width": W, "height": H, "model": "PINHOLE", "params": [24.0, 24.0, 12.0, 10.0],
         "cam_from_world": {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]},
@@ -27,7 +27,7 @@ fn scene() -> Image {
     Image::from_data(W, H, 3, data)
 }
 
-/// Motion of 2 px in the top left quarter.
+/// Returns an npy file with a motion of 2 px in the top left quarter, and 0 elsewhere.
 fn motion() -> Vec<u8> {
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({H}, {W}), }}\n");
@@ -46,8 +46,8 @@ struct Set {
 }
 
 impl Set {
-    /// A capture of two cameras, `a` and one with the id [`EVIL`]. Its truth has images of one instant, from both
-    /// cameras' places and from a place between them.
+    /// Writes a capture of two cameras, with the ids `a` and [`EVIL`]. The ground truth has images of one instant: from
+    /// both cameras' places and from a new view. `change` edits the ground truth before it is written.
     fn new(change: impl FnOnce(&mut Value)) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let capture = json!({"format": "stlfr-capture", "version": 1, "name": "<b>tiny</b>",
@@ -111,14 +111,14 @@ fn offsets() -> Offsets {
     Offsets { reference: "a".into(), cameras }
 }
 
-/// A renderer of known errors. Its images differ from the truth by 0.1 with `nearest`, by 0.01 with `refined`. A view
-/// is the mean of its images.
+/// A renderer whose errors are known. Its images differ from the true image by 0.1 with `nearest`, and by 0.01 with all
+/// other sync methods. A view is the mean of the blended images.
 struct Fake {
     field: LightField,
     truth: Image,
-    /// A camera whose image by `refined` is missing.
+    /// Index of a camera for which every sync method except `nearest` fails.
     broken: Option<usize>,
-    /// Number of covered pixels of a view.
+    /// Number of covered pixels of a view, from the first pixel on.
     covered: usize,
     options: RenderOptions,
 }
@@ -184,7 +184,7 @@ fn known_errors_give_the_known_numbers() {
         let db = if row["method"] == "nearest" { 20.0 } else { 40.0 };
         near(&row["scores"]["whole"]["psnr_db"], db);
         near(&row["scores"]["moving"]["psnr_db"], db);
-        // The moving quarter has 12×10 pixels; dilation adds 2 to the right and below.
+        // The moving quarter has 12×10 pixels. Dilation adds 2 pixels to the right and below.
         assert_eq!(row["scores"]["moving"]["pixels"], 14 * 12);
         near(&row["time_s"], ORIGIN_S + 0.0625);
     }
@@ -222,7 +222,7 @@ fn what_comes_from_files_is_escaped() {
     );
     assert!(html.contains("&lt;script&gt;alert(1)"));
     assert!(!html.contains("http://") && !html.contains("https://"), "it needs no network");
-    // The report shows the files that were measured.
+    // The report must show the files that were measured.
     let data = html.split("application/json\">").nth(1).unwrap().split("</script>").next().unwrap();
     let groups: Value = serde_json::from_str(data).unwrap();
     let views = groups.as_array().unwrap().iter().flat_map(|g| g["views"].as_array().unwrap());
@@ -327,7 +327,7 @@ fn a_video_is_written_whole_or_not_at_all() {
     use std::os::unix::fs::PermissionsExt;
     let set = Set::new(|_| ());
     let program = set.folder.path().join("fake-ffmpeg");
-    // A fake ffmpeg: lists no encoders, and writes its input to the file that its last argument names.
+    // A fake ffmpeg. It lists no encoders, and writes its input to the file that its last argument names.
     let script = "#!/bin/sh\ncase \"$*\" in *-encoders*) exit 0;; esac\n\
         for last; do :; done\ncat > \"${last#file:}\"\nexit ${FAIL:-0}\n";
     std::fs::write(&program, script).unwrap();

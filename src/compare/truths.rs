@@ -6,36 +6,37 @@ use crate::capture::{Capture, Color, Truth};
 use crate::metrics::moving_part;
 use crate::raster::{BitDepth, Image};
 
-/// True images whose times differ by less than this, in seconds, belong to one instant.
+/// Smallest time between two instants, seconds. True images closer in time belong to one instant.
 const SAME_INSTANT_S: f64 = 1e-6;
 
-/// An instant with true images.
+/// An instant at which the ground truth has images.
 pub(crate) struct TrueInstant {
-    /// The time in the truth's file, seconds on the reference's clock.
+    /// Time of the instant in `truth.json`, seconds on the reference's clock.
     pub time_s: f64,
-    /// The same time in seconds from the capture's start.
+    /// Time of the instant in seconds on the reference's clock, from the capture's start.
     pub inner_s: f64,
     pub views: Vec<TrueView>,
 }
 
 /// One true image of an instant.
 pub(crate) struct TrueView {
-    /// Index in `truth.views`.
+    /// Index of the view in [`Truth::views`].
     pub index: usize,
-    /// The filming camera at the same place, if there is one.
+    /// Index of the filming camera at the view's place. `None` if no camera is there.
     pub like: Option<usize>,
     pub camera: Camera,
-    /// A unique name for files.
+    /// Unique base name of the view's output files.
     pub stem: String,
 }
 
-/// A true image with its moving part.
+/// A true image, and the row-major mask of the pixels whose surface moves.
 pub(crate) struct TrueImage {
     pub image: Image,
     pub moving: Vec<bool>,
 }
 
-/// Groups the truth's views by instant, in the order of the file. An error if an image file is missing.
+/// Groups the views of the ground truth by instant, in the order of `truth.json`. An error if an image file is missing
+/// or a view is invalid.
 pub(crate) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInstant>, CompareError> {
     let mut instants: Vec<TrueInstant> = Vec::new();
     for (index, view) in truth.views.iter().enumerate() {
@@ -67,22 +68,24 @@ pub(crate) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInsta
     Ok(instants)
 }
 
-/// A file name for a view, from its id: letters, digits, `-` and `_`. The view's index is appended if another view has
-/// the same name.
+/// Makes a file name for a view from its id, with letters, digits, `-` and `_` only. The view's index is appended if
+/// another view would have the same name.
 fn stem(truth: &Truth, index: usize) -> String {
     let own = slug(&truth.views[index].id);
     let alike = truth.views.iter().filter(|v| slug(&v.id).eq_ignore_ascii_case(&own)).count();
     if alike > 1 || own.is_empty() { format!("{own}-{index}") } else { own }
 }
 
-/// Replaces characters that are unsafe in a file name.
+/// Replaces all characters except ASCII letters, digits and `_` by `-`, and keeps at most 60 characters. The result is
+/// safe as a file name.
 pub(crate) fn slug(name: &str) -> String {
     let keep = |c: char| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' };
     name.chars().take(60).map(keep).collect()
 }
 
 impl TrueView {
-    /// Reads a true image and its moving part. The image is converted to grey if the rendered images are grey.
+    /// Reads a true image and computes the mask of its moving part. The image is converted to grey if the rendered
+    /// images are grey, otherwise to RGB.
     pub fn read(
         &self,
         truth: &Truth,
@@ -108,7 +111,8 @@ impl TrueView {
     }
 }
 
-/// Replaces the pixels that aren't covered by the truth's, so that they add no error to the windows of metrics.
+/// Replaces the pixels that aren't covered by those of the true image. The windows of the metrics then contain no error
+/// from uncovered pixels.
 pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
     let n = image.channels();
     let mut filled = image.clone();
@@ -120,12 +124,12 @@ pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Ima
     filled
 }
 
-/// The image as a file of this bit depth holds it: clamped, rounded, and grey or RGB.
+/// Returns the image as a file of this bit depth holds it: clamped, rounded, and grey (1 channel) or RGB.
 pub(crate) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Image {
     let mut image = if channels == 1 { image.to_gray() } else { image.to_rgb() };
     let most = ((1u32 << bits(depth)) - 1) as f32;
     for v in image.data_mut() {
-        // Rounds as `write_image` does; NaN becomes 0.
+        // Rounds like `write_image`. NaN becomes 0.
         *v = ((*v * most + 0.5) as u32).min(most as u32) as f32 / most;
     }
     image

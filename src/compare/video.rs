@@ -1,5 +1,5 @@
-//! The review video: truth, traditional LFR and ST-LFR side by side over time. For `review.blend`, each of them is
-//! also written as a lossless video of its own.
+//! The review video: true images, traditional LFR and ST-LFR side by side over time. For `review.blend`, each of the
+//! three is also written as a separate lossless video.
 
 use super::instant::Comparison;
 use super::results::ViewMethod;
@@ -20,11 +20,11 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VideoOptions {
-    /// Number of frames. It has no effect if the truth has a video, whose times are then used.
+    /// Number of frames. Ignored if the ground truth has a video: then the times of that video are used.
     pub frames: usize,
-    /// Frame rate at which the video is shown, hertz.
+    /// Frame rate at which the review video is shown, hertz.
     pub rate_hz: f64,
-    /// The ffmpeg that encodes. It is not written with the options.
+    /// Path of the ffmpeg program that encodes. It is not written into the results.
     #[serde(skip)]
     pub ffmpeg: PathBuf,
 }
@@ -35,7 +35,7 @@ impl Default for VideoOptions {
     }
 }
 
-/// Why a video can't be made. The message is one sentence.
+/// Reason why the review video can't be made. The message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum ReviewVideoError {
     #[error(transparent)]
@@ -58,15 +58,15 @@ pub(super) struct ReviewVideo {
     pub view: String,
     pub frames: usize,
     pub rate_hz: f64,
-    /// Lossless videos of the truth and of each method, as pairs of a name (`truth` or the method's) and a path
-    /// relative to the comparison's folder.
+    /// Lossless videos of the true images and of each method. Each entry is a name (`truth` or the method's name) and a
+    /// path relative to the comparison's folder.
     pub movies: Vec<(&'static str, String)>,
 }
 
 impl ReviewVideo {
-    /// Renders and writes the videos. The view is that of the truth's video. If the truth has no video, it is the
-    /// truth's first new view, or else the reference camera's view, over the time that all cameras cover. The most
-    /// accurate proxy is used. `codec` is that of the side-by-side video.
+    /// Renders and writes the videos. The view is the view of the truth's video. Without such a video, it is the first
+    /// view of the ground truth that no camera filmed, or else the reference camera's view, over the time span that all
+    /// cameras cover. The proxy geometry is the one in the renderer's options. `codec` encodes the side-by-side video.
     pub fn write(
         comparison: &Comparison,
         codec: Codec,
@@ -118,15 +118,15 @@ impl ReviewVideo {
 /// A view at several times, with its true images.
 struct VideoInstants {
     target: Camera,
-    /// Seconds from the capture's start.
+    /// Times in seconds on the reference's clock, from the capture's start.
     times_s: Vec<f64>,
-    /// Files of the true images, one per time; empty if there are none.
+    /// Files of the true images, one per time. Empty if there are no true images.
     truth: Vec<PathBuf>,
     view: String,
 }
 
 impl VideoInstants {
-    /// The times and the true images of the truth's video.
+    /// Takes the times and the true images from the truth's video.
     fn of_truth(comparison: &Comparison, video: &TruthVideo) -> Result<Self, ReviewVideoError> {
         let wrong = |reason: &str| ReviewVideoError::Field(reason.to_owned());
         if video.times_s.is_empty() || video.times_s.iter().any(|t| !t.is_finite()) {
@@ -146,7 +146,7 @@ impl VideoInstants {
         })
     }
 
-    /// Evenly spaced times over the span that all cameras cover. There are no true images.
+    /// Spaces `frames` times evenly over the time span that all cameras cover. There are no true images.
     fn spanning(comparison: &Comparison, frames: usize) -> Result<Self, ReviewVideoError> {
         let capture = comparison.renderer.field().capture();
         let span_s = comparison.renderer.field().common_span_s();
@@ -161,7 +161,7 @@ impl VideoInstants {
         Ok(Self { target, times_s, truth: Vec::new(), view })
     }
 
-    /// The images at one time: the true image, if there is one, and one per method.
+    /// Renders the images at the time with index `k`: the true image, if there is one, and one image per method.
     fn panels(
         &self,
         comparison: &Comparison,
@@ -199,14 +199,14 @@ impl VideoInstants {
     }
 }
 
-/// An image at one time, of the truth or of a method.
+/// An image of the review video at one time: the true image, or the image of a method.
 struct VideoPanel {
     name: &'static str,
     title: String,
     image: Image,
 }
 
-/// The name of the `index`-th file of a printf pattern with one `%d` or `%0Nd`; `None` for another pattern.
+/// Returns the name of the `index`-th file of a printf pattern with one `%d` or `%0Nd`. `None` for any other pattern.
 fn numbered(pattern: &str, index: usize) -> Option<String> {
     let (before, rest) = pattern.split_once('%')?;
     let (width, after) = rest.split_once('d')?;

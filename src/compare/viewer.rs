@@ -1,4 +1,4 @@
-//! Data of the report's viewer: the picture files of every view, by proxy and method.
+//! Data of the report's viewer: the picture files of every view, by proxy geometry and method.
 
 use super::results::{Metrics, SyncResult, ViewMethod, ViewResult, used};
 use super::truths::TrueImage;
@@ -7,7 +7,7 @@ use crate::metrics::RegionScores;
 use crate::raster::Image;
 use serde::Serialize;
 
-/// Columns and rows of the grid on which the initial place of the magnifier is searched.
+/// Number of columns and rows of the grid in which the initial position of the magnifier is searched.
 const GRID: [usize; 2] = [16, 12];
 
 /// File and title of a comparison sheet.
@@ -17,22 +17,22 @@ pub(super) struct SheetFile {
     pub title: String,
 }
 
-/// A true image that the viewer shows beside the results.
+/// A true image that the viewer shows next to the rendered images.
 #[derive(Clone, Debug)]
 pub(super) struct Figure {
-    /// Id of the view in the truth.
+    /// Id of the view in the ground truth.
     view: String,
-    /// File of the true image.
+    /// File of the true image, relative to the comparison's folder.
     truth: String,
     pub sheets: Vec<SheetFile>,
     size_px: [usize; 2],
-    /// Initial centre of the magnifier, as fractions of width and height.
+    /// Initial centre of the magnifier, as fractions of the image's width and height.
     focus: [f64; 2],
 }
 
 impl Figure {
-    /// Initially, the magnifier is where the first image differs most from the truth. Only the moving part counts, if
-    /// there is one. Without an image, the magnifier is in the middle.
+    /// Makes a figure. The magnifier is placed where the first rendered image differs most from the true image. If any
+    /// surface moves, only the moving part counts. Without a rendered image, the magnifier is placed in the middle.
     pub fn new(
         view: &str,
         file: String,
@@ -46,7 +46,8 @@ impl Figure {
     }
 }
 
-/// Centre of the 2×2 grid cells with the largest sum of absolute differences, as fractions of width and height.
+/// Returns the centre of the 2×2 grid cells with the largest sum of absolute differences, as fractions of width and
+/// height.
 fn focus(truth: &TrueImage, image: &Image) -> [f64; 2] {
     let [columns, rows] = GRID;
     let (width, height, channels) =
@@ -67,7 +68,7 @@ fn focus(truth: &TrueImage, image: &Image) -> [f64; 2] {
     [(best.0 + 1) as f64 / columns as f64, (best.1 + 1) as f64 / rows as f64]
 }
 
-/// Views that have the same rows and columns of pictures.
+/// Views whose pictures are arranged in the same rows and columns.
 #[derive(Debug, Serialize)]
 pub(super) struct ViewerGroup {
     title: &'static str,
@@ -82,11 +83,11 @@ pub(super) struct ViewerGroup {
 #[derive(Debug, Serialize)]
 struct ViewerView {
     title: String,
-    /// File of the true image.
+    /// File of the true image, relative to the comparison's folder.
     truth: String,
     size_px: [usize; 2],
     focus: [f64; 2],
-    /// The pictures, by row and column.
+    /// The pictures, indexed by row and column.
     cells: Vec<Vec<ViewerCell>>,
 }
 
@@ -94,11 +95,11 @@ struct ViewerView {
 struct ViewerCell {
     file: Option<String>,
     scores: Option<RegionScores>,
-    /// Sentence that says why the picture is missing.
+    /// Sentence that says why the picture is missing. `None` if there is a picture.
     reason: Option<String>,
 }
 
-/// All views of a comparison: new views first, then the filming cameras.
+/// Returns all views of a comparison: the new views first, then the filming cameras.
 pub(super) fn groups(metrics: &Metrics, figures: &[Figure]) -> Vec<ViewerGroup> {
     let mut groups = vec![new_views(metrics, figures), filming_cameras(metrics, figures)];
     groups.retain(|group| !group.views.is_empty());

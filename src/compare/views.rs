@@ -1,4 +1,4 @@
-//! One view at an instant: blended by every method with every proxy, then measured.
+//! One view at an instant: blended by every method with every proxy geometry, then measured.
 
 use super::instant::{ComparedTarget, Comparison, ImageOrReason, SynchronizedBy};
 use super::results::{ExcludedCamera, ViewMethod, ViewResult};
@@ -15,14 +15,14 @@ use crate::options::ProxyMethod;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// A blended view for one proxy and one method. Its result isn't measured yet.
+/// A blended view for one proxy geometry and one method, before its scores are measured.
 pub(super) struct Blend {
     result: ViewResult,
     rendered: Result<Rendered, String>,
 }
 
 impl Comparison<'_> {
-    /// Blends a view by every method with every proxy.
+    /// Blends a view by every method with every proxy geometry.
     pub(super) fn blend(
         &self,
         target: &ComparedTarget,
@@ -45,7 +45,7 @@ impl Comparison<'_> {
         let synchronized = Images::By(self.options.sync);
         let mut blends = Vec::new();
         for &method in ViewMethod::ALL {
-            // Nearest frames show different instants, so that no depth can be estimated from them.
+            // Nearest frames show different instants, so no depth can be estimated from them.
             let (made, images, shape) = match method {
                 ViewMethod::TraditionalLfr => {
                     (by(TRADITIONAL), Images::By(TRADITIONAL), synchronized)
@@ -87,15 +87,16 @@ impl Comparison<'_> {
         blends
     }
 
-    /// The proxies that are compared, cheapest first. Scene flow takes minutes, and is included only if the options
-    /// select it.
+    /// Returns the proxy geometries that are compared, cheapest first. Scene flow takes minutes, so it is included only
+    /// if the options select it.
     fn proxies(&self) -> impl Iterator<Item = ProxyMethod> + use<> {
         let asked = self.renderer.options().proxy.method;
         let is_compared = move |p: &ProxyMethod| *p != ProxyMethod::SceneFlow || *p == asked;
         ProxyMethod::ALL.iter().copied().filter(is_compared)
     }
 
-    /// Measures all blends of one view, on the pixels that all of them cover.
+    /// Measures all blends of one view, on the pixels that all of them cover. Writes the sheets, and returns the
+    /// results and the viewer's figure.
     pub(super) fn measure_view(
         &self,
         target: &ComparedTarget,
@@ -118,7 +119,7 @@ impl Comparison<'_> {
             .collect();
         let id = &self.truth.views[view.index].id;
         let mut sheets = Vec::new();
-        // Sorted by proxy, so that each proxy's panels are one chunk.
+        // The panels are sorted by proxy, so each proxy's panels are one chunk.
         for (proxy, panels) in self.proxies().zip(panels.chunks(ViewMethod::ALL.len())) {
             let name = proxy.name();
             let title = format!("View {id} at {:.4} s, proxy {name}", instant.time_s);
@@ -133,7 +134,7 @@ impl Comparison<'_> {
         Ok((rows, Figure::new(id, true_file, sheets, truth, first)))
     }
 
-    /// The results of all blends of a view. Their images are written to files.
+    /// Measures all blends of a view, writes their images to files, and returns the results.
     fn view_results(
         &self,
         target: &ComparedTarget,
@@ -161,7 +162,7 @@ impl Comparison<'_> {
     }
 }
 
-/// Mask of the pixels that all methods cover with all proxies.
+/// Returns the row-major mask of the pixels that all rendered blends cover.
 fn common_coverage(blends: &[Blend], images: &[ImageOrReason], pixels: usize) -> Vec<bool> {
     let mut covered = vec![true; pixels];
     let with_image = blends.iter().zip(images).filter(|(_, image)| image.is_ok());

@@ -1,11 +1,11 @@
-//! Separable filters over one plane of samples, borders replicated.
+//! Separable filters of one plane of samples. Border pixels are replicated.
 
 use nalgebra::RealField;
 use rayon::prelude::*;
 
-/// Correlates a row-major plane with `horizontal` along the rows and `vertical` along the columns. Both
-/// kernels have odd lengths. Borders are replicated.
-/// `T` is `f32`, or `f64` where results are subtracted from each other.
+/// Correlates a row-major plane with the kernel `horizontal` along the rows and the kernel `vertical` along the
+/// columns. Both kernels have odd lengths. Border pixels are replicated. `T` is `f32`, or `f64` where results are
+/// subtracted from each other.
 pub(super) fn separable<T: RealField + Copy>(
     plane: &[T],
     width: usize,
@@ -43,19 +43,19 @@ fn padded<T: Copy>(row: &[T], radius: usize) -> Vec<T> {
     padded
 }
 
-/// `exp(-x²/2σ²)` at −radius..=radius, not normalized.
+/// Returns the Gaussian `exp(−x²/2σ²)` at the integers −radius..=radius, not normalized.
 pub(super) fn gaussian(sigma_px: f64, radius: usize) -> Vec<f64> {
     let r = radius as isize;
     (-r..=r).map(|x| (-((x * x) as f64) / (2.0 * sigma_px * sigma_px)).exp()).collect()
 }
 
-/// The kernel scaled to sum 1.
+/// Returns the kernel scaled to the sum 1.
 pub(super) fn normalized(kernel: &[f64]) -> Vec<f64> {
     let sum: f64 = kernel.iter().sum();
     kernel.iter().map(|w| w / sum).collect()
 }
 
-/// The kernel in single precision.
+/// Returns the kernel in single precision.
 pub(super) fn single(kernel: &[f64]) -> Vec<f32> {
     kernel.iter().map(|w| *w as f32).collect()
 }
@@ -64,7 +64,7 @@ pub(super) fn single(kernel: &[f64]) -> Vec<f32> {
 mod tests {
     use super::*;
 
-    /// Direct evaluation of the definition.
+    /// Filters a plane directly by the definition, for comparison.
     fn naive(plane: &[f32], width: usize, h: &[f32], v: &[f32]) -> Vec<f32> {
         let height = plane.len() / width;
         let at = |x: isize, y: isize| {

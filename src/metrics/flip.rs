@@ -1,55 +1,57 @@
-//! LDR-FLIP: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: a difference
-//! evaluator for alternating images", Proc. ACM Comput. Graph. Interact. Tech. 3(2), 2020. It
-//! predicts how different two images look to someone who flips between them: 0 is equal, 1 the maximum.
+//! LDR-FLIP: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: a difference evaluator for
+//! alternating images", Proc. ACM Comput. Graph. Interact. Tech. 3(2), 2020. FLIP predicts how different two images
+//! look to a viewer who flips between them: 0 for equal images, at most 1.
 //!
-//! Own code: the crate `nv-flip` (0.1) compiles NVIDIA's C++, takes 8 bits only, and filters the truth
-//! again for every comparison. A test compares with the output of NVIDIA's `flip-evaluator`.
+//! Implemented here, because the crate `nv-flip` (0.1) compiles NVIDIA's C++, takes 8 bits only, and filters the true
+//! image again for every comparison. A test compares this code with the output of NVIDIA's `flip-evaluator`.
 
 use super::filter::{gaussian, normalized, separable, single};
 use crate::raster::{Image, linear_from_encoded};
 use rayon::prelude::*;
 
-/// Pixels per degree of visual angle. This is the authors' default: a 0.7 m wide 4K monitor seen from 0.7 m.
+/// Default number of pixels per degree of visual angle. It is the authors' default: a 0.7 m wide 4K monitor seen from
+/// 0.7 m.
 pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_25;
 
-/// q_c: exponent of the colour difference.
+/// Exponent of the colour difference (q_c in the FLIP paper).
 const COLOR_EXPONENT: f32 = 0.7;
-/// q_f: exponent of the feature difference.
+/// Exponent of the feature difference (q_f in the FLIP paper).
 const FEATURE_EXPONENT: f32 = 0.5;
-/// p_c: fraction of the largest colour difference, up to which differences are mapped to 0..[`PIVOT_VALUE`].
+/// Fraction of the largest colour difference below which differences are mapped to 0..[`PIVOT_VALUE`] (p_c in the FLIP
+/// paper).
 const PIVOT: f32 = 0.4;
-/// p_t: the value to which a colour difference of [`PIVOT`] times the largest is mapped.
+/// Value to which the colour difference of [`PIVOT`] times the largest difference is mapped (p_t in the FLIP paper).
 const PIVOT_VALUE: f32 = 0.95;
-/// Peak-to-trough width of the edge detector w, degrees.
+/// Peak-to-trough width of the edge detector (w in the FLIP paper), degrees of visual angle.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
-/// The contrast sensitivity functions, achromatic, red-green, and blue-yellow: each a sum of Gaussians, given
-/// by amplitude and spread.
+/// Contrast sensitivity functions of the achromatic, red-green and blue-yellow channels. Each is a sum of Gaussians,
+/// given by their amplitudes and spreads.
 const CSF: [&[(f64, f64)]; 3] =
     [&[(1.0, 0.0047)], &[(1.0, 0.0053)], &[(34.1, CSF_LARGEST_SPREAD), (13.5, 0.025)]];
 const CSF_LARGEST_SPREAD: f64 = 0.04;
 
-/// Linear RGB to CIE XYZ, D65.
+/// Matrix from linear RGB to CIE XYZ with white point D65.
 const XYZ_FROM_RGB: [[f64; 3]; 3] = [
     [10135552.0 / 24577794.0, 8788810.0 / 24577794.0, 4435075.0 / 24577794.0],
     [2613072.0 / 12288897.0, 8788810.0 / 12288897.0, 887015.0 / 12288897.0],
     [1425312.0 / 73733382.0, 8788810.0 / 73733382.0, 70074185.0 / 73733382.0],
 ];
-/// The inverse of [`XYZ_FROM_RGB`].
+/// Matrix from CIE XYZ to linear RGB, the inverse of [`XYZ_FROM_RGB`].
 const RGB_FROM_XYZ: [[f64; 3]; 3] = [
     [3.241003275, -1.537398934, -0.498615861],
     [-0.969224334, 1.875930071, 0.041554224],
     [0.055639423, -0.204011202, 1.057148933],
 ];
-/// The D65 white point.
+/// White point D65 in CIE XYZ.
 const WHITE: [f32; 3] = [0.950_428_5, 1.0, 1.088_900_4];
 
-/// A filtered image, ready to be compared with several others.
+/// An image with FLIP's filters applied, ready to be compared with several other images.
 pub struct FlipImage {
-    /// Hunt-adjusted L*a*b* after the contrast sensitivity filter.
+    /// Hunt-adjusted L*a*b* colour of every pixel, after the contrast sensitivity filter.
     color: Vec<[f32; 3]>,
-    /// Edge magnitude at every pixel.
+    /// Edge magnitude at every pixel, row-major.
     edges: Vec<f32>,
-    /// Point magnitude at every pixel.
+    /// Point magnitude at every pixel, row-major.
     points: Vec<f32>,
 }
 
@@ -76,7 +78,7 @@ impl FlipImage {
     }
 }
 
-/// FLIP at every pixel, row-major, in 0..=1.
+/// Returns FLIP's difference of two images at every pixel, row-major, in 0..=1.
 ///
 /// # Panics
 /// If the images differ in size.
@@ -97,8 +99,8 @@ pub fn flip_map(reference: &FlipImage, test: &FlipImage) -> Vec<f32> {
         .collect()
 }
 
-/// Filters a channel by its contrast sensitivity function, a sum of Gaussians that is normalized to 1. `ppd`
-/// is pixels per degree.
+/// Filters a channel by its contrast sensitivity function, a sum of Gaussians normalized to the integral 1. `ppd` is
+/// the number of pixels per degree of visual angle.
 fn sensitivity(plane: &[f32], width: usize, csf: &[(f64, f64)], ppd: f64) -> Vec<f32> {
     use std::f64::consts::PI;
     let radius = (3.0 * (CSF_LARGEST_SPREAD / (2.0 * PI * PI)).sqrt() * ppd).ceil() as usize;
@@ -122,7 +124,8 @@ fn sensitivity(plane: &[f32], width: usize, csf: &[(f64, f64)], ppd: f64) -> Vec
     filtered
 }
 
-/// Magnitudes of edges and of points: norms of the first and second derivatives along both axes.
+/// Returns the magnitudes of edges and of points at every pixel: the norms of the first and of the second derivatives
+/// along both axes. `ppd` is the number of pixels per degree of visual angle.
 fn features(luminance: &[f32], width: usize, ppd: f64) -> (Vec<f32>, Vec<f32>) {
     let sigma = 0.5 * FEATURE_WIDTH_DEG * ppd;
     let radius = (3.0 * sigma).ceil() as usize;
@@ -141,19 +144,20 @@ fn features(luminance: &[f32], width: usize, ppd: f64) -> (Vec<f32>, Vec<f32>) {
     (norm(&edge), norm(&point))
 }
 
-/// Scales positive weights to sum 1, and negative ones to sum −1.
+/// Scales the positive weights to the sum 1, and the negative weights to the sum −1.
 fn balanced(kernel: &[f64]) -> Vec<f64> {
     let positive: f64 = kernel.iter().filter(|w| **w > 0.0).sum();
     let negative: f64 = -kernel.iter().filter(|w| **w < 0.0).sum::<f64>();
     kernel.iter().map(|w| w / if *w < 0.0 { negative } else { positive }).collect()
 }
 
-/// HyAB distance: city-block in lightness, Euclidean in chroma.
+/// Returns the HyAB distance of two L*a*b* colours: city-block in lightness, Euclidean in chroma.
 fn hyab(a: [f32; 3], b: [f32; 3]) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).hypot(a[2] - b[2])
 }
 
-/// Maps a colour difference to 0..=1; `most` is the largest difference between two colours.
+/// Maps a colour difference to 0..=1 by a piecewise linear function. `most` is the largest difference between two
+/// colours.
 fn redistributed(difference: f32, most: f32) -> f32 {
     let pivot = PIVOT * most;
     if difference < pivot {
@@ -167,13 +171,13 @@ fn transformed(matrix: &[[f64; 3]; 3], v: [f32; 3]) -> [f32; 3] {
     matrix.map(|row| row[0] as f32 * v[0] + row[1] as f32 * v[1] + row[2] as f32 * v[2])
 }
 
-/// Linear RGB to XYZ relative to the white point.
+/// Converts linear RGB to CIE XYZ divided by the white point.
 fn relative_xyz(rgb: [f32; 3]) -> [f32; 3] {
     let xyz = transformed(&XYZ_FROM_RGB, rgb);
     [xyz[0] / WHITE[0], xyz[1] / WHITE[1], xyz[2] / WHITE[2]]
 }
 
-/// Linear RGB to the opponent space YCxCz.
+/// Converts linear RGB to the opponent colour space YCxCz.
 fn ycxcz(rgb: [f32; 3]) -> [f32; 3] {
     let [x, y, z] = relative_xyz(rgb);
     [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
@@ -185,7 +189,7 @@ fn rgb_of_ycxcz(c: [f32; 3]) -> [f32; 3] {
     transformed(&RGB_FROM_XYZ, [x * WHITE[0], y * WHITE[1], z * WHITE[2]])
 }
 
-/// Linear RGB to L*a*b* with Hunt's adjustment: chroma is scaled by lightness.
+/// Converts linear RGB to L*a*b* with Hunt's adjustment: a* and b* are scaled by lightness.
 fn hunt_lab(rgb: [f32; 3]) -> [f32; 3] {
     const DELTA: f32 = 6.0 / 29.0;
     let f = |t: f32| {
@@ -222,7 +226,7 @@ mod tests {
 
     #[test]
     fn black_against_white_is_the_lightness_alone() {
-        // The HyAB distance of black and white is 100, the largest is that of green and blue. Both are raised
+        // The HyAB distance of black and white is 100. The largest distance is between green and blue. Both are raised
         // to the power 0.7.
         let most = hyab(hunt_lab([0.0, 1.0, 0.0]), hunt_lab([0.0, 0.0, 1.0])).powf(0.7);
         let expected = redistributed(100f32.powf(0.7), most);
@@ -248,8 +252,8 @@ mod tests {
     }
 
     /// `tests/golden/flip_reference.json` is the output of NVIDIA's `flip-evaluator`, written by
-    /// `make_flip_reference.py` beside it. The tolerances, 2e-4 for a pixel and 2e-5 for the mean,
-    /// cover rounding to 5 decimals and single precision. They are 50 times below a visible step.
+    /// `make_flip_reference.py` in the same folder. The tolerances are 2e-4 for a pixel and 2e-5 for the mean. They
+    /// cover rounding to 5 decimals and single precision, and are 50 times below a visible step.
     #[test]
     fn equals_nvidias_evaluator() {
         let text = include_str!("../../tests/golden/flip_reference.json");

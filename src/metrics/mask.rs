@@ -2,11 +2,11 @@
 
 use crate::raster::max_filter;
 
-/// Row-major mask of pixels whose surface point moves by more than `threshold_px` within ±1 frame,
-/// dilated by a square of radius `dilation_px`.
+/// Returns the row-major mask of the pixels whose surface point moves by more than `threshold_px` within ±1 frame. The
+/// mask is dilated by a square of radius `dilation_px`.
 ///
-/// `motion_px` is the true motion of each pixel's surface point. Pixels with non-finite motion have no surface, and
-/// don't move.
+/// `motion_px` is the true motion of each pixel's surface point within ±1 frame, pixels. A pixel with non-finite motion
+/// has no surface, and counts as static.
 pub fn moving_part(
     motion_px: &[f32],
     width: usize,

@@ -1,4 +1,4 @@
-//! How far an image is from the truth: PSNR, SSIM and FLIP, over any set of pixels.
+//! Image quality against a true image: PSNR, SSIM and FLIP, over any set of pixels.
 
 mod filter;
 pub mod flip;

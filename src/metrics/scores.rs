@@ -1,26 +1,26 @@
-//! Scores of an image against a true one: error maps, and their means over sets of pixels.
+//! Scores of an image against the true image: error maps, and their means over sets of pixels.
 
 use super::flip::{FlipImage, flip_map};
 use super::ssim::{has_full_window, ssim_map};
 use crate::raster::Image;
 use serde::{Deserialize, Serialize};
 
-/// The three metrics over one set of pixels. Files hold null for `None`, never NaN or infinity.
+/// PSNR, SSIM and FLIP over a set of pixels. Files contain null for `None`, never NaN or infinity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scores {
-    /// Number of pixels in the set.
+    /// Number of pixels in the measured set.
     pub pixels: usize,
-    /// 10·log₁₀(1/MSE) over all channels, decibels. `None` without pixels, or if the images are
+    /// PSNR over all channels, 10·log₁₀(1/MSE), decibels. `None` if the set has no pixels, or if the images are
     /// identical there.
     pub psnr_db: Option<f64>,
-    /// Mean SSIM of the luma, −1..=1; `None` if no pixel has a full window.
+    /// Mean SSIM of the luma, in −1..=1, where 1 is best. `None` if no pixel of the set has a full window.
     pub ssim: Option<f64>,
-    /// Mean FLIP in 0..=1, where 0 is best; `None` without pixels.
+    /// Mean FLIP, in 0..=1, where 0 is best. `None` if the set has no pixels.
     pub flip: Option<f64>,
 }
 
-/// Scores of one image: over all measured pixels, and over their moving part.
+/// Scores of one image: over all measured pixels, and over the pixels of moving surfaces.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegionScores {
@@ -36,19 +36,19 @@ pub struct ReferenceImage {
     pixels_per_degree: f64,
 }
 
-/// Errors at every pixel, row-major.
+/// Maps of an image's errors at every pixel, row-major.
 pub struct ErrorMaps {
     width: usize,
     height: usize,
-    /// Squared error, mean of the channels.
+    /// Squared error of every pixel, mean over the channels.
     squared: Vec<f32>,
     ssim: Vec<f32>,
     flip: Vec<f32>,
 }
 
 impl ReferenceImage {
-    /// Computes the luma and FLIP's filters of a true image. `pixels_per_degree`, of visual angle, is FLIP's viewing
-    /// condition.
+    /// Computes the luma and FLIP's filters of a true image. FLIP's viewing condition is `pixels_per_degree`, the
+    /// number of pixels per degree of visual angle.
     pub fn new(image: Image, pixels_per_degree: f64) -> Self {
         let (gray, flip) = (image.to_gray(), FlipImage::new(&image, pixels_per_degree));
         Self { image, gray, flip, pixels_per_degree }
@@ -58,10 +58,10 @@ impl ReferenceImage {
         &self.image
     }
 
-    /// Compares an image of the same size and channels.
+    /// Computes the error maps of an image. The image must have the size and the number of channels of the true image.
     ///
     /// # Panics
-    /// If its size or channels differ.
+    /// If the size or the number of channels differs.
     pub fn compare(&self, test: &Image) -> ErrorMaps {
         let truth = &self.image;
         assert_eq!(
@@ -85,11 +85,11 @@ impl ReferenceImage {
 }
 
 impl ErrorMaps {
-    /// Metrics over the pixels where `mask` is true, or over all. Sums run in row order in f64, so that
-    /// they don't depend on the number of threads.
+    /// Returns the metrics over the pixels where `mask` is true, or over all pixels if it is `None`. Sums are computed
+    /// in row order in f64, so that they don't depend on the number of threads.
     ///
     /// # Panics
-    /// If the mask has another number of pixels.
+    /// If the mask's number of pixels differs from the image's.
     pub fn scores(&self, mask: Option<&[bool]>) -> Scores {
         assert!(mask.is_none_or(|m| m.len() == self.squared.len()), "a mask of the image's size");
         let (mut pixels, mut windows) = (0usize, 0usize);
@@ -112,7 +112,8 @@ impl ErrorMaps {
         }
     }
 
-    /// Scores over the covered pixels (all, if `covered` is `None`), and over the moving ones among them.
+    /// Returns the scores over the covered pixels (all pixels if `covered` is `None`), and over the covered pixels that
+    /// are `moving`.
     pub fn regions(&self, covered: Option<&[bool]>, moving: &[bool]) -> RegionScores {
         let both: Option<Vec<bool>> =
             covered.map(|c| c.iter().zip(moving).map(|(c, m)| *c && *m).collect());
@@ -123,7 +124,8 @@ impl ErrorMaps {
     }
 }
 
-/// The median; of an even number, the mean of the middle two. `None` for no values.
+/// Returns the median of the values. For an even number of values, it is the mean of the middle two. `None` without
+/// values.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let n = values.len();

@@ -1,27 +1,27 @@
-//! SSIM: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to
-//! structural similarity", IEEE TIP 13(4), 2004, with the constants of the paper.
+//! SSIM: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural similarity",
+//! IEEE TIP 13(4), 2004, with the constants of that paper.
 //!
-//! Own code: the crate `image-compare` (0.5) takes 8 bits only, and `dssim` is another metric.
+//! Implemented here, because the crate `image-compare` (0.5) takes 8 bits only, and `dssim` is a different metric.
 
 use super::filter::{gaussian, normalized, separable};
 use crate::raster::Image;
 use rayon::prelude::*;
 
-/// The window's standard deviation in pixels (the paper's).
+/// Standard deviation of the Gaussian window, pixels, as in the SSIM paper.
 const WINDOW_SIGMA_PX: f64 = 1.5;
-/// Radius of the window, 11×11 as in the paper. Pixels closer to the border have no full window, and no
-/// value.
+/// Radius of the window, pixels: 11×11 as in the SSIM paper. Pixels closer to the border have no full window and don't
+/// count in means.
 pub const WINDOW_RADIUS_PX: usize = 5;
-/// (K₁L)² with K₁ = 0.01 and L = 1, the range of the samples.
+/// C₁ = (K₁L)² of the SSIM paper, with K₁ = 0.01 and L = 1, the range of the samples.
 const C1: f64 = 0.01 * 0.01;
-/// (K₂L)² with K₂ = 0.03 and L = 1.
+/// C₂ = (K₂L)² of the SSIM paper, with K₂ = 0.03 and L = 1, the range of the samples.
 const C2: f64 = 0.03 * 0.03;
 
-/// SSIM (equation 13) at every pixel, row-major, in −1..=1, of two grey images with display-encoded
-/// values.
+/// Returns the SSIM (eq. 13 of the SSIM paper) of two grey images with display-encoded values: one value per pixel,
+/// row-major, in −1..=1.
 ///
-/// Within [`WINDOW_RADIUS_PX`] of the border, image borders are replicated. Exclude those values from a
-/// mean by [`has_full_window`].
+/// Border pixels are replicated for windows that reach beyond the image. Use [`has_full_window`] to exclude the values
+/// of these windows from a mean.
 ///
 /// # Panics
 /// If the images differ in size or are not grey.
@@ -29,7 +29,7 @@ pub fn ssim_map(a: &Image, b: &Image) -> Vec<f32> {
     assert_eq!((a.width(), a.height(), a.channels()), (b.width(), b.height(), 1));
     assert_eq!(a.channels(), 1);
     let window = normalized(&gaussian(WINDOW_SIGMA_PX, WINDOW_RADIUS_PX));
-    // Computed in f64: a variance is a small difference of large means, of the size of C₂.
+    // Computed in f64: a variance is a small difference of large means, of the order of C₂.
     let mean = |plane: &[f64]| separable(plane, a.width(), &window, &window);
     let product =
         |p: &[f64], q: &[f64]| mean(&p.iter().zip(q).map(|(p, q)| p * q).collect::<Vec<_>>());
@@ -50,7 +50,7 @@ pub fn ssim_map(a: &Image, b: &Image) -> Vec<f32> {
         .collect()
 }
 
-/// Whether a pixel's window lies within the image.
+/// Returns whether the window around the pixel (x, y) lies within an image of this width and height.
 pub fn has_full_window(x: usize, y: usize, width: usize, height: usize) -> bool {
     let r = WINDOW_RADIUS_PX;
     x >= r && y >= r && x + r < width && y + r < height

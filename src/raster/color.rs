@@ -1,12 +1,12 @@
-//! Colour: the sRGB transfer function (IEC 61966-2-1), and Rec. 709 luminance.
+//! Colour conversions: the sRGB transfer function (IEC 61966-2-1), and Rec. 709 luminance.
 
 use nalgebra::RealField;
 
 /// Rec. 709 luminance weights of linear red, green and blue. They sum to 1.
 pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
-/// Converts a display-encoded (sRGB) value to linear light, both from 0 to 1. For negative values, which cubic filters
-/// give by overshoot, the linear segment of the curve is extended.
+/// Converts a display-encoded (sRGB) value to linear light, both from 0 to 1. Negative values, which cubic filters
+/// produce by overshoot, are converted by the linear segment of the curve.
 pub fn linear_from_encoded<T: RealField + Copy>(v: T) -> T {
     let c = nalgebra::convert::<f64, T>;
     if v <= c(0.04045) { v / c(12.92) } else { ((v + c(0.055)) / c(1.055)).powf(c(2.4)) }
@@ -18,14 +18,16 @@ pub fn encoded_from_linear<T: RealField + Copy>(v: T) -> T {
     if v <= c(0.0031308) { v * c(12.92) } else { c(1.055) * v.powf(c(1.0 / 2.4)) - c(0.055) }
 }
 
-/// Rec. 709 weighted sum of an RGB pixel: luma for display-encoded values, luminance for linear ones.
+/// Returns the Rec. 709 weighted sum of an RGB pixel: the luma of display-encoded values, or the luminance of linear
+/// values.
 #[inline(always)]
 pub fn luma(pixel: &[f32]) -> f32 {
     const WEIGHTS: [f32; 3] = [LUMINANCE[0] as f32, LUMINANCE[1] as f32, LUMINANCE[2] as f32];
     WEIGHTS[0] * pixel[0] + WEIGHTS[1] * pixel[1] + WEIGHTS[2] * pixel[2]
 }
 
-/// Converts a display-encoded colour to a display-encoded grey value of the same luminance, like a grey camera.
+/// Converts a display-encoded colour to the display-encoded grey value of the same luminance, as a grey camera records
+/// it.
 pub fn gray_from_rgb(rgb: [f32; 3]) -> f32 {
     encoded_from_linear(luma(&rgb.map(linear_from_encoded)))
 }

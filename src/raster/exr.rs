@@ -1,8 +1,8 @@
-//! OpenEXR files: linear light as half floats, depth and motion, in channels with the usual names.
+//! Writer of OpenEXR files: linear light as half floats, depth and motion, in channels with the usual names.
 //!
-//! The format: <https://openexr.com/en/latest/OpenEXRFileLayout.html>. Files are single-part scanline files of version
-//! 2, with ZIP compression of blocks of 16 rows. The crate `exr` isn't used, because it depends on dozens of crates
-//! for reading and for other codecs.
+//! The format is described at <https://openexr.com/en/latest/OpenEXRFileLayout.html>. Files are single-part scanline
+//! files of version 2, with ZIP compression of blocks of 16 rows. The crate `exr` isn't used, because it depends on
+//! dozens of crates for reading and for other codecs.
 
 use super::file::ImageFileError;
 use super::{Image, linear_from_encoded};
@@ -13,26 +13,27 @@ use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
-/// Depth of a pixel without a surface, metres: Blender's value.
+/// Depth of a pixel without a surface, metres. The value is Blender's.
 const NO_DEPTH_M: f32 = 1e10;
 
-/// Number of rows in a compressed block, fixed by the format for ZIP.
+/// Number of rows in a compressed block. The format prescribes this number for ZIP compression.
 const BLOCK_ROWS: usize = 16;
 
-/// Number of blocks that are compressed in parallel. More: more memory; fewer: threads wait for each other.
+/// Number of blocks that are compressed in parallel. A larger number takes more memory. With a smaller number, threads
+/// wait for each other.
 const BLOCKS_AT_ONCE: usize = 32;
 
-/// The file's name before it is placed.
+/// Name of the file in its temporary folder, before it is moved to its path.
 const FILE: &str = "exr";
 
-/// Constants of the format.
+/// Constants of the OpenEXR format: the magic number, the version, and the codes of the compression and of pixel types.
 const MAGIC: u32 = 20_000_630;
 const VERSION: u32 = 2;
 const ZIP: u8 = 3;
 const HALF: u32 = 1;
 const FLOAT: u32 = 2;
 
-/// A channel's values by the index of the pixel, row by row.
+/// Type and values of a channel. The values are a function of the pixel's index, row by row.
 enum Channel<'a> {
     Half(Value<'a>),
     Float(Value<'a>),
@@ -40,33 +41,34 @@ enum Channel<'a> {
 
 type Value<'a> = Box<dyn Fn(usize) -> f32 + Sync + 'a>;
 
-/// What an OpenEXR file holds: one value of every layer for each pixel, row by row.
+/// Layers of an OpenEXR file. Every layer has one value per pixel, row by row.
 pub struct ExrLayers<'a> {
-    /// 1 or 3 channels, display-encoded.
+    /// The image: 1 or 3 channels, display-encoded (sRGB).
     pub image: &'a Image,
-    /// Where it is false, the pixel is black with alpha 0 and without motion.
+    /// Mask of the covered pixels. All other pixels are written black, with alpha 0 and without motion.
     pub coverage: &'a [bool],
     /// Depth along the camera's axis, metres. A depth that isn't finite is written as 1e10.
     pub depths_m: &'a [f32],
-    /// Displacements of a pixel, by its index, from this picture to the previous one and to the next one: pixels to the
-    /// right and down. `None`: the file has no motion.
+    /// Displacements of each pixel's surface point to the previous and to the next picture, pixels to the right and
+    /// down. If it is `None`, no motion channels are written.
     pub motion: Option<&'a Displacements<'a>>,
 }
 
-/// Displacements of a pixel to the previous and to the next picture.
+/// Two displacements of a pixel's surface point: to the previous picture and to the next picture. Each is in pixels to
+/// the right and down. The argument is the pixel's index.
 pub type Displacements<'a> = dyn Fn(usize) -> [[f32; 2]; 2] + Sync + 'a;
 
-/// Writes layers as OpenEXR. A missing folder is created.
+/// Writes layers as an OpenEXR file. A missing folder is created.
 ///
-/// | channels | what |
+/// | channels | contents |
 /// |---|---|
 /// | `R`, `G`, `B`, `A` | scene-linear light and alpha, half floats |
 /// | `Z` | depth, metres, 32-bit floats |
-/// | `forward.u`, `forward.v` | motion to the next picture, pixels to the right and up, half floats: Nuke's layer |
-/// | `backward.u`, `backward.v` | the way to the previous picture, likewise |
-/// | `Vector.X`, `.Y`, `.Z`, `.W` | Blender's pass of the same motion: X and Y are `backward`, Z and W minus `forward` |
+/// | `forward.u`, `forward.v` | motion to the next picture, pixels to the right and up, half floats, named as in Nuke |
+/// | `backward.u`, `backward.v` | motion to the previous picture, pixels to the right and up, half floats |
+/// | `Vector.X`, `.Y`, `.Z`, `.W` | Blender's Vector pass: X and Y are `backward`, Z and W are minus `forward` |
 ///
-/// Half floats have 11 bits: a motion of 64 pixels is exact to 0.03.
+/// Half floats have 11 significant bits: a motion of 64 pixels is exact to 0.03 pixels.
 ///
 /// # Panics
 /// If `coverage` or `depths_m` doesn't have one value per pixel.
@@ -84,7 +86,7 @@ pub fn write_exr(path: &Path, layers: &ExrLayers) -> Result<(), ImageFileError> 
     written.map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
-/// The channels, sorted by name as the format requires.
+/// Returns the file's channels, sorted by name as the format requires.
 fn channels<'a>(layers: &ExrLayers<'a>) -> Vec<(&'static str, Channel<'a>)> {
     let ExrLayers { image, coverage, depths_m, motion } = *layers;
     let pixels = image.width() * image.height();
@@ -112,7 +114,7 @@ fn channels<'a>(layers: &ExrLayers<'a>) -> Vec<(&'static str, Channel<'a>)> {
     channels
 }
 
-/// The channels of motion. The file's vertical axis points up.
+/// Returns the motion channels. The file's vertical axis points up.
 fn motion_channels<'a>(
     displacements: &'a Displacements<'a>,
     coverage: &'a [bool],
@@ -138,11 +140,11 @@ fn motion_channels<'a>(
     ]
 }
 
-/// The half float nearest to a value, ties to even. NaN becomes 0, and values beyond the largest half float become the
-/// largest.
+/// Returns the bits of the half float nearest to a value, with ties to even. NaN becomes 0. Values beyond the largest
+/// half float become the largest.
 fn half(value: f32) -> u16 {
     const MAX: f32 = 65_504.0;
-    /// The smallest positive half float, 2^−24, and the smallest with full precision, 2^−14.
+    /// `MIN` is the smallest positive half float, 2^−24. `MIN_NORMAL` is the smallest with full precision, 2^−14.
     const MIN: f32 = 5.960_464_5e-8;
     const MIN_NORMAL: f32 = 6.103_515_6e-5;
     let sign = if value.is_sign_negative() { 0x8000 } else { 0 };
@@ -156,7 +158,7 @@ fn half(value: f32) -> u16 {
     sign | ((rounded >> 13) - (112 << 10)) as u16
 }
 
-/// Writes a file in runs of blocks, so that the largest views don't need the memory of a whole file.
+/// Writes a file in runs of [`BLOCKS_AT_ONCE`] blocks, so that a large view doesn't need the memory of a whole file.
 fn encode(
     mut file: impl Write + Seek,
     [width, height]: [usize; 2],
@@ -174,7 +176,7 @@ fn encode(
     start.extend(MAGIC.to_le_bytes());
     start.extend(VERSION.to_le_bytes());
     header(&mut start, [width as u32, height as u32], channels);
-    // The table of the blocks' places follows the header, and is written when they are known.
+    // The table of the blocks' positions in the file follows the header. It is written after the blocks.
     file.write_all(&start)?;
     file.write_all(&vec![0; 8 * count])?;
     let mut place = start.len() + 8 * count;
@@ -225,7 +227,7 @@ fn header(file: &mut Vec<u8>, [width, height]: [u32; 2], channels: &[(&str, Chan
     file.push(0);
 }
 
-/// The bytes of a row of pixels: all channels, one after another.
+/// Returns the bytes of the row `y` of pixels: all channels, one after another.
 fn row(channels: &[(&str, Channel)], width: usize, y: usize) -> Vec<u8> {
     let span = y * width..(y + 1) * width;
     let bytes = |(_, channel): &(&str, Channel)| -> Vec<u8> {
@@ -239,7 +241,8 @@ fn row(channels: &[(&str, Channel)], width: usize, y: usize) -> Vec<u8> {
     channels.iter().flat_map(bytes).collect()
 }
 
-/// The format's ZIP compression: even bytes before odd ones, differences of neighbours, then deflate.
+/// Compresses a block by the format's ZIP compression: even bytes before odd bytes, differences of neighbours, then
+/// deflate.
 fn compressed(raw: &[u8]) -> std::io::Result<Vec<u8>> {
     let halves = raw.iter().step_by(2).chain(raw.iter().skip(1).step_by(2));
     let mut before = None;
@@ -261,7 +264,7 @@ mod tests {
     use flate2::read::ZlibDecoder;
     use std::io::Read;
 
-    /// The value of a half float, from the definition of the format.
+    /// Returns the value of a half float, from the definition of the format.
     fn value(half: u16) -> f64 {
         let (exponent, mantissa) = (i32::from(half >> 10 & 31), f64::from(half & 1023));
         let size = match exponent {
@@ -286,7 +289,7 @@ mod tests {
             );
         }
         assert_eq!((half(f32::NAN) & 0x7fff, value(half(1e30))), (0, 65_504.0));
-        // A value halfway between two half floats becomes the even one.
+        // A value halfway between two half floats becomes the one with an even mantissa.
         assert_eq!((value(half(2049.0)), value(half(2051.0))), (2048.0, 2052.0));
     }
 

@@ -10,7 +10,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::{Path, PathBuf};
 
-/// An error of an image file. Every message is one sentence with the file.
+/// Error of reading or writing an image file. Every message is one sentence that starts with the file's path.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageFileError {
     /// The file can't be read.
@@ -24,7 +24,7 @@ pub enum ImageFileError {
     Content { path: PathBuf, reason: String },
 }
 
-/// Properties from an image file's header.
+/// Properties of an image from its file's header.
 pub(crate) struct Header {
     pub width: u32,
     pub height: u32,
@@ -37,7 +37,7 @@ pub const MAX_PIXELS: u64 = 1 << 26;
 /// Maximum size of an image file, bytes: 8192×8192 pixels of incompressible 16-bit RGB, and metadata.
 const MAX_FILE_BYTES: u64 = 448 << 20;
 
-/// Maximum memory of decoders of other formats than PNG, bytes: an 8192×8192 image and its buffers.
+/// Maximum memory of a decoder of any format except PNG, bytes: an 8192×8192 image and the decoder's buffers.
 const MAX_DECODE_BYTES: u64 = 1 << 30;
 
 fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
@@ -48,13 +48,13 @@ fn read_error(path: &Path) -> impl Fn(std::io::Error) -> ImageFileError {
     |source| ImageFileError::Read { path: path.to_owned(), source }
 }
 
-/// An image file with its header read and checked. The image has at most [`MAX_PIXELS`] pixels.
+/// An image file whose header has been read and checked. The image has at most [`MAX_PIXELS`] pixels.
 struct OpenedImage<R: BufRead + Seek> {
     header: Header,
     decoder: Decoder<R>,
 }
 
-/// The decoder of an image file's pixels.
+/// Decoder of an image file's pixels.
 enum Decoder<R: BufRead + Seek> {
     Png(Box<::png::Reader<R>>),
     Other(Box<dyn ImageDecoder>),
@@ -110,11 +110,13 @@ impl<R: BufRead + Seek + 'static> OpenedImage<R> {
     }
 }
 
-/// Maximum length of a PNM header with its comments, bytes. It fits into the first read of a buffered reader.
+/// Maximum length of a PNM header including its comments, bytes. The first read of a buffered reader contains a header
+/// of this length.
 const MAX_PNM_HEADER: usize = 4096;
 
-/// An error for a PNM file whose header is too long, because its decoder reads comments byte by byte. `start` has the
-/// first bytes of the file. The error is a reason.
+/// Returns an error for a PNM file whose header is too long. The PNM decoder reads comments byte by byte, which takes
+/// long. `start` has the first bytes of the file. The error message doesn't name the file. Files of other formats are
+/// accepted.
 fn pnm_header(start: &[u8]) -> Result<(), String> {
     let (Some(header), [b'P', kind @ b'1'..=b'7', ..]) = (start.get(..MAX_PNM_HEADER), start)
     else {
@@ -127,7 +129,7 @@ fn pnm_header(start: &[u8]) -> Result<(), String> {
     if is_whole { Ok(()) } else { Err(format!("has a header of more than {MAX_PNM_HEADER} bytes")) }
 }
 
-/// Number of words in a PNM header, without comments.
+/// Returns the number of words in a PNM header, not counting comments.
 fn pnm_words(header: &[u8]) -> usize {
     let (mut words, mut in_word, mut in_comment) = (0, false, false);
     for byte in header {
@@ -143,18 +145,18 @@ pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
     open(path).map(|opened| opened.header)
 }
 
-/// Reads an image file; returns the image and its bit depth. Grey images have one channel, all others three. Alpha is
-/// ignored. Samples are scaled to 0 to 1.
+/// Reads an image file. Returns the image and its bit depth. Grey images have one channel, all others three. Alpha is
+/// ignored. Samples are scaled to the range from 0 to 1.
 ///
-/// Errors before pixels are read: a file that isn't regular, a file of more than 448 MiB, an image of more than
-/// [`MAX_PIXELS`] pixels.
+/// These are errors before any pixel is decoded: a file that isn't regular, a file of more than 448 MiB, and an image
+/// of more than [`MAX_PIXELS`] pixels.
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     let opened = open(path)?;
     let depth = opened.header.bit_depth;
     Ok((opened.decode(path)?, depth))
 }
 
-/// [`read_image`], with a hash of the file's bytes.
+/// Reads an image file like [`read_image`]. Returns the image, and the hash and state of the file.
 pub(crate) fn read_hashed_image(path: &Path) -> Result<(Image, FileRead), ImageFileError> {
     let (bytes, read) = read_hashed(path, MAX_FILE_BYTES).map_err(read_error(path))?;
     Ok((OpenedImage::new(path, Cursor::new(bytes))?.decode(path)?, read))
@@ -172,19 +174,20 @@ fn unpacked(decoded: DynamicImage) -> Image {
 /// File format of a single image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StillFormat {
-    /// PNG, lossless, with transparency.
+    /// PNG: lossless, with transparency.
     Png,
-    /// JPEG of high quality, 8 bits. Uncovered pixels are black.
+    /// JPEG of high quality, 8 bits per channel. Uncovered pixels are black.
     Jpeg,
 }
 
 impl StillFormat {
-    /// Whether the format has an alpha channel and 16 bits per channel.
+    /// Returns whether the format is lossless. A lossless format also supports an alpha channel and 16 bits per
+    /// channel.
     pub fn is_lossless(self) -> bool {
         self == Self::Png
     }
 
-    /// The format for a suffix in lower case; `None` for an unknown one.
+    /// Returns the format for a file name's suffix in lower case. `None` for an unknown suffix.
     pub fn of_suffix(suffix: &str) -> Option<Self> {
         match suffix {
             "png" => Some(Self::Png),
@@ -194,14 +197,15 @@ impl StillFormat {
     }
 }
 
-/// JPEG quality, of 100. Lower: blocks show around edges; higher: files grow without a visible gain.
+/// JPEG quality on the scale from 1 to 100. At lower quality, block artefacts show at edges. At higher quality, files
+/// grow without a visible gain.
 const JPEG_QUALITY: u8 = 95;
 
-/// Writes a picture as an image file. A missing folder is created.
+/// Writes a quantized image as an image file. A missing folder is created.
 ///
 /// # Errors
-/// If the file can't be written. For JPEG, if a picture has alpha, 16 bits per channel or a side of more than 65535
-/// pixels.
+/// If the file can't be written. For JPEG, also if the image has alpha, 16 bits per channel or a side of more than
+/// 65535 pixels.
 pub fn write_still(
     path: &Path,
     picture: &Quantized,
@@ -214,8 +218,8 @@ pub fn write_still(
 
 /// Writes an image of 1 or 3 channels as PNG. A missing folder is created.
 ///
-/// `coverage` has one value per pixel, row by row, and adds an alpha channel. Pixels with `false` are black with alpha
-/// 0; the others are opaque.
+/// `coverage` has one value per pixel, row by row. If it is given, an alpha channel is added. Pixels with `false` are
+/// black with alpha 0, and all others are opaque.
 pub fn write_image(
     path: &Path,
     image: &Image,
@@ -225,13 +229,14 @@ pub fn write_image(
     write_still(path, &Quantized::new(image, coverage, depth), StillFormat::Png)
 }
 
-/// Effort of the WebP encoder: method 0 to 6, and quality 0 to 100. Larger: files are at most a tenth smaller, and
-/// encoding takes up to a hundred times as long.
+/// Effort of the WebP encoder: method 0 to 6, and quality 0 to 100. With a larger effort, files are at most 10 %
+/// smaller, and encoding takes up to a hundred times as long.
 const WEBP_EFFORT: (i32, f32) = (1, 20.0);
 
 /// Writes a grey or RGB image as lossless WebP with 8 bits per channel. A missing folder is created.
 ///
-/// A file has 0.5 to 0.65 times the size of that of [`write_image`]. An error if a side has more than 16,383 pixels.
+/// The file has 0.5 to 0.65 times the size of the PNG file from [`write_image`]. An error if a side of the image has
+/// more than 16,383 pixels.
 pub(crate) fn write_webp(path: &Path, image: &Image) -> Result<(), ImageFileError> {
     let failed = |reason: &str| image_error(path, reason);
     let quantized = Quantized::new(&image.to_rgb(), None, BitDepth::Eight);
@@ -263,7 +268,7 @@ pub(crate) fn encode_png_8(
     Ok(bytes)
 }
 
-/// Encodes an image in memory as PNG, like [`write_image`].
+/// Encodes an image as the bytes of a PNG file, with the coverage mask as alpha like [`write_image`].
 pub(crate) fn encode_png(
     image: &Image,
     coverage: Option<&[bool]>,

@@ -1,11 +1,10 @@
-//! Sliding-window filters: maximum, and mean.
+//! Sliding-window filters: maximum and mean.
 
-/// Reduces each window of `count` values at a distance of `stride`, by an operation that is commutative and
-/// associative. Returns one result per window. Windows are combined from windows of half the length, so that the time
-/// is logarithmic in `count`.
+/// Reduces each window of `count` values, `stride` apart, by a commutative and associative operation. Returns one
+/// result per window. Windows are combined from windows of half the length, so the time is logarithmic in `count`.
 ///
 /// # Panics
-/// If `count` is 0, or there are fewer values.
+/// If `count` is 0, or if no window fits into the values.
 fn sliding(
     values: &[f32],
     count: usize,
@@ -32,7 +31,7 @@ fn sliding(
     }
 }
 
-/// Pads both ends of each row of a plane. Rows are `w` values long; `count` copies of `value` are added per end.
+/// Adds `count` copies of `value` to both ends of each row of a plane. Rows are `w` values long.
 pub(crate) fn padded(values: &[f32], w: usize, count: usize, value: f32) -> Vec<f32> {
     let mut out = vec![value; values.len() / w * (w + 2 * count)];
     for (row, out) in values.chunks_exact(w).zip(out.chunks_exact_mut(w + 2 * count)) {
@@ -41,7 +40,8 @@ pub(crate) fn padded(values: &[f32], w: usize, count: usize, value: f32) -> Vec<
     out
 }
 
-/// Maximum filter of a plane of width `w`, with a (2·radius + 1)² window that is clipped at the borders.
+/// Computes the maximum filter of a plane of width `w`: the maximum over a (2·radius + 1)² window, clipped at the
+/// borders.
 pub(crate) fn max_filter(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
     let side = 2 * radius + 1;
     let along_rows = sliding(&padded(values, w, radius, f32::NEG_INFINITY), side, 1, f32::max);
@@ -53,7 +53,7 @@ pub(crate) fn max_filter(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
     sliding(&padded_rows, side, w, f32::max)
 }
 
-/// Box filter of a `w`×`h` plane: the mean over a (2·radius + 1)² window, clipped at the borders.
+/// Computes the box filter of a `w`×`h` plane: the mean over a (2·radius + 1)² window, clipped at the borders.
 pub(crate) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> Vec<f32> {
     let span = |at: usize, size: usize| (at.saturating_sub(radius), (at + radius + 1).min(size));
     let shares: Vec<f32> = (0..w)
@@ -62,14 +62,14 @@ pub(crate) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> V
             1.0 / (to - from) as f32
         })
         .collect();
-    // All rows are filtered at once. Sums across the end of a row are ignored.
+    // All rows are filtered at once. Sums of windows that reach across the end of a row are ignored.
     let sums = sliding(&padded(values, w, radius, 0.0), 2 * radius + 1, 1, |a, b| a + b);
     let mut across = Vec::with_capacity(values.len());
     for row in sums.chunks(w + 2 * radius) {
         across.extend(row.iter().zip(&shares).map(|(sum, share)| sum * share));
     }
     let mut out = vec![0.0; values.len()];
-    // In f64, so that adding and later subtracting a value leaves no rounding error in f32.
+    // The sums are f64, so that adding a value and later subtracting it leaves no rounding error in f32.
     let mut column = vec![0.0_f64; w];
     let (mut from, mut to) = (0, 0);
     for y in 0..h {

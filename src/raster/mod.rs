@@ -1,7 +1,7 @@
 //! Images in memory, and image files.
 //!
-//! Samples are f32 from 0 to 1, display-encoded (sRGB) as in files; channels are interleaved. Positions are in pixels;
-//! the centre of the top-left pixel is (0.5, 0.5).
+//! Samples are f32 from 0 to 1, display-encoded (sRGB) as in files. Channels are interleaved. Positions are in pixels,
+//! and the centre of the top-left pixel is (0.5, 0.5).
 
 mod color;
 mod exr;
@@ -39,7 +39,7 @@ pub struct Image {
 }
 
 impl Image {
-    /// An image whose samples all have one value.
+    /// Makes an image whose samples all have the same value.
     ///
     /// # Panics
     /// If a dimension is 0.
@@ -47,54 +47,54 @@ impl Image {
         Self::from_data(width, height, channels, vec![value; width * height * channels])
     }
 
-    /// An image from its samples, row by row, with interleaved channels.
+    /// Makes an image from its samples, row by row, with interleaved channels.
     ///
     /// # Panics
-    /// If a dimension is 0, or their product is not the number of samples.
+    /// If a dimension is 0, or if the product of the dimensions differs from the number of samples.
     pub fn from_data(width: usize, height: usize, channels: usize, data: Vec<f32>) -> Self {
         assert!(width > 0 && height > 0 && channels > 0, "an image has no empty dimension");
         assert_eq!(data.len(), width * height * channels, "samples of a {width}×{height} image");
         Self { width, height, channels, data }
     }
 
-    /// Width, pixels.
+    /// Returns the width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Height, pixels.
+    /// Returns the height, pixels.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// Samples per pixel.
+    /// Returns the number of samples per pixel.
     pub fn channels(&self) -> usize {
         self.channels
     }
 
-    /// All samples, row by row.
+    /// Returns all samples, row by row, with interleaved channels.
     pub fn data(&self) -> &[f32] {
         &self.data
     }
 
-    /// All samples, mutable.
+    /// Returns all samples for modification, row by row, with interleaved channels.
     pub fn data_mut(&mut self) -> &mut [f32] {
         &mut self.data
     }
 
-    /// The samples of one row. Panics outside of the image.
+    /// Returns the samples of row `y`. Panics if there is no such row.
     pub fn row(&self, y: usize) -> &[f32] {
         let n = self.width * self.channels;
         &self.data[y * n..(y + 1) * n]
     }
 
-    /// The samples of one pixel. Panics outside of the image.
+    /// Returns the samples of the pixel in column `x` and row `y`. Panics outside of the image.
     pub fn pixel(&self, x: usize, y: usize) -> &[f32] {
         let at = (y * self.width + x) * self.channels;
         &self.data[at..at + self.channels]
     }
 
-    /// The image as grey: the luma of an RGB image (see [`luma`]), or a copy of a grey image.
+    /// Converts the image to grey: the luma of an RGB image (see [`luma`]), or a copy of a grey image.
     pub fn to_gray(&self) -> Image {
         if self.channels == 1 {
             return self.clone();
@@ -103,7 +103,7 @@ impl Image {
         Image { width: self.width, height: self.height, channels: 1, data }
     }
 
-    /// The image with three channels. A grey value is repeated in all of them.
+    /// Converts the image to three channels. A grey value is repeated in all of them.
     pub fn to_rgb(&self) -> Image {
         if self.channels == 3 {
             return self.clone();
@@ -112,8 +112,8 @@ impl Image {
         Image { width: self.width, height: self.height, channels: 3, data }
     }
 
-    /// Bilinear interpolation at a position, pixels; one value per channel in `out`. Outside of the image, border
-    /// pixels are repeated. NaN gives the first pixel.
+    /// Interpolates bilinearly at a position, pixels. Writes one value per channel into `out`. Outside of the image,
+    /// border pixels are repeated. A NaN coordinate is treated like 0.
     pub fn sample_bilinear(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -131,8 +131,9 @@ impl Image {
         }
     }
 
-    /// Catmull–Rom interpolation at a position, pixels; one value per channel in `out`. It passes through the pixels'
-    /// values, and may overshoot 0..=1. Positions outside and NaN are treated as in [`Self::sample_bilinear`].
+    /// Interpolates by Catmull–Rom splines at a position, pixels. Writes one value per channel into `out`. The
+    /// interpolant passes through the pixels' values, and may overshoot the range 0..=1. Positions outside of the image
+    /// and NaN are treated as in [`Self::sample_bilinear`].
     pub fn sample_cubic(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -153,8 +154,8 @@ impl Image {
     }
 }
 
-/// Catmull–Rom weights of four neighbouring samples. The fraction `f`, from 0 to 1, is the position between the middle
-/// two.
+/// Returns the Catmull–Rom weights of four neighbouring samples. `f`, from 0 to 1, is the position between the second
+/// and the third sample.
 pub(crate) fn catmull_rom(f: f32) -> [f32; 4] {
     let (f2, f3) = (f * f, f * f * f);
     [

@@ -1,5 +1,5 @@
-//! Decoder of PNG files, row by row into samples. Everything else in a file (colour profiles, texts, metadata, further
-//! frames) is skipped, whatever its decompressed size.
+//! Decoder of PNG files. Rows are converted to samples one by one. Everything else in a file (colour profiles, texts,
+//! metadata, further frames) is skipped, whatever its decompressed size.
 
 use super::Image;
 use png::{BitDepth, ColorType, DecodingError, Limits, Reader, Transformations};
@@ -8,11 +8,11 @@ use std::io::{BufRead, Seek};
 /// The first bytes of every PNG file.
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 
-/// Maximum memory of the decoder in addition to the image, bytes. A row of 65,536 RGBA pixels of 16 bits takes half a
-/// megabyte; the rest is for compressed metadata.
+/// Maximum memory of the decoder in addition to the image, bytes. A row of 65,536 RGBA pixels with 16 bits per channel
+/// takes half a megabyte. The rest is for compressed metadata.
 const MAX_DECODER_BYTES: usize = 16 << 20;
 
-/// Reads the header of a PNG file.
+/// Opens a PNG file and reads its header.
 pub(super) fn open<R: BufRead + Seek>(file: R) -> Result<Reader<R>, DecodingError> {
     let limits = Limits { bytes: MAX_DECODER_BYTES };
     let mut decoder = png::Decoder::new_with_limits(file, limits);
@@ -27,11 +27,11 @@ pub(super) fn bytes_per_sample<R: BufRead + Seek>(reader: &Reader<R>) -> usize {
     if reader.output_color_type().1 == BitDepth::Sixteen { 2 } else { 1 }
 }
 
-/// Decodes the image without its alpha channel. Samples are scaled to 0 to 1.
+/// Decodes the image without its alpha channel. Samples are scaled to the range from 0 to 1.
 pub(super) fn decode<R: BufRead + Seek>(mut reader: Reader<R>) -> Result<Image, DecodingError> {
     let (width, height) = reader.info().size();
     let (width, height) = (width as usize, height as usize);
-    // Number of channels of a decoded pixel, and number of those that aren't alpha.
+    // Number of channels of a decoded pixel, with and without alpha.
     let (channels, colors) = match reader.output_color_type().0 {
         ColorType::Grayscale => (1, 1),
         ColorType::GrayscaleAlpha => (2, 1),
@@ -56,7 +56,7 @@ pub(super) fn decode<R: BufRead + Seek>(mut reader: Reader<R>) -> Result<Image, 
         }
     };
     if reader.info().interlaced {
-        // An interlaced image is decoded as a whole, because pixels of a row are spread over several passes.
+        // An interlaced image is decoded as a whole, because the pixels of a row are spread over several passes.
         let bytes = reader.output_buffer_size().ok_or(DecodingError::LimitsExceeded)?;
         let mut whole = vec![0; bytes];
         reader.next_frame(&mut whole)?;

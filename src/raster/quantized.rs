@@ -2,26 +2,27 @@
 
 use super::{BitDepth, Image};
 
-/// Integer samples of an image file: row by row, with interleaved channels.
+/// Integer samples of an image: row by row, with interleaved channels.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Samples {
     Eight(Vec<u8>),
     Sixteen(Vec<u16>),
 }
 
-/// An image, quantized to the integer samples of an image file.
+/// An image quantized to the integer samples of an image file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantized {
-    /// Width, pixels.
+    /// Image width, pixels.
     pub width: usize,
-    /// Height, pixels.
+    /// Image height, pixels.
     pub height: usize,
     /// Number of samples per pixel. With 2 or 4 channels, the last one is alpha.
     pub channels: usize,
     pub samples: Samples,
 }
 
-/// Rounds a value from 0 to 1 to an 8-bit sample. The cast saturates, and takes NaN to 0; adding 0.5 rounds.
+/// Rounds a value from 0 to 1 to an 8-bit sample. The cast to an integer truncates, so 0.5 is added. The cast also
+/// saturates, and converts NaN to 0.
 fn eight(value: f32) -> u8 {
     (value * 255.0 + 0.5) as u8
 }
@@ -30,7 +31,8 @@ fn sixteen(value: f32) -> u16 {
     (value * 65535.0 + 0.5) as u16
 }
 
-/// The samples of an image. With a coverage, they include alpha, and pixels that are not covered are 0.
+/// Quantizes all samples of an image by `round`. With a coverage mask, an alpha channel is added, and pixels that
+/// aren't covered become 0.
 fn rounded<T>(image: &Image, coverage: Option<&[bool]>, round: impl Fn(f32) -> T) -> Vec<T> {
     let channels = image.channels() + usize::from(coverage.is_some());
     let mut samples = Vec::with_capacity(image.width() * image.height() * channels);
@@ -45,10 +47,10 @@ fn rounded<T>(image: &Image, coverage: Option<&[bool]>, round: impl Fn(f32) -> T
 }
 
 impl Quantized {
-    /// Quantizes an image to this bit depth. Values are clamped to 0 to 1, and NaN becomes 0.
+    /// Quantizes an image to this bit depth. Values are clamped to the range from 0 to 1, and NaN becomes 0.
     ///
-    /// `coverage` has one value per pixel, row by row, and adds an alpha channel. Where it is false, all samples of
-    /// the pixel are 0.
+    /// `coverage` has one value per pixel, row by row. If it is given, an alpha channel is added, and all samples of a
+    /// pixel with `false` are 0.
     pub fn new(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> Self {
         let channels = image.channels() + usize::from(coverage.is_some());
         let samples = match depth {
@@ -58,7 +60,7 @@ impl Quantized {
         Self { width: image.width(), height: image.height(), channels, samples }
     }
 
-    /// A black image without alpha, with 1 or 3 channels.
+    /// Makes a black image without alpha, with 1 or 3 channels. Its size is `[width, height]`, pixels.
     pub fn blank([width, height]: [usize; 2], channels: usize, depth: BitDepth) -> Self {
         let count = width * height * channels;
         let samples = match depth {
@@ -68,10 +70,11 @@ impl Quantized {
         Self { width, height, channels, samples }
     }
 
-    /// Copies an image to the position (x, y) of its top left corner. Pixels without coverage become black.
+    /// Copies an image into this one, with its top left corner at the pixel (x, y). Pixels without coverage become
+    /// black.
     ///
     /// # Panics
-    /// If the image doesn't fit, or has another number of channels.
+    /// If the image doesn't fit, or if its number of channels differs.
     pub fn place(&mut self, image: &Image, coverage: Option<&[bool]>, [x, y]: [usize; 2]) {
         assert_eq!(image.channels(), self.channels, "a part has the channels of the whole");
         assert!(x + image.width() <= self.width && y + image.height() <= self.height);

@@ -6,18 +6,19 @@ use crate::simd::has_avx2_and_fma;
 use crate::simd::multiversion;
 use serde::{Deserialize, Serialize};
 
-/// The method of interpolation between pixels.
+/// Method of interpolation between pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sampling {
-    /// Bilinear.
+    /// Bilinear interpolation.
     Bilinear,
-    /// Catmull–Rom cubic, which is sharper.
+    /// Catmull–Rom cubic interpolation, which is sharper than bilinear interpolation.
     Cubic,
 }
 
 /// Interpolates an image of C channels (1 or 3) at a position, pixels. The result equals [`Image::sample_cubic`] or
-/// [`Image::sample_bilinear`] up to rounding. It is faster if the filter's support lies inside the image.
+/// [`Image::sample_bilinear`] up to rounding. This function is faster where the filter's support lies inside of the
+/// image.
 #[inline(always)]
 pub(crate) fn sample<const C: usize>(
     image: &Image,
@@ -56,11 +57,11 @@ pub(crate) fn sample<const C: usize>(
                 let cells = &image.data()[at..][..if C == 1 { 4 } else { 13 }];
                 let mut across = [0.0; 4];
                 if C == 1 {
-                    // The four sums belong to the four pixels of the row.
+                    // The four sums belong to the row's four pixels.
                     across =
                         [cells[0] * wx[0], cells[1] * wx[1], cells[2] * wx[2], cells[3] * wx[3]];
                 } else {
-                    // The four sums belong to the pixel's three channels; the fourth is unused.
+                    // The first three sums belong to the pixel's channels. The fourth is unused.
                     for (column, wx) in wx.into_iter().enumerate() {
                         add(&mut across, wx, &cells[column * C..][..4]);
                     }
@@ -77,7 +78,8 @@ pub(crate) fn sample<const C: usize>(
     out
 }
 
-/// The position relative to the first pixel's centre; `None` if the support of a filter reaches beyond the image.
+/// Returns the position relative to the first pixel's centre, pixels. `None` if the support of a cubic filter reaches
+/// beyond the image.
 #[inline(always)]
 fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
     let (w, h) = (image.width(), image.height());
@@ -87,9 +89,9 @@ fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
     inside.then_some((left, top))
 }
 
-/// Catmull–Rom interpolation of an RGB image of width `w`. The position is relative to the first pixel's centre; the
-/// fourth value of the result is unused. The four rows are summed first, twelve values each (four pixels), then the
-/// four columns. Plain loops take 40 % longer.
+/// Interpolates an RGB image of width `w` by Catmull–Rom splines. The position (`left`, `top`) is relative to the first
+/// pixel's centre. The fourth value of the result is unused. The four rows of twelve values (four pixels) are summed
+/// first, then the four columns. Plain loops take 40 % longer.
 ///
 /// # Panics
 /// If the support of the filter reaches beyond the image.
@@ -120,7 +122,7 @@ fn cubic_rgb_avx2(data: &[f32], w: usize, left: f32, top: f32) -> [f32; 4] {
         _mm256_broadcastss_ps(_mm_permute_ps::<0b10>(y)),
         _mm256_broadcastss_ps(_mm_permute_ps::<0b11>(y)),
     ];
-    // Layout: r g b r g b r g, then b r g b.
+    // Channels of the four summed pixels: `near` has r g b r g b r g, and `far` has b r g b.
     let (mut near, mut far) = (_mm256_setzero_ps(), _mm_setzero_ps());
     for (row, weight) in rows.into_iter().zip(of_rows) {
         // Safe: a row has twelve values.
@@ -150,7 +152,8 @@ fn add(sum: &mut [f32; 4], weight: f32, values: &[f32]) {
     }
 }
 
-/// Catmull–Rom interpolation of an image at many positions; one value per channel for each.
+/// Interpolates an image at many positions by Catmull–Rom splines. Writes one value per channel and position into
+/// `out`.
 pub(crate) fn sample_all(
     image: &Image,
     positions: impl Iterator<Item = [f32; 2]>,
@@ -171,8 +174,8 @@ pub(crate) fn sample_all(
 }
 
 multiversion! {
-    /// Interpolates an image at many places. A place is a position and a value of the caller's. `put` is called with
-    /// this value and the sample.
+    /// Interpolates an image at many positions. Each place is a position in pixels and a value of the caller. `put` is
+    /// called with this value and the interpolated sample.
     pub(crate) fn sample_each[const C: usize, T](
         image: &Image,
         places: impl Iterator<Item = ([f32; 2], T)>,

@@ -1,9 +1,9 @@
-//! A coarse mask, in tiles, of the parts of an image that must be computed.
+//! A coarse mask, in tiles of 16×16 pixels, of the parts of an image that must be computed.
 
-/// Side of a tile, pixels.
+/// Side length of a tile, pixels.
 const SIDE: usize = 16;
 
-/// A mask of an image's square tiles. Marked tiles must be computed.
+/// A mask of an image's square tiles of 16×16 pixels. Marked tiles must be computed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tiles {
     across: usize,
@@ -12,7 +12,7 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// The mask of an image of this size, pixels, with no tile marked.
+    /// Makes a mask without marked tiles. The image's width and height are in pixels.
     ///
     /// # Panics
     /// If a dimension is 0.
@@ -22,21 +22,23 @@ impl Tiles {
         Self { across, down, marked: vec![false; across * down] }
     }
 
-    /// Whether any tile is marked.
+    /// Returns whether any tile is marked.
     pub fn any(&self) -> bool {
         self.marked.contains(&true)
     }
 
-    /// Marks the tiles that [`Sampling`](super::Sampling) reads at a position, pixels. For positions outside of the
-    /// image these are border tiles, for NaN the first tile.
+    /// Marks the tiles whose pixels are read when an image is interpolated at a position
+    /// ([`Sampling`](super::Sampling)). The position is in pixels. A position outside of the image marks border tiles,
+    /// and NaN marks the first tile.
     pub fn mark_sample(&mut self, x: f32, y: f32) {
         self.mark_samples([x, y], [x, y]);
     }
 
-    /// Marks the tiles that sampling reads for all positions in a rectangle, from corner `low` to corner `high`,
-    /// pixels.
+    /// Marks the tiles whose pixels are read when an image is interpolated at any position in a rectangle. The
+    /// rectangle's corners are `low` and `high`, pixels.
     pub fn mark_samples(&mut self, low: [f32; 2], high: [f32; 2]) {
-        // The cubic's support is two pixels on each side. Positions beyond the range of integers saturate in the cast.
+        // The support of the cubic filter is two pixels on each side. Positions beyond the range of integers saturate
+        // in the cast.
         let span = |axis: usize, tiles: usize| {
             let tile = |v: f32| (v.max(0.0) as usize / SIDE).min(tiles - 1);
             tile(low[axis] - 2.0)..=tile(high[axis] + 2.0)
@@ -46,8 +48,8 @@ impl Tiles {
         }
     }
 
-    /// Whether a square overlaps a marked tile. `corner` is its top-left corner, pixels, which may lie outside of the
-    /// image, and `side` its side.
+    /// Returns whether a square overlaps a marked tile. `corner` is the square's top left corner, pixels, which may lie
+    /// outside of the image. `side` is the square's side length, pixels.
     pub fn touches(&self, corner: [isize; 2], side: usize) -> bool {
         let span = |from: isize, tiles: usize| {
             let end = from.saturating_add_unsigned(side).max(0) as usize;
@@ -58,8 +60,8 @@ impl Tiles {
         })
     }
 
-    /// The spans of columns in which row `y` lies in marked tiles: `[start, end]`, with `end` exclusive. `end` may lie
-    /// beyond the image.
+    /// Returns the spans of columns in which the pixel row `y` lies in marked tiles. Each span is `[start, end]`, where
+    /// `end` is exclusive and may lie beyond the image.
     pub fn spans(&self, y: usize) -> impl Iterator<Item = [usize; 2]> {
         let row = &self.marked[y / SIDE * self.across..][..self.across];
         let runs = row.chunk_by(|a, b| a == b);
@@ -71,7 +73,7 @@ impl Tiles {
         placed.filter_map(|(is_marked, span)| is_marked.then_some(span))
     }
 
-    /// The mask dilated by `px` pixels, rounded up to whole tiles.
+    /// Returns the mask dilated by `px` pixels, rounded up to whole tiles.
     pub fn grown(&self, px: usize) -> Self {
         let reach = px.div_ceil(SIDE);
         let mut grown = Self { marked: vec![false; self.marked.len()], ..*self };
@@ -86,7 +88,7 @@ impl Tiles {
         grown
     }
 
-    /// The union with the mask of an image of the same size.
+    /// Marks all tiles that are marked in the mask `other` of an image of the same size.
     pub fn add(&mut self, other: &Self) {
         self.marked.iter_mut().zip(&other.marked).for_each(|(own, other)| *own |= other);
     }

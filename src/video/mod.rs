@@ -1,5 +1,5 @@
-//! Video files, read and written by ffmpeg as a child process, without a shell. File names are passed so that
-//! none is taken for an option.
+//! Video files, read and written by ffmpeg as a child process, without a shell. File names are passed in a form that
+//! ffmpeg can't take for an option.
 
 mod reader;
 mod writer;
@@ -10,18 +10,18 @@ pub use writer::{Codec, VideoFormat, VideoWriter};
 
 use std::path::PathBuf;
 
-/// An error of a video file. Every message is one sentence.
+/// Error of reading or writing a video file. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// ffmpeg failed to write; the reason is ffmpeg's own message.
+    /// ffmpeg failed to write the video. The reason is ffmpeg's own message.
     #[error("{path}: can't be written ({reason})")]
     Encode { path: PathBuf, reason: String },
-    /// ffmpeg was built without an encoder.
+    /// ffmpeg was built without the encoder that the file's format needs.
     #[error(
         "{ffmpeg}: has no encoder {encoder}, which .{suffix} needs; install an ffmpeg with it, or write .mkv"
     )]
     NoEncoder { ffmpeg: PathBuf, encoder: &'static str, suffix: &'static str },
-    /// A file can't be decoded. `reason` is a sentence without its subject, which the caller puts before it.
+    /// A video can't be decoded. `reason` is like "has no frames". The caller puts the video's name before it.
     #[error("{reason}")]
     Decode { reason: String },
     /// A file can't be read or written, or ffmpeg can't be started.
@@ -29,7 +29,7 @@ pub enum VideoError {
     File { path: PathBuf, source: std::io::Error },
 }
 
-/// The path of the first ffmpeg on `PATH`; `None` if there is none.
+/// Returns the path of the first ffmpeg on `PATH`. `None` if there is no ffmpeg.
 pub fn ffmpeg_on_path() -> Option<PathBuf> {
     let paths = std::env::var_os("PATH")?;
     std::env::split_paths(&paths).map(|p| p.join("ffmpeg")).find(|p| p.is_file())

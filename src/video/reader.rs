@@ -1,8 +1,8 @@
 //! Decodes a video into numbered images.
 //!
-//! ffmpeg converts colours to full-range grey or RGB, with 8 bits if the video has 8, and with 16 if it has
-//! more. A rotation in the file's metadata is applied, as players do. Interlaced video is refused, since the
-//! two fields of a frame were filmed at two instants.
+//! ffmpeg converts colours to full-range grey or RGB: with 8 bits if the video has 8 bits, otherwise with 16. A
+//! rotation in the file's metadata is applied, as players do. Interlaced video is refused, because the two fields of a
+//! frame were filmed at two instants.
 
 use super::{VideoError, without_address};
 use crate::host::process::{Ended, Process};
@@ -12,17 +12,17 @@ use std::io;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// The container formats that are read. A playlist or a script would make ffmpeg open other files.
+/// Container formats that are read. Other formats, such as playlists, could make ffmpeg open other files.
 const CONTAINERS: &str =
     "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,mxf,nut,yuv4mpegpipe,ogg,asf,flv,ivf";
 
-/// The file to which ffmpeg writes the size of the images, and the time stamps in microseconds.
+/// Name of the file to which ffmpeg writes the size of the images, and the time stamps in microseconds.
 const STAMPS_FILE: &str = "stamps.txt";
 
-/// The file to which ffmpeg writes the first interlaced frame, if there is one.
+/// Name of the file to which ffmpeg writes the first interlaced frame, if there is one.
 const FIELDS_FILE: &str = "fields.txt";
 
-/// The file name of a decoded frame.
+/// Returns the file name of a decoded frame.
 pub(crate) fn frame_name(index: usize) -> String {
     format!("{index:06}.png")
 }
@@ -30,7 +30,7 @@ pub(crate) fn frame_name(index: usize) -> String {
 /// Maximum side of the blocks in which codecs store images, pixels.
 const BLOCK_PX: usize = 128;
 
-/// Limits on a video; a video beyond them is refused before it is decoded.
+/// Limits on the frames of a video. A video that exceeds them is refused.
 #[derive(Clone, Copy, Debug)]
 pub struct VideoLimits {
     pub max_frames: usize,
@@ -38,27 +38,28 @@ pub struct VideoLimits {
     pub size: [usize; 2],
 }
 
-/// Maximum side of an image, pixels.
+/// Maximum width and height of an image, pixels.
 const MAX_SIDE_PX: usize = 65_536;
 
-/// The open file on the child's standard input. The child reads this file even if its path changes meanwhile.
+/// Path of the open file on the child process's standard input. The child reads this file even if another file is moved
+/// to its path meanwhile.
 const INPUT: &str = "file:/proc/self/fd/0";
 
-/// The size of a video's images after decoding and rotation, and the file's time stamps.
+/// Size of a video's images after decoding and rotation, and the time stamps of its frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VideoFacts {
-    /// Width and height, pixels.
+    /// Width and height of the images, pixels.
     pub size: [usize; 2],
     /// Time stamp of every frame, seconds from the file's start.
     pub times_s: Vec<f64>,
 }
 
-/// Decodes the first video stream into `folder` as 000000.png, 000001.png and so on, in constant memory.
-/// Returns the file's time stamp of every frame, seconds.
+/// Decodes the first video stream into image files in `folder`: 000000.png, 000001.png and so on. The memory use
+/// doesn't depend on the length. Returns the time stamp of every frame, seconds.
 ///
 /// # Errors
-/// If there are more frames or larger images than `limits` allow, if frames are interlaced, and for any error
-/// in the file, since ffmpeg would conceal damaged frames.
+/// If there are more frames or larger images than `limits` allow, if frames are interlaced, and for any error in the
+/// file, because ffmpeg would conceal damaged frames.
 pub fn decode(
     ffmpeg: &Path,
     video: &File,
@@ -72,15 +73,15 @@ pub fn decode(
         .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-noautoscale"])
         .args(["-frames:v", &(limits.max_frames + 1).to_string()])
         .args(["-sws_flags", "accurate_rnd+full_chroma_int+bitexact"])
-        // The images are for a cache, so that fast compression is better than small files.
+        // The images are for a cache, so fast compression is better than small files.
         .args(["-c:v", "png", "-compression_level", "1"])
         .args(["-start_number", "0", "-f", "image2", "%06d.png"]);
     let ended = run(&mut command, ffmpeg, video, limits.max_frames)?;
     Ok(facts(&ended, folder, limits.max_frames, limits.size)?.times_s)
 }
 
-/// Decodes the first video stream without writing its images. `folder` is for temporary files. The errors are
-/// those of [`decode`].
+/// Decodes the first video stream without writing its images. `folder` is for temporary files. The errors are those of
+/// [`decode`].
 pub fn inspect(
     ffmpeg: &Path,
     video: &File,
@@ -93,11 +94,12 @@ pub fn inspect(
     facts(&ended, folder, max_frames, [MAX_SIDE_PX; 2])
 }
 
-/// The ffmpeg command that reads its standard input, and stops at the first error.
+/// Returns the ffmpeg command that decodes its standard input and stops at the first error.
 fn command(ffmpeg: &Path, folder: &Path, max_pixels: usize) -> Command {
     let mut command = Command::new(ffmpeg);
     command
-        // Names of outputs are relative, since a `%` in the folder's name would be taken for a pattern.
+        // Names of outputs are relative to the folder, because ffmpeg would take a `%` in the folder's name for a
+        // pattern.
         .current_dir(folder)
         .env_remove("FFREPORT")
         .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-xerror"])
@@ -107,7 +109,7 @@ fn command(ffmpeg: &Path, folder: &Path, max_pixels: usize) -> Command {
     command
 }
 
-/// Adds the two listings to ffmpeg's outputs, and runs it to its end.
+/// Adds two listings to ffmpeg's outputs: the time stamps and the interlaced frames. Then runs ffmpeg to its end.
 fn run(
     command: &mut Command,
     ffmpeg: &Path,
@@ -126,7 +128,8 @@ fn run(
         .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })
 }
 
-/// The content of ffmpeg's listings. `size` is used in the message if images are too large.
+/// Reads image size and time stamps from ffmpeg's listings. An error if ffmpeg failed, or if the video is interlaced or
+/// too long. `size` is used only in the message about too large images.
 fn facts(
     ended: &Ended,
     folder: &Path,
@@ -152,14 +155,15 @@ fn facts(
     Ok(VideoFacts { size, times_s })
 }
 
-/// The image size, pixels, in the header of a framecrc listing.
+/// Reads the image size, width and height in pixels, from the header of a framecrc listing. `None` without such a
+/// header.
 fn dimensions(listing: &str) -> Option<[usize; 2]> {
     let line = listing.lines().find_map(|line| line.strip_prefix("#dimensions 0: "))?;
     let (width, height) = line.trim().split_once('x')?;
     Some([width.parse().ok()?, height.parse().ok()?])
 }
 
-/// The error with which ffmpeg ended, or any that it reports; `Ok` if there is none.
+/// Returns an error if ffmpeg failed or reported any error.
 fn succeeded(ended: &Ended, folder: &Path, size: [usize; 2]) -> Result<(), VideoError> {
     if let Some(found) = too_large(&ended.stderr) {
         let [width, height] = size;
@@ -176,13 +180,13 @@ fn succeeded(ended: &Ended, folder: &Path, size: [usize; 2]) -> Result<(), Video
     Ok(())
 }
 
-/// If ffmpeg reports images larger than allowed, their size.
+/// Returns the images' size if ffmpeg reported that they are larger than allowed, otherwise `None`.
 fn too_large(messages: &str) -> Option<&str> {
     let before = &messages[..messages.find(" exceeds specified max pixel count")?];
     Some(before.rsplit_once("Picture size ")?.1)
 }
 
-/// The error of a full or read-only disk, if ffmpeg reports one.
+/// Returns the error of a full or read-only disk if ffmpeg reported one, otherwise `None`.
 fn full_disk(messages: &str) -> Option<io::Error> {
     [libc::ENOSPC, libc::EDQUOT, libc::EFBIG, libc::EROFS].into_iter().find_map(|number| {
         let error = io::Error::from_raw_os_error(number);
@@ -196,7 +200,7 @@ fn wrong(reason: String) -> VideoError {
     VideoError::Decode { reason }
 }
 
-/// Parses time stamps, the third column of a framecrc listing with a time base of a microsecond.
+/// Parses the time stamps of a framecrc listing, seconds. They are in the third column, in microseconds.
 fn times_s(listing: &str) -> Result<Vec<f64>, VideoError> {
     let stamp = |line: &str| line.split(',').nth(2)?.trim().parse::<i64>().ok();
     listing

@@ -9,22 +9,22 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
 
-/// The codec of a video, with its container.
+/// Codec of a video, with its container format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Codec {
-    /// FFV1 in Matroska: lossless; every frame is coded by itself and has a checksum.
+    /// FFV1 in Matroska: lossless. Every frame is coded separately and has a checksum.
     Ffv1,
-    /// H.264 in MP4, which browsers play: 8 bits, 4:2:0, visually lossless.
+    /// H.264 in MP4, which browsers play: 8 bits, 4:2:0 chroma subsampling, visually lossless.
     H264,
-    /// VP9 in WebM, which browsers play: 8 bits, 4:2:0.
+    /// VP9 in WebM, which browsers play: 8 bits, 4:2:0 chroma subsampling.
     Vp9,
-    /// GIF with a palette of 256 colours per frame. It loops forever.
+    /// GIF with a palette of 256 colours per frame. The animation repeats forever.
     Gif,
-    /// Lossless H.264 in MP4, with RGB of 8 bits, which video readers of other programs decode.
+    /// Lossless H.264 in MP4, with 8-bit RGB, which video readers of other programs can decode.
     H264Lossless,
 }
 
-/// The format of a video file.
+/// Format of a video file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VideoFormat {
     /// Bits per channel of the encoded frames.
@@ -35,30 +35,31 @@ pub struct VideoFormat {
     pub codec: Codec,
 }
 
-/// Filter for the 4:2:0 codecs: it makes the sides even, converts to BT.709, and labels the colours so.
+/// ffmpeg filter for codecs with 4:2:0 chroma subsampling. It pads the sides to even numbers, converts to BT.709, and
+/// labels the colours accordingly.
 const BROWSER_COLORS: &str = "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv,format=yuv420p,\
      setparams=range=tv:color_primaries=bt709:color_trc=iec61966-2-1:colorspace=bt709";
 
-/// Filter for GIF. With one palette per frame, the video isn't held in memory.
+/// ffmpeg filter for GIF. It makes one palette per frame, so that the whole video needn't be in memory.
 const FRAME_PALETTES: &str =
     "split[a][b];[a]palettegen=stats_mode=single[palette];[b][palette]paletteuse=new=1";
 
 impl Codec {
-    /// The codecs that a file's suffix can choose.
+    /// Codecs that can be chosen by a file's suffix.
     pub const ALL: [Self; 4] = [Self::H264, Self::Vp9, Self::Gif, Self::Ffv1];
 
-    /// H.264 if the given ffmpeg supports it, else FFV1. It starts ffmpeg, so that one that can't run is
-    /// found before rendering begins.
+    /// Returns H.264 if the given ffmpeg supports it, otherwise FFV1. It starts ffmpeg, so that an ffmpeg that can't
+    /// run is found before rendering begins.
     pub fn for_browsers(ffmpeg: &Path) -> Result<Self, VideoError> {
         Ok(if Self::H264.is_supported(ffmpeg)? { Self::H264 } else { Self::Ffv1 })
     }
 
-    /// The codec of files with this suffix, which is in lower case; `None` if there is none.
+    /// Returns the codec of files with this suffix in lower case. `None` for an unknown suffix.
     pub fn of_suffix(suffix: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|codec| codec.suffix() == suffix)
     }
 
-    /// The suffix of the codec's files.
+    /// Returns the suffix of the codec's files, without a dot.
     pub fn suffix(self) -> &'static str {
         match self {
             Self::Ffv1 => "mkv",
@@ -68,12 +69,12 @@ impl Codec {
         }
     }
 
-    /// Whether the codec stores 16 bits per channel.
+    /// Returns whether the codec stores 16 bits per channel.
     pub fn is_deep(self) -> bool {
         self == Self::Ffv1
     }
 
-    /// ffmpeg's name of the encoder.
+    /// Returns ffmpeg's name of the encoder.
     fn encoder(self) -> &'static str {
         match self {
             Self::Ffv1 => "ffv1",
@@ -84,10 +85,10 @@ impl Codec {
         }
     }
 
-    /// Refuses an ffmpeg that can't run, or lacks the codec's encoder.
+    /// Returns an error if ffmpeg can't run or lacks the codec's encoder.
     ///
     /// # Errors
-    /// [`VideoError::NoEncoder`] or [`VideoError::File`].
+    /// [`VideoError::NoEncoder`] if the encoder is missing, [`VideoError::File`] if ffmpeg can't run.
     pub fn require(self, ffmpeg: &Path) -> Result<(), VideoError> {
         if self.is_supported(ffmpeg)? {
             return Ok(());
@@ -125,17 +126,17 @@ impl Codec {
     }
 }
 
-/// A video file that is being written. It appears at its path when it is finished. If it is dropped before,
-/// no file is left.
+/// A video file that is being written. It appears at its path when it is finished. If the writer is dropped before, no
+/// file is left.
 pub struct VideoWriter {
     path: PathBuf,
-    /// The pipe to ffmpeg. It is declared before the process, so that it is dropped first; ffmpeg ends when
-    /// the pipe is closed.
+    /// Pipe to ffmpeg's standard input. This field is declared before the process, so that it is dropped first. Closing
+    /// the pipe makes ffmpeg end.
     stdin: Option<ChildStdin>,
     process: Option<Process>,
     size: (usize, usize, usize),
     depth: BitDepth,
-    /// Declared last, so that it is removed after ffmpeg, which writes into it, has ended.
+    /// Temporary folder into which ffmpeg writes. Declared last, so that it is removed after ffmpeg has ended.
     temporary: Temporary,
 }
 
@@ -143,7 +144,7 @@ pub struct VideoWriter {
 const FILE: &str = "video";
 
 impl VideoWriter {
-    /// Begins a video whose frames all have the size and channels (1 or 3) of `like`.
+    /// Begins a video. All frames have the size and the number of channels (1 or 3) of `like`.
     pub fn create(
         ffmpeg: &Path,
         path: &Path,
@@ -153,7 +154,7 @@ impl VideoWriter {
         Self::sized(ffmpeg, path, (like.width(), like.height(), like.channels()), format)
     }
 
-    /// Begins a video whose frames all have this width, height and number of channels (1 or 3).
+    /// Begins a video. All frames have the size (width, height, channels), in pixels and with 1 or 3 channels.
     pub fn sized(
         ffmpeg: &Path,
         path: &Path,
@@ -179,7 +180,7 @@ impl VideoWriter {
             .args(["-video_size", &format!("{}x{}", size.0, size.1)])
             .args(["-framerate", &format!("{rate_hz}"), "-i", "pipe:0"])
             .args(codec.arguments())
-            // These flags make the bytes of equal frames equal on every machine.
+            // These flags make equal frames give equal bytes on every machine.
             .args(["-fflags", "+bitexact", "-flags:v", "+bitexact", "-threads", "1"])
             .arg(output);
         let mut process = Process::start(&mut command, Stdio::piped())
@@ -194,10 +195,10 @@ impl VideoWriter {
         })
     }
 
-    /// Appends a frame.
+    /// Quantizes a frame to the video's bit depth and appends it.
     ///
     /// # Panics
-    /// If its size or channels differ from those of the video.
+    /// If the frame's size or number of channels differs from the video's.
     pub fn push(&mut self, image: &Image) -> Result<(), VideoError> {
         self.push_quantized(&Quantized::new(image, None, self.depth))
     }
@@ -205,7 +206,7 @@ impl VideoWriter {
     /// Appends a frame that already has the video's bit depth.
     ///
     /// # Panics
-    /// If its size or channels differ from those of the video.
+    /// If the frame's size or number of channels differs from the video's.
     pub fn push_quantized(&mut self, frame: &Quantized) -> Result<(), VideoError> {
         assert_eq!((frame.width, frame.height, frame.channels), self.size, "one size a video");
         let bytes = match &frame.samples {
@@ -214,12 +215,12 @@ impl VideoWriter {
         };
         match self.stdin.as_mut().map(|pipe| pipe.write_all(&bytes)) {
             Some(Ok(())) => Ok(()),
-            // ffmpeg has ended, and its message tells why.
+            // ffmpeg has ended early. Its message gives the reason.
             _ => Err(self.end().err().unwrap_or_else(|| self.broken("ffmpeg ended early"))),
         }
     }
 
-    /// Finishes the video, and renames it to its path.
+    /// Finishes the video, and moves it to its path.
     pub fn finish(mut self) -> Result<(), VideoError> {
         self.end()?;
         self.temporary
