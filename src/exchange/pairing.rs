@@ -40,9 +40,9 @@ struct NamedRecording {
 /// become the ids.
 ///
 /// # Errors
-/// A camera that moves; a name that can't be an id; a camera with two recordings; some cameras with a recording of their
-/// name, and some without. For pairing by number: unequal numbers of cameras and recordings, or names that differ in more
-/// than numbers.
+/// A camera that moves; a name that can't be an id; a camera with two recordings; some cameras with a recording of
+/// their name, and some without. For pairing by number: unequal numbers of cameras and recordings, or names that differ
+/// in more than numbers.
 pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, ExchangeError> {
     let is_nameless = is_nameless(cameras);
     let cameras = one_each(cameras).map_err(|reason| content(images, reason))?;

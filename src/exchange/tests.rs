@@ -113,8 +113,8 @@ fn llff_refuses_lenses_that_it_cannot_describe() {
     }
 }
 
-/// The expected matrix is computed by hand. Its columns are OpenGL's axes right (1, 0, 0), up (0, 0, −1) and back (0,
-/// 1, 0), and the centre.
+/// The expected matrix is computed by hand. Its columns are right (1, 0, 0), up (0, 0, −1), back (0, 1, 0) and the
+/// centre, as in OpenGL.
 #[test]
 fn transforms_have_opengls_axes() {
     let folder = tempfile::tempdir().unwrap();
