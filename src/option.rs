@@ -117,7 +117,7 @@ pub fn options_schema(options: &[DeclaredOption]) -> Value {
     root
 }
 
-/// The type of an option's value, or of a group of options.
+/// Implemented by the types of options' values, and by structs that group options.
 pub trait OptionValue {
     /// Appends `option` to `options`, with the kind of this type, the given default, and `self` as its value. A group
     /// of options appends each of its options.

@@ -1,4 +1,4 @@
-//! The commands `stlfr calibrate` and `stlfr refine`.
+//! The commands `stlfr calibrate` and `stlfr refine`, which estimate and refine the calibration of a capture.
 
 use super::CliError;
 use super::files::{CommandOutput, open_capture};

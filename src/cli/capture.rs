@@ -1,4 +1,4 @@
-//! The command `stlfr capture`.
+//! The command `stlfr capture`, which films a scene in Blender with a simulated camera rig.
 
 use super::CliError;
 use super::files::{CommandOutput, must_be_a_file};
@@ -28,8 +28,8 @@ pub struct CaptureArgs {
     output: PathBuf,
     #[command(flatten)]
     scene: SceneArgs,
-    /// Film only parts K to L of N, such as 3-6/100. When all parts are filmed, run the command without it to complete
-    /// the capture.
+    /// Film only parts K to L of N, such as 3-6/100. When all parts are filmed, run the command without --part to
+    /// complete the capture.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
     /// Seconds without activity after which another process counts as failed and its images are filmed here [default:

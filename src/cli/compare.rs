@@ -1,4 +1,4 @@
-//! The command `stlfr compare`.
+//! The command `stlfr compare`, which compares rendered views with the ground truth.
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};

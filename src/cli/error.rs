@@ -1,4 +1,4 @@
-//! Errors of the command line. Each error is one sentence on stderr and an exit code.
+//! Errors of the command line. Each error is printed as one sentence on stderr, and determines the exit code.
 
 use crate::capture::CaptureError;
 use crate::compare::CompareError;
@@ -52,8 +52,8 @@ impl<E: Error + 'static> From<E> for CliError {
 }
 
 /// Returns whether an error means that the work failed (exit code 1), and not that the input is bad (exit code 2). Bad
-/// input includes a view that can't be rendered, such as at a time outside the recording, and a file that is missing or
-/// must not be read.
+/// input includes a view that can't be rendered, for example because its time is outside the recording, and a file that
+/// is missing or not readable.
 fn is_failure(error: &(dyn Error + 'static)) -> bool {
     match error.downcast_ref() {
         Some(TradeoffError::Capture(error)) => return is_failure(error),
@@ -93,8 +93,8 @@ fn is_failure(error: &(dyn Error + 'static)) -> bool {
     io.is_some_and(|io| !is_bad_input(io))
 }
 
-/// Returns whether reading or writing failed because of the input, such as a missing file, a permission or a wrong kind
-/// of file.
+/// Returns whether reading or writing failed because of the input, such as a missing file, a missing permission or a
+/// wrong kind of file.
 fn is_bad_input(error: &std::io::Error) -> bool {
     matches!(
         error.kind(),
@@ -127,7 +127,7 @@ pub fn written<T>(path: &Path, result: std::io::Result<T>) -> Result<T, CliError
     of_io(path, "can't be written", result)
 }
 
-/// Returns the result of printing on stdout. A closed pipe counts as success.
+/// Converts the result of printing on stdout. A closed pipe counts as success, and any other error as failed work.
 pub fn heard(printed: std::io::Result<()>) -> Result<(), CliError> {
     match printed {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {

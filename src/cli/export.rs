@@ -1,4 +1,4 @@
-//! The command `stlfr export`.
+//! The command `stlfr export`, which writes a capture for other programs.
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};

@@ -1,4 +1,4 @@
-//! The command `stlfr farm`.
+//! The command `stlfr farm`, which writes jobs for render farms.
 
 use super::CliError;
 use super::capture::SceneArgs;

@@ -1,4 +1,4 @@
-//! Files that the command line names. They are checked before long work, and each error is one sentence.
+//! Checking and reading of files that the command line names. Files are checked before long work starts.
 
 use super::CliError;
 use super::error::written;

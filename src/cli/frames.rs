@@ -9,8 +9,8 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Interval at which the images of other processes are checked again. With a longer interval, the end is noticed later.
-/// With a shorter interval, there is more file access.
+/// Interval at which the images of other processes are checked again. With a longer interval, finished images are
+/// noticed later. With a shorter interval, there is more file access.
 const LOOK: Duration = Duration::from_millis(300);
 
 /// A folder through which several processes divide the images of a sequence among themselves.

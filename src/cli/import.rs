@@ -1,4 +1,4 @@
-//! The command `stlfr import`.
+//! The command `stlfr import`, which makes a capture from recordings and a calibration of another program.
 
 use super::CliError;
 use super::files::CommandOutput;
@@ -32,7 +32,7 @@ pub struct ImportArgs {
     table: Option<PathBuf>,
     #[command(flatten)]
     clocks: ClockArgs,
-    /// Images that are smaller than the calibrated image are its top left part.
+    /// Treat images that are smaller than the calibrated image as its top left part.
     #[arg(long)]
     crop: bool,
     /// Unit of the calibration's lengths; Qualisys files are always in millimetres.

@@ -1,4 +1,4 @@
-//! The command `stlfr info`.
+//! The command `stlfr info`, which shows the contents of a capture.
 
 use super::CliError;
 use super::error::of_io;

@@ -1,4 +1,4 @@
-//! The command `stlfr offsets`.
+//! The command `stlfr offsets`, which estimates the temporal offsets of the cameras.
 
 use super::CliError;
 use super::files::{OptionsArgs, open_capture};

@@ -1,4 +1,4 @@
-//! The command `stlfr options`.
+//! The command `stlfr options`, which lists all options.
 
 use super::CliError;
 use super::files::OptionsArgs;

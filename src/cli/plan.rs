@@ -1,4 +1,4 @@
-//! The command `stlfr plan`.
+//! The command `stlfr plan`, which chooses methods by measurements of a capture.
 
 use super::CliError;
 use super::error::written;

@@ -1,4 +1,4 @@
-//! The command `stlfr prepare`.
+//! The command `stlfr prepare`, which registers all frame pairs of a capture before rendering.
 
 use super::CliError;
 use super::error::of_io;

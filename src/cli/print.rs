@@ -36,8 +36,8 @@ impl Page {
     }
 }
 
-/// Returns the number of decimals that shows two digits of a standard error, at most 4. Returns 4 without a positive
-/// standard error.
+/// Returns the number of decimal places at which two digits of a standard error are visible, from 0 to 4. Returns 4 if
+/// there is no positive standard error.
 pub fn decimals(std_err: Option<f64>) -> usize {
     let digits = |error: f64| (1.0 - error.log10().floor()).clamp(0.0, 4.0) as usize;
     std_err.filter(|error| *error > 0.0).map_or(4, digits)

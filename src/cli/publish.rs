@@ -1,4 +1,4 @@
-//! The command `stlfr publish`.
+//! The command `stlfr publish`, which writes a light field as a website.
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, open_capture};

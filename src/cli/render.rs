@@ -1,4 +1,4 @@
-//! The command `stlfr render`.
+//! The command `stlfr render`, which renders views into images or videos.
 
 use super::CliError;
 use super::display::DisplayArgs;
@@ -53,7 +53,7 @@ pub struct RenderArgs {
     /// out/%04d.png, or a video (.mp4 and .webm for browsers and slides, .gif, .mkv without loss).
     #[arg(short, long, value_name = "FILE")]
     output: ImageOutput,
-    /// Sync method, which makes each camera's image at the instant.
+    /// Sync method, which makes each camera's image at an instant between its frames.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<SyncMethod>())]
     sync: Option<String>,
     /// The geometry proxy, an estimate of the scene's shape.

@@ -1,4 +1,4 @@
-//! The command `stlfr rig`.
+//! The command `stlfr rig`, which generates simulated camera rigs.
 
 use super::CliError;
 use super::error::written;

@@ -48,7 +48,7 @@ pub fn run_setup(args: &SetupArgs, page: &mut Page, reporter: &Reporter) -> Resu
 /// instant.
 ///
 /// The last line is the verdict: the calibration is right, the calibration is wrong (exit code 1), or the images can't
-/// decide. The exit code is also 1 if the program itself is inconsistent.
+/// decide. The exit code is also 1 if the program's own projections are inconsistent.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr check .captures/demo\n  \

@@ -1,4 +1,4 @@
-//! The command `stlfr tradeoff`.
+//! The command `stlfr tradeoff`, which measures time and quality of combinations of methods.
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, open_capture};

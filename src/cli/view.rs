@@ -1,4 +1,4 @@
-//! The command `stlfr view`.
+//! The command `stlfr view`, which shows a capture in the browser.
 
 use super::CliError;
 use super::error::heard;
@@ -100,11 +100,11 @@ fn live_options(
     Ok((planned, words))
 }
 
-/// Largest length of the state in a link, in bytes.
+/// Largest length of the page's state in a link, in bytes.
 const MAX_PLACE: usize = 512;
 
-/// Returns the page's state in a link, which is the part after `#`. This part may also be given alone. It has names and
-/// values.
+/// Returns the page's state from a link: the names and values after `#`. The state may also be given alone, without the
+/// rest of the link.
 fn place(link: &str) -> Result<String, String> {
     let place = link.rsplit_once('#').map_or(link, |(_, place)| place);
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "=&.+-".contains(c);

@@ -20,7 +20,7 @@ pub struct ViewpointArgs {
     #[arg(long, value_name = "NAME", group = "view")]
     like: Option<String>,
     /// A camera path over position, direction, lens and time: path.json, the animated camera of my.blend, or one of
-    /// sweep, orbit, bullet-time and dolly, which stay where the rig sees the whole view.
+    /// sweep, orbit, bullet-time and dolly, which stay where the cameras see the whole view.
     #[arg(long, value_name = "PATH", group = "view")]
     pub path: Option<PathSource>,
     /// Move the view right, down and forward, in metres along its own axes, such as 0.03,0,0.

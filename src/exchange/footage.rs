@@ -89,8 +89,8 @@ pub(super) fn find(
 }
 
 /// Reads the frame times from the request's file, or else from `timestamps.csv` beside the images. Returns the path of
-/// the file and the times. Returns `None` if there is no file, or if the request has a frame rate and no file. `notes`
-/// receives sentences for the user.
+/// the file and the times. Returns `None` if neither file is given, or if the request has a frame rate in place of
+/// times. `notes` receives sentences for the user.
 fn frame_times(
     request: &ImportRequest,
     notes: &mut Vec<String>,

@@ -34,8 +34,8 @@ const SCRATCH: &str = "scratch";
 /// Returns sentences for the user. They say which recordings were found, and how they are interpreted.
 ///
 /// Errors: a target that is not empty, a moving camera, recordings whose pairing is ambiguous, a sequence of mixed
-/// image types or with a gap, frames without times, images whose aspect ratio differs from the calibration, a video
-/// that is damaged or interlaced, a capture that can't be opened.
+/// image types or with a gap, frames without times, images whose aspect ratio differs from the calibrated image, a
+/// video that is damaged or interlaced, a capture that can't be opened.
 pub fn import(
     cameras: &[NamedCamera],
     request: &ImportRequest,
@@ -143,8 +143,8 @@ fn guess_lens(footage: &mut Footage) -> Result<(), ExchangeError> {
 }
 
 /// Adapts a camera's calibration to the size of its images. If the aspect ratio is the same, the lens is scaled. If
-/// `is_cropped`, smaller images are the top left part of the calibrated image. Other sizes are an error. Returns a
-/// sentence for the user if the size was adapted, and `None` if the size is equal.
+/// `is_cropped`, smaller images of another aspect ratio are the top left part of the calibrated image. Other sizes are
+/// an error. Returns a sentence for the user if the size was adapted, and `None` if the size is equal.
 fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, ExchangeError> {
     let [width, height] = image_size(&footage.frames)?;
     let camera = &mut footage.camera.camera;
@@ -172,9 +172,9 @@ fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, Exchan
     Err(content(footage.frames.path(), format!("has images of {sizes}{advice}")))
 }
 
-/// Largest rounding error of time stamps in whole milliseconds, in seconds.
+/// Largest rounding error, in seconds, of time stamps that are whole milliseconds.
 const MILLISECONDS_S: f64 = 0.51e-3;
-/// Largest rounding error of time stamps in units finer than a millisecond, in seconds.
+/// Largest rounding error, in seconds, of time stamps in a unit that is finer than a millisecond.
 const MICROSECONDS_S: f64 = 1.1e-6;
 
 /// Returns the constant frame rate of time stamps, in hertz. A whole number, or 1000/1001 of a whole number, is

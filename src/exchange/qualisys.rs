@@ -15,7 +15,7 @@ use std::path::Path;
 
 /// Size limit of the file, in bytes. It is large enough for two thousand cameras.
 const MAX_BYTES: u64 = 4 << 20;
-/// Number of the file's units of image coordinates per pixel. The unit is 1/64 pixel.
+/// Number of units of image coordinates per pixel. The unit in the file is 1/64 pixel.
 const PARTS: f64 = 64.0;
 const MM_PER_M: f64 = 1000.0;
 

@@ -16,7 +16,7 @@ const DRAFT: &str = "draft";
 /// A temporary capture that is not calibrated yet: its lenses and poses are placeholders. Its folder is removed when
 /// the value is dropped.
 pub struct Draft {
-    /// The folder of the draft.
+    /// Folder of the temporary capture.
     pub folder: PathBuf,
     /// Sentences for the user. They say which recordings were found, and how they are interpreted.
     pub notes: Vec<String>,

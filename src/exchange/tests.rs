@@ -52,7 +52,7 @@ fn colmap_models_round_trip() {
     assert_same(&read_colmap(&folder.path().join("binary")).unwrap(), &cameras);
 }
 
-/// Numbers are written in the format of C and Python.
+/// Numbers in a COLMAP text file have the format of C and Python.
 #[test]
 fn colmap_text_is_this_text() {
     let mut camera = CameraFormat::from(&looking_up().camera);
@@ -79,8 +79,8 @@ fn colmap_points_are_skipped() {
     assert_eq!(cameras[1].camera.model.name(), "SIMPLE_RADIAL");
 }
 
-/// The expected row of the LLFF file is computed by hand. Its columns are down (0, 0, 1), right (1, 0, 0), back (0, 1,
-/// 0), the centre, and (height, width, focal length).
+/// The expected row of the LLFF file is computed by hand. Its columns are the axes down (0, 0, 1), right (1, 0, 0) and
+/// back (0, 1, 0), the centre, and (height, width, focal length).
 #[test]
 fn llff_is_down_right_back() {
     let folder = tempfile::tempdir().unwrap();

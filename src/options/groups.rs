@@ -14,9 +14,9 @@ options! {
         /// Choose the sync method by measurements of the capture. Also choose whether trajectories are curved, and
         /// whether still frame pairs are registered.
         sync: bool = false,
-        /// Choose the proxy's method by measurements of the capture.
+        /// Choose the proxy method by measurements of the capture.
         proxy: bool = false,
-        /// Choose the blend's method by measurements of the capture.
+        /// Choose the blending method by measurements of the capture.
         blend: bool = false,
         /// Automatic choice: the largest displacement of a surface in the image, in pixels, that a cheaper method may
         /// cause.
@@ -73,9 +73,9 @@ options! {
         depth_edges: DepthEdges = DepthEdges::Front,
         /// Options of the proxy with depth per pixel.
         depth: StereoOptions,
-        /// Number of cameras nearest to the view whose features are triangulated.
+        /// Number of cameras, the nearest to the view, whose features are triangulated.
         cameras: usize [1..=1_000_000, "cameras"] = 3,
-        /// Number of nearest cameras with which each camera is matched to triangulate its features.
+        /// Number of neighbouring cameras with which a camera is matched to triangulate its features.
         partners: usize [1..=1_000_000, "cameras"] = 4,
     }
 }

@@ -40,7 +40,8 @@ options! {
         blend: BlendOptions,
         /// Options of temporal integration, which only [`crate::light_field::render()`] uses.
         trail: TrailOptions,
-        /// Options of the automatic choice of methods. For the stages that it names, the methods above are ignored.
+        /// Options of the automatic choice of methods. For the stages that are chosen automatically, the methods above
+        /// are ignored.
         auto: AutoOptions,
     }
 }

@@ -6,11 +6,11 @@ use serde::Deserialize;
 use serde_json::Value;
 
 impl RenderOptions {
-    /// Parses an options file, which is a JSON object. Missing options have the values of a preset. The preset is
-    /// `preset`, or else the one that the file names in its field `preset`, or else the default preset. If the file
-    /// names a stage's method, the automatic choice for this stage is turned off.
+    /// Parses an options file, which is a JSON object. Missing options have the values of a preset. The preset is the
+    /// argument `preset`, or else the preset named in the file's field `preset`, or else the default preset. If the
+    /// file names a stage's method, the automatic choice for this stage is turned off.
     ///
-    /// The error is a sentence that starts with the path of the field. A value out of its range is an error.
+    /// The error is a sentence that starts with the path of the wrong field. A value out of its range is an error.
     pub fn parse(text: &str, preset: Option<Preset>) -> Result<Self, String> {
         let Value::Object(mut file) = json::parse(text)? else {
             return Err("must be an object".into());

@@ -144,9 +144,9 @@ pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, De
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Chooses images from all cameras over refined images of each camera if their PSNR gain exceeds `budget_db`. They take
-/// twice as long. `gain_db` is their gain on the held-out frames, in decibels. `frames` names these frames in the
-/// reason.
+/// Chooses between two sync methods: refined images of each camera, and images from all cameras, which take twice as
+/// long. `gain_db` is the PSNR gain of images from all cameras on the held-out frames, in decibels. They are chosen if
+/// this gain exceeds `budget_db`. `frames` names the held-out frames in the reason.
 pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let pays = gain_db > budget_db;
     let method = if pays { SyncMethod::AllCameras } else { SyncMethod::Refined };
@@ -257,8 +257,9 @@ pub fn lenses(distortion_px: f64) -> Decision {
 /// reports a line of cameras. Above this ratio, the plan reports a grid.
 const LINE: f64 = 0.05;
 
-/// Reports in how many directions the cameras spread, and thus the reference cameras of the epipolar test.
-/// `extent_ratio` is the extent of the camera centres across their main direction, divided by the extent along it.
+/// Reports whether the cameras spread in one or in two directions. The reference cameras of the epipolar test lie in
+/// these directions. `extent_ratio` is the extent of the camera centres across their main direction, divided by the
+/// extent along it.
 pub fn references(extent_ratio: f64) -> Decision {
     let because = format!(
         "Across their main direction the cameras spread {extent_ratio:.2} times as far as along it."

@@ -61,7 +61,8 @@ struct HeldOutFrame {
     view_s: f64,
     /// The held-out frame as recorded, corrected to the gains of the reference camera.
     truth: Image,
-    /// Index, in the whole capture, of the camera whose gains the rendered views of `neighbors` have.
+    /// Index, in the whole capture, of the reference camera of `neighbors`. Views that are rendered from `neighbors`
+    /// have the gains of this camera.
     bright_as: usize,
     gains: Arc<Gains>,
     /// Mask of the pixels, row by row, at which this frame differs from the frame before or after it by more than
