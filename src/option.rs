@@ -124,7 +124,7 @@ pub trait OptionValue {
     fn declare(&self, default: &Self, option: DeclaredOption, options: &mut Vec<DeclaredOption>);
 }
 
-/// Converts a value to JSON, as in an options file. An `f32` has the fewest digits that identify it.
+/// Converts a value to JSON, as in an options file. An `f32` is written with the fewest digits that identify it.
 fn in_json(value: &impl Serialize) -> Value {
     serde_json::to_string(value).and_then(|text| serde_json::from_str(&text)).unwrap_or_default()
 }

@@ -132,7 +132,7 @@ pub fn rounded(value: f64) -> String {
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-/// Returns a word for a shell's command line, in quotes if the word needs them.
+/// Quotes a word for a shell's command line, if the word needs quotes.
 fn quoted(word: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "/._-".contains(c);
     if word.chars().all(is_plain) {

@@ -27,7 +27,8 @@ struct ModelImage {
     translation: [f64; 3],
 }
 
-/// Parsers of the cameras file and of the images file, in this order. Their error is a reason without the file's name.
+/// Parsers of the cameras file and of the images file, in this order. The caller adds the file's name to their error
+/// messages.
 type Readers = (fn(&[u8]) -> Result<Lenses, String>, fn(&[u8]) -> Result<Vec<ModelImage>, String>);
 
 /// Reads the folder of a COLMAP model. Returns one [`NamedCamera`] per image, named after the image and sorted by image

@@ -8,7 +8,8 @@ use std::str::{FromStr, SplitWhitespace};
 /// Size limit of a file of a COLMAP model, in bytes. It is large enough for thousands of images with their points.
 pub(super) const MAX_MODEL_BYTES: u64 = 768 << 20;
 
-/// Creates a pose from a unit quaternion (w, x, y, z) and a translation. The error is a reason without the file's name.
+/// Creates a pose from a unit quaternion (w, x, y, z) and a translation. The caller adds the file's name to the error
+/// message.
 pub(super) fn pose(wxyz: [f64; 4], translation: [f64; 3]) -> Result<Isometry3<f64>, String> {
     let [w, x, y, z] = wxyz;
     let rotation = Quaternion::new(w, x, y, z);

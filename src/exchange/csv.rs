@@ -72,7 +72,7 @@ fn fields(line: &str) -> Vec<String> {
 
 /// Parses a decimal number and converts it to nanoseconds, rounded to the nearest. `unit_digits` gives the unit of the
 /// number: 9 for seconds, 6 for milliseconds, 3 for microseconds, 0 for nanoseconds. The conversion is exact, because
-/// decimal digits are not rounded to a double first. The error is a reason without the file's name.
+/// decimal digits are not rounded to a double first. The caller adds the file's name to the error message.
 pub(super) fn nanoseconds(text: &str, unit_digits: usize) -> Result<i64, String> {
     let wrong = || format!("'{}' is no time", short(text));
     let (sign, digits) = match text.strip_prefix('-') {

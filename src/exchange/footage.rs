@@ -180,8 +180,8 @@ fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     Ok(numbered.into_iter().map(|(_, file)| file).collect())
 }
 
-/// Returns the last number in a file's name without extension; 0 if this name has no digits. The error is a reason
-/// without the file's name.
+/// Returns the last number in a file's name without extension; 0 if this name has no digits. The caller adds the file's
+/// name to the error message.
 fn number(file: &Path) -> Result<u64, String> {
     let stem = file.file_stem().unwrap_or_default().to_string_lossy();
     let is_other = |c: char| !c.is_ascii_digit();
@@ -226,8 +226,8 @@ fn listed_file(folder: &Path, name: &str) -> Result<PathBuf, String> {
 }
 
 /// Groups images by camera and returns each camera's id with its images. Images with the same camera id in their names
-/// are one group. If all these ids differ, images with the same pose and lens are one group. The error is a reason
-/// without the file's name.
+/// are one group. If all these ids differ, images with the same pose and lens are one group. The caller adds the file's
+/// name to the error message.
 fn grouped(
     images: &[NamedCamera],
     notes: &mut Vec<String>,

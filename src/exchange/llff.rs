@@ -40,7 +40,7 @@ fn camera(row: &[f64; COLUMNS]) -> Result<crate::camera::Camera, String> {
     checked(size, &model, &pose)
 }
 
-/// Parses the rows of an npy file of float32 or float64. The error is a reason without the file's name.
+/// Parses the rows of an npy file of float32 or float64. The caller adds the file's name to the error message.
 fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     let (rest, version) = match bytes {
         [0x93, b'N', b'U', b'M', b'P', b'Y', version @ 1..=3, _, rest @ ..] => (rest, *version),

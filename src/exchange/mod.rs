@@ -134,7 +134,8 @@ fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>, ExchangeError> {
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })
 }
 
-/// Returns an error if there are more than [`MAX_ENTRIES`] entries. The error is a reason without the file's name.
+/// Returns an error if there are more than [`MAX_ENTRIES`] entries. The caller adds the file's name to the error
+/// message.
 fn check_count(entries: usize, what: &str) -> Result<(), String> {
     if entries <= MAX_ENTRIES {
         return Ok(());
@@ -148,7 +149,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {
 }
 
 /// Converts an image size that a file holds as two floats, in pixels. A side that is not a whole number of at least 1
-/// is an error. The error is a reason without the file's name.
+/// is an error. The caller adds the file's name to the error message.
 fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
     for side in [width, height] {
         if !(side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0) {
@@ -162,8 +163,8 @@ fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
 /// Largest absolute value of a time, in seconds: 127 years. In nanoseconds, it fits into an `i64`.
 const MAX_TIME_S: f64 = 4e9;
 
-/// Converts seconds to nanoseconds. A time beyond [`MAX_TIME_S`] is an error. The error is a reason without the file's
-/// name.
+/// Converts seconds to nanoseconds. A time beyond [`MAX_TIME_S`] is an error. The caller adds the file's name to the
+/// error message.
 fn seconds_in_ns(time_s: f64) -> Result<i64, String> {
     if !(time_s.abs() <= MAX_TIME_S) {
         return Err(format!("time {} must be within {MAX_TIME_S:e} s of 0", number(time_s)));
@@ -185,7 +186,7 @@ fn opencv_model([fx, fy, cx, cy]: [f64; 4], k: [f64; 6], p: [f64; 2]) -> CameraM
 }
 
 /// Creates a camera from the numbers of a file, and checks it like the cameras of a capture. The image size is (width,
-/// height) in pixels. The error is a reason without the file's name.
+/// height) in pixels. The caller adds the file's name to the error message.
 fn checked(
     (width, height): (u64, u64),
     model: &CameraModel,
@@ -207,7 +208,7 @@ fn checked(
 }
 
 /// Returns the camera-from-world pose of a camera at `center`. The columns of `axes` are the camera's right, down and
-/// forward axes in the world. The error is a reason without the file's name.
+/// forward axes in the world. The caller adds the file's name to the error message.
 fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3<f64>, String> {
     if !axes.iter().chain(center.iter()).all(|v| v.is_finite()) {
         return Err("a pose must be finite".into());

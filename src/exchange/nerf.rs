@@ -87,7 +87,7 @@ fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>
 }
 
 /// Returns the image size (width, height; pixels) and the lens of a frame. Fields that the frame lacks are taken from
-/// `all`, the top level of the file. The error is a reason without the file's name.
+/// `all`, the top level of the file. The caller adds the file's name to the error message.
 fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel), String> {
     let either = |field: fn(&FrameEntry) -> Option<f64>| field(frame).or(field(all));
     let (Some(w), Some(h)) = (either(|f| f.w), either(|f| f.h)) else {

@@ -231,7 +231,7 @@ fn pair_by_number(
 }
 
 /// Merges all images of a camera into one entry, named by the camera's id. The cameras have the order of their first
-/// images. A camera that moves is an error. The error is a reason without the file's name.
+/// images. A camera that moves is an error. The caller adds the file's name to the error message.
 pub(super) fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     let mut distinct: Vec<NamedCamera> = Vec::new();
     for NamedCamera { name, camera, .. } in cameras {

@@ -87,7 +87,7 @@ fn camera(node: Node) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, time_ns: None, camera: checked(size, &model, &pose)? })
 }
 
-/// Returns the value of a numeric attribute. The error is a reason without the file's name.
+/// Returns the value of a numeric attribute. The caller adds the file's name to the error message.
 fn number(node: Node, name: &str) -> Result<f64, String> {
     let text = node.attribute(name).ok_or_else(|| format!("{name} is missing"))?;
     let wrong = || format!("{name} can't be '{}'", crate::text::short(text));

@@ -57,7 +57,7 @@ pub fn read_times(path: &Path) -> Result<RecordingTimes, ExchangeError> {
 }
 
 /// Returns the frame times of a camera. They are listed under the camera's id, or else under the only name with the
-/// same numbers as the id, such as `0` for `cam_0`. The error is a reason without the file's name.
+/// same numbers as the id, such as `0` for `cam_0`. The caller adds the file's name to the error message.
 pub(super) fn times_of<'a>(times: &'a RecordingTimes, id: &str) -> Result<&'a [i64], String> {
     if let Some(times) = times.get(id) {
         return Ok(times);

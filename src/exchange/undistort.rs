@@ -15,8 +15,9 @@ pub struct Undistortion {
 }
 
 impl Undistortion {
-    /// Creates the map to a pinhole camera with the same focal lengths and principal point. If `is_centered`, the
-    /// pinhole camera has the mean focal length instead, and its principal point is in the middle of the image.
+    /// Creates the map to a pinhole camera with the same focal lengths and principal point. If `is_centered`, both
+    /// focal lengths of the pinhole camera are the mean focal length, and its principal point is in the middle of the
+    /// image.
     pub fn new(camera: &Camera, is_centered: bool) -> Self {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let (width, height) = (camera.width, camera.height);

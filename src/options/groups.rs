@@ -73,7 +73,7 @@ options! {
         depth_edges: DepthEdges = DepthEdges::Front,
         /// Options of the proxy with depth per pixel.
         depth: StereoOptions,
-        /// Number of cameras, the nearest to the view, whose features are triangulated.
+        /// Number of cameras whose features are triangulated; the cameras nearest to the view are used.
         cameras: usize [1..=1_000_000, "cameras"] = 3,
         /// Number of neighbouring cameras with which a camera is matched to triangulate its features.
         partners: usize [1..=1_000_000, "cameras"] = 4,

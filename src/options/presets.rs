@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub enum Preset {
     /// The fastest methods that still synchronize the cameras' images, for interactive viewing.
     Draft,
-    /// Most of the accuracy of `Best` in a fraction of its time.
+    /// Methods with most of the accuracy of `Best`, in a fraction of its time.
     Balanced,
     /// Methods chosen by measurements of the capture ([`AutoOptions::all`]). An accurate method is chosen where it
     /// reduces the error by more than the budget.

@@ -17,8 +17,8 @@ pub struct Decision {
     /// Name of the chosen method, as in options files. For a stage without such an option, a word that describes the
     /// capture, such as `pinhole` for the lenses.
     pub method: &'static str,
-    /// The measured number that decided, in pixels unless `because` names another unit. `None` if no single number
-    /// decided.
+    /// The measured number on which the decision is based, in pixels unless `because` names another unit. `None` if the
+    /// decision is not based on a single number.
     pub measured: Option<f64>,
     /// The limit with which `measured` was compared, in the unit of `measured`; `None` if `measured` is `None`.
     pub limit: Option<f64>,
@@ -32,7 +32,7 @@ impl Decision {
         Self { stage, method, measured: None, limit: None, because: because.into() }
     }
 
-    /// Adds the measured number that decided, and the limit with which this number was compared.
+    /// Adds the measured number on which the decision is based, and the limit with which this number was compared.
     fn by(self, measured: f64, limit: f64) -> Self {
         Self { measured: Some(measured), limit: Some(limit), ..self }
     }
@@ -132,8 +132,9 @@ pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     (limit, Decision::new("still pairs", "cross-faded", because).by(still_px, limit_px))
 }
 
-/// Chooses refinement as the sync method if it can gain more than `budget_db` over triangulation. `gain_db` is the
-/// largest possible PSNR gain of refinement, in decibels. `frames` names the held-out frames in the reason.
+/// Chooses refinement as the sync method if it can gain more than `budget_db` over triangulation, and triangulation
+/// otherwise. `gain_db` is the largest possible PSNR gain of refinement, in decibels. `frames` names the held-out
+/// frames in the reason.
 pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let refines = gain_db > budget_db;
     let method = if refines { SyncMethod::Refined } else { SyncMethod::Triangulation };
@@ -158,8 +159,9 @@ pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, D
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Chooses scene flow over depth per pixel as the proxy if its PSNR gain exceeds `budget_db`. `gain_db` is the gain of
-/// scene flow on the held-out frames, in decibels. `frames` names these frames in the reason.
+/// Chooses scene flow as the proxy if its PSNR gain over depth per pixel exceeds `budget_db`, and depth per pixel
+/// otherwise. `gain_db` is the gain of scene flow on the held-out frames, in decibels. `frames` names these frames in
+/// the reason.
 pub fn scene_flow(gain_db: f64, frames: &str, budget_db: f64) -> (ProxyMethod, Decision) {
     let method = if gain_db > budget_db { ProxyMethod::SceneFlow } else { ProxyMethod::Depth };
     let because = format!(
@@ -253,8 +255,8 @@ pub fn lenses(distortion_px: f64) -> Decision {
     Decision::new("lenses", "distorted", because).by(distortion_px, 0.0)
 }
 
-/// Largest ratio of the camera centres' extent across their main direction to the extent along it for which the plan
-/// reports a line of cameras. Above this ratio, the plan reports a grid.
+/// Largest `extent_ratio` at which the cameras count as a line. The ratio is the extent of the camera centres across
+/// their main direction, divided by the extent along it. Above this limit, the cameras count as a grid.
 const LINE: f64 = 0.05;
 
 /// Reports whether the cameras spread in one or in two directions. The reference cameras of the epipolar test lie in

@@ -93,8 +93,8 @@ impl HeldOutErrors {
 
 impl Probe {
     /// Chooses the held-out frames. Returns `None` if no camera has a suitable frame. A suitable frame lies in time
-    /// between frames of at least half of the nearest cameras, and at least [`MIN_PIXELS`] of its pixels change.
-    /// Cameras with a common clock have no such frames.
+    /// between frames of at least half of the nearest cameras, and at least 64 of its pixels change. Cameras with a
+    /// common clock have no such frames.
     pub fn open(
         whole: &LightField,
         registration: &RegistrationOptions,

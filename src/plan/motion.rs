@@ -39,9 +39,10 @@ pub struct Motion {
     /// frames and the straight line between its positions in the middle two frames, halfway in time between these two.
     /// The value is the 95th percentile over the moving features of a frame pair, and the maximum over the pairs.
     pub curvature_px: f64,
-    /// Motion residual, in pixels. For a feature, it is the distance, halfway in time between two frames, from the
-    /// position that the motion of neighbouring features predicts. The value is the 99th percentile over the features
-    /// of a frame pair, and the maximum over the pairs. It is large at the outlines of objects with different motion.
+    /// Motion residual, in pixels: the distance between the position of a feature halfway in time between two frames
+    /// and the position that the motion of neighbouring features predicts. The value is the 99th percentile over the
+    /// features of a frame pair, and the maximum over the pairs. It is large at the outlines of objects with different
+    /// motion.
     pub residual_px: f64,
     /// Fraction of image blocks that change by more than noise from one frame to the next, from 0 to 1.
     pub changed_fraction: f64,
