@@ -1,6 +1,6 @@
 //! Limits of a rig's fields, for the JSON Schema and the checks.
 //!
-//! The limits prevent divisions by 0. They also prevent that a typing error makes a rig take terabytes of memory.
+//! The limits prevent divisions by 0. They also keep a typing error in a rig from taking terabytes of memory.
 //! Further limits are those of captures and cameras: [`MAX_DRIFT_PPM`], [`MAX_FRAMES`](crate::capture::MAX_FRAMES),
 //! [`MAX_PIXELS`](crate::raster::MAX_PIXELS), [`MAX_QUATERNION_ERROR`](crate::camera::MAX_QUATERNION_ERROR).
 
