@@ -47,6 +47,8 @@ const LOG_INTERVAL: Duration = Duration::from_secs(30);
 const TICK: Duration = Duration::from_millis(200);
 
 impl Reporter {
+    /// Returns a reporter that prints nothing if `quiet` is true. Otherwise, it shows bars if standard error is a
+    /// terminal, and lines of a log if it isn't.
     pub fn new(quiet: bool) -> Self {
         Self {
             to: match quiet {
@@ -115,11 +117,13 @@ impl Reporter {
 }
 
 impl Task {
+    /// Adds `steps` to the number of finished steps.
     pub fn advance(&self, steps: usize) {
         self.bar.inc(steps as u64);
         self.say();
     }
 
+    /// Sets the number of finished steps.
     pub fn set(&self, done: usize) {
         self.bar.set_position(done as u64);
         self.say();

@@ -60,8 +60,11 @@ pub struct CacheKind {
 /// Number of cached entries of one kind, and their size on disk.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct CacheUse {
+    /// Name of the kind.
     pub kind: String,
+    /// Number of entries.
     pub entries: usize,
+    /// Size of all entries with their additional files, bytes.
     pub bytes: u64,
 }
 

@@ -23,6 +23,7 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Elapsed {
+    /// Wall-clock time, seconds.
     pub wall_s: f64,
     /// Processor time of all threads of this process, seconds. Other programs on the machine hardly affect it.
     pub cpu_s: f64,

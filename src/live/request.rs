@@ -81,8 +81,9 @@ pub struct PictureRequest {
     pub time_s: f64,
     pub place: Place,
     pub view: ViewDirection,
-    /// Synchronization method that replaces the method of the chosen options. `None` keeps the latter.
+    /// Synchronization method in place of that of the chosen options. `None` means no replacement.
     pub sync: Option<SyncMethod>,
+    /// Proxy method in place of that of the chosen options. `None` means no replacement.
     pub proxy: Option<ProxyMethod>,
     /// Name of the viewer and of the part of the page. A request replaces the earlier request with the same name,
     /// unless the name is empty.

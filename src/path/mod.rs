@@ -66,6 +66,7 @@ pub struct PathKey {
 /// A frame of a video along a camera path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathFrame {
+    /// Position, direction and lens of the view.
     pub camera: Camera,
     /// Instant of the recording that the frame shows, seconds on the reference camera's clock.
     pub time_s: f64,

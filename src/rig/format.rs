@@ -73,6 +73,7 @@ pub struct RigCamera {
     /// Lens distortion, by COLMAP's OPENCV model. It must be invertible everywhere on the image's border.
     #[serde(default, skip_serializing_if = "RigDistortion::is_none")]
     pub distortion: RigDistortion,
+    /// Pose of the camera in the rig's frame, metres.
     pub cam_from_rig: PoseFormat,
     #[schemars(range(min = *RATE_HZ.start(), max = *RATE_HZ.end()))]
     pub rate_hz: f64,

@@ -15,6 +15,7 @@ use std::path::Path;
 pub struct Check {
     /// Measured values: the JSON object that `blender/check.py` prints.
     pub values: Value,
+    /// Verdict that follows from the measured values.
     pub verdict: CheckVerdict,
     /// Lines of a table of the measured values. The last line is a sentence with the verdict.
     pub table: Vec<String>,
@@ -24,7 +25,9 @@ pub struct Check {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CheckVerdict {
+    /// The images confirm the calibration.
     Right,
+    /// The images contradict the calibration.
     Off,
     /// The images do not suffice for a verdict.
     Unknown,
@@ -142,7 +145,9 @@ pub struct CameraEstimate {
     pub points: usize,
     /// Root mean square of the camera's reprojection errors, pixels.
     pub error_px: f64,
+    /// Standard error of the camera's orientation, about the least certain axis, degrees.
     pub rotation_std_err_deg: f64,
+    /// Standard error of the camera's centre, along the least certain axis, metres.
     pub position_std_err_m: f64,
     /// Standard error of the focal length, as a fraction of the focal length. 0 if the focal length was given.
     pub focal_std_err_fraction: f64,

@@ -22,6 +22,7 @@ use std::path::{Path, PathBuf};
 /// The Python environment of the project.
 #[derive(Clone, Debug)]
 pub struct Environment {
+    /// Folder of stlfr's sources, which contains the environment.
     pub project_root: PathBuf,
     /// Path of the environment's Python interpreter.
     pub python: PathBuf,
