@@ -32,19 +32,19 @@ const FOLDER: &str = ".stlfr/cache";
 /// Maximum size of all entries of a capture's cache together, bytes. Decoded videos are included.
 const MAX_BYTES: u64 = 32 << 30;
 
-/// Maximum size of an entry's file that is read, bytes.
+/// Maximum size of a cache entry's file that is read, bytes.
 const MAX_ENTRY_BYTES: u64 = 64 << 20;
 
-/// Size of the checksum at the start of an entry's file, bytes.
+/// Size of the checksum at the start of a cache entry's file, bytes.
 pub(crate) const ENTRY_OVERHEAD_BYTES: u64 = blake3::OUT_LEN as u64;
 
-/// Time for which an entry is not removed after its last use. Times of use are recorded with this precision.
+/// Time for which a cache entry is not removed after its last use. Times of use are recorded with this precision.
 const RECENT: Duration = Duration::from_secs(3600);
 
-/// Number of hexadecimal digits of an entry's key that its file name contains.
+/// Number of hexadecimal digits of a cache entry's key that its file name contains.
 const KEY_DIGITS: usize = 32;
 
-/// Extension of the folder for the additional files of an entry.
+/// Extension of the folder for the additional files of a cache entry, such as the frames of a decoded video.
 const FILES_EXTENSION: &str = "files";
 
 /// A kind of cached results, such as plans. The entries of one kind are listed and deleted together.
@@ -52,8 +52,8 @@ const FILES_EXTENSION: &str = "files";
 pub struct CacheKind {
     /// Name of the kind, and of the folder with its entries.
     pub name: &'static str,
-    /// Version of the kind. It is part of every entry's key. It must be incremented when equal inputs give other
-    /// results, or when the format of the results changes.
+    /// Version of this kind of results. It is part of every entry's key. It must be incremented when equal inputs give
+    /// other results, or when the format of the results changes.
     pub version: u32,
 }
 
@@ -87,17 +87,17 @@ struct Shared {
 struct State {
     /// Kinds from whose folders this process has removed the temporary files of killed processes.
     cleared: BTreeSet<&'static str>,
-    /// Paths of damaged entries that have already been reported in a note.
+    /// Paths of damaged cache entries that have already been reported in a note.
     noted: BTreeSet<PathBuf>,
-    /// Paths of entries that this process uses, and therefore does not remove.
+    /// Paths of cache entries that this process uses, and therefore does not remove.
     pinned: BTreeSet<PathBuf>,
-    /// Size of all entries together, bytes. `None` if they have not been counted yet.
+    /// Size of all cache entries together, bytes. `None` if they have not been counted yet.
     bytes: Option<u64>,
-    /// Size of all entries together above which entries are removed, bytes.
+    /// Size of all cache entries together above which entries are removed, bytes.
     limit: u64,
 }
 
-/// An entry found on disk. Its size includes its additional files.
+/// A cache entry found on disk. Its size includes its additional files.
 struct Found {
     path: PathBuf,
     bytes: u64,
@@ -126,7 +126,7 @@ impl DiskCache {
         Self { content: content.to_owned(), ..self.clone() }
     }
 
-    /// Returns the key of an entry, from its kind and inputs.
+    /// Returns the key of a cache entry, from its kind and inputs.
     ///
     /// # Errors
     /// If the inputs can't be serialized as JSON.
@@ -147,7 +147,7 @@ impl DiskCache {
         link_within(&self.capture, &self.folder().join(kind.name))
     }
 
-    /// Returns the path and the key of an entry. The first call for a kind removes the temporary files of killed
+    /// Returns the path and the key of a cache entry. The first call for a kind removes the temporary files of killed
     /// processes.
     fn entry(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<(PathBuf, blake3::Hash)> {
         if let Some(link) = self.link(kind) {
@@ -161,7 +161,7 @@ impl DiskCache {
         Ok((folder.join(&key.to_hex()[..KEY_DIGITS]), key))
     }
 
-    /// Returns the path of an entry's file.
+    /// Returns the path of a cache entry's file.
     ///
     /// # Errors
     /// If a folder on the path from the capture to the entry is a symbolic link.
@@ -169,8 +169,8 @@ impl DiskCache {
         Ok(self.entry(kind, inputs)?.0)
     }
 
-    /// Returns the path of the folder for an entry's additional files. The caller must create this folder before it
-    /// saves the entry, and must check the files in the folder.
+    /// Returns the path of the folder for the additional files of a cache entry. The caller must create this folder
+    /// before it saves the entry. The caller must also check these files, because the cache doesn't.
     ///
     /// # Errors
     /// The errors of [`Self::path`].
@@ -178,7 +178,7 @@ impl DiskCache {
         Ok(self.path(kind, inputs)?.with_extension(FILES_EXTENSION))
     }
 
-    /// Removes an entry and its additional files, if they exist.
+    /// Removes a cache entry and its additional files, if they exist.
     ///
     /// # Errors
     /// If they can't be removed, or if a folder on the path from the capture to the entry is a symbolic link.
@@ -186,7 +186,7 @@ impl DiskCache {
         remove(&self.path(kind, inputs)?)
     }
 
-    /// Returns the bytes of an entry. `None` if the entry is absent or damaged.
+    /// Returns the bytes of a cache entry. `None` if the entry is absent or damaged.
     pub fn load(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Vec<u8>> {
         let (path, key) = self.entry(kind, inputs).ok()?;
         let found = path.symlink_metadata().ok()?;
@@ -198,7 +198,7 @@ impl DiskCache {
         content
     }
 
-    /// Writes the bytes of an entry. Returns the size of the entry's file in bytes.
+    /// Writes the bytes of a cache entry. Returns the size of the entry's file in bytes.
     ///
     /// # Errors
     /// If the entry can't be written. Callers continue without the cache, because a capture may be read-only.
@@ -212,7 +212,7 @@ impl DiskCache {
         Ok(size)
     }
 
-    /// Returns the value of an entry that was saved as JSON. `None` if the entry is absent or damaged.
+    /// Returns the value of a cache entry that was saved as JSON. `None` if the entry is absent or damaged.
     pub fn load_json<T: DeserializeOwned>(
         &self,
         kind: CacheKind,
@@ -225,7 +225,7 @@ impl DiskCache {
         value
     }
 
-    /// Writes a value as indented JSON into an entry. Returns the size of the entry's file in bytes.
+    /// Writes a value as indented JSON into a cache entry. Returns the size of the entry's file in bytes.
     ///
     /// # Errors
     /// The errors of [`Self::save`].
@@ -240,7 +240,7 @@ impl DiskCache {
         self.save(kind, inputs, &content)
     }
 
-    /// Reports in a note that an entry is damaged, once for each path.
+    /// Reports in a note that a cache entry is damaged, once for each path.
     pub fn note_damage(&self, path: &Path) {
         if lock(&self.shared.state).noted.insert(path.to_owned()) {
             let path = path.display();
@@ -250,13 +250,14 @@ impl DiskCache {
         }
     }
 
-    /// Marks an entry as used by this process, so that this process doesn't remove it. `path` is the path of its file.
+    /// Marks a cache entry as used by this process, so that this process doesn't remove it. `path` is the path of its
+    /// file.
     pub fn pin(&self, path: &Path) {
         lock(&self.shared.state).pinned.insert(path.to_owned());
     }
 
-    /// Records now as the time of an entry's last use: sets the modification time of its file. A time within the last
-    /// [`RECENT`] is left unchanged.
+    /// Records the current time as the time of a cache entry's last use: sets the modification time of its file. A
+    /// recorded time within the last [`RECENT`] is left unchanged.
     fn mark_used(&self, path: &Path, found: &Metadata) {
         let now = SystemTime::now();
         let is_recent = |t| now.duration_since(t).is_ok_and(|age| age < RECENT);
@@ -266,7 +267,7 @@ impl DiskCache {
         }
     }
 
-    /// Adds the size of a new entry to the total size. If the total exceeds the limit, removes entries.
+    /// Adds the size of a new cache entry to the total size. If the total exceeds the limit, removes entries.
     fn add(&self, bytes: u64) {
         let mut state = lock(&self.shared.state);
         let all = || self.found().values().flatten().map(|entry| entry.bytes).sum();
@@ -281,8 +282,8 @@ impl DiskCache {
         state.bytes = Some(total);
     }
 
-    /// Removes the least recently used entries until the rest takes at most the maximum size, or was used within the
-    /// last [`RECENT`]. Returns the size of the remaining entries, bytes.
+    /// Removes the least recently used cache entries, until the remaining ones fit into the maximum size or were all
+    /// used within the last [`RECENT`]. Returns the size of the remaining entries, bytes.
     fn shrink(&self, pinned: &BTreeSet<PathBuf>) -> u64 {
         let mut entries: Vec<Found> = self.found().into_values().flatten().collect();
         entries.sort_by_key(|entry| entry.used);
@@ -305,7 +306,7 @@ impl DiskCache {
         self.link(kind).is_none() && self.folder().join(kind.name).is_dir()
     }
 
-    /// Returns all entries on disk, grouped by the names of their kinds.
+    /// Returns all cache entries on disk, grouped by the names of their kinds.
     fn found(&self) -> BTreeMap<String, Vec<Found>> {
         let folder = self.folder();
         if link_within(&self.capture, &folder).is_some() {
@@ -321,7 +322,7 @@ impl DiskCache {
         kinds.filter_map(of_kind).collect()
     }
 
-    /// Returns the number and the size of the entries of each kind.
+    /// Returns the number and the size of the cache entries of each kind.
     pub fn listing(&self) -> Vec<CacheUse> {
         let of_kind = |(kind, found): (String, Vec<Found>)| CacheUse {
             kind,
@@ -331,7 +332,7 @@ impl DiskCache {
         self.found().into_iter().map(of_kind).collect()
     }
 
-    /// Deletes the entries of one kind; of all kinds if `kind` is `None`. Returns the number and the size of the
+    /// Deletes the cache entries of one kind; of all kinds if `kind` is `None`. Returns the number and the size of the
     /// deleted entries.
     ///
     /// # Errors
@@ -366,7 +367,7 @@ fn checksum(key: &blake3::Hash, content: &[u8]) -> blake3::Hash {
     blake3::keyed_hash(key.as_bytes(), content)
 }
 
-/// Reads an entry's file, and returns the bytes after the checksum. `None` if the file can't be read, or if its
+/// Reads a cache entry's file, and returns the bytes after the checksum. `None` if the file can't be read, or if its
 /// checksum is wrong for the key and these bytes.
 fn unsealed(path: &Path, key: &blake3::Hash) -> Option<Vec<u8>> {
     let mut bytes = read_bytes(path, MAX_ENTRY_BYTES).ok()?;
@@ -384,7 +385,7 @@ fn folder_bytes(folder: &Path) -> u64 {
     files.filter_map(|file| file.metadata().ok()).map(|found| found.len()).sum()
 }
 
-/// Returns the entries in the folder of a kind. A folder of additional files without an entry's file counts as an
+/// Returns the cache entries in the folder of a kind. A folder of additional files without an entry's file counts as an
 /// entry.
 fn entries(folder: &Path) -> Vec<Found> {
     let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
@@ -408,7 +409,7 @@ fn entries(folder: &Path) -> Vec<Found> {
     found.into_values().collect()
 }
 
-/// Removes an entry's file, and then the folder of its additional files. `path` is the path of the entry's file.
+/// Removes a cache entry: its file, and then the folder of its additional files. `path` is the path of the file.
 fn remove(path: &Path) -> Result<()> {
     ignore_absent(std::fs::remove_file(path))?;
     let files = path.with_extension(FILES_EXTENSION);

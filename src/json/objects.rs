@@ -8,7 +8,7 @@ use std::fmt;
 /// Wraps a deserializer, and recursively the deserializers of its values, so that structs must be JSON objects.
 pub(super) struct Objects<T>(pub T);
 
-/// Wraps the visitor of a struct, so that a list is an error.
+/// Wraps serde's visitor of a struct, so that a list in place of a JSON object is an error.
 struct StructVisitor<V>(V);
 
 impl<'de, V: Visitor<'de>> Visitor<'de> for StructVisitor<V> {

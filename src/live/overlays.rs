@@ -7,14 +7,14 @@ use crate::raster::{Image, luma};
 
 /// Maximum number of cameras whose blending weights are computed. The cameras nearest to the view are chosen.
 const MAX_CAMERAS: usize = 24;
-/// Period of the stripes, as a fraction of the picture's width. With a larger period, the stripes hide the scene. With
-/// a smaller period, the thin stripes of small weights vanish.
+/// Period of the stripes that show the blending weights, as a fraction of the picture's width. With a larger period,
+/// the stripes hide the scene. With a smaller period, the thin stripes of small weights vanish.
 const PATTERN: f32 = 1.0 / 24.0;
-/// Minimum period of the stripes, pixels.
+/// Minimum period of the stripes that show the blending weights, pixels.
 const MIN_PATTERN_PX: f32 = 8.0;
-/// Opacity of the stripes over the grey picture, from 0 to 1.
+/// Opacity of the stripes that show the blending weights over the grey picture, from 0 to 1.
 const TINT: f32 = 0.6;
-/// Fraction of a picture's depths that the colour scale clips at each of its ends.
+/// Fraction of a view's depths that the colour scale clips at each of its ends.
 const OUTSIDE: f64 = 0.01;
 
 /// Colours of the depth scale from far to near, RGB from 0 to 255, in equal steps of lightness (matplotlib's viridis).
@@ -35,7 +35,7 @@ pub(super) struct Weights {
     /// Weights of each camera at all pixels, row by row. The cameras are in the capture's order. `None` for a camera
     /// whose weights were not computed.
     by_camera: Vec<Option<Vec<f32>>>,
-    /// The blended view.
+    /// The view as blended from the cameras' images. [`Self::striped`] converts it to grey.
     gray: Rendered,
 }
 

@@ -228,9 +228,9 @@ impl<'a> Studio<'a> {
         })
     }
 
-    /// Computes the cameras' images and depth maps at a picture's instant beforehand, so that views at this instant are
-    /// quick. Stops when `proceed` returns false. Errors are ignored here, because the next request for a picture
-    /// reports them.
+    /// Computes the cameras' images and depth maps at a picture's instant in advance, so that other views at this
+    /// instant are rendered quickly. Stops when `proceed` returns false. Errors are ignored here, because the next
+    /// request for a picture reports them.
     pub(super) fn prepare(&self, request: &PictureRequest, proceed: Proceed) {
         let chosen = self.chosen(request);
         let sync = match request.method {

@@ -12,10 +12,11 @@ use std::thread::Scope;
 const QUICK_WORKERS: usize = 2;
 /// Increase of the niceness of worker threads for full quality. Quick pictures thus have priority.
 const FULL_NICENESS: i32 = 5;
-/// Maximum number of instants that wait to be prepared for other viewpoints.
+/// Maximum number of answered requests for whose instants images and depth maps are still to be computed in advance.
 const MAX_AHEAD: usize = 8;
 
-/// Answered requests whose instants are still to be prepared for other viewpoints.
+/// Answered requests for whose instants the cameras' images and depth maps are still to be computed in advance. Other
+/// viewpoints at these instants are then rendered quickly.
 type Ahead = VecDeque<Arc<Asked>>;
 
 /// Starts the worker threads, which end when the queue is closed. Quick pictures and pictures of full quality have
@@ -84,8 +85,8 @@ fn plan(ahead: &mut Ahead, shown: Arc<Asked>) {
     }
 }
 
-/// Prepares the instants of the requests in `ahead` for other viewpoints. Stops when a picture of full quality of
-/// another instant is requested.
+/// Computes the cameras' images and depth maps at the instants of the requests in `ahead`, so that other viewpoints at
+/// these instants are rendered quickly. Stops when a picture of full quality of another instant is requested.
 fn prepare(studio: &Studio, queue: &Queue, ahead: &mut Ahead, pool: &ThreadPool) {
     while let Some(asked) = ahead.pop_front() {
         let is_free = || !queue.has_apart(&asked);

@@ -63,8 +63,8 @@ impl ArcLength {
         half * pairs.sum::<f64>()
     }
 
-    /// Converts the parameter `at` of a uniform motion to the curve's parameter. If `at` is at a fraction of the
-    /// parameters' range, the curve at the returned parameter has passed the same fraction of its arc length.
+    /// Converts a parameter of uniform motion to the curve's parameter. If a fraction f of the parameters' range lies
+    /// before `at`, the fraction f of the curve's length lies before the returned parameter.
     pub fn parameter(&self, at: f64) -> f64 {
         let (first, last) = (self.lengths[0].0, self.lengths[self.lengths.len() - 1].0);
         let wanted = self.whole() * (at - first) / (last - first);

@@ -72,7 +72,7 @@ pub(super) fn monotone_tangents(at: &[f64], values: &[f64]) -> Vec<f64> {
     (0..=last).map(tangent).collect()
 }
 
-/// Replaces the tangents at all keys where `rests` is true by 0.
+/// Sets the tangents to 0 at all keys where `rests` is true.
 pub(super) fn resting<T: Default>(rests: &[bool], tangents: Vec<T>) -> Vec<T> {
     let pairs = tangents.into_iter().zip(rests);
     pairs.map(|(tangent, rests)| if *rests { T::default() } else { tangent }).collect()
@@ -103,8 +103,8 @@ impl Hermite {
         Self { key, next: after, passed, length }
     }
 
-    /// Interpolates between two values with given slopes, by a cubic Hermite polynomial. The arguments are the value
-    /// and the slope at the start, and at the end, of the interval.
+    /// Interpolates between two values with given slopes, by a cubic Hermite polynomial. Each argument is a pair of
+    /// value and slope: first at the start of the interval, then at its end.
     pub fn value<T>(&self, (a, a_slope): (T, T), (b, b_slope): (T, T)) -> T
     where
         T: Copy + Mul<f64, Output = T> + Add<Output = T> + Sub<Output = T>,

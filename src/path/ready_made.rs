@@ -65,7 +65,7 @@ const HALVINGS: usize = 12;
 /// Number of grid points along each side of a view. Cameras must see every grid point at each of the scene's depths.
 const SEEN_POINTS: usize = 9;
 
-/// Fractions of a bullet-time video at which time stops and starts again.
+/// Fractions of the duration of a bullet-time video at which time stops and starts again.
 const STOP: [f64; 2] = [0.25, 0.75];
 
 /// Maximum length of a dolly movement, as a fraction of the distance to the nearest part of the scene.
@@ -242,14 +242,15 @@ impl RigCurve {
         at(&self.places, s) + self.axes[1] * t
     }
 
-    /// Returns the pose `cam_from_world` at the rig coordinates (s, t), moved by `ahead_m` metres along its viewing
-    /// direction. The pose looks in the direction of the cameras there.
+    /// Returns the pose `cam_from_world` at the rig coordinates (s, t), each from −1 to 1. The pose looks in the
+    /// direction of the cameras there, and is moved by `ahead_m` metres in this direction.
     fn pose(&self, along: [f64; 2], ahead_m: f64) -> Isometry3<f64> {
         let ahead = at(&self.aheads, along[0]).try_normalize(1e-9).unwrap_or(self.ahead);
         looking(self.place(along) + ahead * ahead_m, ahead, self.down)
     }
 
-    /// Returns the pose `cam_from_world` at the rig coordinates (s, t), aimed at the subject.
+    /// Returns the pose `cam_from_world` at the rig coordinates (s, t), each from −1 to 1, that looks at the subject.
+    /// The subject is the point straight ahead of the rig's centre at the subject's depth.
     fn aimed(&self, along: [f64; 2]) -> Isometry3<f64> {
         let place = self.place(along);
         let subject = self.center + self.ahead * self.depths_m[1];

@@ -96,11 +96,11 @@ pub struct RigCamera {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(inner(range(min = *LOST_FRAME.start(), max = *LOST_FRAME.end())))]
     pub lost_frames: Vec<u32>,
-    /// Whether a lost frame leaves a gap in the camera's time stamps. Otherwise, it leaves no trace.
+    /// Whether a lost frame leaves a gap in the camera's time stamps. Otherwise, the time stamps don't show the loss.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub lost_stamped: bool,
-    /// Whether the camera uses the shared clock, which shows world time. The offset of the camera's clock is then
-    /// known.
+    /// Whether the camera uses the clock that several cameras share, which shows world time. The offset of the camera's
+    /// clock is then known.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub clock_shared: bool,
     /// Time for which the shutter is open, seconds, centred on the frame's time. 0 means an instantaneous exposure. At

@@ -51,12 +51,13 @@ pub enum Delays {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LossStamps {
-    /// Every lost frame leaves a gap.
+    /// Every lost frame leaves a gap in the time stamps.
     #[default]
     Stamped,
-    /// No lost frame leaves a trace.
+    /// No lost frame leaves a gap in the time stamps.
     Hidden,
-    /// In every second camera, from the first on, lost frames leave gaps. In the other cameras, they leave no trace.
+    /// In every second camera, from the first on, lost frames leave gaps in the time stamps. In the other cameras, they
+    /// don't.
     Mixed,
 }
 
@@ -72,7 +73,7 @@ methods!(LossStamps {
 pub struct Loss {
     /// Number of frames that each camera loses.
     pub count: usize,
-    /// End of the range from which lost frames are drawn: the frames 1 to `within − 1`.
+    /// Upper bound of the numbers of lost frames, which are drawn from 1 to `within − 1`.
     pub within: usize,
     /// Whether lost frames leave gaps in the time stamps.
     pub stamps: LossStamps,
@@ -120,7 +121,7 @@ pub struct RigOptions {
     pub gains: Vec<f64>,
     /// Standard deviations of the cameras' sensor noise, as fractions of full scale.
     pub noises: Vec<f64>,
-    /// Whether the cameras record colours or luminance alone.
+    /// Whether each camera records colours or luminance alone.
     pub colors: Vec<RigColor>,
     /// Bits per channel of all images, 8 or 16.
     pub bit_depth: u32,

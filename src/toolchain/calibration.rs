@@ -36,8 +36,8 @@ pub enum CheckVerdict {
 }
 
 impl CheckVerdict {
-    /// Returns whether the check failed, because the calibration or the program itself is wrong. Images that do not
-    /// suffice for a verdict are no failure.
+    /// Returns whether the check failed, because the calibration or the program itself is wrong. [`Self::Unknown`] is
+    /// no failure.
     pub fn is_failure(self) -> bool {
         matches!(self, Self::Off | Self::Inconsistent)
     }
