@@ -47,7 +47,7 @@ impl Claims {
         Ok(Self { folder: folder.to_owned() })
     }
 
-    /// Takes an item, if it is neither finished nor taken by another process.
+    /// Takes an item, if it is free. Otherwise, returns whether it is finished or taken by another process.
     pub fn take(&self, item: usize) -> Result<Taken> {
         let path = self.folder.join(item.to_string());
         let opened =

@@ -14,7 +14,8 @@ const HASHES: CacheKind = CacheKind { name: "hashes", version: 2 };
 /// again without a change of its times, whose resolution is 2 s on the file system FAT.
 const SETTLED: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 3000 });
 
-/// Returns whether a file has been unchanged for longer than [`SETTLED`]. Every later change then changes its state.
+/// Returns whether a file has been unchanged for longer than [`SETTLED`]. If so, every later change of the file also
+/// changes the file's state.
 fn is_settled(state: &FileState) -> bool {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let latest = now.as_nanos() as i128 - SETTLED.as_nanos() as i128;

@@ -34,8 +34,8 @@ pub(super) fn encode_saved(view: &Rendered, depth: BitDepth) -> Result<Vec<u8>, 
 /// different colours.
 pub(super) struct Colors(Vec<[f32; 3]>);
 
-/// Difference in hue between the colours of successive cameras, as a fraction of the colour circle. By the golden
-/// section, no two cameras have the same hue.
+/// Difference in hue between the colours of successive cameras, as a fraction of the colour circle. It is the golden
+/// section, so that no two cameras have the same hue.
 const HUE_STEP: f64 = 0.381_966;
 /// Hue of the leftmost camera's colour, as a fraction of the colour circle.
 const FIRST_HUE: f64 = 0.58;

@@ -57,7 +57,7 @@ use studio::Picture;
 /// Reason why a picture can't be served: one sentence, which the page shows.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
-    /// The requested address is invalid.
+    /// The requested address is invalid. The field is a sentence with the reason.
     #[error("{0}")]
     Request(String),
     #[error(transparent)]

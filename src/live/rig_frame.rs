@@ -122,7 +122,7 @@ impl RigFrame {
         own.iter().copied().chain(own.iter().filter_map(middle)).collect()
     }
 
-    /// Returns the minimum and the maximum coordinates of viewpoints: two points in the rig's axes, metres.
+    /// Returns the minimum and the maximum coordinates of allowed viewpoints: two points in the rig's axes, metres.
     pub fn bounds(&self) -> [[f64; 3]; 2] {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for place in self.places() {
@@ -137,8 +137,8 @@ impl RigFrame {
         [low.map(|v| v - margin), high.map(|v| v + margin)]
     }
 
-    /// Returns the camera of a view from a position in the rig's axes. Its direction, before the requested rotation, is
-    /// the mean direction of nearby cameras.
+    /// Returns the pinhole camera of a view from a position in the rig's axes. It looks in the mean direction of nearby
+    /// cameras, rotated as `view` requests.
     ///
     /// # Errors
     /// If the position is out of bounds, and the errors of [`Self::at_camera`].
@@ -159,8 +159,8 @@ impl RigFrame {
         self.pinhole(center, self.direction(&center), view)
     }
 
-    /// Returns the camera of a view from a camera's position. Its direction, before the requested rotation, is that of
-    /// the camera.
+    /// Returns the pinhole camera of a view from the position of `camera`. It looks in the direction of `camera`,
+    /// rotated as `view` requests.
     ///
     /// # Errors
     /// If the size, the zoom or the rotation is out of bounds.

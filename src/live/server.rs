@@ -23,7 +23,7 @@ use tokio_io_timeout::TimeoutStream;
 const MAX_CONNECTIONS: usize = 48;
 /// Maximum time until the headers of a request have arrived. It also limits how long a connection may be idle.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
-/// Maximum time for which the browser may fail to read a response that is being sent.
+/// Maximum time for which sending a response may stall because the browser doesn't read it.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(20);
 /// Maximum size of a request's address and headers, bytes.
 const MAX_REQUEST_BYTES: usize = 16 << 10;

@@ -85,12 +85,12 @@ impl<'a> Studio<'a> {
         Self { field, rig: Arc::new(rig), truth, colors, words, full, quick }
     }
 
-    /// Returns the options for full quality.
+    /// Returns the options for pictures of full quality.
     pub(super) fn full(&self) -> &RenderOptions {
         &self.full
     }
 
-    /// Returns the options for full quality, with the methods that the request names in place of theirs.
+    /// Returns the options for pictures of full quality, with the methods that the request names instead of their own.
     fn chosen(&self, request: &PictureRequest) -> RenderOptions {
         let mut options = self.full.clone();
         options.sync = request.sync.unwrap_or(options.sync);

@@ -12,11 +12,11 @@ use std::thread::Scope;
 const QUICK_WORKERS: usize = 2;
 /// Increase of the niceness of worker threads for full quality. Quick pictures thus have priority.
 const FULL_NICENESS: i32 = 5;
-/// Maximum number of answered requests for whose instants images and depth maps are still to be computed in advance.
+/// Maximum length of [`Ahead`], the list of requests whose instants are processed in advance.
 const MAX_AHEAD: usize = 8;
 
-/// Answered requests for whose instants the cameras' images and depth maps are still to be computed in advance. Other
-/// viewpoints at these instants are then rendered quickly.
+/// Answered requests, oldest first. For their instants, the cameras' images and depth maps are to be computed in
+/// advance, so that other viewpoints at these instants are rendered quickly.
 type Ahead = VecDeque<Arc<Asked>>;
 
 /// Starts the worker threads, which end when the queue is closed. Quick pictures and pictures of full quality have

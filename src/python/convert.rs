@@ -113,8 +113,8 @@ pub fn view_to_python<'py>(
     image_to_python(py, &view.image, coverage, depth)
 }
 
-/// Converts an image to an array (H, W, channels) with the sample values of a PNG file. `coverage` adds an alpha
-/// channel.
+/// Converts an image to an array (H, W, channels) with the sample values of a PNG file. If `coverage` is given, an
+/// alpha channel is added, which is 0 where `coverage` is false.
 pub fn image_to_python<'py>(
     py: Python<'py>,
     image: &Image,

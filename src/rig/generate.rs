@@ -166,12 +166,12 @@ struct Stand {
     yaw_rad: f64,
 }
 
-/// Number of steps per unit to which poses are rounded. The rounding makes files equal on platforms with different sine
-/// functions.
+/// Number of rounding steps per metre of a translation, and per unit of a quaternion. The rounding makes files equal on
+/// platforms with different sine functions.
 const POSE_STEPS: f64 = 1e9;
-/// Number of steps per second to which delays are rounded.
+/// Number of rounding steps per second of a delay. Delays are thus rounded to microseconds.
 const TIME_STEPS: f64 = 1e6;
-/// Number of steps per ppm to which drifts are rounded.
+/// Number of rounding steps per ppm of a drift. Drifts are thus rounded to 0.001 ppm.
 const DRIFT_STEPS: f64 = 1e3;
 
 impl RigOptions {

@@ -93,8 +93,8 @@ pub enum CalibrationRequest {
 }
 
 impl CalibrationRequest {
-    /// Returns the arguments of the script. A flag and its value are one argument, so that a negative value isn't read
-    /// as a flag.
+    /// Returns the arguments of the script `blender/calibrate.py`. A flag and its value are one argument, so that a
+    /// negative value isn't read as a flag.
     fn arguments(&self) -> Vec<OsString> {
         match self {
             Self::New { lens, focal_px, distance_m } => {
