@@ -112,7 +112,7 @@ fn too_large(max_bytes: u64) -> Error {
     Error::new(ErrorKind::InvalidData, format!("is larger than {limit}, the maximum"))
 }
 
-/// Returns a sentence's end that says why no file can be written at a path: something other than a regular file is
+/// Returns the reason why no file can be written at a path, such as `is a pipe`: something other than a regular file is
 /// there. `None` if a file can be written.
 pub fn obstacle(path: &Path) -> Option<String> {
     let found = path.symlink_metadata().ok()?.file_type();

@@ -14,8 +14,8 @@ const MARGIN_SHARE: f64 = 0.5;
 const MARGIN_SPACINGS: f64 = 2.0;
 /// Maximum distance of viewpoints from a rig's only camera, along each axis, metres.
 const LONE_MARGIN_M: f64 = 0.1;
-/// Distance from a camera at which the weight of its viewing direction is halved, as a multiple of the spacing of
-/// neighbouring cameras.
+/// Distance of a viewpoint from a camera at which the camera has half of its maximum weight in the view's mean
+/// direction. It is a multiple of the spacing of neighbouring cameras.
 const SOFT_SPACINGS: f64 = 0.5;
 /// Allowed zooms: focal lengths as multiples of the reference camera's focal length.
 pub(super) const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;

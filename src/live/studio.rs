@@ -90,7 +90,8 @@ impl<'a> Studio<'a> {
         &self.full
     }
 
-    /// Returns the options for pictures of full quality, with the methods that the request names instead of their own.
+    /// Returns the options for pictures of full quality. If the request names methods, these replace the methods of the
+    /// options.
     fn chosen(&self, request: &PictureRequest) -> RenderOptions {
         let mut options = self.full.clone();
         options.sync = request.sync.unwrap_or(options.sync);

@@ -130,7 +130,8 @@ impl ReadyMadePath {
     }
 
     /// Returns the instant that is shown after a fraction `passed` of the video, seconds. Time runs at its true speed,
-    /// or more slowly if the recording is shorter than the video. In bullet time, it stops in between.
+    /// or more slowly if the recording is shorter than the video. In bullet time, it stops during the middle half of
+    /// the video.
     fn time_s(self, scene: &PathScene, passed: f64) -> f64 {
         let (first_s, last_s) = scene.span_s;
         let middle_s = 0.5 * (first_s + last_s);

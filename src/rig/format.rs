@@ -29,7 +29,7 @@ pub struct Rig {
     /// leaves a gap in its times.
     #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub reference: String,
-    /// Seed of the random jitter and noise.
+    /// Seed of the random errors in exposure times, and of the sensors' noise.
     #[schemars(range(max = MAX_SEED))]
     pub seed: u64,
     /// Filming cameras, at least one.
@@ -85,7 +85,8 @@ pub struct RigCamera {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0))]
     pub jitter_s: f64,
-    /// Whether the camera's time stamps include the jitter. Otherwise, only its nominal frame rate is known.
+    /// Whether the camera's time stamps include the jitter, the random errors in the times of exposures. Otherwise,
+    /// only its nominal frame rate is known.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub jitter_stamped: bool,
     /// Drift of the camera's clock, parts per million. Positive if this clock is slower than the reference clock.

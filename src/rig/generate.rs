@@ -104,7 +104,7 @@ pub struct RigOptions {
     pub delays: Delays,
     /// Standard deviations of the random errors in the times of exposures, seconds.
     pub jitters_s: Vec<f64>,
-    /// Whether the cameras' time stamps include the jitter.
+    /// Whether the cameras' time stamps include the jitter, the random errors in the times of exposures.
     pub jitter_stamped: bool,
     /// Maximum absolute drift of the cameras' clocks, parts per million. Drifts are uniformly random within this range.
     /// The reference camera has no drift.

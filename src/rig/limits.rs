@@ -45,8 +45,8 @@ pub const NOISE: RangeInclusive<f64> = 0.0..=0.5;
 /// Allowed value of each distortion coefficient.
 pub const DISTORTION: RangeInclusive<f64> = -10.0..=10.0;
 
-/// Maximum standard deviation of the jitter, as a fraction of a frame interval. With more jitter, two frames of a
-/// camera could change their order.
+/// Maximum standard deviation of the jitter (the random errors in the times of exposures), as a fraction of a frame
+/// interval. With more jitter, two frames of a camera could change their order.
 pub const MAX_JITTER_FRAMES: f64 = 0.1;
 /// Maximum width of the undistorted image that covers the view of a distorted lens, as a multiple of the width of the
 /// lens's own image. The same limit holds for the height.

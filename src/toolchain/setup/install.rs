@@ -32,7 +32,7 @@ impl<'a> Installer<'a> {
         Self { root, python, wheels: venv.join("wheels"), venv, reporter }
     }
 
-    /// Installs all parts that the stamps report as missing.
+    /// Installs all parts of the environment that the stamps report as missing.
     pub fn install(&self, stamps: &Stamps) -> Result<(), ToolchainError> {
         let wheel = if stamps.packages.found {
             self.reporter.note("Building the Python module stlfr: its sources have changed.");

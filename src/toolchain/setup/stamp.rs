@@ -1,4 +1,5 @@
-//! Stamps: hashes of everything from which the Python environment was built.
+//! Stamps: files that mark the parts of the Python environment as complete. A stamp contains a hash of everything from
+//! which its part was built.
 
 use super::file_error;
 use crate::host::{hash_file, ignore_absent, read_bytes, read_text, write_atomically};
@@ -8,17 +9,18 @@ use std::path::{Path, PathBuf};
 /// Maximum size of a stamp file or a `pyvenv.cfg`, bytes.
 const MAX_STAMP_BYTES: u64 = 64 << 10;
 
-/// The stamps that the environment of a source tree should have.
+/// The stamps of a source tree's Python environment: one for its packages, and one for its module `stlfr`.
 pub(super) struct Stamps {
     pub packages: Stamp,
     pub module: Stamp,
 }
 
-/// A stamp file, with the hash that it should contain.
+/// A stamp: a file that marks a part of the Python environment as complete. The file should contain the expected hash
+/// of everything from which this part is built.
 pub(super) struct Stamp {
     path: PathBuf,
     expected: String,
-    /// Whether the file contains the expected hash.
+    /// Whether the stamp's file contains the expected hash. If so, this part of the environment is complete.
     pub found: bool,
 }
 
@@ -34,7 +36,8 @@ impl Stamp {
             .map_err(|e| file_error(&self.path, e))
     }
 
-    /// Removes the stamp's file. Must be called before the stamped part of the environment is replaced.
+    /// Removes the file that marks a part of the Python environment as complete. Must be called before this part is
+    /// replaced.
     pub fn remove(&self) -> Result<(), ToolchainError> {
         ignore_absent(std::fs::remove_file(&self.path)).map_err(|e| file_error(&self.path, e))
     }
