@@ -137,8 +137,8 @@
 //! of the video, all rendered from this image's viewpoint; the trail ends at this image's instant.
 //!
 //! The suffix of the file after `-o` chooses the format. An `.exr` file has the channels `R`, `G`, `B` and `A` in
-//! linear light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have `Z` =
-//! 1e10. The channels `forward.u`, `forward.v`, `backward.u` and `backward.v` say how far each point moves to the next
+//! linear light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have
+//! `Z` = 1e10. The channels `forward.u`, `forward.v`, `backward.u` and `backward.v` say how far each point moves to the next
 //! image and to the previous one, in pixels to the right and up, under Nuke's names. `Vector.X` to `Vector.W` have the
 //! same motion as Blender's pass: X and Y are `backward`, Z and W are `forward` with the opposite sign. In a sequence
 //! of images, the motion has two causes: the scene moves between the instants of two images, and the viewpoint may move
@@ -222,8 +222,8 @@
 //!
 //! `stlfr setup` installs the Python module `stlfr` into `.venv`. To install the module and the command `stlfr` into
 //! another Python (3.11 or newer), run `pip install ./blender` in this project's folder. The module has type stubs,
-//! releases the GIL, and runs in one process with Blender's module `bpy`. `.ci/release.py` builds a wheel that `pip
-//! install` accepts on any Linux with glibc 2.17 or newer. The commands that film and check need the source folder;
+//! releases the GIL, and runs in one process with Blender's module `bpy`. `.ci/release.py` builds a wheel that
+//! `pip install` accepts on any Linux with glibc 2.17 or newer. The commands that film and check need the source folder;
 //! with an installed wheel, the environment variable `STLFR_HOME` must name it.
 //!
 //! ```python
@@ -277,8 +277,8 @@
 //! - For eight cameras at 640×480, `--proxy scene-flow` takes 1 GB of memory, and 35 to 45 seconds of processor time
 //!   for each instant that `prepare` has not prepared. `stlfr view` uses the results that `prepare` has stored, or else
 //!   depth per pixel.
-//! - A body that bounces between two frames of a camera is misplaced in this camera's synchronized image. `--sync
-//!   all-cameras` takes the body from other cameras that filmed it at that time.
+//! - A body that bounces between two frames of a camera is misplaced in this camera's synchronized image.
+//!   `--sync all-cameras` takes the body from other cameras that filmed it at that time.
 //! - `capture --engine workbench` renders instantaneous exposures only. A camera with an exposure time needs the engine
 //!   Cycles.
 //! - The Blender extension is tested in `bpy` without a window. `tests/window/walk.py` tries it in a window,

@@ -90,8 +90,8 @@ impl<'a> Studio<'a> {
         &self.full
     }
 
-    /// Returns the options for pictures of full quality. If the request names methods, these replace the methods of the
-    /// options.
+    /// Returns the options for pictures of full quality, except that methods named in the request replace the methods
+    /// of these options.
     fn chosen(&self, request: &PictureRequest) -> RenderOptions {
         let mut options = self.full.clone();
         options.sync = request.sync.unwrap_or(options.sync);
