@@ -137,8 +137,8 @@
 //! of the video, all rendered from this image's viewpoint; the trail ends at this image's instant.
 //!
 //! The suffix of the file after `-o` chooses the format. An `.exr` file has the channels `R`, `G`, `B` and `A` in
-//! linear light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have
-//! `Z` = 1e10. The channels `forward.u`, `forward.v`, `backward.u` and `backward.v` say how far each point moves to the next
+//! linear light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have `Z` =
+//! 1e10. The channels `forward.u`, `forward.v`, `backward.u` and `backward.v` say how far each point moves to the next
 //! image and to the previous one, in pixels to the right and up, under Nuke's names. `Vector.X` to `Vector.W` have the
 //! same motion as Blender's pass: X and Y are `backward`, Z and W are `forward` with the opposite sign. In a sequence
 //! of images, the motion has two causes: the scene moves between the instants of two images, and the viewpoint may move
@@ -188,21 +188,21 @@
 //! legend shows the blending weights and the depth at the pointer. *Save* saves the whole picture, and a `view.json`
 //! with which `stlfr render --camera` renders this view. `?` lists the keys; the keyboard alone suffices.
 //!
-//! While nothing moves, pictures are rendered with the options `--preset` and `--options`, as by `stlfr render`, and with
-//! the methods that are chosen on the page. While the viewpoint moves, the same options are used if the results at this
-//! instant are cached, and otherwise those of the preset `draft`; the picture of full quality then fades in. Only programs
-//! on this machine can reach the page; its address contains a random token. A link to a place on the page is valid until
-//! the server ends. `stlfr view CAPTURE --at LINK` opens this place again in a later run.
+//! While nothing moves, pictures are rendered with the options `--preset` and `--options`, as by `stlfr render`, and
+//! with the methods that are chosen on the page. While the viewpoint moves, the same options are used if the results at
+//! this instant are cached, and otherwise those of the preset `draft`; the picture of full quality then fades in. Only
+//! programs on this machine can reach the page; its address contains a random token. A link to a place on the page is
+//! valid until the server ends. `stlfr view CAPTURE --at LINK` opens this place again in a later run.
 //!
 //! # On the web
 //!
-//! `stlfr publish CAPTURE -o SITE` writes a folder for any static web server. Its page shows the light field over a span
-//! of time, from viewpoints among the cameras, and the visitor's graphics card renders the views. The viewpoint sways by
-//! itself until the visitor drags it, touches it or tilts the device. The wheel and the time bar move through time, and a
-//! button stops time. The command prints the sizes of the files, the PSNR of the page's views against those of
-//! `stlfr render`, and an `<iframe>` line that embeds the page. The page loads nothing from outside of its folder, and
-//! also works if it is opened from disk. On the page, the JavaScript function `stlfr.picture(VIEW, SECONDS)` returns a
-//! canvas with the view of a `view.json`.
+//! `stlfr publish CAPTURE -o SITE` writes a folder for any static web server. Its page shows the light field over a
+//! span of time, from viewpoints among the cameras, and the visitor's graphics card renders the views. The viewpoint
+//! sways by itself until the visitor drags it, touches it or tilts the device. The wheel and the time bar move through
+//! time, and a button stops time. The command prints the sizes of the files, the PSNR of the page's views against those
+//! of `stlfr render`, and an `<iframe>` line that embeds the page. The page loads nothing from outside of its folder,
+//! and also works if it is opened from disk. On the page, the JavaScript function `stlfr.picture(VIEW, SECONDS)`
+//! returns a canvas with the view of a `view.json`.
 //!
 //! # On several machines
 //!
@@ -211,11 +211,11 @@
 //! machine shows no sign of life for `--silence` seconds (60 by default), other machines film the images that it had
 //! started. All other images are filmed once. The machines' clocks may be wrong.
 //!
-//! `stlfr farm CAPTURE -o JOB` writes job files that describe all the work, from the set-up to the comparison, for three
-//! render farm engines: an Open Job Description (for AWS Deadline Cloud; `openjd run` runs it on one machine), scripts
-//! for Slurm, and a job type for Flamenco. Filming and rendering are divided into chunks, each a command with an option
-//! such as `--part 3-6/100`. A task may be run again: it continues its work, or writes the same files. After a failed
-//! task, submit the job again. All machines must see the program, the captures and the job at the same paths.
+//! `stlfr farm CAPTURE -o JOB` writes job files that describe all the work, from the set-up to the comparison, for
+//! three render farm engines: an Open Job Description (for AWS Deadline Cloud; `openjd run` runs it on one machine),
+//! scripts for Slurm, and a job type for Flamenco. Filming and rendering are divided into chunks, each a command with
+//! an option such as `--part 3-6/100`. A task may be run again: it continues its work, or writes the same files. After
+//! a failed task, submit the job again. All machines must see the program, the captures and the job at the same paths.
 //! `tests/farm/slurm.py` tests the scripts on a Slurm cluster that loses a node; it is run by hand.
 //!
 //! # From Python
@@ -223,8 +223,8 @@
 //! `stlfr setup` installs the Python module `stlfr` into `.venv`. To install the module and the command `stlfr` into
 //! another Python (3.11 or newer), run `pip install ./blender` in this project's folder. The module has type stubs,
 //! releases the GIL, and runs in one process with Blender's module `bpy`. `.ci/release.py` builds a wheel that
-//! `pip install` accepts on any Linux with glibc 2.17 or newer. The commands that film and check need the source folder;
-//! with an installed wheel, the environment variable `STLFR_HOME` must name it.
+//! `pip install` accepts on any Linux with glibc 2.17 or newer. The commands that film and check need the source
+//! folder; with an installed wheel, the environment variable `STLFR_HOME` must name it.
 //!
 //! ```python
 //! import numpy as np
