@@ -64,8 +64,8 @@ impl Reporter {
         Self { to: Listener::Nobody }
     }
 
-    /// Returns a reporter for another program. It prints every counted step as a line of JSON, `{"done", "total",
-    /// "what"}`, on standard output.
+    /// Returns a reporter for another program. It prints every counted step as a line of JSON,
+    /// `{"done", "total", "what"}`, on standard output.
     pub fn lines() -> Self {
         Self { to: Listener::Lines }
     }

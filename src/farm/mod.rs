@@ -32,8 +32,8 @@ pub struct FarmStep {
     pub arguments: Vec<String>,
     /// Names of earlier steps that must succeed before this step starts.
     pub after: Vec<String>,
-    /// Division of the step's work into chunks. The command is run once per chunk, with the additional argument `--part
-    /// FIRST-LAST/COUNT`. `None` for a command that is run once.
+    /// Division of the step's work into chunks. The command is run once per chunk, with the additional argument
+    /// `--part FIRST-LAST/COUNT`. `None` for a command that is run once.
     pub chunks: Option<FarmChunks>,
     pub needs: FarmNeeds,
 }

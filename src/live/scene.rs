@@ -50,8 +50,8 @@ pub(super) fn scene(studio: &Studio) -> Value {
         "truths": truths.collect::<Vec<_>>(),
         "methods": {
             "sync": choices::<SyncMethod>(|m| m != TRADITIONAL),
-            // Scene flow is offered only if it was chosen, because it takes half a minute for each instant that `stlfr
-            // prepare` has not processed.
+            // Scene flow is offered only if it was chosen, because it takes half a minute for each instant that
+            // `stlfr prepare` has not processed.
             "proxy": choices::<ProxyMethod>(|m| m != ProxyMethod::SceneFlow || m == chosen.proxy.method),
         },
         "chosen": { "sync": chosen.sync.name(), "proxy": chosen.proxy.method.name() },

@@ -28,8 +28,8 @@ pub(super) type Proceed<'p> = &'p (dyn Fn() -> bool + Sync);
 pub struct Picture {
     /// Contents of a PNG file.
     pub bytes: Vec<u8>,
-    /// Names of the synchronization method and the proxy method by which the picture was rendered, such as `refined,
-    /// mesh`. Empty for a true image.
+    /// Names of the synchronization method and the proxy method by which the picture was rendered, such as
+    /// `refined, mesh`. Empty for a true image.
     pub made_by: String,
     /// Depths of the first and the last colour of a depth picture's scale, metres. `None` for other pictures.
     pub depths_m: Option<[f32; 2]>,

@@ -17,8 +17,9 @@ pub(super) fn tangents(at: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>>
     parabolic(at, &steps, &stands)
 }
 
-/// Returns the tangents at keys, by parabolas, from the mean slopes in the intervals between keys. `stands` says for
-/// each interval whether nothing moves in it. The tangents at both ends of such an interval are 0.
+/// Returns the tangents at keys by parabolas through three keys. `slopes` has the mean slope in each interval between
+/// keys. `stands` says for each interval whether nothing moves in it. The tangents at both ends of such an interval are
+/// 0.
 pub(super) fn parabolic(at: &[f64], slopes: &[Vector3<f64>], stands: &[bool]) -> Vec<Vector3<f64>> {
     let length = |k: usize| at[k + 1] - at[k];
     let end = |near: usize, far: usize| {

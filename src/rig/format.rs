@@ -42,9 +42,9 @@ pub struct Rig {
 
 /// A filming camera: lens, pose, shutter and sensor.
 ///
-/// Frame k is exposed around the world time `delay_s + c + (c − c_0) · drift_ppm · 1e-6`, where `c = k / rate_hz +
-/// jitter_k` is the time on the camera's own clock. k is the nominal number of the frame, which also counts lost
-/// frames. With a rolling shutter, this is the time of the middle row.
+/// Frame k is exposed around the world time `delay_s + c + (c − c_0) · drift_ppm · 1e-6`, where
+/// `c = k / rate_hz + jitter_k` is the time on the camera's own clock. k is the nominal number of the frame, which also
+/// counts lost frames. With a rolling shutter, this is the time of the middle row.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RigCamera {

@@ -127,11 +127,11 @@ impl<'a> Installer<'a> {
         self.explained_step(what, command, |_| None)
     }
 
-    /// Runs a command, and shows the names of files that it downloads as progress.
+    /// Runs a command. The names of files that it downloads are shown as progress.
     ///
     /// # Errors
-    /// If the command fails: the result of `explain` for its stderr. If that is `None`, a sentence with the path of a
-    /// log of all output.
+    /// If the command fails: the result of `explain` for the command's stderr. If this result is `None`, a sentence
+    /// with the path of a log of all output.
     fn explained_step(
         &self,
         what: &str,
