@@ -11,11 +11,11 @@ const BETA: f64 = 0.05;
 const MIN_FITNESS: f64 = 0.08;
 /// Distance between the samples s_k of eq. (6), pixels.
 const SAMPLE_STEP_PX: f64 = 2.0;
-/// Maximum change of an edge's length between the two frames, as a fraction of the length. It is added to
-/// [`MAX_LENGTH_CHANGE_PX`].
+/// Proportional term of the maximum change of an edge's length between the two frames, as a fraction of the length.
+/// [`MAX_LENGTH_CHANGE_PX`] is added.
 const MAX_LENGTH_CHANGE_FRACTION: f64 = 0.05;
-/// Maximum change of an edge's length between the two frames, in pixels, for an edge of length 0.
-/// [`MAX_LENGTH_CHANGE_FRACTION`] times the length is added.
+/// Constant term, in pixels, of the maximum change of an edge's length between the two frames. The maximum is this
+/// value plus [`MAX_LENGTH_CHANGE_FRACTION`] times the length.
 const MAX_LENGTH_CHANGE_PX: f64 = 0.5;
 /// Maximum angle between an edge and a longer edge that it duplicates, degrees.
 const DUPLICATE_ANGLE_DEG: f64 = 10.0;
@@ -35,7 +35,7 @@ pub struct EdgeFeature {
 
 impl EdgeFeature {
     /// Interpolates linearly from this feature's positions to another feature's, in both frames and at the instant.
-    /// `fraction`, 0..=1, is 0 at this feature.
+    /// `fraction` is 0 at this feature and 1 at the other feature.
     pub fn lerp(&self, to: &Self, fraction: f64) -> Self {
         let interpolate = |a: Point2<f64>, b: Point2<f64>| a + (b - a) * fraction;
         Self {

@@ -64,8 +64,7 @@ pub fn cross_dissolve(
     image
 }
 
-/// Returns the cross-fade of two images of the same shape. It is `a` for a fraction of 0, and `b` for a fraction of
-/// 1.
+/// Returns the cross-fade of two images of the same shape: `a` at fraction 0, `b` at fraction 1.
 pub(super) fn cross_fade(a: &Image, b: &Image, fraction: f32) -> Image {
     let data = (a.data().iter().zip(b.data())).map(|(a, b)| a + (b - a) * fraction).collect();
     Image::from_data(a.width(), a.height(), a.channels(), data)

@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 /// Radius around a point, in pixels, within which other points are compared with the point.
 const SUPPORT_RADIUS_PX: f64 = 20.0;
-/// Maximum difference of two motions that support each other, in pixels, for a point at rest. [`SUPPORT_FRACTION`]
-/// times the length of the point's motion is added.
+/// Constant term, in pixels, of the maximum difference up to which two motions support each other. The maximum is
+/// this value plus [`SUPPORT_FRACTION`] times the length of the point's motion.
 const SUPPORT_PX: f64 = 1.5;
 const SUPPORT_FRACTION: f64 = 0.2;
 

@@ -2,8 +2,8 @@
 
 use crate::simd::{F32x8, LANES};
 
-/// Factor by which the results of [`scharr`] exceed derivatives per pixel. It is the sum of the kernel's weights, 3
-/// + 10 + 3, times the distance of two pixels over which differences are taken.
+/// Factor by which the results of [`scharr`] exceed derivatives per pixel. The kernel's weights sum to 16, and
+/// differences are taken over a distance of two pixels.
 pub const SCHARR_SCALE: f32 = 32.0;
 
 /// Returns Scharr's derivatives `[∂/∂x, ∂/∂y]` at eight consecutive samples of a row, times [`SCHARR_SCALE`].

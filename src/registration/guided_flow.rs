@@ -23,12 +23,12 @@ const SAME_GUESS_PX: f64 = 1.0;
 /// finest levels are used. The track's last motion gives a close initial guess, so that coarse levels aren't
 /// needed.
 const EXTENSION_LEVELS: [usize; 2] = [2, 1];
-/// Maximum change of a track's motion from one frame interval to the next, in pixels, for a track at rest.
-/// [`MAX_MOTION_CHANGE_FRACTION`] times the length of the motion is added. If the motion of the neighbours changes
-/// in the same way, there is no maximum.
+/// Constant term, in pixels, of the maximum change of a track's motion from one frame interval to the next. The
+/// maximum is this value plus [`MAX_MOTION_CHANGE_FRACTION`] times the length of the motion. There is no maximum if
+/// the motion of the neighbours changes in the same way.
 const MAX_MOTION_CHANGE_PX: f64 = 2.0;
-/// Maximum change of a track's motion from one frame interval to the next, as a fraction of the length of the
-/// motion. It is added to [`MAX_MOTION_CHANGE_PX`].
+/// Proportional term of the maximum change of a track's motion from one frame interval to the next, as a fraction
+/// of the length of the motion. [`MAX_MOTION_CHANGE_PX`] is added.
 const MAX_MOTION_CHANGE_FRACTION: f64 = 0.5;
 
 /// Displacements (motion or disparity, in pixels) of tracked features, which predict the displacements of nearby

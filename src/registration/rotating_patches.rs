@@ -19,8 +19,9 @@ const MAX_MOTION: f64 = 0.1;
 const MAX_RATIO: f32 = 0.7;
 /// Radius around a match, in pixels, within which other matches must agree with the match.
 const SUPPORT_RADIUS_PX: f64 = 40.0;
-/// Maximum distance between a match's target and the target that another match predicts, up to which the two
-/// matches agree, in pixels. [`SUPPORT_FRACTION`] times the distance between the two matches is added.
+/// Constant term, in pixels, of the maximum distance between a match's target and the target that another match
+/// predicts, up to which the two matches agree. The maximum is this value plus [`SUPPORT_FRACTION`] times the
+/// distance between the two matches.
 const SUPPORT_PX: f64 = 2.0;
 const SUPPORT_FRACTION: f64 = 0.2;
 /// Minimum number of other matches that must agree with a match.

@@ -119,8 +119,9 @@ impl Track {
     }
 }
 
-/// Maximum change of a smooth motion's acceleration from one frame to the next, in pixels per squared frame
-/// interval, if one of the accelerations is 0. [`JERK_FRACTION`] times the smaller acceleration is added.
+/// Constant term, in pixels per squared frame interval, of the maximum change of a smooth motion's acceleration
+/// from one frame to the next. The maximum is this value plus [`JERK_FRACTION`] times the smaller of the two
+/// accelerations.
 const MAX_JERK_PX: f64 = 12.0;
 const JERK_FRACTION: f64 = 0.5;
 /// Maximum distance, in both frames, between a forward and a backward correspondence that are merged, in pixels.

@@ -47,7 +47,7 @@ pub(super) struct Target {
     reference: ReferenceImage,
     /// For each pixel, row by row, whether it shows a moving surface.
     moving: Vec<bool>,
-    /// For each pixel, row by row, whether the view that is rendered by the most accurate methods covers the pixel.
+    /// For each pixel, row by row, whether the view by the most accurate methods has a colour there.
     covered: Vec<bool>,
     depth: BitDepth,
 }
@@ -70,8 +70,8 @@ pub(super) struct TargetScene<'a> {
 }
 
 impl Target {
-    /// Returns the scores of a rendered view. Pixels that the most accurate methods don't cover are not measured.
-    /// Other pixels that `rendered` doesn't cover count as black.
+    /// Returns the scores of a rendered view. Pixels that the most accurate methods leave empty are not measured.
+    /// Other pixels that `rendered` leaves empty count as black.
     pub fn score(&self, rendered: &Rendered) -> RegionScores {
         let truth = self.reference.image();
         let image = as_written(&rendered.image, truth.channels(), self.depth);
@@ -133,8 +133,8 @@ impl TargetScene<'_> {
         Ok(rendered(field, &view.camera, view.time_s, &most_accurate(self.base))?)
     }
 
-    /// Returns the targets with ground-truth images. Their views are those that no camera filmed or, if there are
-    /// none, those of the filming cameras.
+    /// Returns the targets with ground-truth images. If there are ground-truth images of views that no camera
+    /// filmed, only these are used. Otherwise, ground-truth images of the filming cameras' views are used.
     fn true_views(&self, truth: &Truth) -> Result<Vec<Target>, TradeoffError> {
         let field = self.field(None);
         let instants = truths::instants(truth, self.capture)?;

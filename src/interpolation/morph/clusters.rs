@@ -73,7 +73,7 @@ impl Tile {
     }
 }
 
-/// A cluster that is far from a tile, with its terms of the error bound.
+/// A cluster that is far from a tile, with its terms of the error bound, which the module's documentation defines.
 #[derive(Clone, Copy)]
 struct FarCluster {
     cluster: usize,
@@ -179,8 +179,8 @@ impl Clusters {
         }
     }
 
-    /// Returns cluster `k` with its terms of the error bound at a tile. D₀ is `reference`, and |D′ − D₀| is assumed
-    /// to be at most `farthest`. Both are in pixels.
+    /// Returns cluster `k` with its terms of the error bound at a tile. D₀ of the error bound is `reference`, and
+    /// |D′ − D₀| is assumed to be at most `farthest`. Both are in pixels.
     fn far_cluster(&self, k: usize, tile: &Tile, reference: [f32; 2], farthest: f64) -> FarCluster {
         let cluster = &self.clusters[k];
         let line = &cluster.line;

@@ -20,7 +20,7 @@ const A_PX: f32 = 0.5;
 const MIN_LENGTH_PX: f64 = 1e-3;
 /// τ of eq. (8). A real edge weighs up to 2^τ times as much as a virtual edge.
 pub const EDGE_BOOST: f64 = 4.0;
-/// Largest exponent of the boost, eq. (8), with which all weights are within the range of f32: 2^4 · 2^32 = 7e10.
+/// Largest exponent of the boost, eq. (8). The largest weight, 2^4 · 2^32 = 7e10, is within the range of f32.
 const MAX_BOOST: f64 = 32.0;
 /// Number of grid nodes that are computed at once: the f32 lanes of an AVX2 register.
 const LANES: usize = 8;
@@ -139,8 +139,9 @@ fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
         }
         // Beier and Neely's coordinate u along the edge is a fraction of the edge's length. Their coordinate v
         // across the edge is in pixels. Let e be the edge vector at the instant and e' the edge vector in the
-        // source frame, with lengths L and L', and let ⊥ mark perpendicular vectors. Then X' = P' + e'·(e·(X−P))/L²
-        // + e'⊥·(e⊥·(X−P))/(L·L').
+        // source frame, with lengths L and L', and let ⊥ mark perpendicular vectors. Then the source position X' of
+        // a position X is
+        // X' = P' + e'·(e·(X−P))/L² + e'⊥·(e⊥·(X−P))/(L·L').
         let (along, across) = (length * length, length * source_length);
         let map = [
             e_source.x * e.x / along + e_source.y * e.y / across - 1.0,

@@ -64,7 +64,7 @@ impl PointGrid {
 pub struct CostPoints {
     /// Distance between neighbouring points, pixels.
     pub step: usize,
-    /// Number of points along a window's radius.
+    /// Radius of the cost windows, as a number of steps between neighbouring points.
     pub radius: usize,
     /// Side of the block, pixels.
     block: usize,
