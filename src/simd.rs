@@ -138,9 +138,9 @@ pub trait F32x8:
         f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
     }
 
-    /// Filters eight 4×4 neighbourhoods of `plane` by separable weights. Element l of the result is `Σ_r Σ_c
-    /// y[r]·x[c]·plane[first[l] + r·stride + c]`, with r and c from 0 to 3. `x[c]` and `y[r]` stand for element l
-    /// of these weights.
+    /// Filters eight 4×4 neighbourhoods of `plane` by separable weights. Element l of the result is
+    /// `Σ_r Σ_c y[r]·x[c]·plane[first[l] + r·stride + c]`, with r and c from 0 to 3 and element l of the weights `x`
+    /// and `y`.
     ///
     /// # Panics
     /// If a neighbourhood is not inside the plane.

@@ -7,7 +7,7 @@ use spade::handles::FixedVertexHandle;
 use spade::{ConstrainedDelaunayTriangulation, HasPosition, Triangulation};
 use std::collections::{HashMap, HashSet};
 
-/// An edge of the edge set (§5.2). The morph warps the image by its edges.
+/// An edge of the edge set (§5.2). The motions of the edges determine the warp of the morph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
     pub ends: [EdgeFeature; 2],

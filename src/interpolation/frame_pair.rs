@@ -71,9 +71,9 @@ pub enum PairMethod<'a> {
 
 /// Two consecutive frames of one camera, with the tracks between them. All images have the same size and channels.
 pub struct FramePair<'a> {
-    /// Frame at the time t.
+    /// The pair's earlier frame, at the time t.
     pub earlier: &'a Frame,
-    /// Frame at the time t + Δt.
+    /// The pair's later frame, at the time t + Δt.
     pub later: &'a Frame,
     /// Tracks between the two frames.
     pub tracked: TrackedPair<'a>,

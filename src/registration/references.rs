@@ -79,9 +79,9 @@ impl Reference {
     }
 }
 
-/// Selects the references for testing a camera's tracks (§4.3): the frames of the smallest weight `w_j = D(j) +
-/// σ|t_j − t|`, eq. (4). D(j) is the distance from camera j to the tested camera, divided by the distance from the
-/// nearest camera to the tested camera. Times are in frame intervals of the tested camera.
+/// Selects the references for testing a camera's tracks (§4.3): the frames of the smallest weight
+/// `w_j = D(j) + σ|t_j − t|`, eq. (4). D(j) is the distance from camera j to the tested camera, divided by the
+/// distance from the nearest camera to the tested camera. Times are in frame intervals of the tested camera.
 ///
 /// In a grid of cameras there are two first references, whose baselines differ in direction by at least 45°. In a
 /// line of cameras there is one first reference. The further reference is the remaining camera of the smallest

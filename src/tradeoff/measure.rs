@@ -10,7 +10,7 @@ use crate::method::Method;
 use crate::options::RenderOptions;
 use crate::progress::{Reporter, Task, in_words};
 
-/// The reference images, the timed view and the cache with which combinations are measured.
+/// The reference images, the timed view and the cache with which combinations of options are measured.
 pub(super) struct Bench<'a> {
     pub store: Store,
     pub targets: Vec<Target>,

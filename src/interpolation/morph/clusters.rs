@@ -241,7 +241,8 @@ fn midpoint(line: &Line) -> [f64; 2] {
         .map(|k| f64::from(line.p[k]) + 0.5 * f64::from(line.length) * f64::from(line.direction[k]))
 }
 
-/// Returns the length of a vector. The squares of pixel coordinates and displacements do not overflow.
+/// Returns the length of a vector. The components are pixel coordinates or displacements, whose squares do not
+/// overflow.
 fn norm([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
 }

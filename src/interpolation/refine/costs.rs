@@ -175,8 +175,8 @@ impl PairCosts {
 
 /// The minimum cost at each point of a frame. A cost is the mean difference between this frame and an adjacent
 /// frame, over the window around the point. The adjacent frame is compensated by a motion of nearby tracks. The
-/// minimum is over the motions and over both adjacent frames. If the minimum is small, one of the motions explains
-/// the point.
+/// minimum is over the motions and over both adjacent frames. If it is small, one of the motions agrees with the
+/// frames at the point.
 pub(super) struct FrameCosts {
     /// Number of this frame: 1 for the earlier, 2 for the later frame of the pair.
     frame: usize,
@@ -195,8 +195,9 @@ impl FrameCosts {
         self.points.block.div_ceil(self.points.step)
     }
 
-    /// Returns the minimum cost, over all motions of nearby tracks, at the point nearest to the pixel position `[x,
-    /// y]` of this frame. The cost is infinite if no track is near. `frames` are the pair for which the costs were
+    /// Returns the minimum cost over all motions of nearby tracks. The cost is that of the point nearest to the
+    /// pixel position
+    /// `[x, y]` of this frame. It is infinite if no track is near. `frames` are the pair for which the costs were
     /// created, and the frames before and after the pair.
     pub fn at(&self, frames: &FourFrames, [x, y]: [f32; 2]) -> f32 {
         let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
