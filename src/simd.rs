@@ -229,7 +229,7 @@ macro_rules! operator {
     };
 }
 
-/// Implements [`F32x8`] as an array, for any processor.
+/// Implementation of [`F32x8`] as an array, for any processor.
 #[derive(Clone, Copy)]
 pub struct Scalar([f32; LANES]);
 
@@ -265,7 +265,7 @@ mod avx2 {
     use super::{F32x8, LANES};
     use std::arch::x86_64::*;
 
-    /// Implements [`F32x8`] as a 256-bit register, for processors with AVX2 and FMA. Only
+    /// Implementation of [`F32x8`] as a 256-bit register, for processors with AVX2 and FMA. Only
     /// [`multiversion!`](super::multiversion) uses this type. Its methods are therefore inlined into functions that
     /// are compiled for these instructions.
     #[derive(Clone, Copy)]

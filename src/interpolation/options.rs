@@ -54,8 +54,8 @@ options! {
     pub struct InterpolationOptions {
         /// Whether features move on curves through up to four frames, or on straight lines as in eq. (2).
         curved: bool = true,
-        /// Maximum mean difference of any 8×8 block between two frames that count as static, which are cross-faded
-        /// without registration. With 0, only identical frames count as static.
+        /// Maximum mean difference of any 8×8 block between two frames that count as static. A static frame pair is
+        /// cross-faded without registration. With 0, only identical frames count as static.
         still_change: f32 [0.0..=1.0, "of the value range"] = 0.0,
         /// Maximum length of a real edge, L_max of §5.1. The time grows with its square.
         max_edge_length_px: f64 [0.0..=200.0, "px"] = 24.0,

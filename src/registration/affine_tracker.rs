@@ -406,7 +406,7 @@ pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
     ]
 }
 
-/// Samples a pyramid level at window coordinates, which an [`AffineWarp`] maps to the level.
+/// Sampler of a pyramid level. An [`AffineWarp`] maps window coordinates to the level.
 struct Sampler<'a> {
     target: &'a PyramidLevel,
     /// Index of the top-left sample of the 4×4 samples around the pixel that contains the window's middle.

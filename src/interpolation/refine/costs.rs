@@ -195,10 +195,9 @@ impl FrameCosts {
         self.points.block.div_ceil(self.points.step)
     }
 
-    /// Returns the minimum cost over all motions of nearby tracks. The cost is that of the point nearest to the
-    /// pixel position
-    /// `[x, y]` of this frame. It is infinite if no track is near. `frames` are the pair for which the costs were
-    /// created, and the frames before and after the pair.
+    /// Returns the minimum cost over all motions of nearby tracks, at the point nearest to a pixel position of this
+    /// frame. The cost is infinite if no track is near. `frames` are the pair for which the costs were created, and
+    /// the frames before and after the pair.
     pub fn at(&self, frames: &FourFrames, [x, y]: [f32; 2]) -> f32 {
         let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
         let at = [pixel(x, self.size[0]), pixel(y, self.size[1])];
