@@ -1,10 +1,9 @@
-//! Photometric calibration (beyond the paper): the gain of each camera relative to the reference camera, due
-//! to exposure and white balance.
+//! Photometric calibration (beyond the paper): estimates the gain of each camera relative to the reference camera.
+//! Gains differ because of exposure and white balance.
 //!
-//! Features of each camera's frame are matched in the frames of its nearest neighbours, after a rough
-//! correction by median brightness. The ratios of their linear light, channel by channel, are solved for all
-//! cameras' gains by weighted least squares. Cameras whose gains do not differ significantly from 1 are not
-//! corrected.
+//! Features of one frame of each camera are matched in the frames of the nearest cameras, after a rough correction
+//! by median brightness. The ratios of the matched features' linear light determine all cameras' gains by weighted
+//! least squares, separately for each channel. Gains that do not differ significantly from 1 are not corrected.
 //!
 //! Known limits: there is one gain per channel and camera for the whole recording (no automatic exposure, no
 //! vignetting). Cameras whose frames have no features in common are assumed to have the same gains.
@@ -17,46 +16,47 @@ use nalgebra::{DMatrix, DVector, Point2};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// The gains of a capture's cameras, by channel: the ratio of the linear light that a camera records to the
-/// linear light that the reference camera records of the same surface.
+/// The gains of a capture's cameras, by colour channel. A gain is the ratio of the linear light that a camera
+/// records of a surface to the linear light that the reference camera records of the same surface.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    /// For each camera the gains of red, green and blue; three equal ones for a grey camera.
+    /// The gains of red, green and blue of each camera. For a grey camera, the three gains are equal.
     pub factors: Vec<[f64; 3]>,
-    /// The largest measured difference of a gain from 1, significant or not, and its standard error; (0, 0)
-    /// if no cameras were compared.
+    /// The largest measured difference of a gain from 1, and the standard error of this gain. The difference may be
+    /// insignificant. (0, 0) if no cameras were compared.
     pub largest: (f64, f64),
 }
 
-/// Minimum difference of a gain from 1 that is corrected. Between cameras with equal gains, moving objects
-/// and specular surfaces cause measured differences of up to 0.019. A difference of 0.03 changes the
-/// brightest 8-bit values by 3.
+/// Minimum difference of a gain from 1 that is corrected. Between cameras with equal gains, moving objects and
+/// specular surfaces cause measured differences of up to 0.019. A gain that differs by 0.03 changes the brightest
+/// 8-bit values by 3.
 const MIN_DIFFERENCE: f64 = 0.03;
 /// Minimum difference of a gain from 1 that is corrected, in units of its standard error.
 const MIN_STD_ERRORS: f64 = 4.0;
-/// Number of nearest cameras that each camera is compared with.
+/// Number of nearest cameras with which each camera is compared.
 const NEIGHBORS: usize = 2;
-/// Maximum width of the compared images, pixels; larger images are halved repeatedly.
+/// Maximum width of the compared images, in pixels. The size of a larger image is halved repeatedly.
 const WIDTH_PX: usize = 250;
 /// Minimum number of matched features for comparing two cameras.
 const MIN_FEATURES: usize = 12;
-/// Range of gains that are accepted when they are read from disk.
+/// Range of gains that are accepted when gains are read from disk.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Half-width of the windows whose mean linear light is compared, pixels.
 const RADIUS_PX: isize = 2;
-/// Range of gamma-encoded pixel values (0 to 1) that are used: neither clipped nor dominated by noise.
+/// Range of gamma-encoded pixel values (0 to 1) that are compared. Lower values are dominated by noise, and higher
+/// values may be clipped.
 const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
 
 impl Gains {
-    /// The kind of the gains' entries in the disk cache.
+    /// Kind of the disk-cache entries that hold gains.
     pub(crate) const KIND: CacheKind = CacheKind { name: "gains", version: 1 };
 
-    /// Gains of 1 for this many cameras.
+    /// Returns gains of 1 for this number of cameras.
     pub fn equal(cameras: usize) -> Self {
         Self { factors: vec![[1.0; 3]; cameras], largest: (0.0, 0.0) }
     }
 
-    /// Whether gains that were read from a file are valid for this many cameras.
+    /// Returns whether gains that were read from a file are valid for this number of cameras.
     pub(crate) fn are_plausible(&self, cameras: usize) -> bool {
         let (difference, std_err) = self.largest;
         let are_measured = [difference, std_err].iter().all(|v| v.is_finite() && *v >= 0.0);
@@ -64,13 +64,13 @@ impl Gains {
         are_measured && are_gains && self.factors.len() == cameras
     }
 
-    /// Whether all gains are 1, so that nothing is corrected.
+    /// Returns whether all gains are 1, so that no image is corrected.
     pub fn are_equal(&self) -> bool {
         self.factors.iter().all(|f| *f == [1.0; 3])
     }
 
-    /// A camera's image (encoded values), gain-corrected to the reference camera's exposure; `None` if the
-    /// camera's gains are 1. Values may leave 0..=1.
+    /// Converts a camera's image (gamma-encoded values) to the exposure of the reference camera. Returns `None` if
+    /// the camera's gains are 1. Values of the result may be outside 0..=1.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -79,8 +79,8 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors.map(|f| 1.0 / f)))
     }
 
-    /// The inverse of [`Self::corrected`]: converts an image (encoded values) with the reference camera's
-    /// exposure to the exposure of `camera`; `None` if the camera's gains are 1.
+    /// Converts an image (gamma-encoded values) from the exposure of the reference camera to the exposure of
+    /// `camera`. This is the inverse of [`Self::corrected`]. Returns `None` if the camera's gains are 1.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -89,8 +89,8 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors))
     }
 
-    /// Estimates the gains from one frame of each camera, in the middle of its recording. A camera whose
-    /// frame cannot be read is left out; the error is reported when the frame is used.
+    /// Estimates the gains from the middle frame of each camera's recording. A camera whose middle frame cannot be
+    /// read is left out. The read error is reported later, when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
         let count = capture.cameras.len();
         let small_image = |c: usize| {
@@ -122,8 +122,8 @@ impl Gains {
         };
         let ratios: Vec<Ratio> = neighbors(capture).into_iter().filter_map(ratio).collect();
         let mut gains = solve_gains(count, capture.reference, &ratios);
-        // If a grey camera is compared with colour cameras, its solution differs by channel. It gets the
-        // luminance of the three gains for all channels.
+        // The comparison of a grey camera with colour cameras gives a different gain for each channel. The
+        // luminance of the three gains replaces all of them.
         for (factors, image) in gains.factors.iter_mut().zip(&images) {
             let is_gray = image.as_ref().is_some_and(|i| i.channels() == 1);
             if is_gray && *factors != [1.0; 3] {
@@ -134,19 +134,20 @@ impl Gains {
     }
 }
 
-/// The upper median; there is at least one value.
+/// Returns the upper median. There must be at least one value.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
 }
 
-/// The luminance of linear light, as three equal channels.
+/// Returns the luminance of linear light, repeated for all three channels.
 fn luminance([r, g, b]: [f64; 3]) -> [f64; 3] {
     let [x, y, z] = LUMINANCE;
     [x * r + y * g + z * b; 3]
 }
 
-/// The pairs of each camera with its nearest neighbours; every pair occurs once.
+/// Returns the pairs of each camera with its [`NEIGHBORS`] nearest cameras, as camera indices. Every pair occurs
+/// once.
 fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs = Vec::new();
@@ -161,7 +162,7 @@ fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     pairs
 }
 
-/// The image at half its width and height, by means of 2×2 pixels; an odd last row or column is dropped.
+/// Halves the width and height of an image by averaging 2×2 pixels. An odd last row or column is dropped.
 pub(crate) fn halved(image: &Image) -> Image {
     let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
     let value = |k: usize| {
@@ -172,7 +173,8 @@ pub(crate) fn halved(image: &Image) -> Image {
     Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect())
 }
 
-/// The image with its linear light multiplied by a factor per channel; for a grey image, by the first factor.
+/// Multiplies the linear light of a gamma-encoded image by one factor per channel. For a grey image, the first
+/// factor is used.
 fn scaled(image: &Image, factors: [f64; 3]) -> Image {
     let channels = image.channels();
     let value = |(k, v): (usize, &f32)| {
@@ -182,8 +184,8 @@ fn scaled(image: &Image, factors: [f64; 3]) -> Image {
     Image::from_data(image.width(), image.height(), channels, data)
 }
 
-/// The mean linear light, by channel, of the window around a point in pixels. `None` if the window leaves the
-/// image or has a value outside [`USABLE`].
+/// Returns the mean linear light, by channel, of the window around a point in pixels. Returns `None` if the window
+/// leaves the image or has a value outside [`USABLE`].
 fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     let (cx, cy) = (at.x.floor() as isize, at.y.floor() as isize);
     let (w, h) = (image.width() as isize, image.height() as isize);
@@ -207,8 +209,9 @@ fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     Some(sums.map(|sum| sum / area))
 }
 
-/// Ratio of the linear light that `cameras[1]` records to the linear light that `cameras[0]` records of the
-/// same surfaces. For each channel the ratio's logarithm and the variance of the logarithm.
+/// Ratio of the linear light that camera `cameras[1]` records to the linear light that camera `cameras[0]` records
+/// of the same surfaces. `log` holds the natural logarithm of the ratio for each channel, and `variance` the
+/// variance of this logarithm.
 struct Ratio {
     cameras: [usize; 2],
     log: [f64; 3],
@@ -216,8 +219,8 @@ struct Ratio {
 }
 
 impl Ratio {
-    /// The median ratio over matched features, whose positions are pixels of `images`; `None` for fewer than
-    /// [`MIN_FEATURES`].
+    /// Returns the median ratio over matched features. `matches` are from pixels of `images[0]` to pixels of
+    /// `images[1]`. Returns `None` if fewer than [`MIN_FEATURES`] features are usable.
     fn between(
         cameras: [usize; 2],
         images: [&Image; 2],
@@ -246,13 +249,14 @@ impl Ratio {
     }
 }
 
-/// Lower bound of the standard error of a log ratio, since specular reflection differs between two views.
+/// Lower bound of the standard error of a log ratio. It accounts for specular reflection, which differs between two
+/// views.
 const MIN_STD_ERR: f64 = 0.002;
-/// Standard deviation of the prior on a camera's log gain, with mean 0. It makes the gains of cameras without
-/// comparisons solvable.
+/// Standard deviation of the prior on a camera's log gain. The mean of the prior is 0. The prior makes the
+/// equations solvable for cameras without comparisons.
 const PRIOR_STD_ERR: f64 = 10.0;
 
-/// The weighted least-squares solution for all cameras' gains. The reference camera's are 1.
+/// Solves for the gains of all cameras by weighted least squares. The gains of the reference camera are 1.
 fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
     let mut gains = Gains::equal(cameras);
     for c in 0..3 {
@@ -274,7 +278,8 @@ fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
         for (camera, factors) in gains.factors.iter_mut().enumerate() {
             let std_err = covariance[(camera, camera)].max(0.0).sqrt();
             let difference = logs[camera].exp() - 1.0;
-            // A standard error close to the prior's means that the camera was not compared with any other.
+            // A standard error above a tenth of the prior's standard deviation means that the camera was not
+            // compared with any other camera.
             if camera == reference || !difference.is_finite() || std_err > 0.1 * PRIOR_STD_ERR {
                 continue;
             }
