@@ -8,7 +8,7 @@
 //! Here θ_i is the angle at X between the directions to C and to the camera's centre C_i. The term coarseness_i is the
 //! loss of resolution: the ratio of the camera's pixel footprint to the view's, minus 1, or 0 if that is negative. The
 //! term border_i falls from 1 to 0 at the image's border. The term visible_i falls from 1 to 1e-3 if X is behind the
-//! surface that the camera sees.
+//! surface that the camera sees, and is 1/4 beside the outline of a nearer surface.
 //!
 //! Buehler et al. add the terms for angle, resolution and field of view. Here they are multiplied. The penalty is then
 //! 0 if the camera stands at the view's centre, so that its image is reproduced exactly. The penalty is infinite if X
