@@ -4,9 +4,9 @@
 //! images ── census ── cost volume ── semi-global ── refinement ── InverseDepths of each camera ── fuse(view)
 //! ```
 //!
-//! Known limits: where the background has little texture, foreground extends one or two pixels beyond its
-//! outline. Where synchronization fails, the images have no common geometry, and depths are wrong. Depths are
-//! not smoothed over time.
+//! Known limits: where the background has little texture, foreground depths extend one or two pixels beyond the
+//! foreground's outline. Where synchronization fails, the images have no common geometry, and depths are wrong. Depths
+//! are not smoothed over time.
 //!
 //! | file | step |
 //! |---|---|
@@ -32,14 +32,14 @@ use crate::camera::Camera;
 use crate::option::options;
 use crate::raster::Image;
 
-/// Number of cameras, in addition to [`StereoOptions::cameras`], that only serve as partners: others are
-/// matched with them, but their own depths are not estimated.
+/// Number of cameras, in addition to [`StereoOptions::cameras`], that other cameras are matched with, but whose own
+/// depths are not estimated.
 pub const FURTHER_CAMERAS: usize = 2;
 
 options! {
-    /// Options of depth per pixel.
+    /// Options of multi-view stereo matching, which estimates depth per pixel.
     pub struct StereoOptions {
-        /// Cameras nearest to the view whose depths are estimated and fused.
+        /// Number of cameras nearest to the view whose depths are estimated and fused.
         cameras: usize [1..=1_000_000, "cameras"] = 6,
         /// Maximum number of neighbours that each camera is matched with.
         partners: usize [1..=1_000_000, "cameras"] = 4,
@@ -50,12 +50,12 @@ options! {
     }
 }
 
-/// A camera and its image at the instant.
+/// One input of stereo matching: a camera, and its image at the matched instant.
 #[derive(Clone, Copy, Debug)]
 pub struct StereoImage<'a> {
-    /// Lens and pose.
+    /// Lens and pose of the camera.
     pub camera: &'a Camera,
-    /// Image of the camera's size.
+    /// The camera's image. Its size must be the camera's.
     pub image: &'a Image,
 }
 
