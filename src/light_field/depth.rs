@@ -1,4 +1,4 @@
-//! Depth per pixel of the cameras at an instant, by stereo matching of their images.
+//! Estimation of the cameras' depth per pixel at an instant, by stereo matching of their images.
 
 use super::camera_image::images_of;
 use super::graph::{LightField, Stage};

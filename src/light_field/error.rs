@@ -1,4 +1,4 @@
-//! The errors of rendering.
+//! Errors of rendering.
 
 use crate::capture::CaptureError;
 

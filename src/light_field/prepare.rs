@@ -31,7 +31,7 @@ pub struct Preparation {
     pub maps: usize,
     /// Number of frames whose depth and motion were on disk already.
     pub maps_found: usize,
-    /// Size of all stored results, bytes.
+    /// Total size of all stored results on disk, bytes.
     pub bytes: u64,
 }
 

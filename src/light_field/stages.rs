@@ -61,7 +61,7 @@ pub(super) struct ImageMethod {
     pub interpolation: Option<InterpolationOptions>,
     /// Whether the expected interpolation error of each pixel is computed too.
     pub with_error: bool,
-    /// Options of [`SyncMethod::AllCameras`]; `None` for other methods.
+    /// Options of the method [`SyncMethod::AllCameras`]; `None` for other methods.
     pub all_cameras: Option<AllCamerasOptions>,
 }
 

@@ -28,7 +28,7 @@ pub struct Mesh {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthEdges {
-    /// The triangle stretches from one surface to the other, as in the paper.
+    /// The triangle keeps its vertices, and stretches from one surface to the other, as in the paper.
     Stretch,
     /// The whole triangle gets the depth of the farther surface.
     Back,
@@ -64,7 +64,7 @@ const MARGIN: f64 = 0.05;
 const CELL_PX: f64 = 0.5;
 /// Weight of a point in front of the back plane in the fit of that plane. A point behind the plane has the weight 1.
 const FRONT_WEIGHT: f64 = 0.02;
-/// Number of corners of the back plane.
+/// Number of corners of the back plane, a rectangle behind all points.
 const CORNERS: usize = 4;
 /// Factor on the back plane's inverse depth. It moves the plane slightly behind all vertices.
 const BACK_FACTOR: f64 = 0.999;

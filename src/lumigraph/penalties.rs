@@ -51,9 +51,9 @@ pub(super) struct TargetRow<'a> {
 /// A cone that contains the rays of a range of pixels, and bounds of the rays' lengths and inverse depths.
 pub(super) struct RayCone {
     axis: Vector3<f32>,
-    /// Sine of the largest angle between a ray and the axis.
+    /// Sine of the largest angle between one of the rays and the cone's axis.
     sine: f32,
-    /// Cosine of the largest angle between a ray and the axis.
+    /// Cosine of the largest angle between one of the rays and the cone's axis.
     cosine: f32,
     /// Length of the longest ray (x, y, 1).
     longest: f32,

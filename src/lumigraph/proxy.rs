@@ -11,9 +11,9 @@ use rayon::prelude::*;
 /// Geometry proxy: an approximation of the scene's surfaces.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Proxy {
-    /// A plane in the world.
+    /// The proxy is a plane in the world.
     Plane(Plane),
-    /// A triangle mesh in the world.
+    /// The proxy is a triangle mesh in the world.
     Mesh(Mesh),
 }
 

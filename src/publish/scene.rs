@@ -44,7 +44,7 @@ pub(super) fn scene(
             "is_color": frame.is_color,
             "disparity_px": frame.map.disparity_px,
             "blocks": [frame.map.width, frame.map.height],
-            // A static light field is constant in time, and has no times.
+            // A static light field doesn't change in time, and has no frame times.
             "filmed": field.span_s(camera).filter(|_| !capture.is_static()).map(in_frames),
         }))
     });

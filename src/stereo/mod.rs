@@ -10,10 +10,10 @@
 //!
 //! | file | step |
 //! |---|---|
-//! | `census.rs` | descriptors of pixels that tolerate brightness changes, over an image pyramid |
-//! | `cost_volume.rs` | matching cost of every pixel at every inverse depth |
-//! | `semi_global.rs` | smoothness except at image edges (Hirschmüller 2008) |
-//! | `refine.rs` | sub-level inverse depths |
+//! | `census.rs` | pixel descriptors that tolerate brightness changes, in an image pyramid |
+//! | `cost_volume.rs` | matching cost of every pixel at every depth hypothesis |
+//! | `semi_global.rs` | smoothing of the costs, except at image edges (Hirschmüller 2008) |
+//! | `refine.rs` | refinement of inverse depths to fractions of a hypothesis step |
 //! | `inverse_depths.rs` | these steps in order, for one camera |
 //! | `fusion.rs` | the depths of a new view, splatted from all cameras (Merrell et al. 2007) |
 
