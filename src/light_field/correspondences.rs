@@ -158,8 +158,8 @@ fn observe<'a>(
     }
 }
 
-/// Returns the middle, seconds from the capture's start, of the interval in which the frames `around` are the nearer
-/// and the farther frame of every camera. Returns 0 if no camera sees motion.
+/// Returns the middle, seconds from the capture's start, of the time interval in which the nearer frame of every camera
+/// in `around` stays the nearer one. Returns 0 if no camera sees motion.
 fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     let moving = around.iter().filter(|a| a.near != a.far);
     let span = moving.map(|a| {

@@ -50,7 +50,7 @@ fn outside(time_s: f64, first_s: f64, last_s: f64, covered: &str) -> String {
 }
 
 impl RenderError {
-    /// Returns whether rendering may succeed at another instant.
+    /// Returns whether rendering may succeed at another instant after this error.
     pub(super) fn may_succeed_at_another_time(&self) -> bool {
         matches!(
             self,

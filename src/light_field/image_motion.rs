@@ -16,7 +16,7 @@ pub struct Layers {
 /// A camera, and an instant in seconds from the capture's start.
 pub type CameraAt<'a> = (&'a Camera, f64);
 
-/// The step from a view to the previous or to the next view of a sequence.
+/// Step from a view to the previous or to the next view of a sequence.
 struct Step {
     camera: Camera,
     projection: Projection,

@@ -1,5 +1,6 @@
-//! Inputs of every stage of the graph that renders views. A stage's result depends only on its inputs and on the
-//! capture's frames and clocks. The serialized inputs are the keys of the memo, the cache of results in memory.
+//! Inputs of every stage of the graph that renders views. A stage computes one kind of result, which depends only on
+//! the stage's inputs and on the capture's frames and clocks. The serialized inputs are the keys of the memo, the cache
+//! of results in memory.
 
 use super::graph::{LightField, Stage};
 use super::slots::FrameId;
@@ -12,8 +13,8 @@ use crate::scene_flow::MappedFrame;
 use serde::{Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
 
-/// Inputs of the feature tracks between the frames `frame` and `frame + 1` of a camera. Tracks that fail the epipolar
-/// test are left out.
+/// Inputs of the stage that tracks features between the frames `frame` and `frame + 1` of a camera. Tracks that fail
+/// the epipolar test are left out.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct PairTracks<'a> {
     pub camera: usize,
@@ -21,23 +22,24 @@ pub(super) struct PairTracks<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// Inputs of the change between the two frames of a pair: the largest mean absolute difference of any 8×8 block, for
-/// pixel values of 0 to 1.
+/// Inputs of the stage that measures the change between the two frames of a pair. The change is the largest mean
+/// absolute difference of any 8×8 block, for pixel values of 0 to 1.
 #[derive(Serialize)]
 pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 
-/// Inputs of the triangulation of a frame pair's tracks.
+/// Inputs of the stage that computes the Delaunay triangulation of a frame pair's tracked features.
 #[derive(Serialize)]
 pub(super) struct PairTriangles<'a>(pub PairTracks<'a>);
 
-/// Inputs of the costs by which tracked motion is refined. The costs depend only on a frame pair, not on the instant.
+/// Inputs of the stage that computes the costs by which tracked motion is refined. The costs depend only on a frame
+/// pair, not on the instant.
 #[derive(Serialize)]
 pub(super) struct RefinementCosts<'a> {
     pub tracks: PairTracks<'a>,
     pub interpolation: &'a InterpolationOptions,
 }
 
-/// Inputs of a camera's image at an instant.
+/// Inputs of the stage that computes a camera's image at an instant.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct CameraImage<'a> {
     pub camera: usize,
@@ -45,7 +47,7 @@ pub(super) struct CameraImage<'a> {
     pub method: &'a ImageMethod,
 }
 
-/// Inputs of a camera's image at an instant, gain-corrected to the reference camera's exposure.
+/// Inputs of the stage that computes a camera's image at an instant, gain-corrected to the reference camera's exposure.
 #[derive(Serialize)]
 pub(super) struct CorrectedImage<'a> {
     pub image: CameraImage<'a>,
@@ -208,7 +210,7 @@ impl<'a> ImageSource<'a> {
     }
 }
 
-/// The two frames of a camera around an instant.
+/// A camera and its two frames around an instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct FramesAround {
     pub camera: usize,
@@ -219,16 +221,16 @@ pub(super) struct FramesAround {
     pub far: usize,
 }
 
-/// Inputs of the matches of one camera's features in other cameras. The camera is the first in `around`. The matches
-/// hold for all instants between the same frames.
+/// Inputs of the stage that matches one camera's features in other cameras. The camera is the first in `around`. The
+/// matches hold for all instants between the same frames.
 #[derive(Serialize)]
 pub(super) struct Correspondences<'a> {
     pub around: Vec<FramesAround>,
     pub registration: &'a RegistrationOptions,
 }
 
-/// Inputs of the scene's points at an instant that are triangulated from a camera and its partners. The partners are
-/// the cameras in which the camera's features are searched.
+/// Inputs of the stage that triangulates points of the scene at an instant, from a camera and its partners. The
+/// partners are the cameras in which the camera's features are searched.
 #[derive(Serialize)]
 pub(super) struct CameraPoints<'a> {
     pub camera: usize,
@@ -236,7 +238,7 @@ pub(super) struct CameraPoints<'a> {
     pub instant: Instant<'a>,
 }
 
-/// Inputs of a stereo matcher for the images of several cameras at an instant, and of the cameras' search ranges.
+/// Inputs of the stage that prepares a stereo matcher for the images of several cameras at an instant.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Stereo<'a> {
     /// Indices of the cameras whose images are matched, ascending.
@@ -246,15 +248,15 @@ pub(super) struct Stereo<'a> {
     pub proxy: &'a ProxyOptions,
 }
 
-/// Inputs of a camera's depth per pixel at an instant.
+/// Inputs of the stage that estimates a camera's depth per pixel at an instant.
 #[derive(Serialize)]
 pub(super) struct CameraDepth<'a> {
     pub stereo: Stereo<'a>,
     pub camera: usize,
 }
 
-/// Inputs of the depth maps by which occlusion in the matched cameras is found. The depths of the cameras `estimated`
-/// come from stereo matching. The depths of the other cameras are fused from the estimated depths.
+/// Inputs of the stage that computes depth maps of the matched cameras, by which occlusion is found. The depths of the
+/// cameras `estimated` come from stereo matching. The depths of the other cameras are fused from the estimated depths.
 #[derive(Serialize)]
 pub(super) struct OcclusionDepths<'a> {
     pub stereo: Stereo<'a>,
@@ -262,7 +264,8 @@ pub(super) struct OcclusionDepths<'a> {
     pub estimated: &'a [usize],
 }
 
-/// Inputs of a frame that is resampled without lens distortion, and gain-corrected to the reference camera's exposure.
+/// Inputs of the stage that resamples a frame without lens distortion, gain-corrected to the reference camera's
+/// exposure.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Undistorted<'a> {
     pub camera: usize,
@@ -270,21 +273,22 @@ pub(super) struct Undistorted<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// Inputs of the static background that a camera sees over the whole recording.
+/// Inputs of the stage that finds the static background of a camera over the whole recording.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct StillContent<'a> {
     pub camera: usize,
     pub registration: &'a RegistrationOptions,
 }
 
-/// Inputs of the depth and motion of one frame. They are estimated together with the other frames of its slot.
+/// Inputs of the stage that estimates the depth and motion of one frame. All frames of a slot ([`super::slots::Slot`])
+/// are estimated together.
 #[derive(Serialize)]
 pub(super) struct FrameFlow<'a> {
     pub frame: FrameId,
     pub options: FlowOptions<'a>,
 }
 
-/// Inputs of the confidences of the depth and motion maps from which a view is blended.
+/// Inputs of the stage that computes the confidences of the depth and motion maps from which a view is blended.
 #[derive(Serialize)]
 pub(super) struct FlowConfidences<'a> {
     /// The frames from which the view is blended, as (camera index, frame index), ascending.

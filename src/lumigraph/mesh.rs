@@ -47,8 +47,8 @@ methods!(DepthEdges {
     Cut = "cut": "The triangle is cut in the middle between the two surfaces",
 });
 
-/// Maximum difference between the inverse depths of a triangle's vertices, as a fraction of the largest of them. A
-/// triangle with a larger difference spans a depth edge.
+/// Maximum difference between the inverse depths of a triangle's vertices on one surface, as a fraction of the largest
+/// inverse depth. A triangle with a larger difference spans a depth edge.
 const EDGE_FRACTION: f64 = 0.1;
 /// Maximum length of a triangle's longest side, pixels, for [`DepthEdges`] to apply. In a larger triangle, the object's
 /// outline may be anywhere.

@@ -260,7 +260,8 @@ impl Reprojection {
         (pixel.x as f32, pixel.y as f32)
     }
 
-    /// Computes the positions of a row's points in the source, and their confidences without regard to occlusion.
+    /// Computes the positions of a row's points in the source, and the source's confidences in the points, without
+    /// regard to occlusion.
     pub fn place(&self, row: &TargetRow, span: &mut SourceSpan) {
         if self.model.is_pinhole() {
             place_row(self, row, span, self.pinhole());

@@ -44,7 +44,8 @@ pub(super) struct ViewBounds {
     pub max: Point2<f64>,
 }
 
-/// Number of steps in which each side of the image's border is sampled to bound the field of view.
+/// Number of intervals between the sampled points along each side of an image's border. The samples bound the field of
+/// view.
 const STEPS: usize = 32;
 
 impl ViewBounds {
