@@ -22,11 +22,11 @@ const MIN_PREDICTED_FRACTION: f64 = 0.25;
 /// Maximum distance of a match from its epipolar line at the instant, pixels.
 const MAX_EPIPOLAR_PX: f64 = 1.0;
 
-/// Positions of a feature in two frames of another camera, pixels: in the frame nearer in time to the instant, and in
+/// Positions of a feature in another camera's two frames around an instant, pixels: in the frame nearer in time, and in
 /// the farther frame.
 type Matched = [Point2<f64>; 2];
 
-/// A feature in the camera's frame that is nearer in time to the instant, with its trajectory.
+/// A feature of a camera, found in the nearer of the two frames around an instant, with its trajectory.
 #[derive(Clone, Copy, Debug)]
 struct Feature {
     in_frame: Point2<f64>,

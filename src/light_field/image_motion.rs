@@ -34,7 +34,7 @@ pub struct ImageMotion {
 }
 
 impl ImageMotion {
-    /// Creates the motion from a view to its `neighbors`: the previous and the next view, each with its instant.
+    /// Prepares the motion from a view to its `neighbors`: the previous and the next view, each with its instant.
     /// `surfaces` is the motion of the view's surfaces, if known.
     ///
     /// `None` if the motion is unknown: time passes between the views, and `surfaces` is `None`.

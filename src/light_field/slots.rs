@@ -8,8 +8,8 @@ pub(super) type FrameId = (usize, usize);
 /// Maximum number of cameras in a group whose frames are estimated together.
 const MAX_GROUP: usize = 12;
 
-/// A slot: the frames of a group of neighbouring cameras within one interval of time. Their depth and motion are
-/// estimated together. Every frame is in exactly one slot.
+/// A slot: the frames of a group of neighbouring cameras within one interval of time. Depth and motion of all frames of
+/// a slot are estimated together. Every frame is in exactly one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Slot {
     /// Number of the time interval, counted from the capture's start.
