@@ -214,8 +214,8 @@ impl LightField {
         Ok(GivenImages::corrected(images))
     }
 
-    /// Returns the result of [`Self::corrected_all`] if the synchronized images of all cameras that have one at
-    /// `time_s` are cached. Otherwise, returns `None`.
+    /// Returns the result of [`Self::corrected_all`] if the synchronized image of every camera that can give one at
+    /// `time_s` is cached. Otherwise, returns `None`.
     pub(crate) fn cached_instant(
         &self,
         time_s: f64,

@@ -189,7 +189,7 @@ pub(super) fn frames_around(
 }
 
 impl Correspondences<'_> {
-    /// Returns the first camera's frame that is nearer in time to the instant, and its features.
+    /// Returns the first camera's frame that is nearer in time to the instant, and the features of that frame.
     fn features(&self, field: &LightField) -> Result<(Arc<Frame>, Vec<Feature>), RenderError> {
         let FramesAround { camera, near, far } = self.around[0];
         let frame = field.frames(self.registration).get(camera, near)?;

@@ -185,8 +185,8 @@ pub(super) fn surfaces<'a>(
     depths.iter().filter_map(surface).collect()
 }
 
-/// Returns points of the scene at an instant, world, metres: samples of the mesh proxy in the view of the camera
-/// `middle`. `None` if no feature points are in front of this camera.
+/// Returns points of the scene at an instant, in world coordinates, metres. They are samples of the mesh proxy in the
+/// view of the camera `middle`. `None` if no feature points are in front of this camera.
 pub(super) fn scene_points(
     field: &LightField,
     middle: &Camera,
@@ -206,7 +206,8 @@ pub(super) fn scene_points(
     }
 }
 
-/// Returns the points, world, metres, that a depth map shows at every [`RANGE_STEP_PX`]-th pixel.
+/// Returns the points that a depth map shows at every [`RANGE_STEP_PX`]-th pixel of every [`RANGE_STEP_PX`]-th row, in
+/// world coordinates, metres.
 fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
     let mut points = Vec::new();
     for y in (0..camera.height).step_by(RANGE_STEP_PX) {

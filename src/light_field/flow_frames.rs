@@ -15,7 +15,8 @@ const MAX_CAMERAS: usize = 8;
 
 impl LightField {
     /// Returns the frames, as (camera index, frame index), from which a view by scene flow is blended. For each of the
-    /// cameras nearest to `target`, this is the frame nearest in time to `time_s`, seconds from the capture's start.
+    /// cameras nearest to `target`, the list contains the frame nearest in time to `time_s`, seconds from the capture's
+    /// start.
     pub fn frames_of_view(&self, target: &Camera, time_s: f64) -> Vec<(usize, usize)> {
         let mut cameras = nearest(self.capture(), &self.usable(time_s), target.center());
         cameras.truncate(MAX_CAMERAS);

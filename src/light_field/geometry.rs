@@ -23,8 +23,8 @@ pub struct Geometry {
 }
 
 /// Returns the indices of the cameras nearest to a view, ordered by distance, whose images determine the view's depths
-/// or its space-time weights. The result is empty if the proxy is built from features and the weights don't depend on
-/// time.
+/// or the weights of [`BlendMethod::SpaceTime`]. The result is empty if the proxy is built from features and the
+/// weights don't depend on time.
 pub(super) fn nearest_cameras(
     field: &LightField,
     target: &Camera,

@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 use std::any::Any;
 use std::sync::Arc;
 
-/// Inputs of a stage of the graph. They are the key of the stage's result in the cache. Each stage has a function
+/// Inputs of a stage of the graph. The inputs are the key of the stage's result in the cache. Each stage has a function
 /// `get`, in the file of its algorithm. The function returns the result from memory, or computes and inserts it.
 pub(super) trait Stage: Serialize {
     type Output: Any + Send + Sync;

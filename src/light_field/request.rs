@@ -38,9 +38,9 @@ impl<'a> Request<'a> {
 }
 
 impl Request<'_> {
-    /// Returns whether the view is rendered by scene flow, from the depth and motion of frames. This requires that all
-    /// images are synchronized by the options' method. Otherwise, the images are blended by depths that are estimated
-    /// from them.
+    /// Returns whether the view is rendered by scene flow, from the depth and motion of frames. This requires that the
+    /// options choose scene flow, and that all images are synchronized by the options' method. Given images, or images
+    /// by another method, are blended by depths that are estimated from the images.
     pub(super) fn uses_scene_flow(&self) -> bool {
         self.options.proxy.method == ProxyMethod::SceneFlow
             && [self.images, self.shape]

@@ -178,8 +178,8 @@ impl LoadedFrame {
     }
 }
 
-/// Returns frames with their maps of depth and motion, which come from memory or disk or else are computed. `None` if
-/// the range of the scene's depths is unknown.
+/// Returns the frames `frames` with their maps of depth and motion. A map comes from memory or disk, or else is
+/// computed. `None` if the range of the scene's depths is unknown.
 pub(super) fn load(
     field: &LightField,
     frames: &[FrameId],
@@ -213,8 +213,8 @@ pub(super) fn load(
     Ok(Some(all.into_par_iter().map(load).collect::<Result<_, RenderError>>()?))
 }
 
-/// Computes the search range of depth and motion for frames. Depths come from features at the time of the frame in the
-/// middle of the list; in a wide array, they come from the volume that the cameras see in common. `None` without
+/// Computes the search range of depth and motion for frames. The range of depths comes from features at the time of the
+/// frame in the middle of the list. In a wide array, it comes from the volume that most cameras see. `None` without
 /// features, or if all cameras stand at one place.
 fn limits(
     field: &LightField,

@@ -22,8 +22,8 @@ pub(super) struct PairTracks<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// Inputs of the stage that measures the change between the two frames of a pair. The change is the largest mean
-/// absolute difference of any 8×8 block, for pixel values of 0 to 1.
+/// Inputs of the stage that measures the change between two successive frames. The change is the largest mean absolute
+/// difference of any 8×8 block, for pixel values of 0 to 1.
 #[derive(Serialize)]
 pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 

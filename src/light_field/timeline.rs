@@ -114,6 +114,7 @@ impl LightField {
     /// Returns the indices of a camera's frames before and after `time_s`, seconds from the capture's start. Both are
     /// the same if all rows of a frame have exactly this time. With a rolling shutter, they are always two successive
     /// frames of the recording. In a static light field, both are 0 at any time, even if the camera's clock is unknown.
+    /// Otherwise, an unknown clock is an error, and so is a time outside the camera's frames.
     pub(super) fn bracket(
         &self,
         camera: usize,

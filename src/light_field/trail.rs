@@ -14,7 +14,7 @@ pub(super) struct Overlay {
     size: (usize, usize, usize),
     /// For each pixel and channel, the sum of linear light or the largest display-encoded value, depending on the mode.
     values: Vec<f64>,
-    /// Number of instants whose views cover the pixel, for each pixel.
+    /// For each pixel, the number of instants whose views cover the pixel.
     counts: Vec<u32>,
 }
 
@@ -75,7 +75,8 @@ mod tests {
         overlay.finish()
     }
 
-    /// The mean of black and white is half of the linear light. In sRGB, this is the value 0.735, not 0.5.
+    /// The mean of a black and a white view has half of white's linear light. In sRGB, this is the value 0.735, not
+    /// 0.5.
     #[test]
     fn the_mean_is_of_light() {
         let all = [rendered(&[0.0, 0.25], &[true; 2]), rendered(&[1.0, 0.25], &[true; 2])];

@@ -13,9 +13,10 @@ const MIN_ANGLE_RAD: f64 = 0.12;
 /// Maximum baseline to which disparities of a wide array refer, as an angle seen from the place that all cameras look
 /// at, radians.
 const MATCHING_ANGLE_RAD: f64 = 0.2;
-/// Minimum fraction of the other cameras that must see a point for the point to count for a camera's range of depths.
+/// Minimum fraction of the other cameras that must see a point. Only such points count for a camera's range of depths.
 const MIN_SEEING: f64 = 0.5;
-/// Number of rows, and of columns, of pixels along whose rays points are tested to find a camera's range of depths.
+/// Number of rows and number of columns of the pixel grid along whose rays points are tested to find a camera's range
+/// of depths.
 const RAYS: usize = 9;
 /// Smallest and largest inverse depth that is tested to find a camera's range of depths, as multiples of the inverse
 /// distance to the place that all cameras look at.
@@ -82,7 +83,8 @@ impl LightField {
     }
 
     /// Returns the baseline to which disparities of scene flow refer, metres: twice the distance between neighbouring
-    /// cameras. In a wide array it is at most [`MATCHING_ANGLE_RAD`], since surfaces are matched less precisely there.
+    /// cameras. In a wide array, the baseline is at most [`MATCHING_ANGLE_RAD`] times the distance to the common place,
+    /// since surfaces of a wide array are matched less precisely.
     pub(super) fn matching_baseline_m(&self) -> f64 {
         let baseline_m = 2.0 * self.spacing_m();
         let longest_m = self.common_place().map(|p| MATCHING_ANGLE_RAD * p.distance_m);

@@ -116,7 +116,8 @@ impl Surroundings<'_> {
 mod tests {
     use super::*;
 
-    /// A body at 1 m stands in front of a wall at 2 m. To the right of the body, no camera sees a strip of the wall.
+    /// A body at 1 m stands in front of a wall at 2 m. To the right of the body is a strip of the wall that no camera
+    /// sees. It must get the colour of the wall.
     #[test]
     fn what_is_occluded_is_filled_from_behind() {
         let (w, h) = (12, 5);

@@ -32,8 +32,8 @@ pub enum DepthEdges {
     Stretch,
     /// The whole triangle gets the depth of the farther surface.
     Back,
-    /// The whole triangle gets the depth of the nearer surface. Feature points lie inside an object's outline, and such
-    /// triangles extend the object's surface across its outline.
+    /// The whole triangle gets the depth of the nearer surface. Feature points lie inside an object's outline, so that
+    /// such triangles extend the object's surface up to its outline.
     #[default]
     Front,
     /// The triangle is cut halfway between the two surfaces. Each part gets the depth of its own surface.
@@ -58,7 +58,7 @@ const MAX_EDGE_PX: f64 = 24.0;
 const SUPPORT_FRACTION: f64 = 0.05;
 /// Minimum number of neighbours that must support a point. Neighbours are at most two edges of the triangulation away.
 const MIN_SUPPORT: usize = 2;
-/// Distance of the mesh's corners from the edges of the field of view, outwards, as a fraction of its width or height.
+/// Distance of the mesh's corners outside the field of view, as a fraction of the field of view's width or height.
 const MARGIN: f64 = 0.05;
 /// Side of the square image cells in each of which only the nearest point becomes a vertex, pixels.
 const CELL_PX: f64 = 0.5;
@@ -246,14 +246,15 @@ struct MeshBuilder {
 }
 
 impl MeshBuilder {
-    /// Appends a vertex at `at` on the plane z = 1, with an inverse depth in 1/m. Returns the vertex's index.
+    /// Appends a vertex at the position `at` on the plane z = 1, with an inverse depth in 1/m. Returns the vertex's
+    /// index.
     fn vertex(&mut self, at: Point2<f64>, inverse_depth: f64) -> u32 {
         self.vertices.push(ProjectedPoint { at, inverse_depth });
         (self.vertices.len() - 1) as u32
     }
 
-    /// Adds a triangle, given by three vertex indices. If it spans a depth edge, it is replaced as `depth_edges` says.
-    /// `focal` is the focal length, pixels.
+    /// Adds a triangle, given by three vertex indices. A triangle that spans a depth edge is replaced as `depth_edges`
+    /// says. `focal` is the focal length, pixels.
     fn add(&mut self, triangle: [u32; 3], focal: f64, depth_edges: DepthEdges) {
         // The vertices are sorted with the nearest first.
         let mut v = triangle.map(|k| (k, self.vertices[k as usize]));
@@ -289,7 +290,8 @@ impl MeshBuilder {
         }
     }
 
-    /// Adds a triangle with vertices at `at` on the plane z = 1. All three have the same inverse depth, 1/m.
+    /// Adds a triangle with vertices at the positions `at` on the plane z = 1. All three have the same inverse depth,
+    /// 1/m.
     fn flat(&mut self, at: [Point2<f64>; 3], inverse_depth: f64) {
         let triangle = at.map(|at| self.vertex(at, inverse_depth));
         self.triangles.push(triangle);

@@ -33,7 +33,7 @@ const OUTLINE_CONFIDENCE: f32 = 0.25;
 const CONE_MARGIN: f64 = 0.02;
 /// Factor on the lower bound of a penalty, which allows for f32 rounding.
 const ROUNDING: f32 = 0.999;
-/// Amount that is subtracted from a difference of sines, to allow for f32 rounding.
+/// Amount that is subtracted from the lower bound of an angle's sine, to allow for f32 rounding.
 const SINE_ROUNDING: f32 = 1e-6;
 
 /// Rays and inverse depths of a range of pixels in one row of the view, in the view's camera frame.
@@ -234,7 +234,8 @@ impl Reprojection {
     ///
     /// Let r be a ray, ρ its inverse depth, d the vector from the source's centre to the view's centre, and q = r + ρd.
     /// The penalty `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`. This bound increases with
-    /// ρ. The angle between r and d differs from the angle between the axis and d by at most the cone's opening angle.
+    /// ρ. The angle between r and d differs from the angle between the cone's axis and d by at most the angle between
+    /// the axis and the cone's surface.
     pub fn min_angle(&self, cone: &RayCone) -> f32 {
         let (d, axis) = (self.shift_target, cone.axis);
         let length = d.norm();
@@ -326,8 +327,8 @@ impl Reprojection {
         )
     }
 
-    /// Adds the expected interpolation error to the penalties. The error is independent of the proxy's error, so that
-    /// squares are added.
+    /// Adds the expected interpolation error to the penalties. This error is independent of the proxy's error, so that
+    /// the squares of both are added.
     fn add_interpolation_error(&self, source: &Source, count: usize, span: &mut SourceSpan) {
         let Some(error_px) = source.interpolation_error_px else { return };
         let (w, h) = (source.camera.width, source.camera.height);

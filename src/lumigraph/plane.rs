@@ -9,8 +9,8 @@ use super::rays::ViewBounds;
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
-/// Margin around the camera's field of view within which points are used for a plane fit, as a fraction of its width or
-/// height.
+/// Margin around the camera's field of view within which points are used for a plane fit, as a fraction of the field of
+/// view's width or height.
 const MARGIN: f64 = 0.5;
 /// Weight of the prior that a fitted plane has no tilt, as a fraction of the points' total weight.
 const TILT_PRIOR: f64 = 1e-6;

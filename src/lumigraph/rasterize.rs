@@ -35,7 +35,8 @@ const BEND_STEPS: usize = 8;
 
 /// A triangle in a camera's frame, prepared for rasterization.
 struct ProjectedTriangle {
-    /// Normals of the planes through the camera's centre and each edge. They point to the inside of the triangle.
+    /// Normals of the planes through the camera's centre and each edge. The normals point to the inside of the
+    /// triangle.
     edges: [Vector3<f64>; 3],
     /// Vector g of the triangle's plane: on the ray r = (x, y, 1), the inverse depth is 1/z = g · r, in 1/m.
     g: Vector3<f64>,

@@ -13,7 +13,7 @@ pub struct Source<'a> {
     pub camera: &'a Camera,
     /// The camera's image, with 1 or 3 channels. Its size must be the camera's.
     pub image: &'a Image,
-    /// Depth map of the camera. Points behind its depths are occluded in the camera. `None`: no point counts as
+    /// Depth map of the camera. Points behind these depths are occluded in the camera. `None`: no point counts as
     /// occluded.
     pub depth: Option<&'a DepthMap>,
     /// Expected error of each pixel's position due to temporal interpolation, pixels, row by row. `None`: 0 everywhere.

@@ -186,9 +186,9 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Interpolates weights between nodes, and multiplies them by the confidences. Returns false if there is no grid,
-    /// or if all weights of a pixel are 0. The latter happens if a source sees the pixel's point, but none of the
-    /// points at the nodes around the pixel.
+    /// Interpolates the weights of a range of pixels between nodes, and multiplies them by the confidences. Returns
+    /// false if there is no grid, or if all weights of a pixel are 0. The latter can happen although a source sees the
+    /// pixel's point, if the source sees none of the points at the surrounding nodes.
     fn weigh_between_nodes(&mut self, columns: Range<usize>) -> bool {
         let Some(grid) = &self.grid else { return false };
         self.span.count = columns.len();
@@ -205,9 +205,9 @@ impl<'a> SpanBlender<'a> {
         normalize(&mut self.span)
     }
 
-    /// Reprojects the points of a range of the row's pixels into the sources, nearest source first. After the nearest
-    /// k+1 sources, a source is culled if the lower bound of its penalties reaches the largest threshold of the
-    /// weights.
+    /// Reprojects the points of a range of the row's pixels into the sources, nearest source first. The first k+1
+    /// sources are always used, where k is the number of blended sources. A later source is culled if the lower bound
+    /// of its penalties reaches the largest threshold of the weights.
     fn measure(&mut self, columns: Range<usize>) {
         self.span.count = columns.len();
         self.span.active.clear();

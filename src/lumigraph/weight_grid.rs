@@ -10,9 +10,10 @@ pub(super) struct WeightGrid {
     pub step: usize,
     /// Columns of the view that have nodes, ascending. The last is the view's last column.
     pub columns: Vec<usize>,
-    /// Index of the upper row of nodes. `None` before the rows are filled.
+    /// Index of the upper of the two stored rows of nodes. `None` before the rows are filled.
     above: Option<usize>,
-    /// Weights at the nodes of the upper and of the lower row, source by source.
+    /// Weights at the nodes of the two stored rows, the upper row first. In each row, weights are ordered source by
+    /// source.
     rows: [Vec<f32>; 2],
     /// Weights at the columns with nodes, interpolated vertically to the current row of the view.
     between: Vec<f32>,

@@ -36,15 +36,16 @@ const THRESHOLD_MARGIN: f32 = 0.05;
 /// Maximum number of neighbouring pixels in a row whose blending weights are computed together.
 pub(super) const SPAN_PX: usize = 64;
 
-/// A source camera's data for the surface points that a span of neighbouring pixels of the view shows.
+/// Positions, penalties, confidences and weights, in one source camera, of the surface points that a span of
+/// neighbouring pixels of the view shows.
 pub(super) struct SourceSpan {
     /// Horizontal positions of the points in the source's image, pixels.
     pub x: [f32; SPAN_PX],
     /// Vertical positions of the points in the source's image, pixels.
     pub y: [f32; SPAN_PX],
     /// Penalties of the source at the points: infinite where the source doesn't see the point, and 0 if the source
-    /// stands at the view's centre. At a pixel with penalties of 0, only the sources with penalty 0 are blended,
-    /// weighted by their confidence.
+    /// stands at the view's centre. Where any source has the penalty 0, only the sources with the penalty 0 are
+    /// blended, weighted by their confidence.
     pub penalty: [f32; SPAN_PX],
     /// Confidences of the source in the points: 1 inside the image, 0 outside, and less than 1 near the image's border
     /// and for occluded points.
@@ -71,7 +72,8 @@ pub(super) struct WeighedSpan {
     /// Indices of the sources that may have a positive weight, ascending. The values of other sources are undefined.
     pub active: Vec<usize>,
     pub of_source: Vec<SourceSpan>,
-    /// The k+1 smallest penalties of each pixel, ascending: the first array holds the smallest penalty of every pixel.
+    /// The k+1 smallest penalties of each pixel, where k sources are blended. The first array holds the smallest
+    /// penalty of every pixel, and later arrays hold larger penalties.
     ranks: Vec<[f32; SPAN_PX]>,
 }
 
@@ -113,8 +115,8 @@ impl WeighedSpan {
         }
     }
 
-    /// Computes the largest penalty threshold over the span's pixels, from the k+1 sources `sources` alone. Further
-    /// sources can only lower the threshold.
+    /// Computes the largest penalty threshold over the span's pixels. It uses k+1 sources alone, where k is the number
+    /// of blended sources. Further sources can only lower the threshold.
     pub fn max_threshold(&self, sources: &[usize]) -> f32 {
         let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
         for &i in sources {
@@ -131,7 +133,7 @@ impl WeighedSpan {
 }
 
 /// Computes the penalty threshold of a pixel, at which weights reach 0. `best` is the pixel's smallest penalty, and
-/// `next` its (k+1)-th smallest.
+/// `next` its (k+1)-th smallest penalty, where k is the number of blended sources.
 #[inline(always)]
 fn threshold(next: f32, best: f32) -> f32 {
     next.max(best * (1.0 + THRESHOLD_MARGIN))

@@ -7,7 +7,7 @@ use flate2::write::ZlibEncoder;
 use serde::Serialize;
 use std::io::Write;
 
-/// Number of values of depth and motion: disparity, velocity (2), acceleration (2), and rate of change of the
+/// Number of values of depth and motion per block: disparity, velocity (2), acceleration (2), and rate of change of the
 /// disparity.
 const CHANNELS: usize = 6;
 

@@ -6,8 +6,8 @@ use crate::light_field::LightField;
 use nalgebra::Isometry3;
 use serde_json::{Value, json};
 
-/// Number of frames per file. A view that blends eight cameras needs as many frames. They are successive if the cameras
-/// film one after the other.
+/// Number of frames per file. A view is blended from at most eight frames, one per camera. If eight cameras film one
+/// after the other, these are eight successive frames.
 const FRAMES_A_FILE: usize = 8;
 
 /// Returns the frames of each file, as ((camera index, frame index), frame). All files and frames are in the order of

@@ -33,8 +33,8 @@ impl Descriptor {
     }
 
     /// Returns the matching cost of this pixel and a pixel of another image: [`BIT_COST`] for every differing census
-    /// bit, plus a cost of at most [`MAX_GRAY_COST`] for grey values. The latter is the distance of this pixel's grey
-    /// value from the other pixel's range of grey values.
+    /// bit, plus a cost for grey values. The cost for grey values is the distance of this pixel's grey value from the
+    /// other pixel's range of grey values, at most [`MAX_GRAY_COST`].
     ///
     /// The function uses only 32-bit integers and no branches, so that eight pixels are compared at a time.
     #[inline(always)]
@@ -126,7 +126,7 @@ mod tests {
         assert_eq!(own.cost(Descriptor::OUTSIDE), 255);
     }
 
-    /// Interpolation leaves rounding differences in a constant image. They must not set census bits.
+    /// Checks that no census bits are set by the rounding differences that interpolation leaves in a constant image.
     #[test]
     fn rounding_is_no_texture() {
         let filmed = Image::filled(9, 7, 1, 0.8);

@@ -62,8 +62,8 @@ impl<'a> StereoSet<'a> {
 
 /// Computes the matching costs of all levels at every pixel of the reference image, pixel by pixel.
 ///
-/// Each partner that sees the point gives a cost. The result is the mean of the smaller half of these costs, since the
-/// point may be occluded in the other partners.
+/// The cost is the mean over half of the partners that see the point, the half with the smaller costs. The point may be
+/// occluded in the other partners.
 pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     let camera = &set.image.camera;
     let (w, n) = (camera.width, levels.count);
@@ -211,8 +211,8 @@ impl<'a> MatchScratch<'a> {
         }
     }
 
-    /// Writes the cost of each level to `out`. Each partner that sees the point has a cost. The result is the mean of
-    /// the smaller half of these costs, rounded up to a whole number of partners.
+    /// Writes the cost of each level to `out`: among the partners that see the point, the mean cost of the half with
+    /// the smaller costs. Of three such partners, two count.
     #[inline(always)]
     fn better_half(&mut self, out: &mut [u8]) {
         let n = out.len();

@@ -20,7 +20,8 @@ pub struct Surface<'a> {
 
 /// Number of pixels of the view that are fused at once, to limit memory. For eight cameras, about 60 MB are needed.
 const BAND_PIXELS: usize = 1 << 20;
-/// Radius of a splat, in pixels of the view or, where these are larger in the view, in pixels of the splatted camera.
+/// Radius of a splat. The unit is a pixel of the view, or a pixel of the splatted camera where such a pixel is larger
+/// in the view.
 const RADIUS_PX: f32 = 0.8;
 /// Maximum ratio between the largest number of votes at a pixel and the number of votes of the accepted candidate. Of
 /// the candidates within this ratio, the nearest is accepted.

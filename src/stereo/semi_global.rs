@@ -15,7 +15,7 @@ const MIN_JUMP_PENALTY: i16 = 14;
 /// Difference between neighbouring pixels' grey values, 0 to 1, at which Hirschmüller's penalty P2 is halved.
 const EDGE_DIFFERENCE: f32 = 0.03;
 
-/// Cost of depth levels outside the range. It is larger than the cost of any path.
+/// Cost that stands for depth levels outside the range of levels. It is larger than the cost of any path.
 const UNREACHABLE: i16 = i16::MAX / 4;
 
 /// Aggregates matching costs along eight directions, and sums the results, pixel by pixel and level by level. `levels`
