@@ -19,7 +19,8 @@ const MAX_PREDICTED_MOTION_PX: f64 = 30.0;
 /// predicted from its disparity. The prediction divides the disparity's error by this fraction.
 const MIN_PREDICTED_FRACTION: f64 = 0.25;
 
-/// Maximum distance of a match from its epipolar line at the instant, pixels.
+/// Maximum distance between a feature's match in another camera and the feature's epipolar line at the rendered
+/// instant, pixels.
 const MAX_EPIPOLAR_PX: f64 = 1.0;
 
 /// Positions of a feature in another camera's two frames around an instant, pixels: in the frame nearer in time, and in

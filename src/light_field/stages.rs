@@ -108,9 +108,9 @@ impl ImageMethod {
 /// Origin of the cameras' images at an instant.
 #[derive(Clone, Copy, Debug)]
 pub enum Images<'a> {
-    /// The images are synchronized from the capture's frames by this method.
+    /// The cameras' images are synchronized from the capture's frames by this method.
     By(SyncMethod),
-    /// The images are given by the caller, such as true images.
+    /// The cameras' images are given by the caller, such as true images.
     Given(&'a GivenImages),
 }
 

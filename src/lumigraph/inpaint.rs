@@ -16,11 +16,12 @@ const AVERAGED_PX: usize = 6;
 /// Visibility, in the cameras, of the surface point that a pixel of the view shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum PointVisibility {
-    /// At least one camera sees the point.
+    /// At least one camera sees the pixel's surface point.
     Visible,
-    /// The point lies in the image of at least one camera. In every such image, a nearer surface occludes it.
+    /// The pixel's surface point lies in the image of at least one camera. In every such image, a nearer surface
+    /// occludes the point.
     Occluded,
-    /// The point lies outside the images of all cameras.
+    /// The pixel's surface point lies outside the images of all cameras.
     OutOfView,
 }
 

@@ -55,9 +55,9 @@ pub(super) struct RayCone {
     sine: f32,
     /// Cosine of the largest angle between one of the rays and the cone's axis.
     cosine: f32,
-    /// Length of the longest ray (x, y, 1).
+    /// Length of the longest of the rays (x, y, 1) that the cone contains.
     longest: f32,
-    /// Smallest inverse depth of the pixels, 1/m.
+    /// Smallest inverse depth of the pixels whose rays the cone contains, 1/m.
     farthest: f32,
 }
 

@@ -39,19 +39,19 @@ pub(super) const SPAN_PX: usize = 64;
 /// Positions, penalties, confidences and weights, in one source camera, of the surface points that a span of
 /// neighbouring pixels of the view shows.
 pub(super) struct SourceSpan {
-    /// Horizontal positions of the points in the source's image, pixels.
+    /// Horizontal positions of the span's surface points in the source's image, pixels.
     pub x: [f32; SPAN_PX],
-    /// Vertical positions of the points in the source's image, pixels.
+    /// Vertical positions of the span's surface points in the source's image, pixels.
     pub y: [f32; SPAN_PX],
-    /// Penalties of the source at the points: infinite where the source doesn't see the point, and 0 if the source
-    /// stands at the view's centre. Where any source has the penalty 0, only the sources with the penalty 0 are
-    /// blended, weighted by their confidence.
+    /// Penalties of the source at the span's surface points: infinite where the source doesn't see the point, and 0 if
+    /// the source stands at the view's centre. Where any source has the penalty 0, only the sources with the penalty 0
+    /// are blended, weighted by their confidence.
     pub penalty: [f32; SPAN_PX],
-    /// Confidences of the source in the points: 1 inside the image, 0 outside, and less than 1 near the image's border
-    /// and for occluded points.
+    /// Confidences of the source in the span's surface points: 1 inside the image, 0 outside, and less than 1 near the
+    /// image's border and for occluded points.
     pub confidence: [f32; SPAN_PX],
-    /// Blending weights of the source at the points. Over all sources, the weights of a pixel sum to 1, or to 0 where
-    /// no source sees the point.
+    /// Blending weights of the source at the span's surface points. Over all sources, the weights of a pixel sum to 1,
+    /// or to 0 where no source sees the point.
     pub weight: [f32; SPAN_PX],
 }
 

@@ -164,12 +164,12 @@ fn filled_from_background(values: &[f32], width: usize) -> Vec<f32> {
 
 /// Surface point of a camera's pixel, projected into the view.
 struct DepthSplat {
-    /// Horizontal position in the view, pixels; NaN if the view doesn't see the point.
+    /// Horizontal position of the surface point in the view, pixels; NaN if the view doesn't see the point.
     x: f32,
     y: f32,
-    /// Size of a pixel of the view, in pixels of the camera at the point's depth; at most 1.
+    /// Size of a pixel of the view, measured in pixels of the camera at the depth of the surface point; at most 1.
     step: f32,
-    /// Inverse depth of the point in the view, 1/m.
+    /// Inverse depth of the surface point in the view, 1/m.
     inverse: f32,
 }
 
