@@ -47,7 +47,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Copy, Debug)]
 pub struct PublishOptions {
     /// First and last published instant, seconds on the reference camera's clock from the capture's start. `None`: the
-    /// time in which all cameras have frames.
+    /// time in which all cameras have frames or, if there is none, the time of the reference camera's frames.
     pub span_s: Option<(f64, f64)>,
     /// Largest width and height of the published frames, pixels. Larger frames are halved until they fit. `None`: no
     /// limit.
