@@ -24,11 +24,11 @@
 //! | the file | a regular file of at most 16 MiB, JSON, with no other fields than these |
 //! | `reference` | the id of the capture's reference camera |
 //! | `id` | the id of a camera of the capture; every camera occurs once, in any order |
-//! | `offset_s` | a number, or null; 0 for the reference. Images must be within [`Capture::reach_s`] of its images |
+//! | `offset_s` | a number, or null; 0 for the reference. Images lie within [`Capture::reach_s`] of the reference's |
 //! | `std_err_s` | null if `offset_s` is null; otherwise from 0 to [`Capture::reach_s`]; 0 for the reference |
 //! | `rate_ppm` | from −1000 to 1000, only if `offset_s` is a number; 0 or absent for a clock without drift |
 //! | `rate_std_err_ppm` | from 0 to 1000; present if and only if `rate_ppm` is |
-//! | `lost_before` | ascending indices of the camera's images, at most one per image; absent if it loses none |
+//! | `lost_before` | image indices, ascending, at most as many as there are images; absent or empty for none |
 //! | `reason` | one line of text; present if and only if `offset_s` is null |
 
 use super::offsets::{CameraOffset, Offsets};
