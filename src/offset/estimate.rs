@@ -111,7 +111,7 @@ fn initial_offsets(
 }
 
 /// The number of times that the pairs are fitted again, each time after the estimated calibration errors are
-/// subtracted from their candidates.
+/// subtracted from their offset candidates.
 const CALIBRATION_ROUNDS: usize = 3;
 
 /// Solves for all clocks together with the calibration errors. Returns the estimate of each clock, `None` for a clock

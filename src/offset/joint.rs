@@ -27,8 +27,8 @@ pub struct ClockLayout {
     pub first_s: Vec<f64>,
     /// Whether the rate of each clock is an unknown, by clock.
     pub drifts: Vec<bool>,
-    /// The frame period, seconds. Candidates whose times round to the same multiple of the period form a cluster by
-    /// time.
+    /// The frame period, seconds. Offset candidates whose times round to the same multiple of the period form a
+    /// cluster by time.
     pub frame_s: f64,
 }
 
@@ -52,7 +52,7 @@ const RATE_PRIOR: f64 = 3.0 * (1e-6 * MAX_DRIFT_PPM);
 /// The ratio of a Gaussian's standard deviation to its median absolute deviation.
 const SIGMA_OVER_MAD: f64 = 1.4826;
 
-/// Solves for all clocks by robust weighted least squares over the candidates of all pairs.
+/// Solves for all clocks by robust weighted least squares over the offset candidates of all pairs.
 ///
 /// Each pair is weighted by its information, and by a robust weight that depends on the pair's deviation from the
 /// solution. The result has an estimate for each clock, `None` for a clock that no chain of pairs connects to the
@@ -164,7 +164,7 @@ impl<'a> Unknowns<'a> {
     }
 
     /// Returns whether each pair has a single observation equation, for its estimated offset. If rates or calibration
-    /// errors are unknown, each candidate has its own equation instead.
+    /// errors are unknown, each offset candidate has its own equation instead.
     fn is_one_equation(&self) -> bool {
         self.rate.iter().all(Option::is_none) && self.from_independent.is_none()
     }
@@ -176,7 +176,7 @@ impl<'a> Unknowns<'a> {
         DMatrix::from_diagonal(&DVector::from_fn(independent, |k, _| is_calibration(k)))
     }
 
-    /// Returns the design matrix's row for the candidate with index `sample` of a pair.
+    /// Returns the design matrix's row for the offset candidate with index `sample` of a pair.
     fn sample_row(&self, pair: &PairEstimate, sample: usize) -> EquationRow {
         let s = &pair.samples[sample].0;
         let mut row = self.row(s.cameras, s.time_a_s, s.time_b_s);
@@ -219,7 +219,7 @@ impl<'a> Unknowns<'a> {
 }
 
 /// One pair's contribution to the normal equations, summed over its observation equations. There is one equation for
-/// each candidate, or a single one for the pair's estimated offset.
+/// each offset candidate, or a single one for the pair's estimated offset.
 struct PairSystem {
     /// The entries of the pair's normal matrix by (row, column). The matrix is sparse, since dense matrices for all
     /// pairs of a large array would take gigabytes.
@@ -230,7 +230,7 @@ struct PairSystem {
     mean: (DVector<f64>, f64),
     /// The standard error of the observed mean offset, seconds.
     sigma_s: f64,
-    /// The factor that scales the total information of the pair's candidates to `1 / sigma_s²`.
+    /// The factor that scales the total information of the pair's offset candidates to `1 / sigma_s²`.
     factor: f64,
 }
 

@@ -9,8 +9,9 @@ use crate::chart::{Chart, ChartPoint, Series, svg};
 /// estimated.
 ///
 /// - The offset of each pair alone, minus the jointly estimated offset.
-/// - The fraction of inliers among each pair's candidates.
-/// - The offsets from single frame triples over time, minus the jointly estimated offset.
+/// - The fraction of inliers among each pair's offset candidates.
+/// - The offsets from single frame triples (two frames of one camera, one frame of another) over time, minus the
+///   jointly estimated offset.
 /// - The distribution of the inliers' distances from their epipolar lines, for the nominal clocks and for the
 ///   estimated clocks (Fig. 23).
 ///
@@ -73,7 +74,7 @@ fn pairs(estimate: &Estimate, joint: &[Option<ClockModel>], pair_axis: &str) -> 
     }
 }
 
-/// Returns the chart of the fraction of inliers among each pair's candidates.
+/// Returns the chart of the fraction of inliers among each pair's offset candidates.
 fn inlier_fractions(estimate: &Estimate, pair_axis: &str) -> Chart {
     let fraction = |p: &PairEstimate| p.inliers as f64 / p.candidates.max(1) as f64;
     let points = estimate.pairs.iter().enumerate().map(|(k, p)| (k as f64, fraction(p)).into());
@@ -87,7 +88,8 @@ fn inlier_fractions(estimate: &Estimate, pair_axis: &str) -> Chart {
     }
 }
 
-/// Returns the chart of the offsets from single frame triples over time, minus the jointly estimated offset.
+/// Returns the chart of the offsets from single frame triples (two frames of one camera, one frame of another) over
+/// time, minus the jointly estimated offset.
 fn over_time(estimate: &Estimate, capture: &Capture, joint: &[Option<ClockModel>]) -> Chart {
     let mut series = [
         Series { label: "RANSAC and WLS (the paper's)".into(), dots: true, ..Series::default() },

@@ -9,8 +9,8 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Half-width of the window of the fit, pixels of the pyramid level.
 const RADIUS: i32 = 3;
-/// Maximum distance ([`PatchMatcher::distance`]) between the pixel's element and an element of the window that
-/// belongs to the same surface, pixels of the pyramid level.
+/// Maximum distance ([`PatchMatcher::distance`]) between the pixel's surface element and an element of the window
+/// that belongs to the same surface, pixels of the pyramid level.
 const MAX_DISTANCE_PX: f32 = 2.0;
 /// Colour difference between a neighbour and the pixel at which the colour term of the neighbour's weight falls to
 /// 1/e.
@@ -26,8 +26,8 @@ const MAX_DISPARITY_GRADIENT: f32 = 1.6;
 const MAX_MOTION_GRADIENT: f32 = 1.0;
 
 impl PatchMatcher<'_> {
-    /// Returns the least-squares fit to the elements around pixel `(x, y)` of the map. `None` if the normal equations
-    /// are singular.
+    /// Returns the least-squares fit to the surface elements around pixel `(x, y)` of the scene flow map. `None` if
+    /// the normal equations are singular.
     pub fn affine_fit(&self, map: &ElementMap, x: usize, y: usize) -> Option<Element> {
         let (width, height) = (self.own.width as i32, self.own.height as i32);
         let own = map.elements[y * self.own.width + x];

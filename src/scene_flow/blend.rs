@@ -37,7 +37,8 @@ const MIN_SHARE: f32 = 0.02;
 /// are RGB from 0 to 1.
 const COLOR: f32 = 0.06;
 
-/// Maximum number of a view's pixels that are blended at once. With eight maps, blending them takes about 60 MB.
+/// Maximum number of a view's pixels that are blended at once. With eight scene flow maps, blending them takes about
+/// 60 MB.
 const BAND_PIXELS: usize = 5 << 16;
 /// Number of pixels of a view from which the view is blended in bands of half the size.
 const LARGE_PIXELS: usize = 1 << 23;
@@ -52,7 +53,7 @@ struct Pixel {
     is_moving: bool,
 }
 
-/// What the maps show at a pixel of the view.
+/// What the scene flow maps show at a pixel of the view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shown {
     /// No splat covers the pixel.
@@ -121,8 +122,8 @@ impl Pixels {
         }
     }
 
-    /// Fills the holes of the view (pixels that no map covers), inwards ring by ring. A pixel copies its farthest
-    /// neighbour that is not a hole, since holes are disoccluded background.
+    /// Fills the holes of the view (pixels that no scene flow map covers), inwards ring by ring. A pixel copies its
+    /// farthest neighbour that is not a hole, since holes are disoccluded background.
     fn fill(&mut self, width: usize) {
         let height = self.shown.len() / width;
         let around = |k: u32| {
@@ -164,7 +165,7 @@ impl Pixels {
     }
 }
 
-/// Element that one map shows at a pixel of the view.
+/// Surface element that one scene flow map shows at a pixel of the view.
 struct ColorCandidate<'a> {
     frame: &'a FlowFrame,
     inverse_depth: f32,
@@ -244,13 +245,13 @@ fn blend_rows(
     pixels.motions.iter_mut().for_each(|motions| motions.extend(rows.iter().flatten().copied()));
 }
 
-/// Returns the largest disparity of an inverse depth of 1/m among the maps, pixels.
+/// Returns the largest disparity of an inverse depth of 1/m among the scene flow maps, pixels.
 fn disparity_px(mapped: &[MappedFrame]) -> f32 {
     mapped.iter().map(|m| m.map.disparity_px).fold(0.0, f32::max)
 }
 
-/// Returns the mean motion at pixel `k` of the blended rows, over the elements whose inverse depth is within `reach`
-/// of `inverse_depth`, both in 1/m.
+/// Returns the mean motion at pixel `k` of the blended rows, over the surface elements whose inverse depth is within
+/// `reach` of `inverse_depth`, both in 1/m.
 fn motion_of<'a>(
     splats: impl Iterator<Item = &'a (&'a MappedFrame<'a>, Splat)>,
     k: usize,
@@ -279,8 +280,8 @@ fn shows_motion(frame: &FlowFrame, [x, y]: [f32; 2]) -> bool {
     frame.is_moving(inside(y, height) * width + inside(x, width))
 }
 
-/// Renders the view at `time`, in frames of the reference camera since the capture's start. `confidences` are the
-/// confidences of the maps, as [`confidences`](super::confidences) returns them.
+/// Renders the view at `time`, in frame periods of the reference camera since the capture's start. `confidences` are
+/// the confidences of the scene flow maps, as [`confidences`](super::confidences) returns them.
 ///
 /// A hole that lies inside some camera's image is filled with the background beside it. Pixels outside all images are
 /// not covered. If `with_motion` is true, the result has the motion of the surfaces too.

@@ -8,23 +8,24 @@ use super::geometry::Projection;
 use super::map::ElementMap;
 use super::timing::TimeBetween;
 
-/// Maximum time between two frames whose maps are compared, frames of the reference camera.
+/// Maximum time between two frames whose scene flow maps are compared, in frame periods of the reference camera.
 const MAX_DT: f32 = 0.8;
-/// Maximum motion of an element between its frame and the other map's frame, pixels. If the motion is larger, the map
-/// is not compared, since a small error of the velocity would move the element off a thin body.
+/// Maximum motion of a surface element between its frame and the other scene flow map's frame, pixels. If the motion
+/// is larger, the map is not compared, since a small error of the velocity would move the element off a thin body.
 const MAX_MOTION_PX: f32 = 8.0;
-/// Upper bound of the difference between an element and another map, pixels. The difference is the difference in
-/// disparity plus the difference in motion over half a frame.
+/// Upper bound of the difference between a surface element and another scene flow map, pixels. The difference is the
+/// difference in disparity plus the difference in motion over half a frame.
 const MAX_DIFFERENCE_PX: f32 = 4.0;
-/// Difference in disparity from which an element of a map occludes an element behind it, pixels.
+/// Difference in disparity from which a surface element of a scene flow map occludes an element behind it, pixels.
 const HIDING_PX: f32 = 1.0;
-/// Difference that is assumed between an element and a map in which the element is occluded, pixels.
+/// Difference that is assumed between a surface element and a scene flow map in which the element is occluded,
+/// pixels.
 const HIDDEN_PX: f32 = 0.3;
-/// Number of assumed maps with a difference of 0 that are added to the mean, so that one map alone has little
-/// influence.
+/// Number of assumed scene flow maps with a difference of 0 that are added to the mean, so that one map alone has
+/// little influence.
 const PRIOR_MAPS: f32 = 2.0;
 
-/// Copy of a map's inverse depths and velocities, row by row.
+/// Copy of a scene flow map's inverse depths and velocities, row by row.
 pub struct Snapshot {
     width: usize,
     height: usize,
@@ -47,21 +48,21 @@ impl Snapshot {
     }
 }
 
-/// Map of another frame, with the time and the projection from the estimated frame to that frame.
+/// Scene flow map of another frame, with the time and the projection from the estimated frame to that frame.
 struct OtherMap<'a> {
     time: TimeBetween,
     projection: Projection,
     map: &'a Snapshot,
 }
 
-/// Maps of the other frames, as they were before the current pass.
+/// Scene flow maps of the other frames, as they were before the current pass.
 pub struct OtherMaps<'a> {
     maps: Vec<OtherMap<'a>>,
     disparity_px: f32,
 }
 
 impl<'a> OtherMaps<'a> {
-    /// Collects the maps with which the map of frame `of` is compared: those of other frames near in time.
+    /// Collects the scene flow maps with which the map of frame `of` is compared: those of other frames near in time.
     /// `disparity_px` is the disparity of an inverse depth of 1/m, pixels.
     pub fn new(
         frames: &[&FlowFrame],
@@ -78,9 +79,9 @@ impl<'a> OtherMaps<'a> {
         Self { maps: snapshots.iter().enumerate().filter_map(other).collect(), disparity_px }
     }
 
-    /// Returns the mean difference, pixels, between an element at pixel `[x, y]` of its frame and the other maps into
-    /// which it projects. The difference from one map is the difference in disparity plus the difference in motion
-    /// over half a frame. The result is 0 if the element projects into no other image.
+    /// Returns the mean difference, pixels, between a surface element at pixel `[x, y]` of its frame and the other
+    /// scene flow maps into which it projects. The difference from one map is the difference in disparity plus the
+    /// difference in motion over half a frame. The result is 0 if the element projects into no other image.
     pub fn difference(&self, e: &Element, [x, y]: [f32; 2]) -> f32 {
         let (mut sum, mut count) = (0.0, 0.0);
         let speed = e.speed();
@@ -99,8 +100,8 @@ impl<'a> OtherMaps<'a> {
         sum / (count + PRIOR_MAPS)
     }
 
-    /// Returns the smallest difference, pixels, between the element `here` and the elements of the four pixels around
-    /// `[u, v]`, a position inside the map.
+    /// Returns the smallest difference, pixels, between the surface element `here` and the elements of the four
+    /// pixels around `[u, v]`, a position inside the scene flow map.
     fn least_difference(&self, map: &Snapshot, [u, v]: [f32; 2], here: &Element) -> f32 {
         let around = |at: f32, size: usize| {
             let first = (at - 0.5) as usize; // saturates

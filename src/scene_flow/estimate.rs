@@ -12,18 +12,18 @@ use rayon::prelude::*;
 
 /// Number of PatchMatch passes at each pyramid level, finest level first. The last entry is for all coarser levels.
 const PASSES: [usize; 4] = [2, 2, 3, 4];
-/// Number of random elements that are tried per pixel in each pass, by pyramid level, finest level first. The last
-/// entry is for all coarser levels.
+/// Number of random surface elements that are tried per pixel in each pass, by pyramid level, finest level first. The
+/// last entry is for all coarser levels.
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
 
-/// Coarsest pyramid level at which the last pass compares the maps of different frames with each other
+/// Coarsest pyramid level at which the last pass compares the scene flow maps of different frames with each other
 /// ([`OtherMaps`]).
 const COARSEST_COMPARED: usize = 1;
 
-/// Estimation of the maps of several frames together. The maps propose elements to each other.
+/// Estimation of the scene flow maps of several frames together. The maps propose surface elements to each other.
 pub struct Estimation<'a> {
-    /// The frames whose maps are estimated, each with the frames with which it is matched. At most 16 of the latter
-    /// are used.
+    /// The frames whose scene flow maps are estimated, each with the frames with which it is matched. At most 16 of
+    /// the latter are used.
     pub frames: &'a [(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)],
     pub limits: Limits,
     /// Baseline to which all disparities refer, metres: twice the distance between neighbouring cameras.
@@ -31,9 +31,9 @@ pub struct Estimation<'a> {
 }
 
 impl Estimation<'_> {
-    /// Estimates the frames' maps, and returns them in the order of [`Self::frames`]. The maps do not depend on the
-    /// number of threads. `proceed` is called before every pass. If it returns false, the estimation ends with an
-    /// empty result.
+    /// Estimates the frames' scene flow maps, and returns them in the order of [`Self::frames`]. The maps do not
+    /// depend on the number of threads. `proceed` is called before every pass. If it returns false, the estimation
+    /// ends with an empty result.
     pub fn run(&self, proceed: &(dyn Fn() -> bool + Sync)) -> Vec<FlowMap> {
         let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| f.frame).collect();
         let disparities_px: Vec<f32> = frames.iter().map(|f| self.disparity_px(f)).collect();
@@ -108,8 +108,8 @@ impl Estimation<'_> {
         (frame.view.focal_px() * self.baseline_m) as f32
     }
 
-    /// Returns the initial map of frame `f` at a pyramid level. Its elements are those of the coarser level. At the
-    /// coarsest level, they have random depths and no motion.
+    /// Returns the initial scene flow map of frame `f` at a pyramid level. Its surface elements are those of the
+    /// coarser level. At the coarsest level, they have random depths and no motion.
     fn begin(&self, f: usize, level: usize, coarser: Option<&ElementMap>) -> ElementMap {
         let image = &self.frames[f].0.levels[level];
         let (width, height) = (image.width, image.height);
@@ -140,7 +140,7 @@ fn observations<'a>(
     others.iter().filter_map(|o| ObservingFrame::new(*f, *o)).take(MAX_OBSERVATIONS).collect()
 }
 
-/// Returns the index of the pixel of a coarser map that contains pixel `(x, y)` of the next finer level.
+/// Returns the index of the pixel of a coarser scene flow map that contains pixel `(x, y)` of the next finer level.
 fn parent(coarser: &ElementMap, x: usize, y: usize) -> usize {
     (y / 2).min(coarser.height - 1) * coarser.width + (x / 2).min(coarser.width - 1)
 }

@@ -120,11 +120,11 @@ fn halved_still(finer: &MatchingImage) -> Vec<bool> {
 pub struct FlowFrame {
     /// Pinhole camera to which the image is resampled.
     pub view: Camera,
-    /// Time since the capture's start, in frames of the reference camera. With a rolling shutter, it is the time of
-    /// the middle row.
+    /// Time since the capture's start, in frame periods of the reference camera. With a rolling shutter, it is the
+    /// time of the middle row.
     pub time: f64,
-    /// Time from one row to the next, in frames of the reference camera; 0 for a global shutter. The rows are those
-    /// of the pinhole camera, so the time is only approximate for a lens with distortion.
+    /// Time from one row to the next, in frame periods of the reference camera; 0 for a global shutter. The rows are
+    /// those of the pinhole camera, so the time is only approximate for a lens with distortion.
     pub row_time: f64,
     pub is_color: bool,
     /// Image of the pinhole camera with 3 channels, corrected to the reference camera's exposure.
@@ -155,7 +155,7 @@ pub fn levels(width: usize, height: usize) -> usize {
 
 impl FlowFrame {
     /// Creates a frame from a camera's image. The image must already be corrected to the reference camera's exposure.
-    /// `time` is in frames of the reference camera. The shutter is global.
+    /// `time` is in frame periods of the reference camera. The shutter is global.
     pub fn new(camera: &Camera, image: &Image, time: f64) -> Self {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let view = Camera { model: CameraModel::Pinhole { fx, fy, cx, cy }, ..camera.clone() };
@@ -170,8 +170,8 @@ impl FlowFrame {
         Self { view, time, row_time: 0.0, is_color, image, is_filmed, still: None }
     }
 
-    /// Returns the frame with a rolling shutter. `row_time` is the time from one row to the next, in frames of the
-    /// reference camera.
+    /// Returns the frame with a rolling shutter. `row_time` is the time from one row to the next, in frame periods of
+    /// the reference camera.
     pub fn with_row_time(self, row_time: f64) -> Self {
         Self { row_time, ..self }
     }

@@ -22,7 +22,8 @@ const MAX_RATE_PX: f32 = 12.0;
 const DISPARITY_STEP_PX: f32 = 1.0;
 
 impl PatchMatcher<'_> {
-    /// Returns the element after one Gauss–Newton step. `None` if the normal equations have no finite solution.
+    /// Returns the surface element after one Gauss–Newton step. `None` if the normal equations have no finite
+    /// solution.
     pub fn step(&self, matched: &MatchedElement) -> Option<Element> {
         let &MatchedElement { element: e, pixel: (x, y), patch, cost, .. } = matched;
         let mut normal = Matrix6::<f64>::zeros();
@@ -77,8 +78,8 @@ impl PatchMatcher<'_> {
         })
     }
 
-    /// Returns the derivative of an element's position in an observing frame, pixels, by the element's inverse depth,
-    /// 1/m. `[x, y]` is the element's pixel in the full-resolution image.
+    /// Returns the derivative of a surface element's position in an observing frame, pixels, by the element's inverse
+    /// depth, 1/m. `[x, y]` is the element's pixel in the full-resolution image.
     #[inline(always)]
     pub fn by_inverse_depth(&self, e: &Element, [x, y]: [f32; 2], o: &ObservingFrame) -> [f32; 2] {
         let [mx, my, q] = e.moved(x, y, o.time.of_element(e, (x, y), &o.projection));

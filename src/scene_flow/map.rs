@@ -11,7 +11,7 @@ pub struct ElementMap {
     /// Side of a pixel of the map, in pixels of the full-resolution image.
     pub scale: f32,
     pub elements: Vec<Element>,
-    /// Matching cost of each element, without the smoothness and consistency costs.
+    /// Matching cost of each surface element, without the smoothness and consistency costs.
     pub costs: Vec<f32>,
 }
 
@@ -29,7 +29,8 @@ impl ElementMap {
         is_inside.then(|| v as usize * self.width + u as usize)
     }
 
-    /// Returns the element of pixel `k`, extrapolated to a nearby position of the full-resolution image, pixels.
+    /// Returns the surface element of pixel `k`, extrapolated to a nearby position of the full-resolution image,
+    /// pixels.
     pub fn element_at(&self, k: usize, [x, y]: [f32; 2]) -> Element {
         let [cx, cy] = self.center(k);
         self.elements[k].at(x - cx, y - cy)
@@ -40,10 +41,10 @@ impl ElementMap {
 const STEPS: f32 = 64.0;
 /// Number of quantization steps in the search range of inverse depths.
 const DEPTH_STEPS: f32 = u16::MAX as f32;
-/// Maximum difference between neighbouring elements of the same surface, pixels: the difference in disparity plus the
-/// difference in motion over [`JUMP_FRAMES`].
+/// Maximum difference between neighbouring surface elements of the same surface, pixels: the difference in disparity
+/// plus the difference in motion over [`JUMP_FRAMES`].
 const MAX_JUMP_PX: f32 = 1.0;
-/// Time over which the motions of two neighbouring elements are compared, frames ([`MAX_JUMP_PX`]).
+/// Time over which the motions of two neighbouring surface elements are compared, frames ([`MAX_JUMP_PX`]).
 const JUMP_FRAMES: f32 = 0.5;
 
 /// Number of quantization steps by which a standard error doubles.
@@ -115,7 +116,7 @@ impl FlowPixel {
         [self.edges, self.errors[0], self.errors[1]]
     }
 
-    /// Returns the standard errors of the pixel's element at the time of the map's frame.
+    /// Returns the standard errors of the pixel's surface element at the time of the map's frame.
     #[inline(always)]
     pub fn errors(&self) -> ElementErrors {
         let [disparity_px, velocity_px] = self.errors.map(error_from_code);
@@ -161,7 +162,7 @@ impl FlowMap {
         Self { width: map.width, height: map.height, disparity_px, inverse_depth, pixels }
     }
 
-    /// Returns the map with the given standard errors of its elements, which are in row order.
+    /// Returns the map with the given standard errors of its surface elements, which are in row order.
     pub(super) fn with_errors(mut self, errors: &[ElementErrors]) -> Self {
         for (pixel, errors) in self.pixels.iter_mut().zip(errors) {
             pixel.errors = [errors.disparity_px, errors.velocity_px].map(code_from_error);

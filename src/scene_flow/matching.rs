@@ -14,23 +14,23 @@ const TRUNCATION: MatchingSample = [0.12, 0.084, 0.084, 0.084];
 /// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
 const RESIDUAL: f32 = 0.05;
 /// Fraction of the observing frames whose costs are averaged. The frames with the smallest costs are used. In the
-/// others, the element may be occluded.
+/// others, the surface element may be occluded.
 const BEST_FRACTION: f32 = 0.55;
 /// Minimum number of observing frames whose costs are averaged.
 const MIN_BEST: usize = 3;
-/// Upper bound of the cost in a frame whose image contains the element. Larger costs mark frames with the element
-/// outside their image.
+/// Upper bound of the cost in a frame whose image contains the surface element. Larger costs mark frames with the
+/// element outside their image.
 const OUTSIDE: f32 = 1.0;
-/// Cost of an observing frame in which the element is outside the image, if that frame is among the averaged ones.
-/// The value lies between the cost of a match and the cost of a mismatch.
+/// Cost of an observing frame in which the surface element is outside the image, if that frame is among the averaged
+/// ones. The value lies between the cost of a match and the cost of a mismatch.
 const OUTSIDE_COST: f32 = 0.19;
-/// Cost that is added for an element outside the images of all observing frames. If the element is outside some of
-/// the images, the same fraction of this cost is added.
+/// Cost that is added for a surface element outside the images of all observing frames. If the element is outside
+/// some of the images, the same fraction of this cost is added.
 const OUTSIDE_PENALTY: f32 = 0.02;
 /// Maximum number of observing frames for each matched frame.
 pub const MAX_OBSERVATIONS: usize = 16;
 
-/// A frame in which the elements of the matched frame are observed.
+/// A frame in which the surface elements of the matched frame are observed.
 pub struct ObservingFrame<'a> {
     /// Time from a pixel of the matched frame to a pixel of this frame.
     pub time: TimeBetween,
@@ -56,10 +56,10 @@ impl<'a> ObservingFrame<'a> {
     }
 }
 
-/// Matching cost of an element in each observing frame.
+/// Matching cost of a surface element in each observing frame.
 pub type Costs = [f32; MAX_OBSERVATIONS];
 
-/// An element at a pixel of the pyramid level, with its patch and matching costs.
+/// A surface element at a pixel of the pyramid level, with its patch and matching costs.
 pub struct MatchedElement<'a> {
     pub element: &'a Element,
     pub pixel: (usize, usize),
@@ -90,7 +90,7 @@ struct Footprint {
     down: [f32; 2],
 }
 
-/// An element at a position `(x, y)` of the matched frame, in pixels of the full-resolution image.
+/// A surface element at a position `(x, y)` of the matched frame, in pixels of the full-resolution image.
 struct PlacedElement<'a> {
     matcher: &'a PatchMatcher<'a>,
     element: &'a Element,
@@ -127,7 +127,7 @@ impl PlacedElement<'_> {
 struct SortedCosts {
     sorted: [f32; MAX_OBSERVATIONS],
     count: usize,
-    /// Number of evaluated frames whose image contains the element.
+    /// Number of evaluated frames whose image contains the surface element.
     inside: usize,
 }
 
@@ -166,7 +166,7 @@ impl SortedCosts {
     }
 }
 
-/// Computes the matching cost of an element, as [`PatchMatcher::cost`] describes.
+/// Computes the matching cost of a surface element, as [`PatchMatcher::cost`] describes.
 #[inline(always)]
 fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut Costs) -> f32 {
     let matcher = placed.matcher;
@@ -342,9 +342,9 @@ impl PatchMatcher<'_> {
         patch.fill(self.own, (x, y), self.level == 0);
     }
 
-    /// Returns the matching cost of an element at pixel `(x, y)` of the pyramid level: the mean of the smallest costs
-    /// in the observing frames. Fills `costs` with the cost in each observing frame. Returns infinity as soon as the
-    /// mean is certain to exceed `limit`.
+    /// Returns the matching cost of a surface element at pixel `(x, y)` of the pyramid level: the mean of the
+    /// smallest costs in the observing frames. Fills `costs` with the cost in each observing frame. Returns infinity
+    /// as soon as the mean is certain to exceed `limit`.
     #[inline(always)]
     pub fn cost(
         &self,
@@ -357,8 +357,8 @@ impl PatchMatcher<'_> {
         cost_below(&self.placed(e, x, y), patch, limit, costs)
     }
 
-    /// Returns the fraction of the observing frames that show static background at the element's projection. Frames
-    /// whose image does not contain the projection don't count.
+    /// Returns the fraction of the observing frames that show static background at the surface element's projection.
+    /// Frames whose image does not contain the projection don't count.
     #[inline(always)]
     pub fn still_fraction(&self, e: &Element, (x, y): (usize, usize)) -> f32 {
         let (mut still, mut inside) = (0u32, 0u32);
@@ -403,8 +403,8 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Returns a distance between two elements at one pixel, in pixels of the pyramid level: a weighted sum of the
-    /// differences in disparity, velocity, rate of disparity and acceleration.
+    /// Returns a distance between two surface elements at one pixel, in pixels of the pyramid level: a weighted sum
+    /// of the differences in disparity, velocity, rate of disparity and acceleration.
     #[inline(always)]
     pub fn distance(&self, a: &Element, b: &Element) -> f32 {
         let change = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs() + (a[1] - b[1]).abs();

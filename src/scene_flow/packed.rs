@@ -12,9 +12,9 @@ use std::io::{Read, Write};
 /// Compression level of Deflate. Higher levels take three times as long, and save a twentieth of the size.
 const LEVEL: u32 = 3;
 
-/// Map with compressed pixels. The bytes are compressed in planes, channel by channel. A 16-bit channel has all its
-/// low bytes before all its high bytes, and each value is stored as the difference from the previous pixel's value.
-/// The 8-bit channels follow as they are.
+/// Scene flow map with compressed pixels. The bytes are compressed in planes, channel by channel. A 16-bit channel
+/// has all its low bytes before all its high bytes, and each value is stored as the difference from the previous
+/// pixel's value. The 8-bit channels follow as they are.
 #[derive(Serialize, Deserialize)]
 struct PackedMap {
     width: usize,
@@ -50,7 +50,7 @@ impl PackedMap {
         Self { width, height, disparity_px, inverse_depth, deflated: deflated.unwrap_or_default() }
     }
 
-    /// Returns the decompressed map. `None` if the bytes are damaged.
+    /// Returns the decompressed scene flow map. `None` if the bytes are damaged.
     fn unpacked(self) -> Option<FlowMap> {
         let Self { width, height, disparity_px, inverse_depth, deflated } = self;
         let count = width.checked_mul(height)?;
@@ -80,7 +80,7 @@ impl PackedMap {
 }
 
 impl FlowMap {
-    /// Returns an upper bound on the size of a camera's stored map, bytes.
+    /// Returns an upper bound on the size of a camera's stored scene flow map, bytes.
     pub fn max_stored_bytes(camera: &Camera) -> usize {
         let bytes = camera.width * camera.height * FlowPixel::BYTES;
         // Deflate adds at most 5 bytes per 16 KiB of incompressible data.

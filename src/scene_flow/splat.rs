@@ -15,39 +15,40 @@ const HALF_WIDTH_AT_EDGE: f32 = 0.5;
 /// Minimum and maximum magnification of a splat due to the change of depth from the frame to the view. The ratio of
 /// the focal lengths is a further factor.
 const SCALES: [f32; 2] = [0.8, 8.0];
-/// Difference in disparity from which a nearer element occludes a farther one, pixels.
+/// Difference in disparity from which a nearer surface element occludes a farther one, pixels.
 const HIDING_PX: f32 = 0.5;
-/// Constant part of the expected error of an element's position, pixels.
+/// Constant part of the expected error of a surface element's position, pixels.
 const ERROR_PX: f32 = 0.2;
-/// Expected error of an element's position due to the distance of the cameras, pixels, per pixel of disparity between
-/// the frame's camera and the view.
+/// Expected error of a surface element's position due to the distance of the cameras, pixels, per pixel of disparity
+/// between the frame's camera and the view.
 const ERROR_BY_BASELINE: f32 = 0.005;
-/// Expected errors of an element's position per frame of time between the frame and the view's instant: a constant
-/// part, pixels, and a part per unit of speed (pixel per frame).
+/// Expected errors of a surface element's position per frame of time between the frame and the view's instant: a
+/// constant part, pixels, and a part per unit of speed (pixel per frame).
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
-/// Expected error of an element's position as a fraction of acceleration times squared time, since real paths are not
-/// parabolas.
+/// Expected error of a surface element's position as a fraction of acceleration times squared time, since real paths
+/// are not parabolas.
 const ERROR_BY_CURVATURE: f32 = 0.1;
 /// Expected error due to the distance of the cameras and to the time from frame to instant, pixels, below which a
 /// frame's weight rises steeply. A view from a camera's own place at a frame's own time thus shows that frame.
 const EXACT_PX: f32 = 0.01;
 
-/// Map rendered into some rows of a view. Its public fields have one value per pixel, row by row.
+/// Scene flow map rendered into some rows of a view. Its public fields have one value per pixel, row by row.
 pub struct Splat {
     /// Inverse depth in the view, 1/m.
     pub inverse_depths: Vec<f32>,
     /// Position in the frame from which the pixel's colour is read, pixels.
     pub sources: Vec<[f32; 2]>,
-    /// Blending weight of each pixel, from confidence and expected error; 0 where the map covers nothing.
+    /// Blending weight of each pixel, from confidence and expected error; 0 where the scene flow map covers nothing.
     pub weights: Vec<f32>,
-    /// Distance between each pixel's centre and the projection of its element (maximum norm), pixels.
+    /// Distance between each pixel's centre and the projection of its surface element (maximum norm), pixels.
     distances: Vec<f32>,
     projection: Projection,
-    /// For each row of the map, the time from the row to the view's instant, in frames of the reference camera.
+    /// For each row of the scene flow map, the time from the row to the view's instant, in frame periods of the
+    /// reference camera.
     row_dt: Vec<f32>,
     width: usize,
     rows: Range<usize>,
-    /// Difference in inverse depth from which a nearer element occludes a farther one, 1/m.
+    /// Difference in inverse depth from which a nearer surface element occludes a farther one, 1/m.
     hiding: f32,
 }
 
@@ -55,7 +56,7 @@ pub struct Splat {
 #[derive(Clone, Copy)]
 struct ToView {
     projection: Projection,
-    /// Time from the row to the view's instant, in frames of the reference camera.
+    /// Time from the row to the view's instant, in frame periods of the reference camera.
     dt: f32,
     /// Ratio of the view's focal length to the focal length of the frame's camera.
     zoom: f32,
@@ -63,7 +64,7 @@ struct ToView {
     place_error: f32,
 }
 
-/// Elements of one row of a map, projected into the view. Positions are pixels.
+/// Surface elements of one row of a scene flow map, projected into the view. Positions are pixels.
 struct Row {
     x: Vec<f32>,
     y: Vec<f32>,
@@ -71,9 +72,9 @@ struct Row {
     /// Size of each splat, relative to its size in the frame.
     scale: Vec<f32>,
     weight: Vec<f32>,
-    /// Magnitude of each element's velocity, pixels per frame.
+    /// Magnitude of each surface element's velocity, pixels per frame.
     speed: Vec<f32>,
-    /// Magnitude of each element's acceleration, pixels per squared frame.
+    /// Magnitude of each surface element's acceleration, pixels per squared frame.
     acceleration: Vec<f32>,
 }
 
@@ -91,8 +92,8 @@ impl Row {
         }
     }
 
-    /// Moves the elements of row `y` of a map by `dt` frames. The resulting positions are in the frame's own camera,
-    /// pixels.
+    /// Moves the surface elements of row `y` of a scene flow map by `dt` frames. The resulting positions are in the
+    /// frame's own camera, pixels.
     #[inline(always)]
     fn move_elements(&mut self, map: &FlowMap, y: usize, dt: f32) {
         let pixels = &map.pixels()[y * map.width..][..self.x.len()];
@@ -106,7 +107,7 @@ impl Row {
         }
     }
 
-    /// Projects the moved elements into the view, and computes their scales and weights.
+    /// Projects the moved surface elements into the view, and computes their scales and weights.
     #[inline(always)]
     fn project(&mut self, to: &ToView, confidences: &[u8]) {
         let n = self.x.len();
@@ -144,9 +145,9 @@ multiversion! {
 }
 
 impl Splat {
-    /// Splats a map into the rows `rows` of a view at `time`, in frames of the reference camera since the capture's
-    /// start. `confidences` are the confidences of the map's pixels. `None` if the intrinsic matrix of the frame's
-    /// camera is singular.
+    /// Splats a scene flow map into the rows `rows` of a view at `time`, in frame periods of the reference camera
+    /// since the capture's start. `confidences` are the confidences of the map's pixels. `None` if the intrinsic
+    /// matrix of the frame's camera is singular.
     pub fn new(
         mapped: MappedFrame,
         confidences: &[u8],
@@ -191,7 +192,8 @@ impl Splat {
         Some(splat)
     }
 
-    /// Returns the motion, in the view and at the view's instant, of the element at a position of the frame, pixels.
+    /// Returns the motion, in the view and at the view's instant, of the surface element at a position of the frame,
+    /// pixels.
     pub fn motion(&self, map: &FlowMap, [x, y]: [f32; 2]) -> SurfaceMotion {
         let column = (x.max(0.0) as usize).min(map.width - 1);
         let row = (y.max(0.0) as usize).min(map.height - 1);
@@ -215,7 +217,7 @@ impl Splat {
         }
     }
 
-    /// Adds the splat of element `x` of row `y`. Parts outside the view are clipped.
+    /// Adds the splat of surface element `x` of row `y`. Parts outside the view are clipped.
     #[inline(always)]
     fn add(&mut self, row: &Row, x: usize, y: usize, pixel: &FlowPixel) {
         let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);

@@ -10,47 +10,49 @@ use super::patch::{Patch, color_difference};
 use super::transfer::Proposals;
 use crate::random::Random;
 
-/// Smoothness cost per pixel of distance ([`PatchMatcher::distance`]) between the elements of two neighbouring
-/// pixels.
+/// Smoothness cost per pixel of distance ([`PatchMatcher::distance`]) between the surface elements of two
+/// neighbouring pixels.
 const SMOOTHNESS: f32 = 0.004;
-/// Distance between the elements of two neighbouring pixels at which the smoothness cost is truncated, pixels of the
-/// pyramid level.
+/// Distance between the surface elements of two neighbouring pixels at which the smoothness cost is truncated, pixels
+/// of the pyramid level.
 const MAX_ROUGHNESS_PX: f32 = 2.0;
 /// Colour difference of two neighbouring pixels at which the colour term of the smoothness weight falls to 1/e.
 const COLOR: f32 = 0.08;
 /// Part of the smoothness weight that is added to the colour term, so that neighbours of any colour have some
 /// smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Matching cost below which a pixel's element is good. For such a pixel no random elements are tried. The pixel can
-/// also be settled, so that later passes skip it.
+/// Matching cost below which a pixel's surface element is good. For such a pixel no random elements are tried. The
+/// pixel can also be settled, so that later passes skip it.
 const MATCHED: f32 = 0.012;
-/// Distance ([`PatchMatcher::distance`]) below which two elements count as equal, pixels of the pyramid level.
+/// Distance ([`PatchMatcher::distance`]) below which two surface elements count as equal, pixels of the pyramid
+/// level.
 const SAME_PX: f32 = 0.08;
-/// Speed below which an element counts as static, pixels per frame. It is also the maximum distance between the
-/// element of a settled pixel and the elements of its neighbours, pixels of the pyramid level.
+/// Speed below which a surface element counts as static, pixels per frame. It is also the maximum distance between
+/// the element of a settled pixel and the elements of its neighbours, pixels of the pyramid level.
 const STILL_PX: f32 = 0.3;
-/// Speed of an element, pixels per frame, from which its copy without motion is not tried at the finest level.
+/// Speed of a surface element, pixels per frame, from which its copy without motion is not tried at the finest level.
 const MAX_SPEED_TO_REST_PX: f32 = 4.0;
-/// Fraction of the random elements that are drawn from the whole search range at coarse levels. The other random
-/// elements are near the current element.
+/// Fraction of the random surface elements that are drawn from the whole search range at coarse levels. The other
+/// random elements are near the current element.
 const ANYWHERE: f32 = 0.7;
-/// Fraction of the random elements from the whole search range that have no motion.
+/// Fraction of the random surface elements from the whole search range that have no motion.
 const AT_REST: f32 = 0.15;
-/// Fraction of the random elements from the whole search range that keep the pixel's current depth.
+/// Fraction of the random surface elements from the whole search range that keep the pixel's current depth.
 const KEEP_DEPTH: f32 = 0.3;
-/// Maximum size of a random change of an element, pixels of the pyramid level.
+/// Maximum size of a random change of a surface element, pixels of the pyramid level.
 const MAX_CHANCE_PX: f32 = 4.0;
-/// Finest pyramid level at which random elements are drawn from the whole search range.
+/// Finest pyramid level at which random surface elements are drawn from the whole search range.
 const COARSE_LEVEL: usize = 2;
 
-/// Cost per pixel of difference between an element and the other frames' maps ([`OtherMaps::difference`]).
+/// Cost per pixel of difference between a surface element and the other frames' scene flow maps
+/// ([`OtherMaps::difference`]).
 const INCONSISTENCY: f32 = 0.02;
-/// Difference between an element and the other frames' maps up to which the element is consistent, pixels. Then the
-/// maps add no cost.
+/// Difference between a surface element and the other frames' scene flow maps up to which the element is consistent,
+/// pixels. Then the maps add no cost.
 const CONSISTENT_PX: f32 = 1.5;
 
-/// Cost of a moving element that projects onto static background in all observing frames. If it does so in some of
-/// them, the same fraction of this cost is added.
+/// Cost of a moving surface element that projects onto static background in all observing frames. If it does so in
+/// some of them, the same fraction of this cost is added.
 const SILHOUETTE: f32 = 0.3;
 
 /// Cost of the nearest depth for a pixel that shows static background. The cost is linear in the inverse depth, and 0
@@ -73,16 +75,16 @@ impl Limits {
     }
 }
 
-/// Parameters of one pass of PatchMatch over a map.
+/// Parameters of one pass of PatchMatch over a scene flow map.
 pub struct Pass<'a> {
     pub limits: Limits,
     /// Number of passes already done at this pyramid level.
     pub turn: usize,
     pub is_last: bool,
-    /// Number of random elements that are tried per pixel.
+    /// Number of random surface elements that are tried per pixel.
     pub chances: usize,
     pub proposals: Option<&'a Proposals>,
-    /// Maps of the other frames; `None` if this pass has no consistency cost.
+    /// Scene flow maps of the other frames; `None` if this pass has no consistency cost.
     pub others: Option<OtherMaps<'a>>,
     pub seed: u64,
 }
@@ -93,7 +95,7 @@ impl Pass<'_> {
     }
 }
 
-/// Best element of a pixel so far, with its costs.
+/// Best surface element of a pixel so far, with its costs.
 struct Best<'a, 'b> {
     matcher: &'a PatchMatcher<'b>,
     map: &'a ElementMap,
@@ -104,16 +106,16 @@ struct Best<'a, 'b> {
     match_cost: f32,
     cost: f32,
     costs: Costs,
-    /// Maps of the other frames, if they contradict the pixel's initial element. Otherwise `None`, and the pixel has
-    /// no consistency cost.
+    /// Scene flow maps of the other frames, if they contradict the pixel's initial surface element. Otherwise `None`,
+    /// and the pixel has no consistency cost.
     others: Option<&'a OtherMaps<'a>>,
     /// Whether the pixel shows static background; `None` if this is unknown.
     is_still: Option<bool>,
 }
 
 impl Best<'_, '_> {
-    /// Replaces the pixel's element by the proposal if this lowers the total cost: the sum of the costs of matching,
-    /// smoothness, consistency and static background.
+    /// Replaces the pixel's surface element by the proposal if this lowers the total cost: the sum of the costs of
+    /// matching, smoothness, consistency and static background.
     #[inline(always)]
     fn consider(&mut self, proposal: Element) {
         if !self.limits.contain(&proposal) {
@@ -139,7 +141,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Returns the cost of an element due to the mask of static background. A moving element has a cost if it
+    /// Returns the cost of a surface element due to the mask of static background. A moving element has a cost if it
     /// projects onto static background in other frames. A static element has a cost that increases with its nearness.
     /// The cost is 0 if the mask is unknown.
     #[inline(always)]
@@ -152,7 +154,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the elements of two adjacent pixels that this pass has already visited, and at coarse levels the
+    /// Tries the surface elements of two adjacent pixels that this pass has already visited, and at coarse levels the
     /// elements of two pixels farther away.
     fn consider_neighbors(&mut self, pass: &Pass) {
         let (x, y) = self.pixel;
@@ -168,8 +170,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the element without its motion. At the finest level, a fast element is not tried, since it can't be at
-    /// rest.
+    /// Tries the surface element without its motion. At the finest level, a fast element is not tried, since it can't
+    /// be at rest.
     fn consider_rest(&mut self) {
         let speed = self.element.speed();
         if speed > 0.0 && (self.matcher.level > 0 || speed < MAX_SPEED_TO_REST_PX) {
@@ -177,7 +179,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the elements that other frames' maps propose for pixel `k`.
+    /// Tries the surface elements that other frames' scene flow maps propose for pixel `k`.
     fn consider_proposals(&mut self, pass: &Pass, k: usize) {
         for proposal in pass.proposals.iter().flat_map(|p| p.at(k)) {
             if self.differs(&proposal) {
@@ -186,7 +188,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the affine fit to the neighbouring elements, except in the first pass at a level.
+    /// Tries the affine fit to the neighbouring surface elements, except in the first pass at a level.
     fn consider_fit(&mut self, pass: &Pass) {
         let (x, y) = self.pixel;
         if pass.turn > 0
@@ -197,7 +199,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the element after a Gauss–Newton step from the current element.
+    /// Tries the surface element after a Gauss–Newton step from the current element.
     fn consider_step(&mut self) {
         if let Some(step) = self.matcher.step(&self.matched())
             && self.matcher.distance(&step, &self.element) > 0.1 * SAME_PX
@@ -206,8 +208,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries a Gauss–Newton step if one is due: in the last pass, if this pass has changed the element from `before`,
-    /// and in the first pass for a settled pixel, since later passes skip this pixel.
+    /// Tries a Gauss–Newton step if one is due: in the last pass, if this pass has changed the surface element from
+    /// `before`, and in the first pass for a settled pixel, since later passes skip this pixel.
     fn step_if_due(&mut self, before: &Element, is_settled: bool, pass: &Pass) {
         let has_changed = self.matcher.distance(before, &self.element) > 0.0;
         if !(pass.is_last || has_changed || (is_settled && pass.turn == 0)) {
@@ -232,8 +234,8 @@ impl Best<'_, '_> {
 }
 
 impl PatchMatcher<'_> {
-    /// Returns the smoothness cost of an element: the weighted sum of its truncated distances from the elements of
-    /// the four neighbouring pixels. The weights depend on the colour difference.
+    /// Returns the smoothness cost of a surface element: the weighted sum of its truncated distances from the
+    /// elements of the four neighbouring pixels. The weights depend on the colour difference.
     #[inline(always)]
     fn roughness(&self, map: &ElementMap, e: &Element, x: usize, y: usize) -> f32 {
         let center = self.own.pixel(x, y);
@@ -257,16 +259,16 @@ impl PatchMatcher<'_> {
         (u < self.own.width && v < self.own.height).then_some((u, v))
     }
 
-    /// Returns the element of the neighbour `(u, v)`, which is `(dx, dy)` away from the pixel, extrapolated to the
-    /// pixel.
+    /// Returns the surface element of the neighbour `(u, v)`, which is `(dx, dy)` away from the pixel, extrapolated
+    /// to the pixel.
     #[inline(always)]
     fn continued(&self, map: &ElementMap, (u, v): (usize, usize), (dx, dy): (i32, i32)) -> Element {
         let element = &map.elements[v * self.own.width + u];
         element.at(-dx as f32 * self.scale, -dy as f32 * self.scale)
     }
 
-    /// Returns whether a pixel is settled: its element is well matched and static, and its neighbours have nearly the
-    /// same element.
+    /// Returns whether a pixel is settled: its surface element is well matched and static, and its neighbours have
+    /// nearly the same element.
     fn is_settled(&self, map: &ElementMap, x: usize, y: usize) -> bool {
         let k = y * self.own.width + x;
         let own = &map.elements[k];
@@ -280,9 +282,9 @@ impl PatchMatcher<'_> {
             })
     }
 
-    /// Copies the element of the top-left pixel of a 2×2 block to another pixel of the block, if the top-left pixel
-    /// is settled. Returns whether the element was copied. All four pixels began with one element of the coarser
-    /// level. The pass must be forward, so that it has already visited the top-left pixel.
+    /// Copies the surface element of the top-left pixel of a 2×2 block to another pixel of the block, if the top-left
+    /// pixel is settled. Returns whether the element was copied. All four pixels began with one element of the
+    /// coarser level. The pass must be forward, so that it has already visited the top-left pixel.
     fn is_copied(&self, map: &mut ElementMap, x: usize, y: usize) -> bool {
         let (dx, dy) = (x % 2, y % 2);
         let first = (y - dy) * self.own.width + x - dx;
@@ -299,7 +301,7 @@ impl PatchMatcher<'_> {
     }
 
     /// Returns whether all pixels of the 2×2 block that contains pixel `(x, y)` show static background. These pixels
-    /// keep the element of the coarser level.
+    /// keep the surface element of the coarser level.
     fn is_inherited(&self, x: usize, y: usize) -> bool {
         let (u, v) = (x - x % 2, y - y % 2);
         let block = [(u, v), (u + 1, v), (u, v + 1), (u + 1, v + 1)];
@@ -333,8 +335,8 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Runs one pass of PatchMatch over a map, in place. A pass with an odd `turn` visits the pixels in reverse
-    /// order.
+    /// Runs one pass of PatchMatch over a scene flow map, in place. A pass with an odd `turn` visits the pixels in
+    /// reverse order.
     pub fn pass(&self, map: &mut ElementMap, pass: &Pass) {
         let (width, pixels) = (map.width, map.elements.len());
         let mut random = Random::new(pass.seed);
@@ -396,7 +398,7 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Returns whether two elements project a patch to noticeably different positions.
+    /// Returns whether two surface elements project a patch to noticeably different positions.
     fn changes_patch(&self, a: &Element, b: &Element) -> bool {
         let r = 3.0 * self.scale;
         self.distance(a, b) > 0.4 * SAME_PX

@@ -8,7 +8,7 @@ use super::geometry::Projection;
 /// Time of an image position relative to its frame's time: a linear function of the image row.
 #[derive(Clone, Copy, Debug)]
 struct Rows {
-    /// Time from one row to the next, in frames of the reference camera; 0 for a global shutter.
+    /// Time from one row to the next, in frame periods of the reference camera; 0 for a global shutter.
     per_px: f32,
     middle_px: f32,
 }
@@ -24,11 +24,11 @@ impl Rows {
     }
 }
 
-/// Time from a pixel of one frame to a pixel of another frame, in frames of the reference camera.
+/// Time from a pixel of one frame to a pixel of another frame, in frame periods of the reference camera.
 #[derive(Clone, Copy, Debug)]
 pub struct TimeBetween {
-    /// Time from the middle row of the first frame to the middle row of the other frame, in frames of the reference
-    /// camera.
+    /// Time from the middle row of the first frame to the middle row of the other frame, in frame periods of the
+    /// reference camera.
     frames: f32,
     own: Rows,
     other: Rows,
@@ -43,15 +43,15 @@ impl TimeBetween {
         Self { frames, own: Rows::of(of), other: Rows::of(by), is_global }
     }
 
-    /// Returns the time from the middle row of the first frame to the middle row of the other frame, in frames of the
-    /// reference camera.
+    /// Returns the time from the middle row of the first frame to the middle row of the other frame, in frame periods
+    /// of the reference camera.
     #[inline(always)]
     pub fn frames(&self) -> f32 {
         self.frames
     }
 
-    /// Returns the time after which the other frame sees the element at pixel `(x, y)`, in frames of the reference
-    /// camera.
+    /// Returns the time after which the other frame sees the surface element at pixel `(x, y)`, in frame periods of
+    /// the reference camera.
     ///
     /// With a rolling shutter, the row at which the other frame sees the element depends on the time, and the time
     /// depends on the row. One secant step solves for both. The step is exact if that row changes linearly with time.
@@ -79,7 +79,7 @@ impl TimeBetween {
     }
 }
 
-/// Returns the time from row `y`, pixels, of a frame to the instant `time`, in frames of the reference camera.
+/// Returns the time from row `y`, pixels, of a frame to the instant `time`, in frame periods of the reference camera.
 pub fn until(frame: &FlowFrame, time: f64, y: f32) -> f32 {
     if frame.row_time == 0.0 {
         return (time - frame.time) as f32;
@@ -114,7 +114,7 @@ mod tests {
         assert_eq!((time.frames(), until(&of, 2.0, 7.0)), (0.25, 0.75));
     }
 
-    /// At the computed time, the element is at the row of the other frame that is exposed at this time.
+    /// At the computed time, the surface element is at the row of the other frame that is exposed at this time.
     #[test]
     fn the_time_is_that_of_the_row_that_sees_the_element() {
         let (of, by) = (frame(0.0, 0.0, 0.0, 0.012), frame(0.06, 0.05, 0.3, 0.015));

@@ -6,29 +6,30 @@ use super::geometry::Projection;
 use super::map::ElementMap;
 use super::timing::TimeBetween;
 
-/// Maximum time between two frames that propose elements to each other, frames of the reference camera.
+/// Maximum time between two frames that propose surface elements to each other, in frame periods of the reference
+/// camera.
 const MAX_PROPOSAL_DT: f32 = 1.1;
-/// Cost that is added per frame of time between the two frames. Of two equally good elements, the one from the frame
-/// nearer in time is thus preferred.
+/// Cost that is added per frame of time between the two frames. Of two equally good surface elements, the one from
+/// the frame nearer in time is thus preferred.
 const COST_PER_FRAME: f32 = 0.01;
-/// Upper bound of the matching cost of an element that is proposed because it is the frontmost one.
+/// Upper bound of the matching cost of a surface element that is proposed because it is the frontmost one.
 const MAX_NEAR_COST: f32 = 0.1;
 
-/// Angle between the optical axes of two cameras above which an element's gradients are computed anew in the other
-/// camera, radians. Below this angle, they are copied.
+/// Angle between the optical axes of two cameras above which a surface element's gradients are computed anew in the
+/// other camera, radians. Below this angle, they are copied.
 const TURNED_RAD: f64 = 0.1;
-/// Minimum area in the other frame of one pixel of an element, pixels. An element with a smaller area is seen
+/// Minimum area in the other frame of one pixel of a surface element, pixels. An element with a smaller area is seen
 /// edge-on, and gets gradients of 0.
 const MIN_AREA: f32 = 0.1;
 
-/// Elements of other frames' maps that project to each pixel of a map: the element with the lowest cost, and the
-/// frontmost element.
+/// Surface elements of other frames' scene flow maps that project to each pixel of a map: the element with the lowest
+/// cost, and the frontmost element.
 pub struct Proposals {
     cheapest: Vec<Option<(f32, Element)>>,
     nearest: Vec<Option<Element>>,
 }
 
-/// Transfer of an element at pixel `(x, y)` to another frame, `dt` frames later.
+/// Transfer of a surface element at pixel `(x, y)` to another frame, `dt` frames later.
 struct Transfer<'a> {
     element: &'a Element,
     x: f32,
@@ -38,8 +39,8 @@ struct Transfer<'a> {
 }
 
 impl Transfer<'_> {
-    /// Returns the transferred element `there` with the gradients of its surface in the other frame, where it is at
-    /// `pixel`. The gradients are computed from the transfer of the pixels to the right and below.
+    /// Returns the transferred surface element `there` with the gradients of its surface in the other frame, where it
+    /// is at `pixel`. The gradients are computed from the transfer of the pixels to the right and below.
     fn with_gradients(&self, pixel: [f32; 2], there: Element) -> Element {
         let step = |dx: f32, dy: f32| {
             let beside = self.element.at(dx, dy);
@@ -77,7 +78,7 @@ impl Proposals {
         self.cheapest[k].map(|(_, e)| e).into_iter().chain(self.nearest[k])
     }
 
-    /// Collects the proposals of all other maps for the map of frame `to`.
+    /// Collects the proposals of all other scene flow maps for the map of frame `to`.
     pub fn new(frames: &[&FlowFrame], maps: &[ElementMap], to: usize) -> Self {
         let target = &maps[to];
         let pixels = target.elements.len();

@@ -12,10 +12,10 @@ use rayon::prelude::*;
 const RESIDUAL_BY_COST: f64 = 1.0;
 /// Standard deviation of a brightness residual if images match exactly, due to 8-bit rounding and interpolation.
 const MIN_RESIDUAL: f64 = 0.004;
-/// Assumed fraction of the observing frames that see an element.
+/// Assumed fraction of the observing frames that see a surface element.
 const VISIBLE_FRACTION: f64 = 0.55;
-/// Standard errors of an element without any image gradient: of the disparity, pixels, and of each component of the
-/// velocity, pixels per frame.
+/// Standard errors of a surface element without any image gradient: of the disparity, pixels, and of each component
+/// of the velocity, pixels per frame.
 const PRIOR_PX: [f64; 2] = [4.0, 8.0];
 /// Factors on the standard errors of disparity and velocity from the covariance. They are needed because residuals of
 /// neighbouring pixels are correlated and smoothness adds information. With these factors, the median errors on the
@@ -26,7 +26,7 @@ const SCALE: [f64; 2] = [0.6, 0.4];
 const BY_ACCELERATION: f32 = 0.05;
 
 impl PatchMatcher<'_> {
-    /// Returns the standard errors of all elements of a map of this pyramid level, row by row.
+    /// Returns the standard errors of all surface elements of a scene flow map of this pyramid level, row by row.
     pub fn errors(&self, map: &ElementMap) -> Vec<ElementErrors> {
         let row = |y: usize| {
             let mut patch = Patch::empty();
@@ -87,7 +87,7 @@ impl PatchMatcher<'_> {
     }
 }
 
-/// Returns the standard errors of an element that no image constrains: the standard errors of the prior.
+/// Returns the standard errors of a surface element that no image constrains: the standard errors of the prior.
 fn unknown() -> ElementErrors {
     let [disparity_px, velocity_px] = PRIOR_PX.map(|e| e as f32);
     ElementErrors { disparity_px, velocity_px }

@@ -23,7 +23,7 @@ use rayon::prelude::*;
 const MIN_OVERLAP_S: f64 = 2.0;
 /// The maximum number of correlation peaks whose offsets are verified.
 const MAX_CANDIDATES: usize = 5;
-/// The number of frame triples by which an offset is verified.
+/// The number of frame triples (two frames of one camera, one frame of another) by which an offset is verified.
 const TESTED_FRAMES: usize = 6;
 /// The minimum agreement of a rival, as a fraction of the largest agreement among the proposed offsets. A rival is an
 /// offset that counts as equally plausible.
@@ -135,8 +135,8 @@ fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFai
 /// divided by the number of features that move across their epipolar lines. The agreement is 0 if there are fewer
 /// than [`MIN_INLIERS`] inliers.
 ///
-/// The overlap of the recordings is divided into [`TESTED_FRAMES`] parts. Each part contributes the frame triple at
-/// camera a's most active frame in this part.
+/// The overlap of the recordings is divided into [`TESTED_FRAMES`] parts. Each part contributes the frame triple (two
+/// frames of one camera, one frame of another) at camera a's most active frame in this part.
 fn agreement(
     recording: &Recording,
     [a, b]: [usize; 2],

@@ -74,9 +74,11 @@ const STEPS: [f64; 6] = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0];
 /// periods of camera b. The initial offset holds for most of the recording. Near the recording's start, before
 /// several lost frames, the offset may be different.
 const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
-/// The minimum MSAC score of a frame triple, as a fraction of [`MIN_INLIERS`].
+/// The minimum MSAC score of a frame triple (two frames of one camera, one frame of another), as a fraction of
+/// [`MIN_INLIERS`].
 const MIN_SCORE_FRACTION: f64 = 0.5;
-/// The minimum MSAC score of a frame triple, as a fraction of the number of its candidates.
+/// The minimum MSAC score of a frame triple (two frames of one camera, one frame of another), as a fraction of the
+/// number of its offset candidates.
 const MIN_INLIER_FRACTION: f64 = 0.3;
 /// The time between camera b's image and the nearer one of camera a's two images, as a fraction of the interval
 /// between these two, below which an observation requires [`MIN_AGREEMENT`]. Occluded features and T-junctions
@@ -93,8 +95,8 @@ const MIN_JUMP_FRAMES: f64 = 0.6;
 const EXPECTED_WITHIN_FRAMES: f64 = 0.4;
 /// The number of images on either side of a lost frame that are observed again.
 const IMAGES_AROUND_LOSS: usize = 2;
-/// The maximum number of rounds of further observations. In each round, the frame triples that the fitted clock
-/// models predict are observed too, and the models are fitted again.
+/// The maximum number of rounds of further observations. In each round, the frame triples (two frames of one camera,
+/// one frame of another) that the fitted clock models predict are observed too, and the models are fitted again.
 const MAX_ROUNDS: usize = 3;
 
 /// Detects the lost frames of all cameras. Returns the fitted clock of each camera.
@@ -209,9 +211,10 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(())
     }
 
-    /// Observes the frame triples that the fitted clock models predict. Returns whether any observation is new.
-    /// `clocks` and `models` have an entry for each camera. Near the recordings' ends and near lost frames, every
-    /// image of camera a is observed with up to three successive images of camera b.
+    /// Observes the frame triples (two frames of one camera, one frame of another) that the fitted clock models
+    /// predict. Returns whether any observation is new. `clocks` and `models` have an entry for each camera. Near the
+    /// recordings' ends and near lost frames, every image of camera a is observed with up to three successive images
+    /// of camera b.
     fn observe_again(
         &mut self,
         clocks: &[NominalClock],
@@ -281,8 +284,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(best)
     }
 
-    /// Observes the offset at images k and k + 1 of camera a and image m of camera b. `None` if too few candidates
-    /// agree, or if they agree on a time too far outside the interval between a's two images.
+    /// Observes the offset at images k and k + 1 of camera a and image m of camera b. `None` if too few offset
+    /// candidates agree, or if they agree on a time too far outside the interval between a's two images.
     fn observe(&self, k: usize, m: usize) -> Result<Option<TripleOffset>, CaptureError> {
         let [times, times_b] = self.cameras.map(|c| &self.recording.clocks[c].times_s);
         let triple = self.recording.triple((self.cameras, [k, m]))?;

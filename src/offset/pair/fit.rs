@@ -17,8 +17,8 @@ use std::sync::Arc;
 const TOLERANCE_FRACTION: f64 = 0.05;
 /// The product γ·Δt of the γ in eq. (12) and the frame interval Δt.
 const GAMMA: f64 = 70.0;
-/// The minimum fraction of inliers among a pair's candidates. Wrong candidates are spread over a few frames, so every
-/// window of twice the tolerance contains a small fraction of them.
+/// The minimum fraction of inliers among a pair's offset candidates. Wrong candidates are spread over a few frames,
+/// so every window of twice the tolerance contains a small fraction of them.
 const MIN_INLIER_FRACTION: f64 = 0.15;
 /// The minimum number of moving features, as a fraction of all tracked features. If fewer move, they may be
 /// mismatches.
@@ -32,7 +32,8 @@ const MIN_ACROSS_FRACTION: f64 = 0.05;
 /// 0.03 px.
 const COMMON_ERROR_FRACTION: f64 = 0.2;
 
-/// Frame triples of one pair of cameras, with their candidates.
+/// Frame triples (two frames of one camera, one frame of another) of one pair of cameras, with their offset
+/// candidates.
 pub struct PairTriples {
     /// The indices of cameras i and j.
     cameras: [usize; 2],
@@ -40,8 +41,8 @@ pub struct PairTriples {
 }
 
 impl PairTriples {
-    /// Computes the candidates of a pair's frame triples, or takes them from the recording's cache. Returns an error
-    /// if a frame cannot be read.
+    /// Computes the offset candidates of a pair's frame triples (two frames of one camera, one frame of another), or
+    /// takes them from the recording's cache. Returns an error if a frame cannot be read.
     pub fn new(
         recording: &Recording,
         cameras: [usize; 2],
@@ -56,7 +57,7 @@ impl PairTriples {
         self.triples.iter().map(|(_, triple)| count(triple)).sum()
     }
 
-    /// Returns the reason why there are too few candidates.
+    /// Returns the reason why there are too few offset candidates.
     fn too_few_candidates(&self) -> PairFailure {
         let tracks = self.total(|t| t.tracks);
         let min_moving = MIN_INLIERS.max((MIN_MOVING_FRACTION * tracks as f64) as usize);
@@ -72,8 +73,8 @@ impl PairTriples {
 
 impl PairTriples {
     /// Returns whether one camera of the pair is frozen: all its frames are copies of one image. Then none of the
-    /// features tracked in this camera moves, while features of the other camera do. The other camera's candidates
-    /// would all agree on the time of the copied image.
+    /// features tracked in this camera moves, while features of the other camera do. The other camera's offset
+    /// candidates would all agree on the time of the copied image.
     fn is_frozen(&self) -> bool {
         let count = |camera: usize, count: fn(&FrameTriple) -> usize| -> usize {
             let own = self.triples.iter().filter(|(([a, _], _), _)| *a == camera);
@@ -88,13 +89,13 @@ impl PairTriples {
     }
 }
 
-/// A pair's candidates as observations of a line, which is the pair's offset as a function of time.
+/// A pair's offset candidates as observations of a line, which is the pair's offset as a function of time.
 struct PairObservations {
     samples: Vec<Sample>,
     /// The observations of `offset_j − offset_i`, in the order of `samples`. The time of each counts from `center_s`
     /// on camera i's clock.
     observations: Vec<Observation>,
-    /// The middle of the time span of all candidates, seconds on camera i's clock.
+    /// The middle of the time span of all offset candidates, seconds on camera i's clock.
     center_s: f64,
     /// The longer one of the two cameras' frame periods, seconds.
     frame_s: f64,
@@ -123,8 +124,8 @@ impl PairObservations {
     }
 }
 
-/// Estimates a pair's offset from the candidates of its triples, and also its rate if `with_rate` is true. `initial`
-/// is the approximate clock model with which the triples were chosen.
+/// Estimates a pair's offset from the offset candidates of its triples, and also its rate if `with_rate` is true.
+/// `initial` is the approximate clock model with which the triples were chosen.
 ///
 /// Fails with the first condition on features, motion or inliers that is not met.
 pub fn fit_pair(
@@ -173,9 +174,9 @@ pub fn fit_pair(
     Ok(estimate)
 }
 
-/// Estimates a pair again from the same candidates, after subtracting the effect of the given calibration errors from
-/// their offsets. The clock's rate is fitted again if `with_rate` is true. `frame_s` is the longer one of the two
-/// cameras' frame periods, seconds.
+/// Estimates a pair again from the same offset candidates, after subtracting the effect of the given calibration
+/// errors from their offsets. The clock's rate is fitted again if `with_rate` is true. `frame_s` is the longer one of
+/// the two cameras' frame periods, seconds.
 ///
 /// `None` if the corrected candidates don't determine the offset.
 pub fn refit_pair(
@@ -248,8 +249,8 @@ fn fit_line(data: &PairObservations, initial: &ClockModel, with_rate: bool) -> O
     Some(Mixture { rate: mixture.rate + rate, ..mixture })
 }
 
-/// Returns the estimates from one frame triple: by RANSAC and WLS, eqs. (11) to (13), and by the mixture. `None` if
-/// the triple has too few inliers.
+/// Returns the estimates from one frame triple (two frames of one camera, one frame of another): by RANSAC and WLS,
+/// eqs. (11) to (13), and by the mixture. `None` if the triple has too few inliers.
 fn frame_estimate(
     recording: &Recording,
     pair: &PairTriples,
@@ -277,8 +278,8 @@ fn frame_estimate(
     Some(FrameEstimate { camera, frame, offset_s, by_information_s: mixture.value_s })
 }
 
-/// Returns the mean of the offsets from single frame triples, and its standard error from their scatter; both in
-/// seconds. `None` for fewer than two triples.
+/// Returns the mean of the offsets from single frame triples (two frames of one camera, one frame of another), and
+/// its standard error from their scatter; both in seconds. `None` for fewer than two triples.
 fn mean_of_frames(frames: &[FrameEstimate]) -> Option<(f64, f64)> {
     let n = frames.len() as f64;
     if frames.len() < 2 {

@@ -14,7 +14,7 @@
 use crate::offset::recording::Sample;
 use nalgebra::{Matrix2, Vector2};
 
-/// Observation to which the line is fitted: a candidate's offset at a time.
+/// Observation to which the line is fitted: an offset candidate's offset at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// The observed offset, seconds.

@@ -25,13 +25,13 @@ pub struct PairEstimate {
     /// The indices of cameras i and j.
     pub cameras: [usize; 2],
     /// `offset_j − offset_i` as a function of time on camera i's clock. The model's reference time is the middle of
-    /// the time span of all candidates. The rate is 0 if neither clock drifts.
+    /// the time span of all offset candidates. The rate is 0 if neither clock drifts.
     pub clock: ClockModel,
     /// The standard error of the pair's offset, seconds.
     pub std_err_s: f64,
-    /// The expected number of inliers among the candidates, rounded.
+    /// The expected number of inliers among the offset candidates, rounded.
     pub inliers: usize,
-    /// The number of candidates, including outliers.
+    /// The number of offset candidates, including outliers.
     pub candidates: usize,
     /// The number of inliers as a fraction of all features that move across their epipolar lines, 0 to 1.
     pub agreement: f64,
@@ -40,19 +40,19 @@ pub struct PairEstimate {
     /// The estimates from single frame triples: two successive frames of one of the two cameras and a frame of the
     /// other camera. Triples with too few inliers are left out.
     pub frames: Vec<FrameEstimate>,
-    /// The factor, at least 1, by which standard errors are multiplied because the candidates come from few
+    /// The factor, at least 1, by which standard errors are multiplied because the offset candidates come from few
     /// independent tracker windows. The square of the factor is a variance inflation factor.
     pub(super) std_err_inflation: f64,
-    /// All candidates, each with its weight in the mixture model, 1 / px².
+    /// All offset candidates, each with its weight in the mixture model, 1 / px².
     pub(super) samples: Arc<[(Sample, f64)]>,
-    /// The derivatives of the candidates' offsets by the calibration errors; empty if the capture states no
+    /// The derivatives of the offset candidates' offsets by the calibration errors; empty if the capture states no
     /// calibration errors.
     pub(super) slopes: Arc<SampleSlopes>,
 }
 
 impl PairEstimate {
     /// Adds the effect of the calibration errors to the standard error of the pair's offset. The covariance of the
-    /// errors is `factor · factorᵀ`. The weights of the candidates stay the same.
+    /// errors is `factor · factorᵀ`. The weights of the offset candidates stay the same.
     pub(super) fn add_calibration(&mut self, factor: &DMatrix<f64>) {
         let signed = self.samples.iter().map(|(s, weight)| {
             let sign = if s.cameras == self.cameras { 1.0 } else { -1.0 };
@@ -75,7 +75,7 @@ pub struct FrameEstimate {
     /// seconds.
     pub offset_s: f64,
     /// `offset_j − offset_i` of the pair's cameras i and j by a mixture model of inliers and outliers, seconds. Every
-    /// candidate is weighted by its information: the squared speed across the epipolar line, divided by the
+    /// offset candidate is weighted by its information: the squared speed across the epipolar line, divided by the
     /// residual's variance.
     pub by_information_s: f64,
 }
@@ -98,10 +98,10 @@ pub enum PairFailure {
         "too few features move across the epipolar lines of its neighbours: the motion runs along them"
     )]
     MotionAlongEpipolarLines,
-    /// Too few candidates agree on one offset.
+    /// Too few offset candidates agree on one offset.
     #[error("too few features agree on one offset")]
     NoConsensus,
-    /// The estimated offset contradicts the nominal clocks, and too few candidates agree on it to overrule the
+    /// The estimated offset contradicts the nominal clocks, and too few offset candidates agree on it to overrule the
     /// clocks.
     #[error("too few features agree on one offset")]
     ContradictsClocks,

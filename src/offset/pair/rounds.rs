@@ -122,8 +122,8 @@ impl PairRounds {
         Ok(())
     }
 
-    /// Returns the expected number of frame triples in a round that uses all triples of the pair; 0 for a pair
-    /// without an initial offset.
+    /// Returns the expected number of frame triples (two frames of one camera, one frame of another) in a round that
+    /// uses all triples of the pair; 0 for a pair without an initial offset.
     fn expected_triples(&self, recording: &Recording) -> usize {
         let max_frames = recording.options.max_frames;
         let count = |c: usize| (recording.clocks[c].times_s.len() - 1).min(max_frames);
@@ -196,7 +196,7 @@ pub fn estimate_pairs(
 }
 
 /// Returns how many of the first pairs form a group, at least 1. The group's frames at one instant fit the frame
-/// cache, and its candidates of two rounds fit the candidate cache.
+/// cache, and its offset candidates of two rounds fit the candidate cache.
 fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     let options = recording.options;
     // The factor 4 is for two directions and two rounds.

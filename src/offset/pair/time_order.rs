@@ -12,7 +12,8 @@ use std::collections::BTreeSet;
 /// features are tracked, the frame before these two, and the frame after them.
 pub const FRAMES_AT_ONCE: usize = 4;
 
-/// Computes and caches the candidates of the frame triples that are not cached yet, in order of time.
+/// Computes and caches the offset candidates of the frame triples (two frames of one camera, one frame of another)
+/// that are not cached yet, in order of time.
 ///
 /// `clocks_s` holds the offset of each camera's clock, seconds, with which the times of different cameras are
 /// compared. `computed` is called after each triple. Returns an error if a frame cannot be read.
@@ -45,8 +46,9 @@ pub fn compute_triples(
     candidates(&before)
 }
 
-/// Groups frame triples by instant, in order of time. An instant is an interval as long as the shortest frame period
-/// of the triples' cameras. `clocks_s` holds the offset of each camera's clock, seconds.
+/// Groups frame triples (two frames of one camera, one frame of another) by instant, in order of time. An instant is
+/// an interval as long as the shortest frame period of the triples' cameras. `clocks_s` holds the offset of each
+/// camera's clock, seconds.
 fn instants(
     clocks: &[Clock],
     triples: Vec<TripleFrames>,

@@ -30,14 +30,14 @@ pub struct Candidate {
 
 impl Candidate {
     /// Returns the signed speed perpendicular to the epipolar line, pixels per second, reduced if the trajectory is
-    /// uncertain. The square of this speed is proportional to the candidate's information.
+    /// uncertain. The square of this speed is proportional to the offset candidate's information.
     pub fn effective_speed_px_s(&self) -> f64 {
         self.across_px_s / 1.0_f64.hypot(self.trajectory_error_px / TRAJECTORY_SIGMA_PX)
     }
 }
 
-/// The trajectory error at which a candidate's information is halved, pixels. It equals the localization error of
-/// good features.
+/// The trajectory error at which an offset candidate's information is halved, pixels. It equals the localization
+/// error of good features.
 const TRAJECTORY_SIGMA_PX: f64 = 0.03;
 /// The expected error of a trajectory, as a fraction of the contribution of its highest-order term. At video rates,
 /// each order of a motion contributes about this fraction of the next lower order.
@@ -76,14 +76,14 @@ pub struct ThreeFrames<'a> {
     /// in the frames before and after camera i's two frames, if these exist.
     pub curved: bool,
     /// The minimum motion of a feature between camera i's two frames, perpendicular to its epipolar line, pixels.
-    /// Features that move less have no candidate.
+    /// Features that move less have no offset candidate.
     pub min_across_px: f64,
 }
 
 impl ThreeFrames<'_> {
-    /// Returns the candidates of all features. A candidate is the crossing of a feature's trajectory in camera i with
-    /// the epipolar line of its correspondence in camera j. `in_j` holds the correspondence of each of `tracks`,
-    /// pixels.
+    /// Returns the offset candidates of all features. A candidate is the crossing of a feature's trajectory in camera
+    /// i with the epipolar line of its correspondence in camera j. `in_j` holds the correspondence of each of
+    /// `tracks`, pixels.
     ///
     /// A feature gives no candidate if it has no correspondence, lies at the epipole, moves too little across its
     /// epipolar line, or crosses that line far from the track's two frames. Cameras with a common centre have no
@@ -93,7 +93,7 @@ impl ThreeFrames<'_> {
     }
 
     /// Returns the features that move by at least `min_across_px` perpendicular to their epipolar lines, as (index
-    /// into `tracks`, candidate).
+    /// into `tracks`, offset candidate).
     ///
     /// The candidate is `None` if the trajectory does not cross the epipolar line near the two frames, or if the
     /// feature has no correspondence in camera j. A feature without a correspondence is measured against the epipolar
@@ -122,8 +122,8 @@ impl ThreeFrames<'_> {
         tracks.iter().zip(in_j).enumerate().filter_map(crossing).collect()
     }
 
-    /// Returns whether a feature can have a candidate with any camera j: its trajectory is smooth, and its motion is
-    /// at least `min_across_px` long. The motion then suffices for epipolar lines of some direction.
+    /// Returns whether a feature can have an offset candidate with any camera j: its trajectory is smooth, and its
+    /// motion is at least `min_across_px` long. The motion then suffices for epipolar lines of some direction.
     pub fn can_cross(&self, track: &Track) -> bool {
         let ideal = |p| self.camera_i.model.ideal_from_pixel(p);
         let motion = ideal(&track.earlier).zip(ideal(&track.later)).map(|(from, to)| to - from);
@@ -133,9 +133,9 @@ impl ThreeFrames<'_> {
             && self.samples(track).is_some()
     }
 
-    /// Computes a feature's candidate for a given epipolar line: the crossing of trajectory and line, by Newton's
-    /// method. The outer `None` means too little motion across the line or no valid trajectory, the inner `None` no
-    /// crossing near the two frames.
+    /// Computes a feature's offset candidate for a given epipolar line: the crossing of trajectory and line, by
+    /// Newton's method. The outer `None` means too little motion across the line or no valid trajectory, the inner
+    /// `None` no crossing near the two frames.
     fn crossing(&self, line: &EpipolarLine, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let trajectory = Trajectory::new(samples.iter().copied())?;
@@ -278,7 +278,8 @@ mod tests {
         }
     }
 
-    /// With a rolling shutter, each position has the time of its image row. The candidate equals the true time.
+    /// With a rolling shutter, each position has the time of its image row. The offset candidate equals the true
+    /// time.
     #[test]
     fn candidates_of_rolling_shutters_are_exact() {
         let (i, j) = (camera(0.0), camera(0.06));

@@ -25,7 +25,7 @@ pub struct Sample {
     pub time_a_s: f64,
     pub time_b_s: f64,
     /// The feature's signed speed perpendicular to the epipolar line, pixels per second, reduced if its trajectory is
-    /// uncertain. The square of this speed, divided by the residual variance, is the candidate's information.
+    /// uncertain. The square of this speed, divided by the residual variance, is the offset candidate's information.
     pub across_px_s: f64,
     /// The index of the cell that contains the feature in a coarse grid over camera a's image. Errors of features in
     /// the same cell are correlated.
@@ -55,7 +55,8 @@ impl Sample {
     }
 }
 
-/// Candidates of a frame triple, and the numbers of features at each stage of their selection.
+/// Offset candidates of a frame triple (two frames of one camera, one frame of another), and the numbers of features
+/// at each stage of their selection.
 #[derive(Clone, Debug, Default)]
 pub struct FrameTriple {
     pub samples: Vec<Sample>,
@@ -64,7 +65,7 @@ pub struct FrameTriple {
     /// The number of tracked features that move on a smooth trajectory in camera a and have a correspondence in
     /// camera b.
     pub moving: usize,
-    /// The number of features that move across their epipolar lines, with or without a candidate.
+    /// The number of features that move across their epipolar lines, with or without an offset candidate.
     pub across: usize,
 }
 
@@ -72,7 +73,7 @@ pub struct FrameTriple {
 pub type TripleFrames = ([usize; 2], [usize; 2]);
 
 /// The minimum motion of a feature between two successive frames, perpendicular to its epipolar line, that gives a
-/// candidate, pixels.
+/// offset candidate, pixels.
 const MIN_ACROSS_PX: f64 = 1.0;
 /// The numbers of columns and rows of the coarse grid over an image ([`Sample::cell`]).
 const CELLS: [f64; 2] = [8.0, 6.0];
@@ -84,11 +85,11 @@ const WINDOW_PX: f64 = 24.0;
 const MAX_OUTSIDE: f64 = 0.5;
 /// The maximum number of feature tracks in the cache: 256 MB, enough for 100 cameras with 600 features each.
 const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
-/// The maximum number of candidates in the cache: 128 MB.
+/// The maximum number of offset candidates in the cache: 128 MB.
 pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
 
-/// Recordings of all cameras under one hypothesis of their clocks. Tracks and candidates are computed on demand and
-/// cached.
+/// Recordings of all cameras under one hypothesis of their clocks. Tracks and offset candidates are computed on
+/// demand and cached.
 pub struct Recording<'a> {
     pub frames: &'a FrameStore,
     /// The clock of each camera. Its frame times are corrected for the lost frames of the hypothesis.
@@ -149,8 +150,8 @@ impl<'a> Recording<'a> {
         (time_s >= start - slack && time_s <= end + slack).then_some(m)
     }
 
-    /// Returns the candidates of a frame triple: frames k and k + 1 of camera a and frame m of camera b. Returns an
-    /// error if a frame cannot be read.
+    /// Returns the offset candidates of a frame triple: frames k and k + 1 of camera a and frame m of camera b.
+    /// Returns an error if a frame cannot be read.
     pub fn triple(&self, triple: TripleFrames) -> Result<Arc<FrameTriple>, CaptureError> {
         if let Some(cached) = self.triples.get(&triple) {
             return Ok(cached);
@@ -160,12 +161,13 @@ impl<'a> Recording<'a> {
         Ok(computed)
     }
 
-    /// Returns whether the candidates of a frame triple are cached, and marks them as recently used.
+    /// Returns whether the offset candidates of a frame triple (two frames of one camera, one frame of another) are
+    /// cached, and marks them as recently used.
     pub fn has_triple(&self, triple: TripleFrames) -> bool {
         self.triples.get(&triple).is_some()
     }
 
-    /// Removes the candidates of a pair of cameras from the cache, in both directions.
+    /// Removes the offset candidates of a pair of cameras from the cache, in both directions.
     pub fn release_pair(&self, [a, b]: [usize; 2]) {
         self.triples.retain(|(pair, _)| *pair != [a, b] && *pair != [b, a]);
     }
