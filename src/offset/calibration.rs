@@ -23,7 +23,7 @@ const MIN_EIGENVALUE: f64 = 1e-9;
 /// baseline), focal length (fraction), principal point (pixels), and distortion parameter.
 const STEPS: [f64; 5] = [1e-5, 1e-4, 1e-5, 1e-2, 1e-5];
 
-/// The calibration errors of a capture, as unknowns of the joint solution.
+/// The calibration errors of a capture, as unknowns of the joint solution for all clocks.
 pub struct CalibrationUnknowns<'a> {
     errors: &'a CalibrationErrors,
     /// The cameras with the calibration that the capture states.
@@ -54,8 +54,8 @@ impl<'a> CalibrationUnknowns<'a> {
         Self { errors, cameras, factor }
     }
 
-    /// Returns the derivatives of the offset of each of a pair's samples by the calibration errors of the pair's two
-    /// cameras.
+    /// Returns the derivatives of the offsets of a pair's samples (offset candidates) by the calibration errors of
+    /// the pair's two cameras.
     pub fn slopes(&self, cameras: [usize; 2], samples: &[(Sample, f64)]) -> SampleSlopes {
         let parameters = self.errors.parameters.iter().enumerate();
         let of_pair: Vec<(usize, usize, CameraParameter)> = parameters
@@ -74,13 +74,13 @@ impl<'a> CalibrationUnknowns<'a> {
     }
 }
 
-/// Derivatives of the offsets of a pair's samples, [`Sample::offset_s`], by the calibration errors, seconds per unit
+/// Derivatives of the offsets of a pair's samples ([`Sample::offset_s`]) by the calibration errors, seconds per unit
 /// of the error.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SampleSlopes {
     /// The indices of the calibration errors of the pair's two cameras: their rows in the covariance.
     columns: Vec<usize>,
-    /// The derivatives, sample after sample: for each sample, one for each of `columns`.
+    /// The derivatives, sample by sample. Each sample has one derivative for each entry of `columns`.
     values: Vec<f64>,
 }
 
@@ -122,9 +122,9 @@ impl SampleSlopes {
 struct ChangedPair {
     cameras: [[Camera; 2]; 2],
     geometry: [Option<EpipolarGeometry>; 2],
-    /// Whether the parameter belongs to the lens model, so that undistorted positions change.
+    /// Whether the changed parameter belongs to the lens model, so that undistorted positions change too.
     is_of_lens: bool,
-    /// The difference between the increased and the decreased value of the parameter.
+    /// The difference between the increased and the decreased value of the calibration parameter.
     difference: f64,
 }
 

@@ -84,15 +84,15 @@ impl ClockModel {
         }
     }
 
-    /// Returns the time of an image on the own clock, seconds, delayed by the frames missing before it. `None` if no
-    /// image has this index.
+    /// Returns the time of an image on the camera's own clock, seconds, including one frame period for each frame
+    /// missing before the image. `None` if no image has this index.
     pub fn own_time_s(&self, nominal: &NominalClock, image: usize) -> Option<f64> {
         let missing = self.lost_before.partition_point(|&n| n <= image) as f64;
         Some(nominal.times_s.get(image)? + nominal.frame_s * missing)
     }
 
-    /// Returns the times of all images on the own clock, seconds, each delayed by the frames missing before the
-    /// image.
+    /// Returns the times of all images on the camera's own clock, seconds. Each includes one frame period for each
+    /// frame missing before the image.
     pub fn own_times_s(&self, nominal: &NominalClock) -> Vec<f64> {
         (0..nominal.times_s.len()).map_while(|image| self.own_time_s(nominal, image)).collect()
     }

@@ -30,8 +30,8 @@ const AMBIGUOUS_REFERENCE: &str =
 #[derive(Clone, Debug)]
 pub struct Estimate {
     pub offsets: Offsets,
-    /// The pair estimates that the joint solution uses. Each has a standard error of at most a tenth of a frame, and
-    /// no other pair contradicts it.
+    /// The pair estimates that the joint solution for all clocks uses. Each has a standard error of at most a tenth
+    /// of a frame, and no other pair contradicts it.
     pub pairs: Vec<PairEstimate>,
 }
 
@@ -155,7 +155,8 @@ fn solve_with_calibration(
 /// Indices of a pair's two cameras, with the pair's estimate or the reason why there is none.
 type PairResult = ([usize; 2], Result<PairEstimate, PairFailure>);
 
-/// All clocks, solved together from the pairs that are precise and not contradicted.
+/// Joint solution for all clocks, with the data from which each camera's offset is reported. It uses the pairs whose
+/// standard errors are small and whose offsets no other pair contradicts.
 struct JointSolution<'a> {
     capture: &'a Capture,
     results: Vec<PairResult>,

@@ -44,10 +44,10 @@ use std::path::PathBuf;
 pub const MAX_OFFSETS_BYTES: u64 = 16 << 20;
 /// The maximum length of the reason of an unknown offset, characters.
 const MAX_REASON_CHARS: usize = 500;
-/// The end of every error message about an invalid file: how to get rid of the problem.
+/// The end of every error message about an invalid file. It says what happens without the file.
 const REMEDY: &str = "without the file, offsets are estimated";
 
-/// The cache kind whose name and version enter the hash of an estimate.
+/// The name and version that enter the hash of estimated offsets.
 const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 1 };
 
 /// Content of a capture's `offsets.json`.
@@ -202,7 +202,7 @@ fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, CaptureError>
     Ok(offsets)
 }
 
-/// The fields of one camera in the file. `k` is the camera's index in the file.
+/// The fields of one camera in `offsets.json`. `k` is the camera's index in the file.
 struct CameraFields<'a> {
     k: usize,
     camera: &'a CameraOffset,

@@ -128,8 +128,8 @@ struct Unknowns<'a> {
     /// The number of unknown offsets and rates of the clocks.
     clock_count: usize,
     count: usize,
-    /// The matrix that maps independent unknowns to the clocks' unknowns and the calibration errors. `None` if the
-    /// calibration is assumed to be exact.
+    /// The matrix that maps independent unknowns to the clocks' unknowns and the calibration errors, which are
+    /// correlated. `None` if the calibration is assumed to be exact.
     from_independent: Option<DMatrix<f64>>,
 }
 
@@ -170,7 +170,8 @@ impl<'a> Unknowns<'a> {
     }
 
     /// Returns the information matrix (inverse covariance) of the prior on the independent unknowns. Its diagonal is
-    /// 0 for the clocks' unknowns and 1 for the calibration's. `independent` is the number of independent unknowns.
+    /// 0 for the clocks' unknowns, and 1 for the unknowns of variance 1 from which the calibration errors are
+    /// combined. `independent` is the number of independent unknowns.
     fn prior(&self, independent: usize) -> DMatrix<f64> {
         let is_calibration = |k| if k < self.clock_count { 0.0 } else { 1.0 };
         DMatrix::from_diagonal(&DVector::from_fn(independent, |k, _| is_calibration(k)))
@@ -237,7 +238,7 @@ struct PairSystem {
 /// Solution of the normal equations after all IRLS iterations.
 struct RobustSolution {
     x: DVector<f64>,
-    /// The robust weight of each pair.
+    /// The robust weight of each pair of cameras.
     weights: Vec<f64>,
     /// The inverse of the normal matrix. If the errors of the pairs were independent, and their standard errors
     /// correct, it would be the covariance of the unknowns.

@@ -73,8 +73,8 @@ fn slopes_are_how_crossings_move() {
     }
 }
 
-/// Simulates the estimate of one pair of cameras. The offsets of its offset candidates have noise, and the
-/// calibration errors `error` shift them.
+/// Simulates the estimate of one pair of cameras. Its offset candidates have noise, and the calibration errors
+/// `error` shift them.
 fn pair(
     cameras: [usize; 2],
     truth_s: [f64; 2],

@@ -16,9 +16,9 @@ use crate::capture::{Capture, CaptureError};
 use nalgebra::{Point2, Vector2};
 use std::collections::BTreeMap;
 
-/// The number of columns of the grid of cells.
+/// The number of columns of the grid of cells over an image, in which activity is summed.
 const COLUMNS: usize = 16;
-/// The number of rows of the grid of cells.
+/// The number of rows of the grid of cells over an image, in which activity is summed.
 const ROWS: usize = 12;
 /// The approximate width of the downsampled frames, pixels.
 const WIDTH: usize = 80;
@@ -32,9 +32,9 @@ pub struct Activity {
     pub times_s: Vec<f64>,
     /// The energy `Σ I_t²` of each interval between successive frames, summed over the whole image, per s².
     pub energies: Vec<f64>,
-    /// The signals by the index of a camera pair. For each interval between successive frames, a signal holds the
-    /// square root of each epipolar band's energy, then the signed square root of each band's motion perpendicular to
-    /// the epipolar lines (the correlation `−Σ I_t ∇I`).
+    /// The activity signals, by the index of a camera pair. For each interval between successive frames, a signal
+    /// holds the square root of each epipolar band's energy, then the signed square root of each band's motion
+    /// perpendicular to the epipolar lines (the correlation `−Σ I_t ∇I`).
     pub signals: BTreeMap<usize, Vec<[f32; 2 * BANDS]>>,
 }
 
@@ -96,7 +96,8 @@ impl Downsampled {
     }
 }
 
-/// Computes the sums of all cells of the grid from two successive frames, which are `interval` seconds apart.
+/// Computes the energy and the motion of all cells of the grid ([`Cells`]) from two successive frames, which are
+/// `interval` seconds apart.
 fn cells(before: &Downsampled, current: &Downsampled, interval: f32) -> Cells {
     let (w, h) = (current.width, current.height);
     let mut cells = [[0.0; 3]; COLUMNS * ROWS];
@@ -117,9 +118,10 @@ fn cells(before: &Downsampled, current: &Downsampled, interval: f32) -> Cells {
     cells
 }
 
-/// Epipolar bands of one camera of a pair. For each cell of the grid, row by row, it holds the index of the cell's
-/// band and the unit vector perpendicular to the epipolar line through the cell's centre; `None` for a cell outside
-/// all bands. In both cameras, the vectors point to the same side of corresponding epipolar lines.
+/// Epipolar bands (image regions between two epipolar lines) of one camera of a pair. There is an entry for each cell
+/// of the grid, row by row: the index of the cell's band, and the unit vector perpendicular to the epipolar line
+/// through the cell's centre; `None` for a cell outside all bands. In both cameras of the pair, the vectors point to
+/// the same side of corresponding epipolar lines.
 #[derive(Clone, Debug)]
 pub struct Bands {
     of_cell: Vec<Option<(usize, Vector2<f64>)>>,
@@ -143,8 +145,9 @@ impl Bands {
         Some([Self::new(a, of_a, max_distance), Self::new(b, of_b, max_distance)])
     }
 
-    /// Returns the signal of one interval between frames, from the interval's sums of cells: the square root of each
-    /// band's energy, then the signed square root of each band's motion perpendicular to the epipolar lines.
+    /// Returns the activity signal of one interval between frames: the square root of each epipolar band's energy,
+    /// then the signed square root of each band's motion perpendicular to the epipolar lines. `cells` are the
+    /// interval's sums.
     fn signal(&self, cells: &Cells) -> [f32; 2 * BANDS] {
         let mut sums = [0.0; 2 * BANDS];
         for (cell, of_cell) in cells.iter().zip(&self.of_cell) {

@@ -25,15 +25,16 @@ const MIN_OVERLAP_S: f64 = 2.0;
 const MAX_CANDIDATES: usize = 5;
 /// The number of frame triples (two frames of one camera, one frame of another) by which an offset is verified.
 const TESTED_FRAMES: usize = 6;
-/// The minimum agreement of a rival, as a fraction of the largest agreement among the proposed offsets. A rival is an
-/// offset that counts as equally plausible.
+/// The minimum agreement (fraction of inliers) of a rival, relative to the largest agreement among the proposed
+/// offsets. A rival is an offset that counts as equally plausible.
 const RIVAL_FRACTION: f64 = 0.8;
 
-/// Computes the activity of each camera from all its frames. The result has an entry for each camera.
+/// Computes the activity of each camera from all its frames: how much its image changes in each frame interval. The
+/// result has an entry for each camera.
 ///
-/// `pairs` are pairs of camera indices. A pair has no signals if one of its recordings is too short, if the search is
-/// disabled, or if its cameras have a common centre. The activity of a camera is empty if none of its pairs has
-/// signals. Returns an error if a frame cannot be read.
+/// `pairs` are pairs of camera indices. An activity has a signal for each pair that contains the camera. A pair has
+/// no signals if one of its recordings is too short, if the search is disabled, or if its cameras have a common
+/// centre. Returns an error if a frame cannot be read.
 pub fn activities(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -100,10 +101,10 @@ pub fn rough_offset(
     Ok(choose(&agreements, frame_s))
 }
 
-/// Chooses the offset with the largest agreement from pairs (offset in seconds, agreement). If a rival
-/// ([`RIVAL_FRACTION`]) lies within [`NOMINAL_CLOCK_FRAMES`] of 0, the nominal clocks' offset, the rival is chosen
-/// instead. Fails if there are no pairs, if the largest agreement is above 0 but too small, or if rivals lie more
-/// than [`NOMINAL_CLOCK_FRAMES`] from the best offset.
+/// Chooses the offset with the largest agreement (fraction of inliers). `agreements` holds (offset in seconds,
+/// agreement). If a rival ([`RIVAL_FRACTION`]) lies within [`NOMINAL_CLOCK_FRAMES`] of 0, the nominal clocks' offset,
+/// the rival is chosen instead. Fails if `agreements` is empty, if the largest agreement is above 0 but below
+/// [`MIN_AGREEMENT`], or if rivals lie more than [`NOMINAL_CLOCK_FRAMES`] from the chosen offset.
 ///
 /// `frame_s` is the longer frame period of the two cameras, seconds.
 fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFailure> {
@@ -189,7 +190,8 @@ impl Signal<'_> {
 }
 
 /// Returns the offsets `offset_b − offset_a`, seconds, at the highest local maxima of the correlation of two signals,
-/// highest maximum first. Offsets from −`search_s` to `search_s` are tried.
+/// highest maximum first. Offsets from −`search_s` to `search_s` are tried. `frame_s` is the longer frame period of
+/// the two cameras, seconds.
 fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<f64> {
     // A peak of the correlation is about one frame period wide.
     let step = 0.5 * frame_s;

@@ -30,13 +30,14 @@ const START_LOSS_PENALTY: f64 = 1.8;
 /// The penalty of one lost frame in the final models, as a multiple of an outlier's cost. It is the log odds
 /// against a lost frame at a given image, divided by the log odds against an outlier.
 const LOSS_PENALTY: f64 = 0.75;
-/// The minimum increase of the objective, as a multiple of an outlier's cost, that every jump move of a camera must
-/// cause for the camera's image times to count as certain. At 1, the evidence of a single observation is not
-/// sufficient.
+/// The minimum increase of the objective by every jump move of a camera for which the camera's image times count as
+/// certain, as a multiple of an outlier's cost. A jump move shifts some image times by whole frames. At 1, the
+/// evidence of a single observation is not sufficient.
 const DECISIVE_OUTLIERS: f64 = 1.0;
-/// The numbers of frames by which jump moves shift image times.
+/// The numbers of frames by which a jump move shifts the times of a set of images.
 const JUMPS: [i32; 4] = [1, -1, 2, -2];
-/// The minimum decrease of the objective, as a multiple of an outlier's cost, for which a jump move is applied.
+/// The minimum decrease of the objective, as a multiple of an outlier's cost, for which a jump move (a shift of some
+/// image times by whole frames) is applied.
 const MIN_IMPROVEMENT: f64 = 1e-6;
 /// The maximum number of sweeps, each of which updates every camera's model once. It is also the maximum number of
 /// jump moves.
@@ -118,9 +119,9 @@ impl<'a> Component<'a> {
 
     /// Fits the clock model of another camera, given the models fitted so far.
     ///
-    /// A fit without constraints may have a loss count that decreases at some image. The decrease may mean that all
-    /// cameras fitted so far lost a frame at that time. These losses are added to their models if the total cost is
-    /// then lower.
+    /// A fit without constraints may have a loss count (number of frames missing before an image) that decreases at
+    /// some image. The decrease may mean that all cameras fitted so far lost a frame at that time. These losses are
+    /// added to their models if the total cost is then lower.
     fn add_camera(&mut self, camera: usize) {
         let unconstrained = self.fit(camera, true);
         let before = self.models.clone();
@@ -140,7 +141,7 @@ impl<'a> Component<'a> {
     }
 
     /// Adds lost frames to every fitted camera that may lose frames: one at each time at which the loss count of
-    /// `fit` decreases. `fit` is the fit of `camera`.
+    /// `fit` (number of frames missing before an image) decreases. `fit` is the fit of `camera`.
     fn attribute_steps_back(&mut self, camera: usize, fit: &ClockFit) {
         let clock = &self.clocks[camera];
         // The common clock does not include the new losses yet. On it, this image is one frame earlier than in `fit`,
@@ -207,8 +208,8 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// Returns, for each camera, whether a jump move that shifts some of its images increases the objective by less
-    /// than [`DECISIVE_OUTLIERS`].
+    /// Returns, for each camera, whether a jump move (a shift of image times by whole frames) that shifts some of its
+    /// images increases the objective by less than [`DECISIVE_OUTLIERS`].
     fn undecided(&self) -> Vec<bool> {
         let mut undecided = vec![false; self.clocks.len()];
         for frames in JUMPS {
@@ -259,7 +260,7 @@ impl<'a> Component<'a> {
     }
 
     /// Fits a camera's clock model, given the models of all other cameras. If `allow_steps_back` is true, the loss
-    /// count may also decrease ([`LagProblem::allow_steps_back`]).
+    /// count (number of frames missing before an image) may also decrease ([`LagProblem::allow_steps_back`]).
     fn fit(&self, camera: usize, allow_steps_back: bool) -> ClockFit {
         let lags: Vec<LagObservation> =
             self.observations[camera].iter().filter_map(|o| self.lag(camera, o)).collect();
@@ -267,8 +268,8 @@ impl<'a> Component<'a> {
         LagProblem { lags: &lags, clock, loss_penalty, allow_steps_back }.fit()
     }
 
-    /// Converts a timing observation to a lag of `camera`: common time minus nominal time. The common time comes from
-    /// the other camera's model. `None` if the other camera has no model yet.
+    /// Converts a timing observation to a lag of `camera`: the time on the common clock minus the camera's nominal
+    /// time. The common time comes from the other camera's model. `None` if the other camera has no model yet.
     fn lag(&self, camera: usize, observation: &TimingObservation) -> Option<LagObservation> {
         let [a, b] = observation.cameras;
         let [k, m] = observation.images;

@@ -13,9 +13,10 @@ use crate::offset::clock::{ClockModel, NominalClock};
 use nalgebra::{Matrix2, Vector2};
 use std::collections::BTreeMap;
 
-/// The standard deviation of an inlier's lag, frames.
+/// The standard deviation of an inlier's lag (common time minus nominal time), frames.
 const SIGMA_FRAMES: f64 = 0.08;
-/// The residual of a lag beyond which an observation is an outlier, frames: three standard deviations.
+/// The residual of a lag (common time minus nominal time) beyond which an observation is an outlier, frames: three
+/// standard deviations.
 pub const INLIER_BOUND_FRAMES: f64 = 3.0 * SIGMA_FRAMES;
 /// The length of an interval between two images, in frames, above which [`robust_loss`] no longer increases the
 /// standard deviation of the interval's observations.
@@ -28,18 +29,19 @@ const RATE_SIGMA: f64 = 5e-4;
 /// The standard deviation of the prior on the rate of a clock that does not drift, seconds per second. It is so small
 /// that the fitted rate is 0.
 const NO_DRIFT_SIGMA: f64 = 1e-9;
-/// The largest rate from which a fit is started, seconds per second.
+/// The largest absolute rate of a clock from which a fit is started, seconds per second.
 const MAX_RATE: f64 = 1e-6 * MAX_DRIFT_PPM;
-/// The maximum number of rates on either side of 0 from which a fit is started.
+/// The maximum number of clock rates on either side of 0 from which a fit is started.
 const MAX_RATE_STEPS: f64 = 1e3;
-/// The inverse variance of the prior on the offset, frames⁻². The prior's mean is the previous offset. The offset
-/// thus does not change if no observation is an inlier.
+/// The inverse variance of the prior on the offset, frames⁻². The prior's mean is the offset of the previous
+/// iteration. The offset thus does not change if no observation is an inlier.
 const OFFSET_PRIOR_WEIGHT: f64 = 1e-3;
 /// The penalty of each further frame lost directly before the same image, as a multiple of an outlier's cost.
 const FURTHER_LOSS_PENALTY: f64 = 0.3;
-/// The maximum absolute value of a loss count relative to the line. The computing time grows with its square.
+/// The maximum absolute value of a loss count (number of frames missing before an image) relative to the line. The
+/// computing time grows with the square of this number.
 const MAX_LOST: i32 = 40;
-/// The maximum number of observed lags that are tried as the initial offset.
+/// The maximum number of observed lags (common time minus nominal time) that are tried as the initial offset.
 const MAX_STARTS: usize = 64;
 /// The maximum number of alternations between fitting the loss counts and fitting the line.
 const MAX_ALTERNATIONS: usize = 12;
@@ -55,14 +57,15 @@ pub fn gap_penalty(frames: u32, loss_penalty: f64) -> f64 {
     }
 }
 
-/// Lags to which a camera's clock model is fitted, and the constraints on the camera's lost frames.
+/// Lags (common time minus nominal time) to which a camera's clock model is fitted, and the constraints on the
+/// camera's lost frames.
 pub struct LagProblem<'a> {
     pub lags: &'a [LagObservation],
     pub clock: &'a NominalClock<'a>,
     /// The penalty of the first frame lost between two images, as a multiple of an outlier's cost.
     pub loss_penalty: f64,
-    /// Whether the loss count may also decrease from one image to the next. It decreases where other cameras have
-    /// lost frames that their models do not contain.
+    /// Whether the loss count (number of frames missing before an image) may also decrease from one image to the
+    /// next. It decreases where other cameras have lost frames that their models do not contain.
     pub allow_steps_back: bool,
 }
 
@@ -71,8 +74,8 @@ pub struct ClockFit {
     pub clock: ClockModel,
     /// The sum of the truncated squared residuals and of the penalties, as a multiple of an outlier's cost.
     pub cost: f64,
-    /// The images directly before which the loss count decreases, one entry for each frame; empty unless
-    /// [`LagProblem::allow_steps_back`] is set.
+    /// The indices of the images directly before which the loss count (number of missing frames) decreases, one entry
+    /// for each frame of the decrease; empty unless [`LagProblem::allow_steps_back`] is set.
     pub steps_back: Vec<usize>,
 }
 
@@ -136,9 +139,9 @@ pub fn robust_loss(residual: f64, interval_frames: f64) -> f64 {
 
 /// Fit of a camera's lags: a line plus a step function.
 struct StepFit {
-    /// The line: the offset in frames, and the rate in frames per frame.
+    /// The line of the fit, as (offset in frames, rate in frames per frame).
     line: Vector2<f64>,
-    /// The images at which lags are observed, ascending.
+    /// The indices of the images at which lags are observed, ascending.
     images: Vec<usize>,
     /// The number of frames lost before each of `images`, relative to the line.
     loss_counts: Vec<i32>,
@@ -216,10 +219,10 @@ impl LagProblem<'_> {
         fit
     }
 
-    /// Finds the loss counts of minimum cost for a given line. They are the shortest path through a trellis with one
-    /// column for each observed image and, in each column, one node for each possible loss count. Observations at an
-    /// image are costs of nodes. Observations between two images, and the penalties of lost frames, are costs of
-    /// edges.
+    /// Finds the loss counts (numbers of frames missing before each image) of minimum cost for a given line. They are
+    /// the shortest path through a trellis with one column for each observed image and, in each column, one node for
+    /// each possible loss count. Observations at an image are costs of nodes. Observations between two images, and
+    /// the penalties of lost frames, are costs of edges.
     fn shortest_path(&self, line: Vector2<f64>) -> StepFit {
         let mut by_image: BTreeMap<usize, [Vec<LagObservation>; 2]> = BTreeMap::new();
         for o in self.lags {
@@ -266,8 +269,9 @@ impl LagProblem<'_> {
         StepFit { line, images: by_image.into_keys().collect(), loss_counts, cost }
     }
 
-    /// Returns the possible loss counts relative to the line: all integers from the smallest to the largest observed
-    /// count (lag minus line, rounded), and 0. Only 0 for a camera that loses no frames.
+    /// Returns the possible loss counts (numbers of frames missing before an image) relative to the line: all
+    /// integers from the smallest to the largest observed count (lag minus line, rounded), and 0. Only 0 for a camera
+    /// that loses no frames.
     fn candidate_loss_counts(&self, line: &Vector2<f64>) -> Vec<i32> {
         if !self.clock.may_lose_frames {
             return vec![0];
@@ -303,8 +307,8 @@ impl LagProblem<'_> {
 }
 
 impl StepFit {
-    /// Returns the loss counts at an observation's image and at the next image; both at the image itself if the
-    /// observation is not between two images.
+    /// Returns the loss counts (numbers of frames missing) at an observation's image and at the next image. Both are
+    /// those at the image itself if the observation is not between two images.
     fn lost_around(&self, o: &LagObservation) -> [i32; 2] {
         let n = self.images.partition_point(|n| *n < o.image);
         [n, n + usize::from(o.fraction != 0.0)].map(|n| self.loss_counts[n])

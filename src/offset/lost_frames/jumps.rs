@@ -34,7 +34,7 @@ pub struct Component<'a> {
 }
 
 impl Component<'_> {
-    /// Returns the indices of the cameras that have a model, ascending.
+    /// Returns the indices of the cameras that have a clock model, ascending.
     pub fn members(&self) -> Vec<usize> {
         (0..self.clocks.len()).filter(|&c| self.models[c].is_some()).collect()
     }
@@ -47,8 +47,8 @@ impl Component<'_> {
     }
 }
 
-/// Node of the graph: successive images of one camera, whose times a move shifts together or not at all. The images
-/// extend from `image` to the image before the next node's `image`.
+/// Node of the graph of jump moves: successive images of one camera, whose times a jump move shifts together or not
+/// at all. The images extend from `image` to the image before the next node's `image`.
 struct MoveNode {
     camera: usize,
     image: usize,
@@ -61,7 +61,7 @@ struct MoveNode {
 pub struct Move {
     /// Whether each node's image times are shifted, in the order of [`Jumps::nodes`].
     moves: Vec<bool>,
-    /// The increase of the objective by the move, as a multiple of an outlier's cost.
+    /// The increase of the objective by the jump move, as a multiple of an outlier's cost.
     pub cost: f64,
 }
 
@@ -75,7 +75,7 @@ pub struct Jumps<'a> {
     /// The energy term of each observation: the nodes of its three images, and its cost for each combination of their
     /// labels, as a multiple of an outlier's cost.
     terms: Vec<([usize; 3], TripleCosts)>,
-    /// The shift of image times by a move, in frame periods of each camera. A positive shift makes times later.
+    /// The shift of image times by a jump move, in frame periods of each camera. A positive shift makes times later.
     frames: i32,
 }
 
@@ -118,9 +118,9 @@ impl<'a> Jumps<'a> {
         Some(([self.node(a, k)?, self.node(a, k + 1)?, self.node(b, m)?], costs))
     }
 
-    /// Returns a camera's nodes at which an alternative to its lost frames would start or end: the first and the last
-    /// node, and the nodes on both sides of each lost frame. If no move of these nodes has a low cost, the camera's
-    /// lost frames are decided.
+    /// Returns a camera's nodes at which another set of its lost frames would start or end: the first and the last
+    /// node, and the nodes on both sides of each lost frame. If no jump move that shifts one of these nodes has a low
+    /// cost, the camera's lost frames are certain.
     pub fn decisive_nodes(&self, camera: usize) -> Vec<usize> {
         let range = self.of_camera[camera].clone();
         let at_loss = range.clone().filter(|n| self.nodes[*n].lost > 0);
@@ -132,9 +132,9 @@ impl<'a> Jumps<'a> {
         decisive
     }
 
-    /// Returns the move of lowest cost that the minimum cut finds. If `containing` is given, the move must shift this
-    /// node. The first node of [`Component::root`] is never shifted. `None` if the minimum cut finds no move that
-    /// meets these conditions.
+    /// Returns the jump move of lowest cost that the minimum cut finds. If `containing` is given, the move must shift
+    /// this node. The first node of [`Component::root`] is never shifted. `None` if the minimum cut finds no move
+    /// that meets these conditions.
     pub fn cheapest(&self, containing: Option<usize>) -> Option<Move> {
         let mut energy = Energy::new(self.nodes.len());
         let origin = self.of_camera[self.component.root].start;
@@ -205,7 +205,7 @@ impl<'a> Jumps<'a> {
         }
     }
 
-    /// Returns the clock model of each camera after a move.
+    /// Returns the clock model of each camera after a jump move.
     pub fn apply(&self, of: &Move) -> Vec<Option<ClockModel>> {
         let mut models = self.component.models.clone();
         for (c, range) in self.of_camera.iter().enumerate() {

@@ -128,8 +128,9 @@ pub fn detect_lost_frames(
     Ok(models.map(|(model, clock)| model.unwrap_or_else(|| unobserved(clock))).collect())
 }
 
-/// Fits the clock models of all cameras to the observations of all pairs. Each pair is observed in both directions:
-/// with two images of either camera. Returns a model for each camera, `None` for a camera without observations.
+/// Fits the clock models of all cameras to the timing observations of all pairs. Each pair is observed in both
+/// directions: with two images of either camera. Returns a model for each camera, `None` for a camera without
+/// observations. Returns an error if a frame cannot be read.
 fn joint_models(
     recording: &Recording,
     pairs: &[[usize; 2]],

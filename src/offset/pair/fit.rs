@@ -35,7 +35,7 @@ const COMMON_ERROR_FRACTION: f64 = 0.2;
 /// Frame triples (two frames of one camera, one frame of another) of one pair of cameras, with their offset
 /// candidates.
 pub struct PairTriples {
-    /// The indices of cameras i and j.
+    /// The indices of the pair's two cameras, i and j.
     cameras: [usize; 2],
     triples: Vec<(TripleFrames, Arc<FrameTriple>)>,
 }
@@ -52,7 +52,8 @@ impl PairTriples {
         Ok(Self { cameras, triples: frames.iter().map(triple).collect::<Result<_, _>>()? })
     }
 
-    /// Returns the sum of `count` over all triples. `count` returns one of a triple's numbers of features.
+    /// Returns the sum of `count` over all frame triples of the pair. `count` returns one of a triple's numbers of
+    /// features.
     fn total(&self, count: fn(&FrameTriple) -> usize) -> usize {
         self.triples.iter().map(|(_, triple)| count(triple)).sum()
     }
@@ -175,8 +176,8 @@ pub fn fit_pair(
 }
 
 /// Estimates a pair again from the same offset candidates, after subtracting the effect of the given calibration
-/// errors from their offsets. The clock's rate is fitted again if `with_rate` is true. `frame_s` is the longer one of
-/// the two cameras' frame periods, seconds.
+/// errors from them. The clock's rate is fitted again if `with_rate` is true. `frame_s` is the longer one of the two
+/// cameras' frame periods, seconds.
 ///
 /// `None` if the corrected candidates don't determine the offset.
 pub fn refit_pair(
@@ -313,7 +314,8 @@ fn std_err(
 }
 
 /// Returns the effective number of independent tracker windows that determine the offset at one instant. It is the
-/// mean over all triples, weighted by their information. `weights` are the weights of all triples' samples, in order.
+/// mean over all frame triples, weighted by their information. `weights` are the weights of all triples' samples, in
+/// order.
 fn independent_windows(pair: &PairTriples, weights: &[f64]) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     let mut weights = weights.iter();

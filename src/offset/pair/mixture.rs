@@ -14,7 +14,7 @@
 use crate::offset::recording::Sample;
 use nalgebra::{Matrix2, Vector2};
 
-/// Observation to which the line is fitted: an offset candidate's offset at a time.
+/// Observation to which the line is fitted: the offset that one feature implies, at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// The observed offset, seconds.
@@ -204,7 +204,7 @@ struct MixtureSums {
     /// The sum of the squared residuals, px². Each is multiplied by the observation's expected precision (inverse
     /// variance) relative to that of the narrowest component.
     squares: f64,
-    /// The weight of each observation, 1 / px².
+    /// The weight of each observation's squared residual, 1 / px².
     weights: Vec<f64>,
 }
 

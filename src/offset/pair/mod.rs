@@ -22,7 +22,7 @@ use std::sync::Arc;
 /// Offset between two cameras i and j, estimated from their two recordings alone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PairEstimate {
-    /// The indices of cameras i and j.
+    /// The indices of the pair's two cameras, i and j.
     pub cameras: [usize; 2],
     /// `offset_j − offset_i` as a function of time on camera i's clock. The model's reference time is the middle of
     /// the time span of all offset candidates. The rate is 0 if neither clock drifts.
@@ -45,8 +45,8 @@ pub struct PairEstimate {
     pub(super) std_err_inflation: f64,
     /// All offset candidates, each with its weight in the mixture model, 1 / px².
     pub(super) samples: Arc<[(Sample, f64)]>,
-    /// The derivatives of the offset candidates' offsets by the calibration errors; empty if the capture states no
-    /// calibration errors.
+    /// The derivatives of the offset candidates by the calibration errors; empty if the capture states no calibration
+    /// errors.
     pub(super) slopes: Arc<SampleSlopes>,
 }
 

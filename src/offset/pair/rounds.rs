@@ -20,9 +20,11 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The maximum number of rounds that use all triples of a pair. The count restarts with each new initial offset.
+/// The maximum number of rounds that use all frame triples of a pair. A round chooses triples, and estimates the
+/// offset from them. The count restarts with each new initial offset.
 const MAX_ROUNDS: usize = 5;
-/// The number of triples in each direction in a pair's first round.
+/// The number of frame triples in each direction in a pair's first round. A direction is the choice of the camera
+/// that has two frames.
 const FIRST_TRIPLES: usize = 4;
 
 /// State of a pair of cameras (i, j) between two rounds. It has triples of both directions: two frames of i with one
@@ -31,25 +33,26 @@ pub struct PairRounds {
     cameras: [usize; 2],
     /// The pair's offset to about one frame, or the reason why there is none.
     start: Result<ClockModel, PairFailure>,
-    /// The offset by which the triples of the next round are chosen.
+    /// The offset by which the frame triples of the next round are chosen.
     initial: ClockModel,
     with_rate: bool,
     stage: RoundStage,
-    /// The number of remaining rounds that use all triples of the pair.
+    /// The number of remaining rounds that use all frame triples of the pair.
     rounds: usize,
-    /// The triples of the last round.
+    /// The frame triples of the last round.
     frames: Vec<TripleFrames>,
     estimate: Result<PairEstimate, PairFailure>,
 }
 
-/// Which triples the next round of a pair uses, and which offset chose them first.
+/// Which frame triples the next round of a pair uses, and which offset chose them first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RoundStage {
-    /// The triples in the middle of the recording, chosen by [`PairRounds::start`].
+    /// The next round uses the frame triples in the middle of the recording, chosen by [`PairRounds::start`].
     Middle,
-    /// All triples, chosen first by the offset that was estimated from the recording's middle.
+    /// The next round uses all frame triples. They were first chosen by the offset estimated from the recording's
+    /// middle.
     FromMiddle,
-    /// All triples, chosen first by [`PairRounds::start`].
+    /// The next round uses all frame triples. They were first chosen by [`PairRounds::start`].
     FromStart,
     Finished,
 }
@@ -72,7 +75,7 @@ impl PairRounds {
         }
     }
 
-    /// Chooses the triples of the next round, or ends the pair's rounds.
+    /// Chooses the frame triples of the pair's next round, or ends its rounds.
     fn choose(&mut self, recording: &Recording) {
         if self.stage == RoundStage::Finished {
             return;
@@ -93,7 +96,7 @@ impl PairRounds {
         self.frames = frames;
     }
 
-    /// Estimates the pair's offset from the chosen triples. Returns an error if a frame cannot be read.
+    /// Estimates the pair's offset from the chosen frame triples. Returns an error if a frame cannot be read.
     fn fit(&mut self, recording: &Recording) -> Result<(), CaptureError> {
         let Ok(start) = self.start.clone() else { return Ok(()) };
         if self.stage == RoundStage::Finished {
@@ -131,16 +134,16 @@ impl PairRounds {
     }
 }
 
-/// Returns whether an estimate has a small standard error, and differs from the initial offset `start` by at most one
-/// frame period, the possible error of `start`.
+/// Returns whether an estimate has a standard error of at most [`MAX_STD_ERR_FRAMES`], and differs from the initial
+/// offset `start` by at most one frame period, the possible error of `start`.
 fn is_near(recording: &Recording, start: &ClockModel, pair: &PairEstimate) -> bool {
     let [i, j] = pair.cameras.map(|c| recording.clocks[c].frame_s());
     pair.std_err_s <= MAX_STD_ERR_FRAMES * i.min(j)
         && (pair.clock.offset_s - start.offset_at(pair.clock.reference_s)).abs() <= i.max(j)
 }
 
-/// Returns the [`FIRST_TRIPLES`] triples in the middle of each direction. `i` is the camera with two frames in the
-/// first direction. `None` if a direction has at most twice as many triples.
+/// Returns the [`FIRST_TRIPLES`] frame triples in the middle of each direction. `i` is the camera with two frames in
+/// the first direction. `None` if a direction has at most twice as many triples.
 fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     let (forward, backward) = frames.split_at(frames.partition_point(|([a, _], _)| *a == i));
     let mut chosen = Vec::new();
@@ -196,7 +199,7 @@ pub fn estimate_pairs(
 }
 
 /// Returns how many of the first pairs form a group, at least 1. The group's frames at one instant fit the frame
-/// cache, and its offset candidates of two rounds fit the candidate cache.
+/// cache, and its offset candidates of two rounds fit the cache of candidates.
 fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     let options = recording.options;
     // The factor 4 is for two directions and two rounds.
@@ -210,8 +213,8 @@ fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     pairs[..max_pairs].iter().take_while(fits).count().max(1)
 }
 
-/// Returns the offset of each camera's clock, seconds, relative to one camera of those that pairs with an initial
-/// offset connect to it. The offset is 0 for a camera that no such pair connects to another.
+/// Returns the offset of each camera's clock, seconds, relative to one of the cameras to which pairs with an initial
+/// offset connect it. The offset is 0 for a camera that no such pair connects to another.
 fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
     let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_ok()).collect();
     let mut clocks_s: Vec<Option<f64>> = vec![None; cameras];

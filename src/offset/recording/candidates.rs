@@ -40,7 +40,7 @@ impl Candidate {
 /// error of good features.
 const TRAJECTORY_SIGMA_PX: f64 = 0.03;
 /// The expected error of a trajectory, as a fraction of the contribution of its highest-order term. At video rates,
-/// each order of a motion contributes about this fraction of the next lower order.
+/// each polynomial order of a motion contributes about this fraction of what the next lower order contributes.
 const NEXT_ORDER_FRACTION: f64 = 0.2;
 /// The constant part of the maximum prediction error of a trajectory, pixels. The prediction error is the distance of
 /// the trajectory's last sample from the extrapolation of the other samples.
@@ -49,7 +49,7 @@ const MAX_PREDICTION_ERROR_PX: f64 = 1.0;
 /// step between two frames. Features with larger errors are rejected. They are mostly background features that a
 /// moving body occludes, and would support a wrong time.
 const MAX_PREDICTION_ERROR_FRACTION: f64 = 0.3;
-/// The maximum number of Newton steps.
+/// The maximum number of Newton steps to the crossing of a trajectory and an epipolar line.
 const MAX_NEWTON_STEPS: usize = 4;
 /// The size of a Newton step, as a fraction of the interval between the two frames, below which Newton's method has
 /// converged.
@@ -201,8 +201,8 @@ impl ThreeFrames<'_> {
     }
 }
 
-/// Returns the trajectory of the next lower order, through all samples except the first or the last one, whichever is
-/// farther from `time_s`. `None` for two samples.
+/// Fits the trajectory of the next lower polynomial order, through all samples except the first or the last one,
+/// whichever is farther from `time_s`. `None` if there are only two samples.
 fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Trajectory> {
     let distance = |s: &(f64, Point2<f64>)| (s.0 - time_s).abs();
     let (first, last) = (samples.first()?, samples.last()?);
@@ -320,8 +320,8 @@ mod tests {
         }
     }
 
-    /// Returns, for features of several speeds far from the image's centre, the number without a crossing and the
-    /// number with one.
+    /// Counts features of several speeds far from the image's centre: first those that do not cross their epipolar
+    /// lines, then those that do.
     fn crossing_counts(model: CameraModel) -> [usize; 2] {
         let middle = Camera { model, ..camera(0.0) };
         let turned = |angle: f64| Camera {

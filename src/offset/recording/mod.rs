@@ -20,7 +20,7 @@ use std::sync::Arc;
 /// the feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// The indices of cameras a and b.
+    /// The indices of the two cameras, a and b.
     pub cameras: [usize; 2],
     pub time_a_s: f64,
     pub time_b_s: f64,
@@ -83,9 +83,10 @@ const WINDOW_PX: f64 = 24.0;
 /// The maximum time by which camera b's frame may be outside the interval between camera a's two frames, as a
 /// fraction of this interval. Outside the interval, trajectories are extrapolated.
 const MAX_OUTSIDE: f64 = 0.5;
-/// The maximum number of feature tracks in the cache: 256 MB, enough for 100 cameras with 600 features each.
+/// The maximum number of feature tracks in the cache. They take 256 MB, enough for 100 cameras with 600 features
+/// each.
 const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
-/// The maximum number of offset candidates in the cache: 128 MB.
+/// The maximum number of offset candidates in the cache. They take 128 MB.
 pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
 
 /// Recordings of all cameras under one hypothesis of their clocks. Tracks and offset candidates are computed on
