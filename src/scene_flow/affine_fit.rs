@@ -20,9 +20,9 @@ const MIN_COLOR_WEIGHT: f32 = 0.05;
 /// Weight of the ridge regularization that pulls the gradients towards 0, squared pixels of the pyramid level.
 /// Gradients of 0 are a surface parallel to the image in pure translation.
 const FLATNESS: f64 = 0.3;
-/// Maximum magnitude of the disparity's gradient, pixels of disparity per pixel.
+/// Maximum magnitude of each component of the disparity's gradient, pixels of disparity per pixel.
 const MAX_DISPARITY_GRADIENT: f32 = 1.6;
-/// Maximum magnitude of the velocity's gradient, pixels per frame per pixel.
+/// Maximum magnitude of each component of the velocity's gradient, pixels per frame per pixel.
 const MAX_MOTION_GRADIENT: f32 = 1.0;
 
 impl PatchMatcher<'_> {

@@ -11,8 +11,8 @@ use crate::raster::{Image, Sampling, sample};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates for the same surface at
-/// a pixel of the view.
+/// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates (surface elements of
+/// different scene flow maps) for the same surface at a pixel of the view.
 const CLUSTER_PX: f32 = 1.5;
 /// Weight above which a cluster occludes a heavier cluster behind it, as a fraction of the weight of all candidates
 /// at the pixel.
@@ -30,8 +30,8 @@ const CLOSED_PX: usize = 4;
 /// Weight above which a cluster is visible through a transparent cluster in front of it, as a fraction of the weight
 /// of all candidates at the pixel.
 const BEHIND: f32 = 0.05;
-/// Minimum weight of a candidate in the mean of its cluster, as a fraction of the largest weight in the
-/// cluster.
+/// Minimum weight of a candidate (surface element of one scene flow map) in the mean of its cluster, as a fraction of
+/// the largest weight in the cluster.
 const MIN_SHARE: f32 = 0.02;
 /// Distance of a colour from the mean colour of its cluster at which the colour's weight falls to a quarter. Colours
 /// are RGB from 0 to 1.
@@ -40,7 +40,7 @@ const COLOR: f32 = 0.06;
 /// Maximum number of a view's pixels that are blended at once. With eight scene flow maps, blending them takes about
 /// 60 MB.
 const BAND_PIXELS: usize = 5 << 16;
-/// Number of pixels of a view from which the view is blended in bands of half the size.
+/// Number of pixels of a view from which the view is blended in bands of half as many pixels.
 const LARGE_PIXELS: usize = 1 << 23;
 
 /// Colour and depth of the surface that a pixel of the view shows.
@@ -176,7 +176,7 @@ struct ColorCandidate<'a> {
 }
 
 impl ColorCandidate<'_> {
-    /// Returns the factor by which [`FRONT`] is multiplied for this candidate.
+    /// Returns the factor by which the weight threshold [`FRONT`] is multiplied for this candidate.
     fn front_factor(&self) -> f32 {
         if self.is_moving { MOVING } else { 1.0 }
     }

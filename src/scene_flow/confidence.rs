@@ -17,13 +17,13 @@ const MAX_MOTION_ERROR_PX: f32 = 2.0;
 /// Proportional part of the maximum difference in velocity between a surface element and an element of another scene
 /// flow map that confirms it, as a fraction of the element's speed.
 const MAX_MOTION_ERROR: f32 = 0.15;
-/// Weight of a scene flow map in the count of compared maps if the surface element is occluded in this map. A map
-/// that contradicts the element has the weight 1.
+/// Weight of a scene flow map in the count of compared maps if the surface element is occluded in the map. A map that
+/// contradicts the element has the weight 1.
 const HIDDEN: f32 = 0.3;
-/// Number that is added to the count of confirming scene flow maps, so that a surface element without comparable maps
-/// has a confidence too.
+/// Number that is added to the count of confirming scene flow maps in the numerator of a confidence, so that a
+/// surface element without comparable maps has a confidence too.
 const PRIOR_CONFIRMED: f32 = 0.1;
-/// Number that is added to the count of compared scene flow maps.
+/// Number that is added to the count of compared scene flow maps in the denominator of a confidence.
 const PRIOR_ALL: f32 = 0.5;
 
 /// Returns the confidence of each pixel of each scene flow map, in the order of `mapped` and row by row, from 1 to

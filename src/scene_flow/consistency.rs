@@ -21,8 +21,8 @@ const HIDING_PX: f32 = 1.0;
 /// Difference that is assumed between a surface element and a scene flow map in which the element is occluded,
 /// pixels.
 const HIDDEN_PX: f32 = 0.3;
-/// Number of assumed scene flow maps with a difference of 0 that are added to the mean, so that one map alone has
-/// little influence.
+/// Number of assumed scene flow maps with a difference of 0 that are included in the mean difference, so that one map
+/// alone has little influence.
 const PRIOR_MAPS: f32 = 2.0;
 
 /// Copy of a scene flow map's inverse depths and velocities, row by row.

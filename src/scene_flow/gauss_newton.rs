@@ -4,17 +4,19 @@ use super::element::Element;
 use super::matching::{MatchedElement, ObservingFrame, PatchMatcher};
 use nalgebra::{Matrix6, Vector6};
 
-/// Weight of the prior relative to the normal equations of a patch whose gradients are all 1 per pixel. The prior
-/// damps the Gauss–Newton step, and shrinks the rate of inverse depth and the acceleration.
+/// Weight of the prior of a Gauss–Newton step, relative to the normal equations of a patch whose gradients are all 1
+/// per pixel. The prior damps the step, and pulls the inverse depth's rate of change and the acceleration towards 0.
 const PRIOR: f64 = 1e-6;
-/// Factor by which a step of the inverse depth's rate is damped more than a step of the inverse depth.
+/// Ratio of the damping of the inverse depth's rate of change to the damping of the inverse depth, in a Gauss–Newton
+/// step.
 const RATE_STIFFNESS: f64 = 16.0;
-/// Weight with which the rate of the inverse depth is pulled towards 0, as a multiple of its damping. For the
+/// Weight with which the inverse depth's rate of change is pulled towards 0, as a multiple of its damping. For the
 /// acceleration, this multiple is 1.
 const RATE_PULL: f64 = 10.0;
-/// Maximum step of the disparity, and maximum step of the velocity per frame, pixels of the pyramid level.
+/// Maximum change of the disparity, and of the velocity per frame, in one Gauss–Newton step, pixels of the pyramid
+/// level.
 const MAX_STEP_PX: f32 = 3.0;
-/// Maximum magnitude of the acceleration, pixels per frame squared.
+/// Maximum magnitude of each component of the acceleration, pixels per squared frame.
 const MAX_ACCELERATION: f32 = 40.0;
 /// Maximum magnitude of the rate of the inverse depth, pixels of disparity per frame.
 const MAX_RATE_PX: f32 = 12.0;

@@ -37,7 +37,7 @@ impl ElementMap {
     }
 }
 
-/// Quantization steps per pixel of a velocity, of an acceleration, and of a rate of disparity.
+/// Quantization steps per pixel of a velocity, of an acceleration, and of a disparity's rate of change.
 const STEPS: f32 = 64.0;
 /// Number of quantization steps in the search range of inverse depths.
 const DEPTH_STEPS: f32 = u16::MAX as f32;
@@ -162,7 +162,7 @@ impl FlowMap {
         Self { width: map.width, height: map.height, disparity_px, inverse_depth, pixels }
     }
 
-    /// Returns the map with the given standard errors of its surface elements, which are in row order.
+    /// Returns the map with the given standard errors of its surface elements, one for each pixel, row by row.
     pub(super) fn with_errors(mut self, errors: &[ElementErrors]) -> Self {
         for (pixel, errors) in self.pixels.iter_mut().zip(errors) {
             pixel.errors = [errors.disparity_px, errors.velocity_px].map(code_from_error);

@@ -8,8 +8,8 @@ use super::patch::Patch;
 use super::timing::TimeBetween;
 use crate::simd::{F32x8, LANES, multiversion};
 
-/// Maximum absolute difference of each channel of a sample. Larger differences, which occlusions cause, are
-/// truncated.
+/// Maximum absolute difference in each channel between two matching samples. Larger differences, which occlusions
+/// cause, are truncated.
 const TRUNCATION: MatchingSample = [0.12, 0.084, 0.084, 0.084];
 /// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
 const RESIDUAL: f32 = 0.05;
@@ -123,11 +123,11 @@ impl PlacedElement<'_> {
     }
 }
 
-/// Costs in the observing frames evaluated so far, ascending.
+/// Matching costs of a surface element in the observing frames evaluated so far, ascending.
 struct SortedCosts {
     sorted: [f32; MAX_OBSERVATIONS],
     count: usize,
-    /// Number of evaluated frames whose image contains the surface element.
+    /// Number of observing frames evaluated so far whose image contains the surface element.
     inside: usize,
 }
 
@@ -297,7 +297,7 @@ impl Footprint {
 }
 
 impl<V: F32x8> Places<V> {
-    /// Returns the bilinear samples at the positions `l` and `l + 1`, four channels each.
+    /// Returns the bilinear samples of an image at the positions `l` and `l + 1`, four channels each.
     #[inline(always)]
     fn two_samples(&self, image: &MatchingImage, l: usize) -> V {
         let Self { columns, rows, fx, fy, .. } = self;

@@ -13,8 +13,8 @@ pub struct SurfaceMotion {
     pub inverse_depth_rate: f32,
 }
 
-/// Quantization steps per pixel of a rate of disparity, which is in pixels per frame. Rates beyond 16 pixels per
-/// frame saturate.
+/// Quantization steps per pixel of a disparity's rate of change, which is in pixels per frame. Rates beyond 16 pixels
+/// per frame saturate.
 const RATE_STEPS: f32 = 8.0;
 
 /// Quantized motion of one pixel: two 16-bit numbers and one 8-bit number, stored as bytes so that no memory is

@@ -1,13 +1,13 @@
-//! Patches: the pixels around a pixel that probably belong to the same surface.
+//! Patches: the neighbourhood of a pixel, reduced to the pixels that probably belong to the same surface.
 
 use super::frame::{MatchingImage, MatchingSample, WEIGHTS};
 use crate::simd::LANES;
 
 /// Colour difference from the centre of the patch at which the colour term of a pixel's weight falls to 1/e.
 const PATCH_COLOR: f32 = 0.08;
-/// Half-width of a patch at the finest level, and the step between its pixels; both in pixels.
+/// Half-width of a patch at the finest pyramid level, and the step between its pixels; both in pixels.
 const PATCH_FINEST: (i32, i32) = (4, 2);
-/// Half-width of a patch at all other levels, and the step between its pixels; both in pixels of the level.
+/// Half-width of a patch at all coarser pyramid levels, and the step between its pixels; both in pixels of the level.
 const PATCH_COARSE: (i32, i32) = (2, 1);
 /// Minimum weight of a pixel in a patch. Pixels with a smaller weight are left out. They are on another surface, or
 /// far from the centre.
@@ -23,12 +23,12 @@ pub struct Patch {
     pub offset_x: [f32; PADDED_PIXELS],
     pub offset_y: [f32; PADDED_PIXELS],
     pub samples: [MatchingSample; PADDED_PIXELS],
-    /// Weight of each pixel, repeated for every channel of its sample.
+    /// Weight of each pixel of the patch, repeated for every channel of its sample.
     pub weights: [MatchingSample; PADDED_PIXELS],
-    /// Weight of each pixel.
+    /// Weight of each pixel of the patch.
     pub weight: [f32; PADDED_PIXELS],
     pub count: usize,
-    /// Reciprocal of the sum of the weights of all pixels.
+    /// Reciprocal of the sum of the weights of all pixels of the patch.
     pub normalization: f32,
 }
 
@@ -45,7 +45,7 @@ impl Patch {
         }
     }
 
-    /// Returns the sum of the weights of all pixels.
+    /// Returns the sum of the weights of all pixels of the patch.
     pub fn weight(&self) -> f32 {
         1.0 / self.normalization
     }

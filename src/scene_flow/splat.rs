@@ -28,15 +28,16 @@ const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
 /// Expected error of a surface element's position as a fraction of acceleration times squared time, since real paths
 /// are not parabolas.
 const ERROR_BY_CURVATURE: f32 = 0.1;
-/// Expected error due to the distance of the cameras and to the time from frame to instant, pixels, below which a
-/// frame's weight rises steeply. A view from a camera's own place at a frame's own time thus shows that frame.
+/// Expected position error due to the distance of the cameras and to the time from frame to instant, pixels, below
+/// which a frame's weight rises steeply. A view at a camera's own position and a frame's own time thus shows that
+/// frame.
 const EXACT_PX: f32 = 0.01;
 
 /// Scene flow map rendered into some rows of a view. Its public fields have one value per pixel, row by row.
 pub struct Splat {
-    /// Inverse depth in the view, 1/m.
+    /// Inverse depth of each pixel in the view, 1/m.
     pub inverse_depths: Vec<f32>,
-    /// Position in the frame from which the pixel's colour is read, pixels.
+    /// Position in the frame from which each pixel's colour is read, pixels.
     pub sources: Vec<[f32; 2]>,
     /// Blending weight of each pixel, from confidence and expected error; 0 where the scene flow map covers nothing.
     pub weights: Vec<f32>,

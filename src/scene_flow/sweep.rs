@@ -21,8 +21,8 @@ const COLOR: f32 = 0.08;
 /// Part of the smoothness weight that is added to the colour term, so that neighbours of any colour have some
 /// smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Matching cost below which a pixel's surface element is good. For such a pixel no random elements are tried. The
-/// pixel can also be settled, so that later passes skip it.
+/// Matching cost below which a pixel's surface element is good. For such a pixel, no random elements are tried. Later
+/// passes skip the pixel if its element is also static and its neighbours have nearly the same element.
 const MATCHED: f32 = 0.012;
 /// Distance ([`PatchMatcher::distance`]) below which two surface elements count as equal, pixels of the pyramid
 /// level.
@@ -39,7 +39,8 @@ const ANYWHERE: f32 = 0.7;
 const AT_REST: f32 = 0.15;
 /// Fraction of the random surface elements from the whole search range that keep the pixel's current depth.
 const KEEP_DEPTH: f32 = 0.3;
-/// Maximum size of a random change of a surface element, pixels of the pyramid level.
+/// Maximum size of a random change of a surface element's disparity, pixels of the pyramid level. The velocity
+/// changes by up to twice this size.
 const MAX_CHANCE_PX: f32 = 4.0;
 /// Finest pyramid level at which random surface elements are drawn from the whole search range.
 const COARSE_LEVEL: usize = 2;
@@ -95,7 +96,7 @@ impl Pass<'_> {
     }
 }
 
-/// Best surface element of a pixel so far, with its costs.
+/// Best surface element found so far for a pixel, with its costs.
 struct Best<'a, 'b> {
     matcher: &'a PatchMatcher<'b>,
     map: &'a ElementMap,
@@ -170,8 +171,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the surface element without its motion. At the finest level, a fast element is not tried, since it can't
-    /// be at rest.
+    /// Tries the current surface element without its motion. At the finest level, this is skipped for a fast element,
+    /// which can't be at rest.
     fn consider_rest(&mut self) {
         let speed = self.element.speed();
         if speed > 0.0 && (self.matcher.level > 0 || speed < MAX_SPEED_TO_REST_PX) {
@@ -208,8 +209,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries a Gauss–Newton step if one is due: in the last pass, if this pass has changed the surface element from
-    /// `before`, and in the first pass for a settled pixel, since later passes skip this pixel.
+    /// Tries a Gauss–Newton step in three cases: in the last pass; if this pass has changed the surface element from
+    /// `before`; and in the first pass for a settled pixel, since later passes skip this pixel.
     fn step_if_due(&mut self, before: &Element, is_settled: bool, pass: &Pass) {
         let has_changed = self.matcher.distance(before, &self.element) > 0.0;
         if !(pass.is_last || has_changed || (is_settled && pass.turn == 0)) {
@@ -398,7 +399,7 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Returns whether two surface elements project a patch to noticeably different positions.
+    /// Returns whether two surface elements project a patch to positions that differ noticeably.
     fn changes_patch(&self, a: &Element, b: &Element) -> bool {
         let r = 3.0 * self.scale;
         self.distance(a, b) > 0.4 * SAME_PX

@@ -36,7 +36,7 @@ pub struct TimeBetween {
 }
 
 impl TimeBetween {
-    /// Creates the time from the pixels of frame `of` to the pixels of frame `by`.
+    /// Prepares the computation of times from the pixels of frame `of` to the pixels of frame `by`.
     pub fn new(of: &FlowFrame, by: &FlowFrame) -> Self {
         let frames = (by.time - of.time) as f32;
         let is_global = of.row_time == 0.0 && by.row_time == 0.0;

@@ -9,8 +9,8 @@ use super::timing::TimeBetween;
 /// Maximum time between two frames that propose surface elements to each other, in frame periods of the reference
 /// camera.
 const MAX_PROPOSAL_DT: f32 = 1.1;
-/// Cost that is added per frame of time between the two frames. Of two equally good surface elements, the one from
-/// the frame nearer in time is thus preferred.
+/// Cost that is added per frame period between the two frames. Of two equally good surface elements, the one from the
+/// frame nearer in time is thus preferred.
 const COST_PER_FRAME: f32 = 0.01;
 /// Upper bound of the matching cost of a surface element that is proposed because it is the frontmost one.
 const MAX_NEAR_COST: f32 = 0.1;
@@ -18,12 +18,12 @@ const MAX_NEAR_COST: f32 = 0.1;
 /// Angle between the optical axes of two cameras above which a surface element's gradients are computed anew in the
 /// other camera, radians. Below this angle, they are copied.
 const TURNED_RAD: f64 = 0.1;
-/// Minimum area in the other frame of one pixel of a surface element, pixels. An element with a smaller area is seen
-/// edge-on, and gets gradients of 0.
+/// Minimum area that one pixel of a surface element covers in the other frame, pixels. If the area is smaller, the
+/// surface is seen edge-on, and its gradients in the other frame are set to 0.
 const MIN_AREA: f32 = 0.1;
 
-/// Surface elements of other frames' scene flow maps that project to each pixel of a map: the element with the lowest
-/// cost, and the frontmost element.
+/// Surface elements of other frames' scene flow maps that project to each pixel of a frame's map: the element with
+/// the lowest cost, and the frontmost element.
 pub struct Proposals {
     cheapest: Vec<Option<(f32, Element)>>,
     nearest: Vec<Option<Element>>,

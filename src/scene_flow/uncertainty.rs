@@ -17,12 +17,12 @@ const VISIBLE_FRACTION: f64 = 0.55;
 /// Standard errors of a surface element without any image gradient: of the disparity, pixels, and of each component
 /// of the velocity, pixels per frame.
 const PRIOR_PX: [f64; 2] = [4.0, 8.0];
-/// Factors on the standard errors of disparity and velocity from the covariance. They are needed because residuals of
-/// neighbouring pixels are correlated and smoothness adds information. With these factors, the median errors on the
-/// scenes `spin`, `bounce`, `magazine` and `ball` are 0.3 to 0.9 standard errors.
+/// Factors by which the standard errors of disparity and velocity from the covariance are multiplied. They are needed
+/// because residuals of neighbouring pixels are correlated and smoothness adds information. With these factors, the
+/// median errors on the scenes `spin`, `bounce`, `magazine` and `ball` are 0.3 to 0.9 standard errors.
 const SCALE: [f64; 2] = [0.6, 0.4];
-/// Part of the velocity's standard error per unit of acceleration (pixel per squared frame), frames. Real paths are
-/// not parabolas.
+/// Part of the velocity's standard error per unit of acceleration (pixel per squared frame), frame periods. Real
+/// paths are not parabolas.
 const BY_ACCELERATION: f32 = 0.05;
 
 impl PatchMatcher<'_> {
