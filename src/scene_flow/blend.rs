@@ -85,8 +85,9 @@ impl Pixels {
         }
     }
 
-    /// Closes holes in moving bodies, through which other surfaces show, inwards ring by ring. A closed pixel gets
-    /// the mean colour and inverse depth of its neighbours that show the body, and the motion of one of them.
+    /// Closes holes in moving bodies, through which other surfaces show, from the border inwards, one ring of pixels
+    /// at a time. A closed pixel gets the mean colour and inverse depth of its neighbours that show the body, and the
+    /// motion of one of them.
     fn close(&mut self, width: usize) {
         let height = self.shown.len() / width;
         let is_body = |shown: &[Shown], n: usize| shown[n] == Shown::Moving;
@@ -122,8 +123,8 @@ impl Pixels {
         }
     }
 
-    /// Fills the holes of the view (pixels that no scene flow map covers), inwards ring by ring. A pixel copies its
-    /// farthest neighbour that is not a hole, since holes are disoccluded background.
+    /// Fills the holes of the view (pixels that no scene flow map covers) from the border inwards, one ring of pixels
+    /// at a time. A pixel copies its farthest neighbour that is not a hole, since holes are disoccluded background.
     fn fill(&mut self, width: usize) {
         let height = self.shown.len() / width;
         let around = |k: u32| {

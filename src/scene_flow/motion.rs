@@ -17,8 +17,8 @@ pub struct SurfaceMotion {
 /// per frame saturate.
 const RATE_STEPS: f32 = 8.0;
 
-/// Quantized motion of one pixel: two 16-bit numbers and one 8-bit number, stored as bytes so that no memory is
-/// padded.
+/// Quantized motion of one pixel: two 16-bit numbers for the velocity and an 8-bit number for the inverse depth's
+/// rate of change. They are stored as bytes, so that no memory is lost to padding.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct QuantizedMotion([u8; 5]);
 

@@ -57,7 +57,7 @@ struct MoveNode {
     lost: u32,
 }
 
-/// Jump move: the set of nodes whose image times are shifted by [`Jumps::frames`].
+/// Jump move: shifts the image times of a set of nodes by [`Jumps::frames`].
 pub struct Move {
     /// Whether each node's image times are shifted, in the order of [`Jumps::nodes`].
     moves: Vec<bool>,
@@ -65,8 +65,8 @@ pub struct Move {
     pub cost: f64,
 }
 
-/// Graph of a component's jump moves by a given number of frames. Each node has a binary label: 1 if its image times
-/// are shifted.
+/// Graph of a component's jump moves (shifts of some image times) by a given number of frames. Each node has a binary
+/// label: 1 if its image times are shifted.
 pub struct Jumps<'a> {
     component: &'a Component<'a>,
     nodes: Vec<MoveNode>,

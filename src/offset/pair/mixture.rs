@@ -57,7 +57,8 @@ const SCALES: [f64; 3] = [1.0, SCALE_RATIO, SCALE_RATIO * SCALE_RATIO];
 /// The ratio of the standard deviations of successive components. Its square is an integer, since `gaussians` uses
 /// the square as an exponent.
 const SCALE_RATIO: f64 = 4.0;
-/// The standard deviation of features' distances from their epipolar lines with which the fit starts, pixels.
+/// The initial standard deviation of the narrowest inlier component, pixels: the expected distance of features from
+/// their epipolar lines.
 const START_PX: f64 = 0.5;
 /// The lower bound of the standard deviation of the narrowest component, pixels. Trackers are not more precise.
 const MIN_PX: f64 = 0.01;

@@ -33,11 +33,11 @@ pub struct Sample {
     /// The index of the tile that contains the feature in a fine grid over camera a's image. A tile is about two of
     /// the tracker's windows wide. Features in the same tile are tracked by nearly the same pixels.
     pub window: usize,
-    /// The positions of the feature in the two cameras' images.
+    /// The positions of the feature in the two cameras' images, and its speed.
     pub sight: Sight,
 }
 
-/// Positions of a [`Sample`]'s feature in the images of cameras a and b, at the time of b's image.
+/// Positions and speed of a [`Sample`]'s feature in the images of cameras a and b, at the time of b's image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sight {
     /// The feature's position on its trajectory in camera a, undistorted pixels.
