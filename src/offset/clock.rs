@@ -11,7 +11,7 @@ use crate::capture::{Capture, Clock};
 pub struct ClockModel {
     /// Target time minus own time, seconds, at the own time `reference_s`.
     pub offset_s: f64,
-    /// The change of the offset per time on the own clock, seconds per second.
+    /// The rate of change of the offset with time on the own clock, seconds per second.
     pub rate: f64,
     /// The own time at which the offset equals `offset_s`, seconds.
     pub reference_s: f64,

@@ -34,7 +34,7 @@ pub struct Sandwich {
 }
 
 impl Sandwich {
-    /// Creates a problem without equations, with the given number of unknowns.
+    /// Creates a least-squares problem without equations, with the given number of unknowns.
     pub fn new(unknowns: usize) -> Self {
         Self {
             unknowns,

@@ -14,11 +14,11 @@ use std::ops::Range;
 /// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates (surface elements of
 /// different scene flow maps) for the same surface at a pixel of the view.
 const CLUSTER_PX: f32 = 1.5;
-/// Weight above which a cluster occludes a heavier cluster behind it, as a fraction of the weight of all candidates
-/// at the pixel.
+/// Weight above which a cluster occludes a heavier cluster behind it, as a fraction of the weight of all surface
+/// elements at the pixel.
 const FRONT: f32 = 0.12;
-/// Weight from which a cluster is opaque, as a fraction of the weight of all candidates at the pixel. The opacity
-/// rises linearly with the weight, from 0 at [`FRONT`] to 1 at this weight.
+/// Weight from which a cluster is opaque, as a fraction of the weight of all surface elements at the pixel. The
+/// opacity rises linearly with the weight, from 0 at [`FRONT`] to 1 at this weight.
 const OPAQUE: f32 = 0.25;
 /// Factor on [`FRONT`] and [`OPAQUE`] for a cluster that is known to move. A small weight suffices for such a cluster,
 /// since its source pixels are known not to show static background.
@@ -28,7 +28,7 @@ const CLOSING: usize = 5;
 /// Maximum distance of a pixel of a hole from the hole's border, pixels. Pixels farther inside stay open.
 const CLOSED_PX: usize = 4;
 /// Weight above which a cluster is visible through a transparent cluster in front of it, as a fraction of the weight
-/// of all candidates at the pixel.
+/// of all surface elements at the pixel.
 const BEHIND: f32 = 0.05;
 /// Minimum weight of a candidate (surface element of one scene flow map) in the mean of its cluster, as a fraction of
 /// the largest weight in the cluster.

@@ -72,8 +72,8 @@ pub struct Jumps<'a> {
     nodes: Vec<MoveNode>,
     /// The range of each camera's nodes in `nodes`, by camera. The nodes of a camera ascend by image.
     of_camera: Vec<Range<usize>>,
-    /// The energy term of each observation: the nodes of its three images, and its cost for each combination of their
-    /// labels, as a multiple of an outlier's cost.
+    /// The energy term of each timing observation: the nodes of its three images, and its cost for each combination
+    /// of their labels, as a multiple of an outlier's cost.
     terms: Vec<([usize; 3], TripleCosts)>,
     /// The shift of image times by a jump move, in frame periods of each camera. A positive shift makes times later.
     frames: i32,
@@ -95,8 +95,8 @@ impl<'a> Jumps<'a> {
         (!range.is_empty()).then(|| range.start + within.saturating_sub(1))
     }
 
-    /// Returns the energy term of an observation: the nodes of its three images, and its cost for each combination of
-    /// their labels. `None` if one of its cameras has no model.
+    /// Returns the energy term of a timing observation: the nodes of its three images, and its cost for each
+    /// combination of their labels. `None` if one of its cameras has no model.
     fn term(&self, o: &TimingObservation) -> Option<([usize; 3], TripleCosts)> {
         let ([a, b], [k, m]) = (o.cameras, o.images);
         let [clock_a, clock_b] = o.cameras.map(|c| &self.component.clocks[c]);

@@ -263,7 +263,8 @@ mod tests {
     }
 
     /// The standard error of an efficient estimate is √(σ² / Σ v²), where v is the speed of an inlier. In 3000 random
-    /// problems with as many outliers as inliers, this estimate's root-mean-square error is at most a quarter larger.
+    /// problems with as many outliers as inliers, the root-mean-square error is at most a quarter larger than this
+    /// standard error.
     #[test]
     fn thousands_of_random_problems_are_solved_efficiently() {
         let random = &mut Random::new(1);

@@ -72,7 +72,7 @@ pub struct FrameTriple {
 /// Frame triple as ([a, b], [k, m]): frames k and k + 1 of camera a, and frame m of camera b.
 pub type TripleFrames = ([usize; 2], [usize; 2]);
 
-/// The minimum motion of a feature between two successive frames, perpendicular to its epipolar line, that gives a
+/// The minimum motion of a feature between two successive frames, perpendicular to its epipolar line, that gives an
 /// offset candidate, pixels.
 const MIN_ACROSS_PX: f64 = 1.0;
 /// The numbers of columns and rows of the coarse grid over an image ([`Sample::cell`]).
