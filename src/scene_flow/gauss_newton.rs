@@ -18,7 +18,7 @@ const RATE_PULL: f64 = 10.0;
 const MAX_STEP_PX: f32 = 3.0;
 /// Maximum magnitude of each component of the acceleration, pixels per squared frame.
 const MAX_ACCELERATION: f32 = 40.0;
-/// Maximum magnitude of the rate of the inverse depth, pixels of disparity per frame.
+/// Maximum magnitude of the inverse depth's rate of change, pixels of disparity per frame.
 const MAX_RATE_PX: f32 = 12.0;
 /// Step of the finite difference that gives the derivative of a position by the inverse depth, pixels of disparity.
 const DISPARITY_STEP_PX: f32 = 1.0;
