@@ -62,9 +62,9 @@ pub(super) struct RayCone {
 }
 
 impl RayCone {
-    /// Returns the cone of the rays of a range of pixels, which must not be empty. The cone's axis is the middle ray.
-    /// For a pinhole camera, only the first and the last ray are tested, because they are the longest and have the
-    /// largest angle to the axis.
+    /// Returns a cone that contains the rays of all pixels of a row. The cone's axis is the middle pixel's ray. The row
+    /// must not be empty. For a pinhole camera, the opening angle is computed from the first and the last ray alone:
+    /// these two have the largest angles to the axis.
     pub fn around(row: &TargetRow, is_pinhole: bool) -> Self {
         let n = row.x.len();
         let unit = |k: usize| Vector3::new(row.x[k], row.y[k], 1.0) / row.length[k];

@@ -17,8 +17,8 @@ const DISTANCE_POWER: i32 = 3;
 /// additional spread in position.
 const RIDGE_PX: f64 = 2.0;
 
-/// An affine motion to each of four frames: the displacement at a centre, and the derivative of the displacement by
-/// position.
+/// Four affine motions: from the image at the instant to each of the four frames around the instant. A motion has the
+/// displacement of a centre point, and the derivative of the displacement by position.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AffineMotion {
     to: [Vector2<f64>; 4],

@@ -39,8 +39,8 @@ impl Component<'_> {
         (0..self.clocks.len()).filter(|&c| self.models[c].is_some()).collect()
     }
 
-    /// Returns the observations whose second camera has a model, each once. (`observations` lists each observation
-    /// under both of its cameras.)
+    /// Returns each timing observation whose camera b has a fitted clock model. No observation is repeated, although
+    /// `observations` has each of them twice: under its camera a and under its camera b.
     pub fn fitted_observations(&self) -> impl Iterator<Item = &TimingObservation> {
         let as_second = |c: usize| self.observations[c].iter().filter(move |o| o.cameras[1] == c);
         self.members().into_iter().flat_map(as_second)

@@ -90,8 +90,8 @@ const MAX_OUTSIDE: f64 = 0.25;
 /// The minimum change of the offset between two observations that counts as a jump by whole frames, in frame periods
 /// of camera b.
 const MIN_JUMP_FRAMES: f64 = 0.6;
-/// The maximum difference between the observed and the expected offset at which no further offsets are tried, in
-/// frame periods of camera b. The observation must also have [`MIN_AGREEMENT`].
+/// The search for a frame triple's offset stops at the first observed offset that is within this distance of the
+/// expected offset, in frame periods of camera b, and whose agreement is at least [`MIN_AGREEMENT`].
 const EXPECTED_WITHIN_FRAMES: f64 = 0.4;
 /// The number of images on either side of a lost frame that are observed again.
 const IMAGES_AROUND_LOSS: usize = 2;

@@ -26,9 +26,9 @@ pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
     best
 }
 
-/// The maximum number of WLS iterations.
+/// Maximum number of iterations of weighted least squares.
 const MAX_ITERATIONS: usize = 100;
-/// The change of the mean, multiplied by γ, below which WLS has converged.
+/// Convergence threshold of [`weighted_least_squares`]: the change |t̃_new − t̃_old| · γ of the mean t̃ by one iteration.
 const TOLERANCE: f64 = 1e-9;
 
 /// Returns the mean by iterated weighted least squares, eqs. (11) to (13). The iteration starts at the unweighted
