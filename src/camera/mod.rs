@@ -42,8 +42,8 @@ pub struct Camera {
 const MIN_DEPTH_FRACTION: f64 = 1e-6;
 
 impl Camera {
-    /// Returns the camera for an image of half the resolution. An odd last row or column is dropped. `None` if no pixel
-    /// is left.
+    /// Returns the camera for an image of half the resolution. An odd last row or column is dropped. `None` if the
+    /// image is less than 2 pixels wide or high.
     pub fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         let model = self.model.halved();

@@ -14,7 +14,8 @@ pub enum CameraParameter {
     Focal,
     /// Coordinate x (0) or y (1) of the principal point, pixels.
     PrincipalPoint(usize),
-    /// Distortion parameter of the lens model, counted from 0 in COLMAP's order after the principal point.
+    /// Distortion parameter of the lens model. Index 0 is the first parameter after the principal point in COLMAP's
+    /// order.
     Distortion(usize),
 }
 
