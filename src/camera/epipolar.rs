@@ -42,7 +42,7 @@ pub struct EpipolarGeometry {
 const MIN_BASELINE_FRACTION: f64 = 1e-12;
 
 /// Minimum length of the normal of an epipolar line F p, as a fraction of the norm of F. If the normal is shorter, the
-/// pixel p is taken for the epipole.
+/// pixel p counts as the epipole.
 const MIN_LINE_FRACTION: f64 = 1e-12;
 
 impl EpipolarGeometry {

@@ -23,8 +23,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFormat {
-    /// Rotation from world axes to camera axes, as a quaternion (w, x, y, z). The quaternion's length differs from 1 by
-    /// at most [`MAX_QUATERNION_ERROR`].
+    /// Rotation from world to camera coordinates, as a quaternion (w, x, y, z). The quaternion's length differs from 1
+    /// by at most [`MAX_QUATERNION_ERROR`].
     pub rotation_wxyz: [f64; 4],
     /// Translation from world to camera coordinates: the world's origin in camera coordinates, metres.
     pub translation: [f64; 3],
@@ -69,7 +69,7 @@ pub struct ViewFormat {
 /// Error in a camera's JSON. The message starts with the name of the wrong field.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum CameraFormatError {
-    /// The width or the height is 0 or larger than the maximum.
+    /// The width or the height is 0 or larger than `max`, pixels.
     #[error("{field}: is {value}, must be from 1 to {max}")]
     Size { field: &'static str, value: u32, max: u32 },
     /// The image has more than [`MAX_PIXELS`] pixels, or a view to render has more than 8192×4320 pixels.

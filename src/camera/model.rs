@@ -422,8 +422,8 @@ mod tests {
         assert!(inverse.is_none_or(|n| n.coords.norm() < 0.65), "{inverse:?}");
     }
 
-    /// Tests the inverse up to the fold. The pincushion distortion maps points to distorted radii that are larger than
-    /// the fold's radius.
+    /// Tests the inverse up to the fold. The pincushion distortion maps some points inside of the fold to distorted
+    /// radii larger than the fold's radius. Newton's method then starts beyond the fold.
     #[test]
     fn strong_distortion_is_inverted_up_to_its_fold() {
         let barrel = CameraModel::SimpleRadial { f: 1.0, cx: 0.0, cy: 0.0, k: -0.5 };

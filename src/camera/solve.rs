@@ -1,4 +1,4 @@
-//! Numerical inversion of lens distortion: tests whether a polynomial is positive on an interval, and Newton's method
+//! Numerical inversion of lens distortion: a test whether a polynomial is positive on an interval, and Newton's method
 //! inside a domain.
 
 use nalgebra::{Matrix2, Point2, Vector2};
@@ -8,11 +8,11 @@ pub(super) const STEP: f64 = 1e-14;
 /// Maximum number of Newton steps. Usually 3 to 6 steps suffice. At the border of the invertible domain, convergence is
 /// linear and takes about 30 steps.
 pub(super) const ITERATIONS: usize = 60;
-/// Lower limit that holds in the whole invertible domain, for the derivative of the distorted radius and for the
-/// determinant of the distortion's Jacobian.
+/// In the invertible domain, the derivative of the distorted radius and the determinant of the distortion's Jacobian are
+/// above this value.
 pub(super) const MIN_SLOPE: f64 = 1e-9;
 /// Maximum distance between the distorted solution and the given distorted point d, in units of the plane z = 1. The
-/// value is multiplied by 1 + |d|.
+/// limit is this value times 1 + |d|.
 pub(super) const MAX_RESIDUAL: f64 = 1e-12;
 /// Maximum angle from the optical axis, radians. A ray at 90° doesn't meet the plane z = 1.
 pub(super) const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;

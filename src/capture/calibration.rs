@@ -42,7 +42,7 @@ pub struct CalibrationStdFormat {
     pub rotation_deg: f64,
     /// Standard deviation of the error of the camera's centre along each of the world's axes, metres, at most 1000.
     pub centre_m: f64,
-    /// Standard deviation of the relative error of the focal lengths, as a fraction from 0 to 0.5.
+    /// Standard deviation of the relative error of the focal lengths, at most 0.5.
     pub focal_relative: f64,
     /// Standard deviation of the error of each coordinate of the principal point, pixels, at most 1000.
     pub principal_point_px: f64,

@@ -134,8 +134,8 @@ pub struct TruthView {
     pub image: String,
     /// npy file of the depth, relative to `truth/`: f32, H×W, metres along the camera's +z.
     pub depth: String,
-    /// npy file of the motion, relative to `truth/`: f32, H×W, pixels. The motion is the larger one of a surface
-    /// point's displacements from one frame before and to one frame after the image's instant.
+    /// npy file of the motion, relative to `truth/`: f32, H×W, pixels. The motion is the displacement of a surface
+    /// point within one frame before the instant or one frame after it, whichever is larger.
     pub motion: String,
 }
 

@@ -167,8 +167,8 @@ impl VideoFile {
     }
 
     /// Returns an error if a constant frame rate contradicts the video's own time stamps. Each interval between two
-    /// frames may differ from 1 / `rate_hz` by a half. The duration from the first to the last frame may differ by 1 %.
-    /// [`ROUNDING_S`] is added to both tolerances. The error message doesn't name the file.
+    /// frames may differ by 50 % from 1 / `rate_hz`. The duration from the first to the last frame may differ by 1 %
+    /// from its expected value. [`ROUNDING_S`] is added to both tolerances. The error message doesn't name the file.
     pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
         let frame_s = 1.0 / rate_hz;
         let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
@@ -199,7 +199,7 @@ impl VideoFile {
 }
 
 /// Returns the hashes of the decoded frames in a folder. `None` if they don't match the cache entry. The entry may be
-/// forged, because its checksum uses no secret. Therefore its numbers are checked before they are used.
+/// forged, because its checksum uses no secret. The number of frames in the entry is therefore checked first.
 fn matching_hashes(
     cache: &DiskCache,
     folder: &Path,

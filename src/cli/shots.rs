@@ -79,13 +79,14 @@ pub struct Shots<'a> {
     /// Number of views.
     count: usize,
     is_sequence: bool,
-    /// The views. Empty before [`Shots::place`]; for a ready-made path, empty before [`Shots::fit`].
+    /// The views. They are empty before [`Shots::place`]. A ready-made path such as `orbit` has no views before
+    /// [`Shots::fit`].
     shots: Vec<Shot>,
 }
 
 enum ShotSource {
-    /// One view at several instants, in seconds on the reference camera's clock. The camera is that of `--camera`, or
-    /// `None` for a view that `--like` names.
+    /// One view, and its instants in seconds on the reference camera's clock. The camera is read from the file of
+    /// `--camera`. It is `None` if `--like` names the view.
     Still(Option<Box<Camera>>, Vec<f64>),
     Path(Vec<PathFrame>),
     ReadyMade {
@@ -168,7 +169,8 @@ impl Shots<'_> {
         self.is_sequence
     }
 
-    /// Returns the given instants, in seconds on the reference camera's clock; empty for a ready-made path.
+    /// Returns the given instants, in seconds on the reference camera's clock. Empty for a ready-made path such as
+    /// `orbit`.
     #[cfg(test)]
     pub fn times_in_file_s(&self) -> Vec<f64> {
         match &self.source {
@@ -264,7 +266,7 @@ impl Shots<'_> {
         Ok(field.check_times(viewpoint(&first.view), &self.times_s())?)
     }
 
-    /// Fits a ready-made path to the scene. Other views are unchanged.
+    /// Fits the camera path to the scene if it is a ready-made path such as `orbit`. Other views are unchanged.
     pub fn fit(&mut self, field: &LightField, options: &RenderOptions) -> Result<(), CliError> {
         let ShotSource::ReadyMade { kind, duration_s, frozen_s } = self.source else {
             return Ok(());
@@ -290,7 +292,7 @@ pub fn camera<'a>(field: &'a LightField, view: &'a NamedView) -> &'a Camera {
     }
 }
 
-/// Returns the viewpoint for rendering a view.
+/// Converts a view to the viewpoint that the light field renders: a camera of the capture, or a free camera.
 pub fn viewpoint(view: &NamedView) -> Viewpoint<'_> {
     match view {
         NamedView::Filming(index) => Viewpoint::Like(*index),
