@@ -105,8 +105,8 @@ const MAX_VIEW_PIXELS: u64 = 8192 * 4320;
 pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
 impl ViewFormat {
-    /// Checks every field and converts the view to a camera. The maximum number of pixels is smaller than for an input
-    /// image.
+    /// Checks every field and converts the view to a camera. The largest allowed number of pixels is smaller for a view
+    /// than for an input image.
     pub fn camera(self) -> Result<Camera, CameraFormatError> {
         let Self { width, height, model, params, cam_from_world, .. } = self;
         let camera = CameraFormat { width, height, model, params, cam_from_world }.camera()?;

@@ -75,7 +75,8 @@ impl Camera {
 
     /// Returns the viewing direction of a pixel in camera coordinates, scaled to z = 1.
     ///
-    /// `None` where the lens model can't be inverted: far outside of the image of a lens with distortion.
+    /// `None` where the lens model can't be inverted, which is far outside of the image and only for lenses with
+    /// distortion.
     pub fn ray(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         let n = self.model.normalized_from_pixel(pixel)?;
         Some(Vector3::new(n.x, n.y, 1.0))

@@ -8,8 +8,8 @@ pub(super) const STEP: f64 = 1e-14;
 /// Maximum number of Newton steps. Usually 3 to 6 steps suffice. At the border of the invertible domain, convergence is
 /// linear and takes about 30 steps.
 pub(super) const ITERATIONS: usize = 60;
-/// In the invertible domain, the derivative of the distorted radius and the determinant of the distortion's Jacobian are
-/// above this value.
+/// In the invertible domain, the derivative of the distorted radius and the determinant of the distortion's Jacobian
+/// are above this value.
 pub(super) const MIN_SLOPE: f64 = 1e-9;
 /// Maximum distance between the distorted solution and the given distorted point d, in units of the plane z = 1. The
 /// limit is this value times 1 + |d|.

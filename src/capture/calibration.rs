@@ -1,6 +1,7 @@
 //! Errors of a capture's calibration: the fields of `capture.json` that state them, and their covariance.
 //!
-//! A calibration error of a camera affects all features in all of its frames alike. It therefore doesn't average out.
+//! A calibration error of a camera has the same effect on all features in all of its frames. Therefore it doesn't
+//! average out over the features.
 
 use super::CaptureError;
 use crate::camera::{Camera, CameraParameter};
@@ -59,7 +60,7 @@ pub struct CalibrationErrors {
 }
 
 /// Tolerance for negative eigenvalues due to rounding, in a covariance matrix scaled to unit variances. Numbers in
-/// files have six digits or more.
+/// files are rounded to six digits or more.
 const ROUNDING: f64 = 1e-5;
 
 impl CalibrationStdFormat {

@@ -63,7 +63,7 @@ impl OutputGuard {
     }
 
     /// Returns an error if `path` is not allowed as an output folder. `names` lists what will be written into the
-    /// folder: files, and sub-folders with a final `/`. They may exist already.
+    /// folder: files, and sub-folders with a final `/`. These files and sub-folders may exist already.
     pub fn check_folder(&mut self, path: &Path, names: &[&str]) -> Result<(), CaptureError> {
         must_be_a_folder(path)?;
         self.check(path, true, ProtectedPaths::against_capture)?;

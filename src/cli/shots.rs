@@ -142,7 +142,8 @@ impl<'a> ShotArgs<'a> {
         Ok(self.path_shots(source, rate_hz, count))
     }
 
-    /// Creates the views of a camera path. Their cameras and times are determined later, in the capture.
+    /// Creates the views of a camera path. Their cameras and times are determined later, by [`Shots::place`] and
+    /// [`Shots::fit`].
     fn path_shots(self, source: ShotSource, rate_hz: f64, count: usize) -> Shots<'a> {
         let viewpoint = self.viewpoint;
         let rate_hz = Some(rate_hz);
@@ -222,7 +223,8 @@ impl Shots<'_> {
         self.rate_hz.unwrap_or(own_hz)
     }
 
-    /// Converts the views to cameras and times of the capture, and makes all checks that need no offsets.
+    /// Determines the camera and the time of each view, and makes all checks that need no offsets. The views of a
+    /// ready-made path such as `orbit` are determined later, by [`Self::fit`].
     pub fn place(&mut self, capture: &Capture, reporter: &Reporter) -> Result<(), CliError> {
         let origin_s = capture.time_origin_s;
         match &self.source {
