@@ -28,8 +28,8 @@ pub struct CaptureArgs {
     output: PathBuf,
     #[command(flatten)]
     scene: SceneArgs,
-    /// Film only parts K to L of N, such as 3-6/100. When all parts are filmed, run the command without --part to
-    /// complete the capture.
+    /// Film only parts K to L of N equal parts of the images, such as 3-6/100. When all parts are filmed, run the
+    /// command without --part to complete the capture.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
     /// Seconds without activity after which another process counts as failed and its images are filmed here [default:
@@ -102,8 +102,8 @@ pub fn run(args: &CaptureArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// An error that lists the scenes, if none has this name. A scene is a module of `blender/scenes` with a function
-/// `build`.
+/// Returns an error that lists the known scenes, if no scene has this name. A scene is a module of `blender/scenes`
+/// with a function `build`.
 fn must_be_a_scene(name: &str, root: &Path) -> Result<(), CliError> {
     let is_scene = |file: &Path| {
         let is_module = file.extension().is_some_and(|extension| extension == "py");

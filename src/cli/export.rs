@@ -63,7 +63,7 @@ enum Format {
     Colmap,
     /// COLMAP's model as text files.
     ColmapText,
-    /// LLFF's poses_bounds.npy, in the order of the numbers in the cameras' ids.
+    /// LLFF's poses_bounds.npy; the cameras are in the order of the numbers in their ids.
     Llff,
     /// NeRF's transforms.json.
     Nerf,
@@ -182,7 +182,8 @@ struct Writing<'a> {
 }
 
 impl Writing<'_> {
-    /// Appends an image of the camera `chosen[k]`. `time_s` is in seconds from the capture's start.
+    /// Appends an image. `k` is the index of the image's camera in `chosen`, the exported cameras. `time_s` is the
+    /// image's time in seconds from the capture's start.
     fn image(
         &mut self,
         k: usize,

@@ -23,7 +23,8 @@ pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
     open_file(path).map(drop).map_err(|error| wrong(path, error))
 }
 
-/// Opens a capture. If the command has an output, it is checked first, because opening may decode videos for minutes.
+/// Opens a capture. The path of the command's output is checked first, because opening may decode videos for minutes.
+/// `output` is `None` for a command without an output.
 pub fn open_capture(
     folder: &Path,
     output: Option<CommandOutput>,

@@ -26,7 +26,7 @@ impl SharedFolder {
         written(&self.folder, self.claims.end())
     }
 
-    /// Removes the folder after a failure, unless some images are done, or other processes use the folder.
+    /// Removes the folder after a failure. The folder is kept if some images are done, or if other processes use it.
     pub fn end_unused(&self) {
         // An error is ignored here, because the failure is reported, and a remaining folder does no harm.
         let _ = self.claims.end_unused();

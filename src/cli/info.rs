@@ -306,9 +306,9 @@ impl OffsetsState {
     }
 }
 
-/// Returns the state of offsets.json, and the offsets, which are always `Some`. The offsets are read from the file if
-/// it was edited, or if it was estimated from these frames. Otherwise, only the offsets that need no estimate are
-/// known.
+/// Returns the state of offsets.json and the known offsets, which are never `None`. The offsets are read from the file
+/// if the file was edited, or if it was estimated from the capture's present frames. Otherwise, only the offsets that
+/// need no estimate are known.
 fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliError> {
     let is_known = |camera| capture.has_reference_clock(camera);
     let mut known = Offsets::known(capture);

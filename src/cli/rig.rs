@@ -127,7 +127,7 @@ struct RigClockArgs {
     /// Frames are lost only among the first N frames, but never the very first frame.
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..MAX_FRAMES as i64)]
     lost_within: i64,
-    /// How a camera's time stamps show lost frames: as a gap, not at all, or alternately by camera.
+    /// How the time stamps show lost frames: as gaps, not at all, or as gaps in every second camera.
     #[arg(long, value_name = "HOW", default_value = "stamped",
         value_parser = method::<LossStamps>())]
     lost_stamps: LossStamps,

@@ -79,13 +79,14 @@ pub struct Shots<'a> {
     /// Number of views.
     count: usize,
     is_sequence: bool,
-    /// The views. Empty before [`Shots::place`]; for a ready-made path, empty before [`Shots::fit`].
+    /// The views. They are empty before [`Shots::place`]. A ready-made path such as `orbit` has no views before
+    /// [`Shots::fit`].
     shots: Vec<Shot>,
 }
 
 enum ShotSource {
-    /// One view at several instants, in seconds on the reference camera's clock. The camera is that of `--camera`, or
-    /// `None` for a view that `--like` names.
+    /// One view, and its instants in seconds on the reference camera's clock. The camera is read from the file of
+    /// `--camera`. It is `None` if `--like` names the view.
     Still(Option<Box<Camera>>, Vec<f64>),
     Path(Vec<PathFrame>),
     ReadyMade {
@@ -141,7 +142,8 @@ impl<'a> ShotArgs<'a> {
         Ok(self.path_shots(source, rate_hz, count))
     }
 
-    /// Creates the views of a camera path. Their cameras and times are determined later, in the capture.
+    /// Creates the views of a camera path. Their cameras and times are determined later, by [`Shots::place`] and
+    /// [`Shots::fit`].
     fn path_shots(self, source: ShotSource, rate_hz: f64, count: usize) -> Shots<'a> {
         let viewpoint = self.viewpoint;
         let rate_hz = Some(rate_hz);
@@ -168,7 +170,8 @@ impl Shots<'_> {
         self.is_sequence
     }
 
-    /// Returns the given instants, in seconds on the reference camera's clock; empty for a ready-made path.
+    /// Returns the given instants, in seconds on the reference camera's clock. Empty for a ready-made path such as
+    /// `orbit`.
     #[cfg(test)]
     pub fn times_in_file_s(&self) -> Vec<f64> {
         match &self.source {
@@ -220,7 +223,8 @@ impl Shots<'_> {
         self.rate_hz.unwrap_or(own_hz)
     }
 
-    /// Converts the views to cameras and times of the capture, and makes all checks that need no offsets.
+    /// Determines the camera and the time of each view, and makes all checks that need no offsets. The views of a
+    /// ready-made path such as `orbit` are determined later, by [`Self::fit`].
     pub fn place(&mut self, capture: &Capture, reporter: &Reporter) -> Result<(), CliError> {
         let origin_s = capture.time_origin_s;
         match &self.source {
@@ -264,7 +268,7 @@ impl Shots<'_> {
         Ok(field.check_times(viewpoint(&first.view), &self.times_s())?)
     }
 
-    /// Fits a ready-made path to the scene. Other views are unchanged.
+    /// Fits the camera path to the scene if it is a ready-made path such as `orbit`. Other views are unchanged.
     pub fn fit(&mut self, field: &LightField, options: &RenderOptions) -> Result<(), CliError> {
         let ShotSource::ReadyMade { kind, duration_s, frozen_s } = self.source else {
             return Ok(());
@@ -290,7 +294,7 @@ pub fn camera<'a>(field: &'a LightField, view: &'a NamedView) -> &'a Camera {
     }
 }
 
-/// Returns the viewpoint for rendering a view.
+/// Converts a view to the viewpoint that the light field renders: a camera of the capture, or a free camera.
 pub fn viewpoint(view: &NamedView) -> Viewpoint<'_> {
     match view {
         NamedView::Filming(index) => Viewpoint::Like(*index),

@@ -142,7 +142,7 @@ impl Parts {
     }
 }
 
-/// A camera path, which is a ready-made path or a file.
+/// A camera path: a ready-made path such as `orbit`, or a file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PathSource {
     ReadyMade(ReadyMadePath),

@@ -64,8 +64,9 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
 
 /// Returns the options with which the page's pictures are rendered, and the equivalent flags of `stlfr render`.
 ///
-/// Depth per pixel replaces two slow automatic choices: a plan that isn't cached, if no options are given, and scene
-/// flow whose depth and motion aren't prepared.
+/// Two automatic choices of methods would make the page slow, and are replaced by depth per pixel. The first is a plan
+/// that must be computed, because no options are given and no plan is cached. The second is scene flow whose depth and
+/// motion have not been prepared.
 fn live_options(
     field: &LightField,
     options: &RenderOptions,

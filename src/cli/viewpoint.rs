@@ -10,7 +10,8 @@ use crate::method::Method;
 use nalgebra::{Point3, distance};
 use std::path::{Path, PathBuf, absolute};
 
-/// Arguments that choose the viewpoint. A command may require one argument of their clap group `view`.
+/// Arguments that choose the viewpoint. `--camera`, `--like` and `--path` form the clap group `view`, so that a command
+/// can require one of them.
 #[derive(Debug, clap::Args)]
 pub struct ViewpointArgs {
     /// JSON file of the view: a camera in the format of capture.json.
