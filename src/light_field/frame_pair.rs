@@ -84,6 +84,9 @@ impl PairTriangles<'_> {
 impl LightField {
     /// Returns the feature tracks between the frames `frame` and `frame + 1` of a camera. Tracks that contradict the
     /// epipolar geometry with other cameras are left out, if the options ask for this test.
+    ///
+    /// # Errors
+    /// [`RenderError::Capture`] if a frame can't be read.
     pub fn tracks(
         &self,
         camera: usize,

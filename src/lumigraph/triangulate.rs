@@ -21,8 +21,8 @@ pub struct Triangulated {
     pub max_angle_rad: f64,
 }
 
-/// Minimum parallax between two rays of a triangulated point, pixels at the longest of the cameras' focal lengths. It
-/// is about the resolution of feature trackers.
+/// Minimum parallax of a triangulated point, pixels: the largest angle between two of its rays, in radians, times the
+/// longest focal length of the cameras. It is about the resolution of feature trackers.
 const MIN_PARALLAX_PX: f64 = 0.07;
 /// Maximum number of Levenberg–Marquardt steps of a triangulation. 2 to 5 are needed.
 const MAX_ITERATIONS: usize = 20;
