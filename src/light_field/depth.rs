@@ -16,8 +16,8 @@ use std::sync::Arc;
 /// Margin at both ends of the searched range of inverse depths, as a fraction of the range of the scene points' inverse
 /// depths. Surfaces may be nearer or farther than all scene points.
 const RANGE_MARGIN: f64 = 0.1;
-/// Step, pixels, of the grid at which the depth map of the scene's mesh proxy is sampled. The samples give the scene's
-/// range of depths.
+/// Spacing of the pixels at which the depth map of the scene's mesh proxy is sampled, pixels. The samples give the
+/// scene's range of depths.
 const RANGE_STEP_PX: usize = 8;
 /// Smallest inverse depth that stereo matching searches, 1/m.
 const MIN_INVERSE_DEPTH: f64 = 1e-5;
@@ -86,8 +86,8 @@ impl Stereo<'_> {
         Ok(Some(PreparedStereo { matcher, ranges, bytes: MATCHER_BYTES * pixels }))
     }
 
-    /// Estimates the depths per pixel of `cameras`, a subset of [`Self::cameras`], whose images are matched. Cameras
-    /// whose depths can't be estimated are left out.
+    /// Estimates the depths of all pixels of `cameras`. These must be among the cameras whose images are matched,
+    /// [`Self::cameras`]. Cameras whose depths can't be estimated are left out.
     pub fn surfaces(
         &self,
         field: &LightField,

@@ -113,8 +113,9 @@ impl LightField {
     }
 }
 
-/// Returns whether a pair of successive frames is static and needs no registration. This is the case if the mean change
-/// of every 8×8 block of pixels is at most `still_change` ([`crate::interpolation::InterpolationOptions`]).
+/// Returns whether a pair of successive frames is static and needs no registration. This is the case if the mean
+/// absolute difference of every 8×8 block of pixels is at most `still_change`
+/// ([`crate::interpolation::InterpolationOptions`]).
 pub(super) fn is_still(
     field: &LightField,
     tracks: PairTracks,

@@ -25,11 +25,11 @@ pub const PREPARED: [&str; 3] = [PairTracks::KIND.name, Gains::KIND.name, FrameF
 pub struct Preparation {
     /// Number of pairs of successive frames with motion. The tracks of all of them are stored.
     pub pairs: usize,
-    /// Number of those `pairs` whose tracks were on disk before the preparation.
+    /// Number of the frame pairs in `pairs` whose tracks were on disk before the preparation.
     pub found: usize,
     /// Number of frames whose depth and motion are stored; 0 unless the options choose scene flow.
     pub maps: usize,
-    /// Number of those frames whose depth and motion were on disk before the preparation.
+    /// Number of the frames in `maps` whose depth and motion were on disk before the preparation.
     pub maps_found: usize,
     /// Total size of all stored results on disk, bytes.
     pub bytes: u64,

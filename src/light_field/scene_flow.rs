@@ -135,8 +135,9 @@ impl FlowConfidences<'_> {
     }
 }
 
-/// Stores the maps of depth and motion of a slot's frames on disk, unless they are there already. Returns the size on
-/// disk of each frame's map. The result is empty if the range of the scene's depths is unknown.
+/// Stores the maps of depth and motion of a slot's frames on disk, unless they are there already. Returns, for each
+/// frame, the size of its map on disk, and whether it was there already. The result is empty if the range of the
+/// scene's depths is unknown.
 pub(super) fn store_slot(
     slots: &Slots,
     slot: Slot,

@@ -10,8 +10,8 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 /// Minimum angle between neighbouring cameras of a wide array, seen from the place that all cameras look at, radians.
 /// It is the largest angle at which features of neighbouring cameras are still matched reliably.
 const MIN_ANGLE_RAD: f64 = 0.12;
-/// Maximum baseline by which inverse depths of a wide array are converted to disparities, divided by the distance to
-/// the place that all cameras look at: an angle in radians.
+/// Maximum of the baseline with which scene flow converts inverse depths of a wide array to disparities. It is divided
+/// by the distance to the place that all cameras look at, which gives an angle in radians.
 const MATCHING_ANGLE_RAD: f64 = 0.2;
 /// Minimum fraction of the other cameras that must see a point. Only such points count for a camera's range of depths.
 const MIN_SEEING: f64 = 0.5;
@@ -82,7 +82,7 @@ impl LightField {
         CommonPlace::of(&self.filming(), self.spacing_m())
     }
 
-    /// Returns the baseline, metres, by which scene flow converts inverse depths to disparities in pixels: twice the
+    /// Returns the baseline, metres, with which scene flow converts inverse depths to disparities in pixels: twice the
     /// distance between neighbouring cameras. In a wide array, the baseline is at most [`MATCHING_ANGLE_RAD`] times the
     /// distance to the common place, since surfaces of a wide array are matched less precisely.
     pub(super) fn matching_baseline_m(&self) -> f64 {

@@ -85,8 +85,8 @@ pub struct PictureRequest {
     pub sync: Option<SyncMethod>,
     /// Proxy method of this picture. `None`: the method of the chosen options.
     pub proxy: Option<ProxyMethod>,
-    /// Name of the viewer, combined with the part of the page that shows the picture. A request replaces the earlier
-    /// request with the same name, unless the name is empty.
+    /// Name of the viewer and of the part of its page that shows the picture, such as `a1.b`. A request replaces the
+    /// earlier request with the same name, unless the name is empty.
     pub viewer: String,
 }
 

@@ -16,7 +16,7 @@ const MARGIN_SPACINGS: f64 = 2.0;
 /// Maximum distance of viewpoints from a rig's only camera, along each axis, metres.
 const LONE_MARGIN_M: f64 = 0.1;
 /// Distance from the viewpoint at which a camera's weight has fallen to half, as a multiple of the spacing of
-/// neighbouring cameras. With these weights, the cameras' viewing directions are averaged to the view's direction.
+/// neighbouring cameras. The view's direction is the mean of the cameras' viewing directions with these weights.
 const SOFT_SPACINGS: f64 = 0.5;
 /// Allowed zooms: focal lengths as multiples of the reference camera's focal length.
 pub(super) const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
@@ -180,7 +180,7 @@ impl RigFrame {
     }
 
     /// Returns a pinhole camera at `center`, rotated from the orientation `world_from_cam` as `view` requests. At zoom
-    /// 1, it has the field of view of the reference camera's image, cropped at its sides to the aspect ratio of the
+    /// 1, its field of view is that of the reference camera's image, cropped symmetrically to the aspect ratio of the
     /// picture.
     fn pinhole(
         &self,

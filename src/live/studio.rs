@@ -16,8 +16,8 @@ use crate::options::{Preset, ProxyMethod, RenderOptions, TrailOptions};
 use crate::progress::Reporter;
 use std::sync::Arc;
 
-/// Width and height of the views for which geometry is computed in advance, pixels. The size is small to save time. It
-/// doesn't matter, since only the depth maps of the filming cameras are kept, and not the depth map of the view.
+/// Width and height of the views for which geometry is computed in advance, pixels. The views are small to save time.
+/// Only the depth maps of the filming cameras are kept for later views, and their size doesn't depend on this size.
 const SMALL_PX: [u32; 2] = [32, 24];
 
 /// Function that is called during rendering. Rendering stops when it returns false, for example because the viewer has

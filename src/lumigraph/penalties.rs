@@ -315,7 +315,7 @@ impl Reprojection {
         (px, py, if is_visible { border } else { 0.0 })
     }
 
-    /// Returns the vector from the source's centre to the point of a view's ray (x, y, 1), multiplied by the point's
+    /// Returns the vector from the source's centre to a point on the view's ray (x, y, 1), multiplied by the point's
     /// inverse depth. The vector is in the source's axes.
     #[inline(always)]
     fn direction(&self, x: f32, y: f32, inverse_depth: f32) -> Vector3<f32> {

@@ -77,7 +77,7 @@ impl<'a> RowRays<'a> {
         }
     }
 
-    /// Returns the values of a range of the row's columns.
+    /// Returns the rays, their lengths, and the inverse depths in a range of the row's columns.
     fn of(&self, columns: Range<usize>) -> TargetRow<'_> {
         TargetRow {
             x: &self.x[columns.clone()],
@@ -206,8 +206,8 @@ impl<'a> SpanBlender<'a> {
     }
 
     /// Reprojects the points of a range of the row's pixels into the sources, and computes penalties and confidences.
-    /// The nearest k+1 sources are always used, where k is the number of blended sources. A farther source is left out
-    /// if a lower bound of its penalties shows that its weight is 0 at all of these pixels.
+    /// The nearest k+1 sources are always used, where k is the number of blended sources. A farther source may be left
+    /// out, if a lower bound of its penalties shows that its weight is 0 at all of these pixels.
     fn measure(&mut self, columns: Range<usize>) {
         self.span.count = columns.len();
         self.span.active.clear();

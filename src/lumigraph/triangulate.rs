@@ -62,8 +62,8 @@ impl ObservationEquation {
 /// Triangulates a point of the world from its pixel positions in several cameras. Minimizes the squared reprojection
 /// errors, in pixels without lens distortion.
 ///
-/// `None` if there are fewer than two observations or fewer than two distinct camera centres, if a pixel has no ray, if
-/// all rays are parallel to within 0.07 px, or if the point is at infinity or behind a camera.
+/// `None` if there are fewer than two observations or fewer than two distinct camera centres, if a pixel's ray can't be
+/// computed, if all rays are parallel to within 0.07 px, or if the point is at infinity or behind a camera.
 pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulated> {
     let rays: Vec<Vector3<f64>> = observations
         .iter()

@@ -244,8 +244,8 @@ mod tests {
     }
 
     /// Returns the weights of `n` sources, given their penalties. At each pixel, the `k` sources with the smallest
-    /// penalties are blended. Both lists hold the first source's values at all pixels, then the second source's, and so
-    /// on.
+    /// penalties are blended. `penalty` lists the first source's penalties at all pixels, then the second source's, and
+    /// so on. The weights are in the same order.
     fn of_pixels(penalty: &[f32], n: usize, k: usize) -> Vec<f32> {
         let mut span = span_of(penalty, n);
         span.weigh_best(k);
