@@ -12,9 +12,10 @@ use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
 use crate::lumigraph::BlendMethod;
 use crate::options::{ProxyMethod, RenderOptions};
 
-/// Factor on [`crate::lumigraph::BlendOptions::error_angle_rad`] when a camera's image is blended from all cameras,
-/// including its own interpolated image. It is below 1 because the camera's own image has no depth error. With a
-/// smaller factor, the camera's own image dominates; with a larger factor, other cameras' images do.
+/// Factor on [`crate::lumigraph::BlendOptions::error_angle_rad`], the penalty per pixel of interpolation error. It
+/// applies when a camera's image is blended from all cameras' images, including its own interpolated image. It is below
+/// 1 because the camera's own image has no depth error. With a smaller factor, the camera's own image dominates; with a
+/// larger factor, other cameras' images do.
 const OWN_FRACTION: f64 = 0.25;
 
 impl LightField {

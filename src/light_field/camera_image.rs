@@ -214,8 +214,9 @@ impl LightField {
         Ok(GivenImages::corrected(images))
     }
 
-    /// Returns the result of [`Self::corrected_all`] if the synchronized image of every camera that can give one at
-    /// `time_s` is cached. Otherwise, returns `None`.
+    /// Returns the result of [`Self::corrected_all`] if the synchronized images of all usable cameras are cached. A
+    /// camera is usable if it can give an image at `time_s`, seconds from the capture's start. `None` if an image isn't
+    /// cached, or if no camera is usable.
     pub(crate) fn cached_instant(
         &self,
         time_s: f64,
@@ -258,8 +259,9 @@ pub(super) fn images_of(
     }
 }
 
-/// Calls `get` for the given cameras in parallel. If `share_inputs` is true, the first image is computed alone, so that
-/// inputs that all images share are computed only once. The result has one element per camera of the capture.
+/// Computes the images of the given cameras in parallel, by `get`. If `share_inputs` is true, the first image is
+/// computed alone, so that inputs that all images share are computed only once. The result has one element per camera
+/// of the capture: `None` for cameras that aren't given.
 fn side_by_side(
     field: &LightField,
     cameras: &[usize],

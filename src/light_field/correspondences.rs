@@ -1,5 +1,5 @@
 //! Spatial correspondences (§6): features of several cameras that show the same point. They are computed once for all
-//! instants between the same frames.
+//! instants at which each camera has the same nearer and the same farther frame.
 
 use super::RenderError;
 use super::frame_pair::is_still;
@@ -11,12 +11,14 @@ use crate::registration::{Frame, Match, Trajectory, flow};
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 
-/// Maximum length of a feature's predicted motion to the next frame, pixels. The prediction uses the feature's
-/// disparity. A longer motion is due to a wrong disparity, and is not used.
+/// Maximum length of a feature's predicted motion between two frames of another camera, pixels. The prediction is
+/// extrapolated from two positions: the one found in the frame nearer in time, and the one expected at the instant, by
+/// the feature's disparity. A longer motion is due to a wrong disparity, and is not used.
 const MAX_PREDICTED_MOTION_PX: f64 = 30.0;
 
-/// Minimum time between the instant and a frame, as a fraction of the frame interval, for a feature's motion to be
-/// predicted from its disparity. The prediction divides the disparity's error by this fraction.
+/// Minimum time between the instant and the nearer frame for predicting a feature's motion, as a fraction of the time
+/// between the two frames. For shorter times, the extrapolation would amplify the error of the feature's disparity too
+/// much.
 const MIN_PREDICTED_FRACTION: f64 = 0.25;
 
 /// Maximum distance between a feature's match in another camera and the feature's epipolar line at the rendered
@@ -108,8 +110,8 @@ impl Correspondences<'_> {
     }
 }
 
-/// Returns the observations of each feature at `time_s`, seconds from the capture's start. A feature's first
-/// observation is in its own camera. Observations in the partner cameras that see the feature follow.
+/// Returns the observations of each feature at `time_s`, seconds from the capture's start: the cameras that see the
+/// feature, with its position in each. The feature's own camera comes first, and partner cameras follow.
 pub(super) fn observations<'a>(
     field: &'a LightField,
     matched: &MatchedFeatures,
@@ -159,8 +161,9 @@ fn observe<'a>(
     }
 }
 
-/// Returns the middle, seconds from the capture's start, of the time interval in which the nearer frame of every camera
-/// in `around` stays the nearer one. Returns 0 if no camera sees motion.
+/// Returns the instant for which the correspondences between the frames `around` are computed, seconds from the
+/// capture's start. It is the middle of the time interval in which every camera's frame `near` is nearer than its frame
+/// `far`. Cameras without motion don't count. Returns 0 if no camera sees motion.
 fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     let moving = around.iter().filter(|a| a.near != a.far);
     let span = moving.map(|a| {
@@ -190,7 +193,7 @@ pub(super) fn frames_around(
 }
 
 impl Correspondences<'_> {
-    /// Returns the first camera's frame that is nearer in time to the instant, and the features of that frame.
+    /// Returns the frame `near` of the first camera in `self.around`, and the features of that frame.
     fn features(&self, field: &LightField) -> Result<(Arc<Frame>, Vec<Feature>), RenderError> {
         let FramesAround { camera, near, far } = self.around[0];
         let frame = field.frames(self.registration).get(camera, near)?;
@@ -217,8 +220,8 @@ impl Correspondences<'_> {
         Ok((frame, features))
     }
 
-    /// Finds the query's features in another camera's nearer frame, and tracks them from there to that camera's farther
-    /// frame. Returns one element per feature; `None` if a feature isn't found.
+    /// Finds the query's features in another camera's frame `near`, and tracks them from there to that camera's frame
+    /// `far`. Returns each feature's positions in both frames; `None` if a feature isn't found.
     fn matched(
         &self,
         field: &LightField,

@@ -13,10 +13,11 @@ use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Margin at both ends of the searched range of inverse depths, as a fraction of the range of the scene points.
-/// Surfaces may be nearer or farther than all features.
+/// Margin at both ends of the searched range of inverse depths, as a fraction of the range of the scene points' inverse
+/// depths. Surfaces may be nearer or farther than all scene points.
 const RANGE_MARGIN: f64 = 0.1;
-/// Step between the pixels at which the mesh's depth map is sampled to find the scene's range of depths, pixels.
+/// Spacing of the pixels at which the depth map of the scene's mesh proxy is sampled, pixels. The samples give the
+/// scene's range of depths.
 const RANGE_STEP_PX: usize = 8;
 /// Smallest inverse depth that stereo matching searches, 1/m.
 const MIN_INVERSE_DEPTH: f64 = 1e-5;
@@ -26,8 +27,8 @@ const MATCHER_BYTES: usize = 16;
 /// A stereo matcher with its prepared images, and each camera's search range of inverse depths.
 pub(super) struct PreparedStereo {
     matcher: Matcher,
-    /// For each matched camera, the minimum and maximum inverse depth, 1/m. `None` if no scene point is in front of the
-    /// camera.
+    /// For each camera whose image is matched, the minimum and maximum inverse depth to be searched, 1/m. `None` if no
+    /// scene point is in front of the camera.
     ranges: Vec<Option<[f64; 2]>>,
     bytes: usize,
 }
@@ -85,8 +86,8 @@ impl Stereo<'_> {
         Ok(Some(PreparedStereo { matcher, ranges, bytes: MATCHER_BYTES * pixels }))
     }
 
-    /// Estimates the depths per pixel of `cameras`, a subset of the matched cameras. Cameras whose depths can't be
-    /// estimated are left out.
+    /// Estimates the depths of all pixels of `cameras`. These must be among the cameras whose images are matched,
+    /// [`Self::cameras`]. Cameras whose depths can't be estimated are left out.
     pub fn surfaces(
         &self,
         field: &LightField,
@@ -140,7 +141,7 @@ impl CameraDepth<'_> {
 }
 
 impl Stage for OcclusionDepths<'_> {
-    /// One depth map per camera, in the capture's order. `None` for cameras that aren't matched.
+    /// One depth map per camera, in the capture's order. `None` for cameras whose images aren't matched by stereo.
     type Output = Vec<Option<Arc<DepthMap>>>;
     const NAME: &'static str = "occlusion depths";
 

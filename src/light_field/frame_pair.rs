@@ -82,8 +82,8 @@ impl PairTriangles<'_> {
 }
 
 impl LightField {
-    /// Returns the feature tracks between the frames `frame` and `frame + 1` of a camera, without tracks that fail the
-    /// epipolar test.
+    /// Returns the feature tracks between the frames `frame` and `frame + 1` of a camera. Tracks that contradict the
+    /// epipolar geometry with other cameras are left out, if the options ask for this test.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.
@@ -113,8 +113,9 @@ impl LightField {
     }
 }
 
-/// Returns whether a pair of successive frames is static and needs no registration. This is the case if no block
-/// changes by more than `still_change` ([`crate::interpolation::InterpolationOptions`]).
+/// Returns whether a pair of successive frames is static and needs no registration. This is the case if the mean
+/// absolute difference of every 8×8 block of pixels is at most `still_change`
+/// ([`crate::interpolation::InterpolationOptions`]).
 pub(super) fn is_still(
     field: &LightField,
     tracks: PairTracks,

@@ -22,9 +22,9 @@ pub struct Geometry {
     pub sources: Vec<Option<Arc<DepthMap>>>,
 }
 
-/// Returns the indices of the cameras nearest to a view, ordered by distance, whose images determine the view's depths
-/// or the weights of [`BlendMethod::SpaceTime`]. The result is empty if the proxy is built from features and the
-/// weights don't depend on time.
+/// Returns the indices of the cameras nearest to a view, ordered by distance. From their images, the view's depth per
+/// pixel is estimated; with [`BlendMethod::SpaceTime`], the view is also blended from them alone. The result is empty
+/// if the proxy is built from features and the view is blended by another method.
 pub(super) fn nearest_cameras(
     field: &LightField,
     target: &Camera,
@@ -95,8 +95,8 @@ fn by_stereo(
     Ok(Some(Geometry { view, sources: sources.to_vec() }))
 }
 
-/// Returns the indices of the cameras that are matched for a view's depths, and of the subset whose depths are
-/// estimated, both ascending. `None` with fewer than two cameras.
+/// Returns the indices of the cameras whose images are matched for a view's depths, and the indices of those among them
+/// whose depths are estimated. Both are ascending. `None` with fewer than two cameras.
 fn stereo_cameras(
     field: &LightField,
     target: &Camera,
@@ -118,8 +118,8 @@ fn stereo_cameras(
 }
 
 impl LightField {
-    /// Returns whether a view's geometry needs no stereo matching, because its proxy is built from features or its
-    /// depths are cached.
+    /// Returns whether a view's geometry can be computed without stereo matching: its proxy is built from features, its
+    /// depths are cached, or there are too few cameras to match. Returns false for scene flow.
     pub(crate) fn has_cached_geometry(&self, target: &Camera, request: &Request) -> bool {
         let &Request { time_s, options, shape, .. } = request;
         match options.proxy.method {

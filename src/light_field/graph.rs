@@ -104,12 +104,12 @@ impl LightField {
         self.memo.insert(S::NAME, stage, result, bytes)
     }
 
-    /// Returns the entry of a stage's result on disk. `None` if the result isn't on disk.
+    /// Looks up a stage's result on disk, without reading it. `None` if the result isn't there.
     pub(super) fn stored<S: StoredStage>(&self, stage: &S) -> Option<Stored> {
         self.capture.stored(S::KIND, &self.stored_inputs(stage))
     }
 
-    /// Stores the result of a stage on disk, and returns its entry.
+    /// Stores the result of a stage on disk. Returns its size there, and whether it was there already.
     pub(super) fn store<S: StoredStage>(
         &self,
         stage: &S,

@@ -76,8 +76,8 @@ impl LightField {
     /// per pixel, the proxy is the mesh through the scene's points.
     ///
     /// # Errors
-    /// [`RenderError::NoPoints`] if no points can be triangulated, and [`RenderError::NothingSeen`] if all points are
-    /// behind the view's camera.
+    /// [`RenderError::NoPoints`] if no points can be triangulated, [`RenderError::NothingSeen`] if all points are
+    /// behind the view's camera, and [`RenderError::Capture`] if a frame can't be read.
     pub fn proxy(
         &self,
         target: &Camera,

@@ -23,21 +23,21 @@ pub const PREPARED: [&str; 3] = [PairTracks::KIND.name, Gains::KIND.name, FrameF
 /// Counts and total size of the results that [`LightField::prepare`] has stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Preparation {
-    /// Number of pairs of successive frames with motion, whose tracks are stored.
+    /// Number of pairs of successive frames with motion. The tracks of all of them are stored.
     pub pairs: usize,
-    /// Number of frame pairs with motion whose tracks were on disk already.
+    /// Number of the frame pairs in `pairs` whose tracks were on disk before the preparation.
     pub found: usize,
-    /// Number of frames whose depth and motion are stored; 0 unless the options render by scene flow.
+    /// Number of frames whose depth and motion are stored; 0 unless the options choose scene flow.
     pub maps: usize,
-    /// Number of frames whose depth and motion were on disk already.
+    /// Number of the frames in `maps` whose depth and motion were on disk before the preparation.
     pub maps_found: usize,
     /// Total size of all stored results on disk, bytes.
     pub bytes: u64,
 }
 
 impl LightField {
-    /// Returns the number of results that [`Self::prepare`] stores, and an upper bound on their size on disk, bytes.
-    /// All pairs of successive frames are counted, and with scene flow also all frames.
+    /// Returns the number of steps of [`Self::prepare`], and an upper bound on the size of its results on disk, bytes.
+    /// Each pair of successive frames is a step. If the options choose scene flow, each frame is a further step.
     pub fn preparation_size(&self, options: &RenderOptions) -> (usize, u64) {
         let cameras = self.capture().cameras.len();
         let pairs: usize = (0..cameras).map(|c| self.times_s(c).len().saturating_sub(1)).sum();
@@ -56,8 +56,8 @@ impl LightField {
     }
 
     /// Tracks features in all pairs of successive frames with motion, and stores the tracks on disk. If the options
-    /// render by scene flow, depth and motion of all frames are stored too. Results that are on disk already are not
-    /// computed again. `progress` is called with the number of finished frame pairs and frames.
+    /// choose scene flow, depth and motion of all frames are stored too. Results that are on disk already are not
+    /// computed again. `progress` is called with the number of finished steps: frame pairs, and then also frames.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read or a result can't be written.
@@ -102,7 +102,8 @@ impl LightField {
         Ok(prepared)
     }
 
-    /// Returns whether [`Self::prepare`] has stored depth and motion of the frames in the middle of the recording.
+    /// Returns whether [`Self::prepare`] has probably stored depth and motion of all frames. Only frames from the
+    /// middle of the recording are looked up on disk.
     pub fn has_prepared_maps(&self, options: &RenderOptions) -> bool {
         let (slots, options) = (Slots::new(self), FlowOptions::new(options));
         let all = slots.all();

@@ -53,7 +53,8 @@ impl LightField {
     /// Checks that images exist at all the times `times_s`, seconds from the capture's start.
     ///
     /// # Errors
-    /// The error of [`super::render()`] for the first time that lies outside the recordings.
+    /// If any of the times lies outside the recordings. The error is that of [`super::render()`] at the first of these
+    /// times in the list.
     pub fn check_times(&self, from: Viewpoint, times_s: &[f64]) -> Result<(), RenderError> {
         times_s.iter().try_for_each(|&time_s| match from {
             Viewpoint::Like(camera) => self.bracket(camera, time_s).map(drop),

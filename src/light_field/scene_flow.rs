@@ -22,9 +22,10 @@ use std::sync::Arc;
 
 /// Maximum number of other cameras whose frames are matched with a frame to estimate its depth and motion.
 const MAX_PARTNERS: usize = 7;
-/// Maximum motion per frame that is searched for, as a fraction of the image's longer side.
+/// Maximum motion that is searched for, per frame interval, as a fraction of the image's longer side.
 const MAX_SPEED: f64 = 0.125;
-/// Factor by which the searched range of inverse depths extends beyond the features' inverse depths, at both ends.
+/// Factor by which the searched range of inverse depths is widened at both ends: the minimum is divided by it, and the
+/// maximum is multiplied by it.
 const DEPTH_MARGIN: f64 = 1.5;
 
 impl Stage for Undistorted<'_> {
@@ -115,7 +116,7 @@ impl StoredStage for FrameFlow<'_> {
 }
 
 impl Stage for FlowConfidences<'_> {
-    /// For each frame, the confidences of its pixels, 1 to 255, row by row.
+    /// For each frame, the confidences in the depth and motion of its pixels: 1 to 255, row by row.
     type Output = Vec<Vec<u8>>;
     const NAME: &'static str = "confidences";
 
@@ -134,8 +135,9 @@ impl FlowConfidences<'_> {
     }
 }
 
-/// Stores the maps of depth and motion of a slot's frames on disk, unless they are there already. Returns the disk
-/// entries of all frames. The result is empty if the range of the scene's depths is unknown.
+/// Stores the maps of depth and motion of a slot's frames on disk, unless they are there already. Returns, for each
+/// frame, the size of its map on disk, and whether it was there already. The result is empty if the range of the
+/// scene's depths is unknown.
 pub(super) fn store_slot(
     slots: &Slots,
     slot: Slot,
@@ -213,9 +215,10 @@ pub(super) fn load(
     Ok(Some(all.into_par_iter().map(load).collect::<Result<_, RenderError>>()?))
 }
 
-/// Computes the search range of depth and motion for frames. The range of depths comes from features at the time of the
-/// frame in the middle of the list. In a wide array, it comes from the volume that most cameras see. `None` without
-/// features, or if all cameras stand at one place.
+/// Computes the search range of depth and motion for frames. The range of depths comes from feature points at the time
+/// of the frame in the middle of the list. If the cameras stand around the scene, it comes from the volume that most of
+/// them see. `None` if the range of depths is unknown, because there are no such points or all cameras stand at one
+/// place.
 fn limits(
     field: &LightField,
     frames: &[FrameId],
@@ -246,8 +249,8 @@ fn limits(
         max_speed,
     }))
 }
-/// Returns the frames with which a frame is matched: the previous and the next frame of its own camera, and one frame
-/// of each of the nearest other cameras. Each of these is the other camera's frame nearest in time.
+/// Returns the frames with which a given frame is matched: the previous and the next frame of its own camera, and one
+/// frame of each of the nearest other cameras. Of another camera, it is the frame nearest in time to the given frame.
 fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     let count = field.times_s(camera).len();
     let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];

@@ -12,7 +12,7 @@ const MAX_GROUP: usize = 12;
 /// a slot are estimated together. Every frame is in exactly one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Slot {
-    /// Number of the time interval, counted from the capture's start.
+    /// Index of the time interval. Interval 0 begins at the capture's start.
     interval: i64,
     group: usize,
 }
@@ -23,7 +23,7 @@ pub(super) struct Slots<'a> {
     /// Length of a slot's time interval, seconds: the median of the cameras' frame intervals. Infinite for a static
     /// light field, so that all frames of a group are in one slot.
     interval_s: f64,
-    /// For each camera, the number of the group that it belongs to.
+    /// For each camera, the index of the group that it belongs to.
     groups: Vec<usize>,
 }
 
@@ -68,7 +68,7 @@ impl<'a> Slots<'a> {
     }
 }
 
-/// Divides the cameras into groups, and returns the group's number for each camera. There are as few groups as
+/// Divides the cameras into groups, and returns the index of each camera's group. There are as few groups as
 /// [`MAX_GROUP`] allows, of about equal size. The groups are formed greedily: the first camera without a group is
 /// joined by the nearest cameras without a group.
 fn groups(field: &LightField) -> Vec<usize> {

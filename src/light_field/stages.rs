@@ -13,8 +13,8 @@ use crate::scene_flow::MappedFrame;
 use serde::{Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
 
-/// Inputs of the stage that tracks features between the frames `frame` and `frame + 1` of a camera. Tracks that fail
-/// the epipolar test are left out.
+/// Inputs of the stage that tracks features between the frames `frame` and `frame + 1` of a camera. Tracks that
+/// contradict the epipolar geometry with other cameras are left out, if the options ask for this test.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct PairTracks<'a> {
     pub camera: usize,
@@ -31,8 +31,8 @@ pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 #[derive(Serialize)]
 pub(super) struct PairTriangles<'a>(pub PairTracks<'a>);
 
-/// Inputs of the stage that computes the costs by which tracked motion is refined. The costs depend only on a frame
-/// pair, not on the instant.
+/// Inputs of the stage that computes the photometric costs by which tracked motion is refined. The costs depend only on
+/// a frame pair, not on the instant.
 #[derive(Serialize)]
 pub(super) struct RefinementCosts<'a> {
     pub tracks: PairTracks<'a>,
@@ -222,7 +222,7 @@ pub(super) struct FramesAround {
 }
 
 /// Inputs of the stage that matches one camera's features in other cameras. The camera is the first in `around`. The
-/// matches hold for all instants between the same frames.
+/// matches hold for all instants at which each camera has the same frames `near` and `far`.
 #[derive(Serialize)]
 pub(super) struct Correspondences<'a> {
     pub around: Vec<FramesAround>,

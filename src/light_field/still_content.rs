@@ -10,7 +10,7 @@ use std::sync::Arc;
 /// Maximum number of frames that are compared to find a camera's static background. They are spread evenly over the
 /// recording.
 const MAX_FRAMES: usize = 15;
-/// Memory per pixel of a static background, whose colour may be unknown, bytes.
+/// Memory per pixel of a static background, bytes: its colour, or the mark that the colour is unknown.
 const PIXEL_BYTES: usize = 4;
 
 impl Stage for StillContent<'_> {

@@ -9,8 +9,8 @@ use crate::offset::clocks;
 /// before the cameras' temporal offsets are known, since estimating offsets may take long.
 ///
 /// # Errors
-/// For the first time that is outside the recording of `camera`, whatever the offsets are. If `camera` is `None`, for
-/// the first time that is outside the recordings of all cameras.
+/// If any of the times is outside the recording of `camera` with every possible offset. If `camera` is `None`: if any
+/// of the times is outside the recordings of all cameras. The error names the first of these times in the list.
 pub fn check_times_before_offsets(
     capture: &Capture,
     camera: Option<usize>,
@@ -40,8 +40,8 @@ impl LightField {
         self.all_times_s[camera].as_deref().unwrap_or_default()
     }
 
-    /// Returns the times at which the camera's frames, and positions in the frames, were exposed, seconds from the
-    /// capture's start.
+    /// Returns the capture times of the camera's frames, seconds from the capture's start. With a rolling shutter, they
+    /// also tell when each row of a frame was captured.
     pub(super) fn frame_times(&self, camera: usize) -> FrameTimes<'_> {
         self.capture().cameras[camera].frame_times(self.times_s(camera))
     }
@@ -98,8 +98,8 @@ impl LightField {
         (0..self.capture().cameras.len()).filter_map(|c| self.span_s(c))
     }
 
-    /// Returns the number of cameras for which `time_s` is between two frames, and at least `fraction` of the frame
-    /// interval away from both.
+    /// Returns the number of cameras for which `time_s`, seconds from the capture's start, is between two frames, and
+    /// at least `fraction` of the time between them away from both.
     pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
         let is_between = |&camera: &usize| {
             let times = self.times_s(camera);

@@ -10,13 +10,13 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 /// Minimum angle between neighbouring cameras of a wide array, seen from the place that all cameras look at, radians.
 /// It is the largest angle at which features of neighbouring cameras are still matched reliably.
 const MIN_ANGLE_RAD: f64 = 0.12;
-/// Maximum baseline to which disparities of a wide array refer, as an angle seen from the place that all cameras look
-/// at, radians.
+/// Maximum of the baseline with which scene flow converts inverse depths of a wide array to disparities. It is divided
+/// by the distance to the place that all cameras look at, which gives an angle in radians.
 const MATCHING_ANGLE_RAD: f64 = 0.2;
 /// Minimum fraction of the other cameras that must see a point. Only such points count for a camera's range of depths.
 const MIN_SEEING: f64 = 0.5;
-/// Number of rows and number of columns of the pixel grid along whose rays points are tested to find a camera's range
-/// of depths.
+/// Number of rows and number of columns of a grid of pixels. Points on the rays of these pixels are tested to find a
+/// camera's range of depths.
 const RAYS: usize = 9;
 /// Smallest and largest inverse depth that is tested to find a camera's range of depths, as multiples of the inverse
 /// distance to the place that all cameras look at.
@@ -33,9 +33,9 @@ pub(super) struct CommonPlace {
 }
 
 impl CommonPlace {
-    /// Finds the place that all cameras look at, if the array is wide. `None` if the cameras look in parallel or away
-    /// from each other, and if the angle between neighbours is below [`MIN_ANGLE_RAD`]. `spacing_m` is the distance
-    /// between neighbours, metres.
+    /// Finds the place that all cameras look at, if the array is wide. `None` if there is no such place, because the
+    /// cameras look in parallel or away from each other. Also `None` if the angle between neighbours is at most
+    /// [`MIN_ANGLE_RAD`]. `spacing_m` is the distance between neighbours, metres.
     fn of(cameras: &[&Camera], spacing_m: f64) -> Option<Self> {
         let place = nearest_to_axes(cameras)?;
         let mut distances: Vec<f64> = cameras.iter().map(|c| (c.center() - place).norm()).collect();
@@ -82,9 +82,9 @@ impl LightField {
         CommonPlace::of(&self.filming(), self.spacing_m())
     }
 
-    /// Returns the baseline to which disparities of scene flow refer, metres: twice the distance between neighbouring
-    /// cameras. In a wide array, the baseline is at most [`MATCHING_ANGLE_RAD`] times the distance to the common place,
-    /// since surfaces of a wide array are matched less precisely.
+    /// Returns the baseline, metres, with which scene flow converts inverse depths to disparities in pixels: twice the
+    /// distance between neighbouring cameras. In a wide array, the baseline is at most [`MATCHING_ANGLE_RAD`] times the
+    /// distance to the common place, since surfaces of a wide array are matched less precisely.
     pub(super) fn matching_baseline_m(&self) -> f64 {
         let baseline_m = 2.0 * self.spacing_m();
         let longest_m = self.common_place().map(|p| MATCHING_ANGLE_RAD * p.distance_m);

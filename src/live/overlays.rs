@@ -35,7 +35,7 @@ pub(super) struct Weights {
     /// Weights of each camera at all pixels, row by row. The cameras are in the capture's order. `None` for a camera
     /// whose weights were not computed.
     by_camera: Vec<Option<Vec<f32>>>,
-    /// The view as blended from the cameras' images. [`Self::striped`] converts it to grey.
+    /// The view as blended from the cameras' images, in its own colours. [`Self::striped`] converts it to grey.
     gray: Rendered,
 }
 

@@ -12,11 +12,12 @@ const MAX_WAITING: usize = 32;
 /// Answer to a request: a picture, or the reason why the picture can't be rendered.
 pub(super) type Answer = Result<Picture, LiveError>;
 
-/// A request for a picture. Its flags tell whether a later request of the same viewer has replaced it.
+/// A request for a picture, with flags that are set when a later request of the same viewer replaces it.
 pub(super) struct Asked {
     pub request: PictureRequest,
     is_outdated: AtomicBool,
-    /// Whether the later request has another time or other methods, and not only another viewpoint.
+    /// Whether a later request of the same viewer has another time or other methods, and not only another viewpoint.
+    /// False if there is no later request.
     is_instant_outdated: AtomicBool,
 }
 

@@ -81,12 +81,12 @@ pub struct PictureRequest {
     pub time_s: f64,
     pub place: Place,
     pub view: ViewDirection,
-    /// Synchronization method in place of that of the chosen options. `None` means no replacement.
+    /// Synchronization method of this picture. `None`: the method of the chosen options.
     pub sync: Option<SyncMethod>,
-    /// Proxy method in place of that of the chosen options. `None` means no replacement.
+    /// Proxy method of this picture. `None`: the method of the chosen options.
     pub proxy: Option<ProxyMethod>,
-    /// Name of the viewer and of the part of the page. A request replaces the earlier request with the same name,
-    /// unless the name is empty.
+    /// Name of the viewer and of the part of its page that shows the picture, such as `a1.b`. A request replaces the
+    /// earlier request with the same name, unless the name is empty.
     pub viewer: String,
 }
 

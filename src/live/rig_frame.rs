@@ -7,15 +7,16 @@ use crate::capture::Capture;
 use crate::text::number;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-/// Maximum distance of viewpoints from the cameras' bounding box, as a fraction of the rig's largest extent.
+/// Maximum distance of viewpoints from the cameras' bounding box, along each axis, as a fraction of the box's longest
+/// side. [`MARGIN_SPACINGS`] applies instead if it gives a longer distance.
 const MARGIN_SHARE: f64 = 0.5;
-/// Distance from the cameras' bounding box within which viewpoints are always allowed, as a multiple of the spacing of
-/// neighbouring cameras.
+/// Maximum distance of viewpoints from the cameras' bounding box, along each axis, as a multiple of the spacing of
+/// neighbouring cameras. [`MARGIN_SHARE`] applies instead if it gives a longer distance.
 const MARGIN_SPACINGS: f64 = 2.0;
 /// Maximum distance of viewpoints from a rig's only camera, along each axis, metres.
 const LONE_MARGIN_M: f64 = 0.1;
-/// Distance of a viewpoint from a camera at which the camera has half of its maximum weight in the view's mean
-/// direction. It is a multiple of the spacing of neighbouring cameras.
+/// Distance from the viewpoint at which a camera's weight has fallen to half, as a multiple of the spacing of
+/// neighbouring cameras. The view's direction is the mean of the cameras' viewing directions with these weights.
 const SOFT_SPACINGS: f64 = 0.5;
 /// Allowed zooms: focal lengths as multiples of the reference camera's focal length.
 pub(super) const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
@@ -27,7 +28,8 @@ const MIN_SIZE_PX: u32 = 16;
 /// Coordinate frame of a rig, with the cameras and the viewpoints of true images.
 #[derive(Clone, Debug)]
 pub struct RigFrame {
-    /// Transform from the rig's axes to the world, metres. Here, the rig's axes are x to the right, y down and z ahead.
+    /// Transform from the rig's axes to the world, metres. In this transform, the rig's axes are x to the right, y down
+    /// and z ahead.
     world_from_rig: Isometry3<f64>,
     /// Cameras of the rig, in the capture's order.
     cameras: Vec<Camera>,
@@ -177,8 +179,9 @@ impl RigFrame {
         looking(ahead, down).unwrap_or(self.world_from_rig.rotation)
     }
 
-    /// Returns a pinhole camera at `center`. At zoom 1, it sees the middle part of the reference camera's view that has
-    /// the aspect ratio of the picture.
+    /// Returns a pinhole camera at `center`, rotated from the orientation `world_from_cam` as `view` requests. At zoom
+    /// 1, its field of view is that of the reference camera's image, cropped symmetrically to the aspect ratio of the
+    /// picture.
     fn pinhole(
         &self,
         center: Point3<f64>,

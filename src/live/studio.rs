@@ -16,8 +16,8 @@ use crate::options::{Preset, ProxyMethod, RenderOptions, TrailOptions};
 use crate::progress::Reporter;
 use std::sync::Arc;
 
-/// Width and height of the view for which geometry is computed beforehand, pixels. They are small, because only the
-/// depth maps of the filming cameras are cached, not the depth map of this view.
+/// Width and height of the views for which geometry is computed in advance, pixels. The views are small to save time.
+/// Only the depth maps of the filming cameras are kept for later views, and their size doesn't depend on this size.
 const SMALL_PX: [u32; 2] = [32, 24];
 
 /// Function that is called during rendering. Rendering stops when it returns false, for example because the viewer has
@@ -199,7 +199,8 @@ impl<'a> Studio<'a> {
         }
     }
 
-    /// Returns the cameras' images at the request's instant, and the method by which they are synchronized.
+    /// Returns the cameras' images at the request's instant, and the method by which they are synchronized. For a quick
+    /// picture, each image is the camera's frame nearest in time.
     fn images(
         &self,
         request: &PictureRequest,

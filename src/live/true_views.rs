@@ -33,7 +33,7 @@ pub(super) struct TrueViews {
     images: Memo,
 }
 
-/// Returns a copy of the camera at the origin, with the same orientation.
+/// Returns a copy of the camera, moved to the world's origin with the same orientation.
 fn at_origin(camera: &Camera) -> Camera {
     let cam_from_world =
         Isometry3::from_parts(Translation3::identity(), camera.cam_from_world.rotation);

@@ -48,7 +48,7 @@ methods!(DepthEdges {
 });
 
 /// Maximum difference between the inverse depths of a triangle's vertices on one surface, as a fraction of the largest
-/// inverse depth. A triangle with a larger difference spans a depth edge.
+/// inverse depth of the three. A triangle with a larger difference spans a depth edge.
 const EDGE_FRACTION: f64 = 0.1;
 /// Maximum length of a triangle's longest side, pixels, for [`DepthEdges`] to apply. In a larger triangle, the object's
 /// outline may be anywhere.
@@ -146,8 +146,9 @@ fn projected(
     projections.into_iter().map(|(_, s)| s).collect()
 }
 
-/// Computes the Delaunay triangulation, in pixels, of the projected points followed by the corners. Of several points
-/// at one position, only one becomes a vertex. `focal` is the focal length, pixels.
+/// Computes the Delaunay triangulation, in pixels, of the projected points and the mesh's `corners`. In the
+/// triangulation's indices, the corners follow the points. Of several points at one position, only one becomes a
+/// vertex. `focal` is the focal length, pixels.
 fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: f64) -> MeshSites {
     // The library spade accepts only coordinates that are 0 or have a magnitude in [2⁻¹⁴², 2²⁰¹]. Magnitudes below a
     // millionth of a pixel are rounded to 0.

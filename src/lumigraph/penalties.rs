@@ -19,8 +19,8 @@ const FEATHER_PX: f32 = 4.0;
 /// Minimum depth difference between an occluded point and the surface in front of it, as a fraction of the surface's
 /// depth.
 pub(super) const OCCLUSION_FRACTION: f32 = 0.03;
-/// Maximum distance between a camera and the view's centre at which the camera counts as standing at the centre, as a
-/// fraction of the farthest camera's distance.
+/// Maximum distance from the view's centre at which a camera counts as standing at this centre, as a fraction of the
+/// farthest camera's distance from it.
 const SAME_CENTER_FRACTION: f64 = 1e-6;
 /// Factor on a source's confidence in a point that is occluded in the source. The factor is so small that the source
 /// contributes only if the point is occluded in all sources.
@@ -222,8 +222,8 @@ impl Reprojection {
         self.shift_target == Vector3::zeros()
     }
 
-    /// Returns whether the source's penalties change smoothly over a surface, so that weights may be interpolated
-    /// between nodes.
+    /// Returns whether the source's penalties change smoothly over a surface. If so, weights may be interpolated
+    /// between the nodes of a grid over the view.
     pub fn is_smooth(&self, source: &Source) -> bool {
         source.depth.is_none()
             && (self.error_angle_rad == 0.0 || source.interpolation_error_px.is_none())
@@ -315,7 +315,7 @@ impl Reprojection {
         (px, py, if is_visible { border } else { 0.0 })
     }
 
-    /// Returns the vector from the source's centre to the point of a view's ray (x, y, 1), multiplied by the point's
+    /// Returns the vector from the source's centre to a point on the view's ray (x, y, 1), multiplied by the point's
     /// inverse depth. The vector is in the source's axes.
     #[inline(always)]
     fn direction(&self, x: f32, y: f32, inverse_depth: f32) -> Vector3<f32> {

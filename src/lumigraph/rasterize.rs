@@ -18,8 +18,8 @@ use std::ops::Range;
 
 /// Number of image rows that one parallel task rasterizes.
 const BAND_ROWS: usize = 16;
-/// Tolerance of the test whether a ray hits a triangle, in units of the products r · (a × b) of unit vectors a and b. A
-/// ray that passes outside an edge by this amount, about 1e-8 px, still hits.
+/// Tolerance of the test whether a ray r hits a triangle. The products r · (a × b), with unit vectors a and b towards
+/// two vertices, may be negative by this amount. A ray thus still hits if it passes about 1e-8 px outside an edge.
 const ON_EDGE: f64 = 1e-11;
 /// Minimum triple product of the unit vectors from the camera to a triangle's vertices. It is about twice the
 /// triangle's solid angle in sr. The depths of a smaller triangle would be rounding noise.

@@ -77,7 +77,7 @@ impl<'a> RowRays<'a> {
         }
     }
 
-    /// Returns the values of a range of the row's columns.
+    /// Returns the rays, their lengths, and the inverse depths in a range of the row's columns.
     fn of(&self, columns: Range<usize>) -> TargetRow<'_> {
         TargetRow {
             x: &self.x[columns.clone()],
@@ -154,8 +154,8 @@ impl<'a> SpanBlender<'a> {
         self.row.set(y, depth.row(y));
     }
 
-    /// Computes the weights of all sources at the given columns of the current row. Writes them to `weights`, source by
-    /// source.
+    /// Computes the weights of all sources at the given columns of the current row. Writes them to `weights`: the first
+    /// source's weights at all columns, then the second source's, and so on.
     fn weigh_nodes(&mut self, columns: &[usize], weights: &mut [f32]) {
         self.row.keep(columns);
         for nodes in ranges(columns.len(), SPAN_PX) {
@@ -187,8 +187,8 @@ impl<'a> SpanBlender<'a> {
     }
 
     /// Interpolates the weights of a range of pixels between nodes, and multiplies them by the confidences. Returns
-    /// false if there is no grid, or if all weights of a pixel are 0. The latter can happen although a source sees the
-    /// pixel's point, if the source sees none of the points at the surrounding nodes.
+    /// false if there is no grid, or if a pixel has the weight 0 in all sources. The latter also happens if a source
+    /// sees the pixel's point, but no source sees the points at the surrounding nodes.
     fn weigh_between_nodes(&mut self, columns: Range<usize>) -> bool {
         let Some(grid) = &self.grid else { return false };
         self.span.count = columns.len();
@@ -205,9 +205,9 @@ impl<'a> SpanBlender<'a> {
         normalize(&mut self.span)
     }
 
-    /// Reprojects the points of a range of the row's pixels into the sources, nearest source first. The first k+1
-    /// sources are always used, where k is the number of blended sources. A later source is culled if the lower bound
-    /// of its penalties reaches the largest threshold of the weights.
+    /// Reprojects the points of a range of the row's pixels into the sources, and computes penalties and confidences.
+    /// The nearest k+1 sources are always used, where k is the number of blended sources. A farther source may be left
+    /// out, if a lower bound of its penalties shows that its weight is 0 at all of these pixels.
     fn measure(&mut self, columns: Range<usize>) {
         self.span.count = columns.len();
         self.span.active.clear();

@@ -403,7 +403,7 @@ fn options_round_trip_and_refuse_unknown_fields() {
     assert!(serde_json::from_str::<BlendOptions>(r#"{"camera": 3}"#).is_err());
 }
 
-/// Returns sources with the given interpolation errors of their pixels, pixels.
+/// Returns sources with the given interpolation errors: for each source, one error per pixel of its image, in pixels.
 fn interpolated<'a>(
     cameras: &'a [Camera],
     images: &'a [Image],

@@ -21,8 +21,8 @@ pub struct Triangulated {
     pub max_angle_rad: f64,
 }
 
-/// Minimum parallax between two rays of a triangulated point, pixels at the longest of the cameras' focal lengths. It
-/// is about the resolution of feature trackers.
+/// Minimum parallax of a triangulated point, pixels: the largest angle between two of its rays, in radians, times the
+/// longest focal length of the cameras. It is about the resolution of feature trackers.
 const MIN_PARALLAX_PX: f64 = 0.07;
 /// Maximum number of Levenberg–Marquardt steps of a triangulation. 2 to 5 are needed.
 const MAX_ITERATIONS: usize = 20;
@@ -62,8 +62,8 @@ impl ObservationEquation {
 /// Triangulates a point of the world from its pixel positions in several cameras. Minimizes the squared reprojection
 /// errors, in pixels without lens distortion.
 ///
-/// `None` if there are fewer than two observations or fewer than two distinct camera centres, if a pixel has no ray, if
-/// all rays are parallel to within 0.07 px, or if the point is at infinity or behind a camera.
+/// `None` if there are fewer than two observations or fewer than two distinct camera centres, if a pixel's ray can't be
+/// computed, if all rays are parallel to within 0.07 px, or if the point is at infinity or behind a camera.
 pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulated> {
     let rays: Vec<Vector3<f64>> = observations
         .iter()

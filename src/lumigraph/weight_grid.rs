@@ -4,18 +4,20 @@
 use crate::camera::Camera;
 use std::ops::Range;
 
-/// Blending weights at the two rows of grid nodes that enclose a row of the view. Weights are stored source by source.
+/// Blending weights at the two rows of grid nodes that enclose a row of the view.
 pub(super) struct WeightGrid {
     /// Distance between neighbouring nodes, pixels.
     pub step: usize,
     /// Columns of the view that have nodes, ascending. The last is the view's last column.
     pub columns: Vec<usize>,
-    /// Index of the upper of the two stored rows of nodes. `None` before the rows are filled.
+    /// Index, among the grid's rows of nodes, of the upper one of the two stored rows. `None` before the rows are
+    /// filled.
     above: Option<usize>,
-    /// Weights at the nodes of the two stored rows, the upper row first. In each row, weights are ordered source by
-    /// source.
+    /// Weights at the nodes of the two stored rows, the upper row first. Each row holds the first source's weights at
+    /// all nodes, then the second source's, and so on.
     rows: [Vec<f32>; 2],
-    /// Weights at the columns with nodes, interpolated vertically to the current row of the view.
+    /// Weights at the columns with nodes, interpolated vertically to the current row of the view. The order is that of
+    /// `rows`.
     between: Vec<f32>,
 }
 
@@ -31,7 +33,7 @@ impl WeightGrid {
     }
 
     /// Interpolates the weights vertically to row `y` of the view. `fill` computes the weights of one row of nodes; its
-    /// arguments are the index of that row, the columns with nodes, and the output.
+    /// arguments are the index of that row, the columns with nodes, and the output, ordered as in `rows`.
     pub fn set_row(&mut self, y: usize, mut fill: impl FnMut(usize, &[usize], &mut [f32])) {
         let above = y / self.step;
         if self.above != Some(above) {
@@ -49,8 +51,9 @@ impl WeightGrid {
         }
     }
 
-    /// Returns a source's weights at the nodes around a range of the view's columns. The first column must have a node.
-    /// `None` if all these weights are 0.
+    /// Returns a source's weights at the nodes from the first to the last column of a range, and at the next node after
+    /// it. The weights are those of the current row of the view. The first column must have a node. `None` if all these
+    /// weights are 0.
     pub fn around(&self, source: usize, columns: Range<usize>) -> Option<&[f32]> {
         let (from, last) = (columns.start / self.step, columns.end.div_ceil(self.step));
         let first = source * self.columns.len();

@@ -115,8 +115,9 @@ impl WeighedSpan {
         }
     }
 
-    /// Computes the largest penalty threshold over the span's pixels. It uses k+1 sources alone, where k is the number
-    /// of blended sources. Further sources can only lower the threshold.
+    /// Returns the largest penalty threshold of any pixel of the span. Weights reach 0 at the threshold. `sources` are
+    /// the indices of k+1 sources, where k is the number of blended sources. With more sources, the threshold could
+    /// only become lower.
     pub fn max_threshold(&self, sources: &[usize]) -> f32 {
         let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
         for &i in sources {
@@ -222,7 +223,8 @@ mod tests {
         of_pixels(penalties, penalties.len(), k)
     }
 
-    /// Creates a span with `n` sources. `penalty` lists the penalties source by source. All confidences are 1.
+    /// Creates a span with `n` sources. `penalty` lists the first source's penalties at all pixels, then the second
+    /// source's, and so on. All confidences are 1.
     fn span_of(penalty: &[f32], n: usize) -> WeighedSpan {
         let mut span = WeighedSpan::new(n);
         span.count = penalty.len() / n.max(1);
@@ -234,21 +236,24 @@ mod tests {
         span
     }
 
-    /// Returns the weights of the active sources, source by source.
+    /// Returns the weights of the active sources: the first source's weights at all pixels, then the second source's,
+    /// and so on.
     fn weights_of(span: &WeighedSpan) -> Vec<f32> {
         let of = |&i: &usize| &span.of_source[i].weight[..span.count];
         span.active.iter().flat_map(of).copied().collect()
     }
 
-    /// Returns the weights of pixels whose penalties in `n` sources are `penalty`, source by source. At each pixel, the
-    /// `k` best sources are blended.
+    /// Returns the weights of `n` sources, given their penalties. At each pixel, the `k` sources with the smallest
+    /// penalties are blended. `penalty` lists the first source's penalties at all pixels, then the second source's, and
+    /// so on. The weights are in the same order.
     fn of_pixels(penalty: &[f32], n: usize, k: usize) -> Vec<f32> {
         let mut span = span_of(penalty, n);
         span.weigh_best(k);
         weights_of(&span)
     }
 
-    /// Reference implementation for one pixel: the formula of the module's documentation, with a sort.
+    /// Reference implementation for one pixel: the formula of the module's documentation. It finds the threshold by
+    /// sorting.
     fn naive(penalties: &[f32], k: usize) -> Vec<f32> {
         let mut sorted = penalties.to_vec();
         sorted.sort_by(f32::total_cmp);
