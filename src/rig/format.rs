@@ -25,8 +25,8 @@ pub struct Rig {
     /// Name of the rig. It is also written into a capture's ground truth.
     #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub name: String,
-    /// Id of the reference camera, on whose clock all times are given. This clock has no drift, and every lost frame
-    /// leaves a gap in its times.
+    /// Id of the reference camera. All times are given on its clock. This clock has no drift, and its time stamps have
+    /// a gap at every lost frame.
     #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub reference: String,
     /// Seed of the random errors in exposure times, and of the sensors' noise.
@@ -42,9 +42,10 @@ pub struct Rig {
 
 /// A filming camera: lens, pose, shutter and sensor.
 ///
-/// Frame k is exposed around the world time `delay_s + c + (c − c_0) · drift_ppm · 1e-6`, where
-/// `c = k / rate_hz + jitter_k` is the time on the camera's own clock. k is the nominal number of the frame, which also
-/// counts lost frames. With a rolling shutter, this is the time of the middle row.
+/// The exposure of frame k is centred on the world time `delay_s + c_k + (c_k − c_0) · drift_ppm · 1e-6`, in seconds.
+/// Here `c_k = k / rate_hz + jitter_k` is the time of the frame on the camera's own clock, and `jitter_k` is a random
+/// error with the standard deviation `jitter_s`. k counts from 0, and also counts lost frames. With a rolling shutter,
+/// the world time is that of the middle row.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RigCamera {
@@ -73,7 +74,7 @@ pub struct RigCamera {
     /// Lens distortion, by COLMAP's OPENCV model. It must be invertible everywhere on the image's border.
     #[serde(default, skip_serializing_if = "RigDistortion::is_none")]
     pub distortion: RigDistortion,
-    /// Pose of the camera in the rig's frame, metres.
+    /// Pose of the camera: the transform from the rig's frame to the camera's frame.
     pub cam_from_rig: PoseFormat,
     #[schemars(range(min = *RATE_HZ.start(), max = *RATE_HZ.end()))]
     pub rate_hz: f64,
@@ -85,23 +86,24 @@ pub struct RigCamera {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0))]
     pub jitter_s: f64,
-    /// Whether the camera's time stamps include the jitter, the random errors in the times of exposures. Otherwise,
-    /// only its nominal frame rate is known.
+    /// Whether the camera's time stamps include the jitter, the random errors in the times of exposures. Otherwise, the
+    /// camera states only nominal times, which are evenly spaced.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub jitter_stamped: bool,
     /// Drift of the camera's clock, parts per million. Positive if this clock is slower than the reference clock.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = *DRIFT_PPM.start(), max = *DRIFT_PPM.end()))]
     pub drift_ppm: f64,
-    /// Nominal numbers of the frames that are never recorded, ascending, from 1.
+    /// Numbers of the frames that are never recorded, ascending. Frames are numbered from 0, and frame 0 is always
+    /// recorded.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(inner(range(min = *LOST_FRAME.start(), max = *LOST_FRAME.end())))]
     pub lost_frames: Vec<u32>,
     /// Whether a lost frame leaves a gap in the camera's time stamps. Otherwise, the time stamps don't show the loss.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub lost_stamped: bool,
-    /// Whether the camera uses the clock that several cameras share, which shows world time. The offset of the camera's
-    /// clock is then known.
+    /// Whether the camera's clock is the one that all cameras with this setting share. This clock shows world time, so
+    /// that the camera's temporal offset needn't be estimated.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub clock_shared: bool,
     /// Time for which the shutter is open, seconds, centred on the frame's time. 0 means an instantaneous exposure. At
@@ -183,7 +185,8 @@ methods!(RigColor {
 });
 
 impl RigCamera {
-    /// Returns the camera's model in pixels: Blender's lens with sensor fit `AUTO`, and the distortion.
+    /// Returns the camera's lens model, with focal length and principal point in pixels. As with Blender's sensor fit
+    /// `AUTO`, the sensor's width spans the longer side of the image.
     pub fn model(&self) -> CameraModel {
         let side = f64::from(self.width.max(self.height));
         let f = self.lens_mm / self.sensor_width_mm * side;
@@ -205,7 +208,7 @@ impl RigColor {
 }
 
 impl RigDistortion {
-    /// Returns whether there is no distortion, so that the images of straight lines are straight.
+    /// Returns whether all coefficients are 0, so that the lens has no distortion.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }

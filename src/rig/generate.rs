@@ -73,7 +73,7 @@ methods!(LossStamps {
 pub struct Loss {
     /// Number of frames that each camera loses.
     pub count: usize,
-    /// Upper bound of the numbers of lost frames, which are drawn from 1 to `within − 1`.
+    /// The numbers of the lost frames are drawn at random from 1 to `within − 1`. Frame 0 is never lost.
     pub within: usize,
     /// Whether lost frames leave gaps in the time stamps.
     pub stamps: LossStamps,
@@ -106,8 +106,8 @@ pub struct RigOptions {
     pub jitters_s: Vec<f64>,
     /// Whether the cameras' time stamps include the jitter, the random errors in the times of exposures.
     pub jitter_stamped: bool,
-    /// Maximum absolute drift of the cameras' clocks, parts per million. Drifts are uniformly random within this range.
-    /// The reference camera has no drift.
+    /// Maximum absolute drift of the cameras' clocks, parts per million. The drift of each clock is uniformly random
+    /// between minus this value and this value. The reference camera's clock has no drift.
     pub max_drift_ppm: f64,
     /// Settings for lost frames. `None` if no frames are lost.
     pub loss: Option<Loss>,
@@ -119,7 +119,7 @@ pub struct RigOptions {
     pub readouts_s: Vec<f64>,
     /// Gains of the cameras: factors on the linear light, before display encoding.
     pub gains: Vec<f64>,
-    /// Standard deviations of the cameras' sensor noise, as fractions of full scale.
+    /// Standard deviations of the cameras' sensor noise, in display-encoded values from 0 to 1.
     pub noises: Vec<f64>,
     /// Whether each camera records colours or luminance alone.
     pub colors: Vec<RigColor>,
@@ -319,8 +319,8 @@ impl RigOptions {
         }
     }
 
-    /// Returns two virtual cameras with the reference camera's lens: one between the cameras, and one away from their
-    /// line.
+    /// Returns two virtual cameras with the reference camera's lens. The first is halfway between neighbouring cameras
+    /// near the rig's centre. The second is to the left of the first, above it, and in front of it.
     fn views(&self, like: &RigCamera, stands: &[Stand], reference: usize) -> Vec<RigView> {
         let beside = 0.5 * self.spacing_m;
         let between = match self.layout {

@@ -36,7 +36,7 @@ pub const RATE_HZ: RangeInclusive<f64> = 1e-3..=1e5;
 pub const TIME_S: RangeInclusive<f64> = -1e6..=1e6;
 /// Allowed drift of a clock, parts per million: at most the drift that can be estimated.
 pub const DRIFT_PPM: RangeInclusive<f64> = -MAX_DRIFT_PPM..=MAX_DRIFT_PPM;
-/// Allowed nominal number of a lost frame.
+/// Allowed number of a lost frame. Frames are numbered from 0, and frame 0 is never lost.
 pub const LOST_FRAME: RangeInclusive<u32> = 1..=1_000_000_000;
 /// Allowed gain of a camera: factor on the linear light, before display encoding.
 pub const GAIN: RangeInclusive<f64> = 0.01..=100.0;

@@ -1,5 +1,5 @@
-//! Fits a plane to the inverse depths and velocities around a pixel, by least squares. The fit proposes an element
-//! with gradients.
+//! Fits linear functions of the pixel's position to the inverse depths and velocities around a pixel, by weighted least
+//! squares. The result is a surface element with gradients, which is proposed for this pixel.
 
 use super::element::Element;
 use super::map::ElementMap;
@@ -15,7 +15,8 @@ const MAX_DISTANCE_PX: f32 = 2.0;
 /// Colour difference between a neighbour and the pixel at which the colour term of the neighbour's weight falls to
 /// 1/e.
 const COLOR: f32 = 0.16;
-/// Part of a neighbour's weight that is added to the colour term, so that neighbours of any colour have some weight.
+/// Constant that is added to the colour term of a neighbour's weight, so that neighbours of any colour have some
+/// weight.
 const MIN_COLOR_WEIGHT: f32 = 0.05;
 /// Weight of the ridge regularization that pulls the gradients towards 0, squared pixels of the pyramid level.
 /// Gradients of 0 are a surface parallel to the image in pure translation.

@@ -23,7 +23,7 @@ const OPAQUE: f32 = 0.25;
 /// Factor on [`FRONT`] and [`OPAQUE`] for a cluster that is known to move. A small weight suffices for such a cluster,
 /// since its source pixels are known not to show static background.
 const MOVING: f32 = 0.25;
-/// Minimum number of the eight neighbours of a pixel that show a moving body, for the pixel to be a hole in the body.
+/// A pixel counts as a hole in a moving body if at least this number of its eight neighbours show the body.
 const CLOSING: usize = 5;
 /// Maximum distance of a pixel of a hole from the hole's border, pixels. Pixels farther inside stay open.
 const CLOSED_PX: usize = 4;
@@ -40,7 +40,8 @@ const COLOR: f32 = 0.06;
 /// Maximum number of a view's pixels that are blended at once. With eight scene flow maps, blending them takes about
 /// 60 MB.
 const BAND_PIXELS: usize = 5 << 16;
-/// Number of pixels of a view from which the view is blended in bands of half as many pixels.
+/// Minimum number of pixels of a large view. To save memory, a large view is blended in bands of half of
+/// [`BAND_PIXELS`].
 const LARGE_PIXELS: usize = 1 << 23;
 
 /// Colour and depth of the surface that a pixel of the view shows.
@@ -71,7 +72,7 @@ struct Pixels {
     /// Inverse depth of each pixel, 1/m; 0 where the depth is unknown.
     inverse_depths: Vec<f32>,
     shown: Vec<Shown>,
-    /// Motion of the surfaces at all pixels; `None` if the view needs no motion.
+    /// Motion of the surface at each pixel; `None` if the motion isn't requested.
     motions: Option<MotionMap>,
 }
 
@@ -85,9 +86,10 @@ impl Pixels {
         }
     }
 
-    /// Closes holes in moving bodies, through which other surfaces show, from the border inwards, one ring of pixels
-    /// at a time. A closed pixel gets the mean colour and inverse depth of its neighbours that show the body, and the
-    /// motion of one of them.
+    /// Closes holes in moving bodies: pixels that show a farther surface, although most of their neighbours show the
+    /// body. Holes are closed from the border inwards, one ring of pixels at a time. A closed pixel gets the mean
+    /// colour and inverse depth of its neighbours that show the body, and the motion of one of them. `width` is the
+    /// width of the view, pixels.
     fn close(&mut self, width: usize) {
         let height = self.shown.len() / width;
         let is_body = |shown: &[Shown], n: usize| shown[n] == Shown::Moving;
@@ -124,7 +126,8 @@ impl Pixels {
     }
 
     /// Fills the holes of the view (pixels that no scene flow map covers) from the border inwards, one ring of pixels
-    /// at a time. A pixel copies its farthest neighbour that is not a hole, since holes are disoccluded background.
+    /// at a time. Holes are disoccluded background. A pixel therefore copies the values of the neighbour with the
+    /// largest depth, among those that are covered or already filled. `width` is the width of the view, pixels.
     fn fill(&mut self, width: usize) {
         let height = self.shown.len() / width;
         let around = |k: u32| {
@@ -246,13 +249,14 @@ fn blend_rows(
     pixels.motions.iter_mut().for_each(|motions| motions.extend(rows.iter().flatten().copied()));
 }
 
-/// Returns the largest disparity of an inverse depth of 1/m among the scene flow maps, pixels.
+/// Returns the disparity of a point at a depth of 1 m, pixels. If it differs between the scene flow maps, returns the
+/// largest.
 fn disparity_px(mapped: &[MappedFrame]) -> f32 {
     mapped.iter().map(|m| m.map.disparity_px).fold(0.0, f32::max)
 }
 
-/// Returns the mean motion at pixel `k` of the blended rows, over the surface elements whose inverse depth is within
-/// `reach` of `inverse_depth`, both in 1/m.
+/// Returns the weighted mean motion of the surface that pixel `k` of the blended rows shows. It is the mean over
+/// surface elements whose inverse depth differs from `inverse_depth` by less than `reach`, both in 1/m.
 fn motion_of<'a>(
     splats: impl Iterator<Item = &'a (&'a MappedFrame<'a>, Splat)>,
     k: usize,
@@ -284,8 +288,8 @@ fn shows_motion(frame: &FlowFrame, [x, y]: [f32; 2]) -> bool {
 /// Renders the view at `time`, in frame periods of the reference camera since the capture's start. `confidences` are
 /// the confidences of the scene flow maps, as [`confidences`](super::confidences) returns them.
 ///
-/// A hole that lies inside some camera's image is filled with the background beside it. Pixels outside all images are
-/// not covered. If `with_motion` is true, the result has the motion of the surfaces too.
+/// A hole that lies inside at least one camera's image is filled with the background beside it. Pixels outside all
+/// images stay black and have no depth. If `with_motion` is true, the result has the motion of the surfaces too.
 pub fn blend(
     mapped: &[MappedFrame],
     confidences: &[Vec<u8>],
@@ -354,9 +358,10 @@ impl<'a> Behind<'a> {
         Self { frames }
     }
 
-    /// Colours a pixel of a hole at `[x, y]`, a position in the undistorted view, by its given depth. The colour
-    /// comes from the nearest frame in which nothing occludes the point at this depth; motion is neglected. If the
-    /// point is occluded in all frames, the pixel stays as given. `None` if the point is outside all images.
+    /// Colours a pixel of a hole. `pixel` already has the depth of the background, and `[x, y]` is its position in the
+    /// view without lens distortion. The colour is taken from the frame that shows the point at this depth unoccluded.
+    /// If there are several such frames, the one whose camera is nearest to the view is taken. Motion is neglected. If
+    /// the point is occluded in all frames, the pixel keeps its colour. `None` if the point is outside all images.
     fn fill(&self, mut pixel: Pixel, [x, y]: [f32; 2]) -> Option<Pixel> {
         let mut is_filmed = false;
         for (MappedFrame { frame, map }, projection) in &self.frames {
@@ -384,8 +389,10 @@ impl<'a> Behind<'a> {
 /// Colours of a cluster's candidates, RGB from 0 to 1, with their weights.
 type WeightedColors = Vec<([f32; 3], f32)>;
 
-/// Returns the mean of the frontmost cluster with a sufficient weight, composited over the cluster behind if it is
-/// not opaque. `reach` is the half-width of a cluster, 1/m. `colors` is a reusable buffer. `None` without candidates.
+/// Returns colour and depth of a pixel: the means of the frontmost cluster with a sufficient weight ([`FRONT`]), or
+/// else of the heaviest cluster. If this cluster isn't opaque, its colour is composited over the colour of the cluster
+/// behind it. `reach` is the half-width of a cluster in inverse depth, 1/m. `colors` is a reusable buffer. `None`
+/// without candidates.
 fn pixel_of(
     candidates: &[ColorCandidate],
     reach: f32,
@@ -467,7 +474,8 @@ fn mean_of(
     Some(Pixel { color, inverse_depth: depths / weights, is_moving: 2.0 * moving > weights })
 }
 
-/// Returns the mean of the colours, each weighted by its weight times `factor`. Both must be positive.
+/// Returns the weighted mean of the colours. The weight of a colour is its own weight times `factor(colour)`. Both
+/// numbers must be positive.
 #[inline(always)]
 fn weighted_mean(colors: &WeightedColors, factor: impl Fn(&[f32; 3]) -> f32) -> [f32; 3] {
     let (mut sum, mut weights) = ([0.0f32; 3], 0.0f32);

@@ -13,16 +13,16 @@ const MAX_DT: f32 = 0.8;
 /// Maximum motion of a surface element between its frame and the other scene flow map's frame, pixels. If the motion
 /// is larger, the map is not compared, since a small error of the velocity would move the element off a thin body.
 const MAX_MOTION_PX: f32 = 8.0;
-/// Upper bound of the difference between a surface element and another scene flow map, pixels. The difference is the
-/// difference in disparity plus the difference in motion over half a frame.
+/// Value at which the difference between a surface element and another scene flow map is truncated, pixels. The
+/// difference is that of the disparities, plus that of the displacements during half a frame period.
 const MAX_DIFFERENCE_PX: f32 = 4.0;
 /// Difference in disparity from which a surface element of a scene flow map occludes an element behind it, pixels.
 const HIDING_PX: f32 = 1.0;
 /// Difference that is assumed between a surface element and a scene flow map in which the element is occluded,
 /// pixels.
 const HIDDEN_PX: f32 = 0.3;
-/// Number of assumed scene flow maps with a difference of 0 that are included in the mean difference, so that one map
-/// alone has little influence.
+/// Number of fictitious scene flow maps, with a difference of 0, that are included in the mean difference. They reduce
+/// the influence of a single map.
 const PRIOR_MAPS: f32 = 2.0;
 
 /// Copy of a scene flow map's inverse depths and velocities, row by row.
@@ -63,7 +63,7 @@ pub struct OtherMaps<'a> {
 
 impl<'a> OtherMaps<'a> {
     /// Collects the scene flow maps with which the map of frame `of` is compared: those of other frames near in time.
-    /// `disparity_px` is the disparity of an inverse depth of 1/m, pixels.
+    /// `disparity_px` is the disparity of a point at a depth of 1 m, pixels.
     pub fn new(
         frames: &[&FlowFrame],
         snapshots: &'a [Snapshot],
@@ -80,8 +80,9 @@ impl<'a> OtherMaps<'a> {
     }
 
     /// Returns the mean difference, pixels, between a surface element at pixel `[x, y]` of its frame and the other
-    /// scene flow maps into which it projects. The difference from one map is the difference in disparity plus the
-    /// difference in motion over half a frame. The result is 0 if the element projects into no other image.
+    /// scene flow maps into which it projects. The difference from one map is the difference between the disparities,
+    /// plus the difference between the displacements during half a frame period. The mean includes [`PRIOR_MAPS`] maps
+    /// with a difference of 0.
     pub fn difference(&self, e: &Element, [x, y]: [f32; 2]) -> f32 {
         let (mut sum, mut count) = (0.0, 0.0);
         let speed = e.speed();

@@ -2,13 +2,12 @@
 
 use super::geometry::Projection;
 
-/// Small piece of a surface at a pixel of a frame: its inverse depth, and its path in the image of the frame's
-/// camera.
+/// Small piece of a surface at a pixel of a frame: its inverse depth, and its path in the image of the frame's camera.
 ///
-/// Pixels are those of the full-resolution image, times are frames of the reference camera, and inverse depths are
-/// 1/m. After a time `t` the element is at `pixel + velocity t + acceleration t²/2`, with the inverse depth
-/// `inverse_depth + inverse_depth_rate t`. The paths are polynomials in the image, where motion is measured, not in
-/// space.
+/// Pixels are those of the full-resolution image, times are in frame periods of the reference camera, and inverse
+/// depths are in 1/m. After a time `t` the element is at `pixel + velocity t + acceleration t²/2`, with the inverse
+/// depth `inverse_depth + inverse_depth_rate t`. The paths are polynomials in the image, where motion is measured, not
+/// in space.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Element {
     /// Inverse depth, 1/m.
@@ -19,9 +18,9 @@ pub struct Element {
     pub acceleration: [f32; 2],
     /// Rate of change of the inverse depth, 1/m per frame of the reference camera.
     pub inverse_depth_rate: f32,
-    /// Change of the inverse depth, 1/m, per pixel to the right, and per pixel down.
+    /// Change of the inverse depth, 1/m: first per pixel to the right, then per pixel down.
     pub inverse_depth_gradient: [f32; 2],
-    /// Change of the velocity, pixels per frame, per pixel to the right, and per pixel down.
+    /// Change of both velocity components, pixels per frame: first per pixel to the right, then per pixel down.
     pub velocity_gradient: [[f32; 2]; 2],
 }
 
@@ -102,7 +101,7 @@ impl Element {
 /// Standard errors of the surface element at one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ElementErrors {
-    /// Standard error of the disparity at the baseline of the map, pixels.
+    /// Standard error of the disparity, pixels, at a baseline of twice the distance between neighbouring cameras.
     pub disparity_px: f32,
     /// Standard error of the velocity in the direction in which it is largest, pixels per frame.
     pub velocity_px: f32,

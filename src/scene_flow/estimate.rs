@@ -16,14 +16,14 @@ const PASSES: [usize; 4] = [2, 2, 3, 4];
 /// last entry is for all coarser levels.
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
 
-/// Coarsest pyramid level at which the last pass compares the scene flow maps of different frames with each other
-/// ([`OtherMaps`]).
+/// Coarsest pyramid level at which scene flow maps of different frames are compared with each other ([`OtherMaps`]);
+/// level 0 is the finest. The maps are compared in the last pass at a level.
 const COARSEST_COMPARED: usize = 1;
 
 /// Estimation of the scene flow maps of several frames together. The maps propose surface elements to each other.
 pub struct Estimation<'a> {
-    /// The frames whose scene flow maps are estimated, each with the frames with which it is matched. At most 16 of
-    /// the latter are used.
+    /// The frames whose scene flow maps are estimated. Each is paired with the frames with which it is matched, of
+    /// which at most 16 are used.
     pub frames: &'a [(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)],
     pub limits: Limits,
     /// Baseline to which all disparities refer, metres: twice the distance between neighbouring cameras.
@@ -103,7 +103,7 @@ impl Estimation<'_> {
         }
     }
 
-    /// Returns the disparity of an inverse depth of 1/m in a frame, pixels, at the baseline [`Self::baseline_m`].
+    /// Returns the disparity of a point at a depth of 1 m in a frame, pixels, at the baseline [`Self::baseline_m`].
     fn disparity_px(&self, frame: &FlowFrame) -> f32 {
         (frame.view.focal_px() * self.baseline_m) as f32
     }

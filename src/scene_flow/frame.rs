@@ -176,8 +176,8 @@ impl FlowFrame {
         Self { row_time, ..self }
     }
 
-    /// Returns the frame with a mask of the pixels that show the static background `still` of its camera. The frame
-    /// is unchanged if no static background is known.
+    /// Compares the frame with the static background `still` of its camera. Returns the frame with a mask of the pixels
+    /// that show this background. If the background is unknown at all pixels, the frame is returned unchanged.
     pub fn with_still(self, still: &StillImage) -> Self {
         if still.is_empty() {
             return self;

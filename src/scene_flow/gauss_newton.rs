@@ -4,17 +4,18 @@ use super::element::Element;
 use super::matching::{MatchedElement, ObservingFrame, PatchMatcher};
 use nalgebra::{Matrix6, Vector6};
 
-/// Weight of the prior of a Gauss–Newton step, relative to the normal equations of a patch whose gradients are all 1
-/// per pixel. The prior damps the step, and pulls the inverse depth's rate of change and the acceleration towards 0.
+/// Weight of the prior of a Gauss–Newton step. It is a fraction of the weight that a patch has in the normal equations
+/// if its brightness gradients are all 1 per pixel. The prior damps the step, and pulls the acceleration and the
+/// inverse depth's rate of change towards 0.
 const PRIOR: f64 = 1e-6;
-/// Ratio of the damping of the inverse depth's rate of change to the damping of the inverse depth, in a Gauss–Newton
-/// step.
+/// Weight with which a Gauss–Newton step damps the inverse depth's rate of change, as a multiple of the weight with
+/// which it damps the inverse depth.
 const RATE_STIFFNESS: f64 = 16.0;
-/// Weight with which the inverse depth's rate of change is pulled towards 0, as a multiple of its damping. For the
-/// acceleration, this multiple is 1.
+/// Weight with which the inverse depth's rate of change is pulled towards 0, as a multiple of the weight with which
+/// this rate is damped. For the acceleration, this multiple is 1.
 const RATE_PULL: f64 = 10.0;
-/// Maximum change of the disparity, and of the velocity per frame, in one Gauss–Newton step, pixels of the pyramid
-/// level.
+/// Maximum change of the disparity, pixels, and of the velocity, pixels per frame, in one Gauss–Newton step. A larger
+/// step is scaled down. Pixels are those of the pyramid level.
 const MAX_STEP_PX: f32 = 3.0;
 /// Maximum magnitude of each component of the acceleration, pixels per squared frame.
 const MAX_ACCELERATION: f32 = 40.0;

@@ -47,7 +47,7 @@ const MAX_JUMP_PX: f32 = 1.0;
 /// Time over which the motions of two neighbouring surface elements are compared, frames ([`MAX_JUMP_PX`]).
 const JUMP_FRAMES: f32 = 0.5;
 
-/// Number of quantization steps by which a standard error doubles.
+/// Number of quantization steps over which a standard error doubles.
 const STEPS_PER_OCTAVE: f32 = 2.0;
 /// Smallest standard error that can be stored, pixels.
 const MIN_ERROR_PX: f32 = 1.0 / 256.0;
@@ -61,8 +61,8 @@ const MIN_ERROR_PX: f32 = 1.0 / 256.0;
 pub struct FlowMap {
     pub width: usize,
     pub height: usize,
-    /// Disparity of a point with an inverse depth of 1/m, pixels, at a baseline of twice the distance between
-    /// neighbouring cameras.
+    /// Disparity of a point at a depth of 1 m, pixels, at a baseline of twice the distance between neighbouring
+    /// cameras. It is the factor from an inverse depth, 1/m, to a disparity.
     pub disparity_px: f32,
     /// Search range of inverse depths: minimum and maximum, 1/m.
     pub(super) inverse_depth: [f32; 2],

@@ -18,8 +18,8 @@ const RESIDUAL: f32 = 0.05;
 const BEST_FRACTION: f32 = 0.55;
 /// Minimum number of observing frames whose costs are averaged.
 const MIN_BEST: usize = 3;
-/// Upper bound of the cost in a frame whose image contains the surface element. Larger costs mark frames with the
-/// element outside their image.
+/// Limit between two kinds of costs. In a frame whose image contains the surface element, the matching cost is smaller.
+/// A larger value marks a frame with the element outside its image.
 const OUTSIDE: f32 = 1.0;
 /// Cost of an observing frame in which the surface element is outside the image, if that frame is among the averaged
 /// ones. The value lies between the cost of a match and the cost of a mismatch.
@@ -76,8 +76,8 @@ pub struct PatchMatcher<'a> {
     pub level: usize,
     /// Side of a pixel of the pyramid level, in pixels of the full-resolution image.
     pub scale: f32,
-    /// Disparity of an inverse depth of 1/m, pixels, at a baseline of twice the distance between neighbouring
-    /// cameras.
+    /// Disparity of a point at a depth of 1 m, pixels, at a baseline of twice the distance between neighbouring
+    /// cameras. It is the factor from an inverse depth, 1/m, to a disparity.
     pub disparity_px: f32,
 }
 
@@ -144,8 +144,10 @@ impl SortedCosts {
         self.inside += usize::from(cost < OUTSIDE);
     }
 
-    /// Returns the mean of the smallest costs among all `n` observing frames. Frames without a cost yet are assumed
-    /// to cost 0, so the result is a lower bound.
+    /// Returns the mean of the smallest costs among all `n` observing frames, plus the cost [`OUTSIDE_PENALTY`] for
+    /// frames with the element outside their image. The costs of such frames are replaced by [`OUTSIDE_COST`]. At the
+    /// finest level, all other costs are truncated to this value. Frames that are not evaluated yet are assumed to cost
+    /// 0, so that the result is a lower bound.
     #[inline(always)]
     fn mean(&self, n: usize, is_finest: bool) -> f32 {
         let free = n - self.count;

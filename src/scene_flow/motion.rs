@@ -25,14 +25,15 @@ pub struct QuantizedMotion([u8; 5]);
 /// The motion of the surface at every pixel of a view at an instant, quantized to 5 bytes per pixel, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotionMap {
-    /// Disparity of an inverse depth of 1/m, pixels. Rates of inverse depth are quantized as rates of this disparity.
+    /// Disparity of a point at a depth of 1 m, pixels. It is the factor from an inverse depth, 1/m, to a disparity.
+    /// Rates of inverse depth are quantized as rates of disparity.
     disparity_px: f32,
     pixels: Vec<QuantizedMotion>,
 }
 
 impl MotionMap {
-    /// Creates a map without pixels, with memory for `count` of them. `disparity_px` is the disparity of an inverse
-    /// depth of 1/m, pixels.
+    /// Creates a map without pixels, with memory for `count` of them. `disparity_px` is the disparity of a point at a
+    /// depth of 1 m, pixels.
     pub fn empty(disparity_px: f32, count: usize) -> Self {
         let disparity_px = disparity_px.max(f32::MIN_POSITIVE);
         Self { disparity_px, pixels: Vec::with_capacity(count) }

@@ -22,15 +22,16 @@ const ERROR_PX: f32 = 0.2;
 /// Expected error of a surface element's position due to the distance of the cameras, pixels, per pixel of disparity
 /// between the frame's camera and the view.
 const ERROR_BY_BASELINE: f32 = 0.005;
-/// Expected errors of a surface element's position per frame of time between the frame and the view's instant: a
-/// constant part, pixels, and a part per unit of speed (pixel per frame).
+/// Expected error of a surface element's position due to the time between the frame and the view's instant. The first
+/// number is in pixels per frame period of this time. The second number is a fraction of the distance that the element
+/// moves in this time. The two parts are added.
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
 /// Expected error of a surface element's position as a fraction of acceleration times squared time, since real paths
 /// are not parabolas.
 const ERROR_BY_CURVATURE: f32 = 0.1;
-/// Expected position error due to the distance of the cameras and to the time from frame to instant, pixels, below
-/// which a frame's weight rises steeply. A view at a camera's own position and a frame's own time thus shows that
-/// frame.
+/// Expected error of a surface element's position below which the frame's weight rises steeply, pixels. This error
+/// includes the parts due to the distance of the cameras and to the time between the frame and the view's instant. A
+/// view at a camera's own position and a frame's own time thus shows that frame.
 const EXACT_PX: f32 = 0.01;
 
 /// Scene flow map rendered into some rows of a view. Its public fields have one value per pixel, row by row.
@@ -61,7 +62,7 @@ struct ToView {
     dt: f32,
     /// Ratio of the view's focal length to the focal length of the frame's camera.
     zoom: f32,
-    /// Expected error of a position due to the distance between the cameras, pixels at an inverse depth of 1/m.
+    /// Expected error of the position of a point at a depth of 1 m, due to the distance between the cameras, pixels.
     place_error: f32,
 }
 
@@ -246,8 +247,8 @@ impl Splat {
     }
 }
 
-/// Applies the view's lens distortion to a row of positions in a pinhole camera. Positions beyond the range in which
-/// the lens model is monotonic get the weight 0.
+/// Applies the view's lens distortion to the positions in `row`, which are those of a pinhole camera. Positions beyond
+/// the range in which the lens model is monotonic get the weight 0.
 fn distort(row: &mut Row, view: &Camera) {
     for x in 0..row.x.len() {
         match distorted(view, [row.x[x], row.y[x]]) {

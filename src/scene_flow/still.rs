@@ -21,8 +21,7 @@ type Rgb8 = [u8; 3];
 /// Colours of the static background in a camera's image, row by row.
 pub struct StillImage {
     width: usize,
-    /// Background colour of each pixel; `None` if the pixel shows no background, or if its background is hidden for
-    /// most of the recording.
+    /// Background colour of each pixel; `None` if less than a third of the frames show one colour there.
     colors: Vec<Option<Rgb8>>,
 }
 

@@ -18,7 +18,7 @@ const SMOOTHNESS: f32 = 0.004;
 const MAX_ROUGHNESS_PX: f32 = 2.0;
 /// Colour difference of two neighbouring pixels at which the colour term of the smoothness weight falls to 1/e.
 const COLOR: f32 = 0.08;
-/// Part of the smoothness weight that is added to the colour term, so that neighbours of any colour have some
+/// Constant that is added to the colour term of the smoothness weight, so that neighbours of any colour have some
 /// smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
 /// Matching cost below which a pixel's surface element is good. For such a pixel, no random elements are tried. Later
@@ -27,10 +27,10 @@ const MATCHED: f32 = 0.012;
 /// Distance ([`PatchMatcher::distance`]) below which two surface elements count as equal, pixels of the pyramid
 /// level.
 const SAME_PX: f32 = 0.08;
-/// Speed below which a surface element counts as static, pixels per frame. It is also the maximum distance between
-/// the element of a settled pixel and the elements of its neighbours, pixels of the pyramid level.
+/// Speed below which a surface element counts as static, pixels per frame. It is also the distance, in pixels of the
+/// pyramid level, below which the elements of two neighbouring pixels count as nearly the same.
 const STILL_PX: f32 = 0.3;
-/// Speed of a surface element, pixels per frame, from which its copy without motion is not tried at the finest level.
+/// Maximum speed, pixels per frame, of a surface element whose copy without motion is tried at the finest level.
 const MAX_SPEED_TO_REST_PX: f32 = 4.0;
 /// Fraction of the random surface elements that are drawn from the whole search range at coarse levels. The other
 /// random elements are near the current element.
@@ -210,7 +210,8 @@ impl Best<'_, '_> {
     }
 
     /// Tries a Gauss–Newton step in three cases: in the last pass; if this pass has changed the surface element from
-    /// `before`; and in the first pass for a settled pixel, since later passes skip this pixel.
+    /// `before`; and in the first pass, for a settled pixel. A settled pixel is well matched and static, and later
+    /// passes skip it.
     fn step_if_due(&mut self, before: &Element, is_settled: bool, pass: &Pass) {
         let has_changed = self.matcher.distance(before, &self.element) > 0.0;
         if !(pass.is_last || has_changed || (is_settled && pass.turn == 0)) {
@@ -399,7 +400,8 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Returns whether two surface elements project a patch to positions that differ noticeably.
+    /// Returns whether two surface elements of one pixel differ noticeably, either at the pixel or at one of two
+    /// corners of its patch. For the corners, the elements are extrapolated by their gradients.
     fn changes_patch(&self, a: &Element, b: &Element) -> bool {
         let r = 3.0 * self.scale;
         self.distance(a, b) > 0.4 * SAME_PX

@@ -5,7 +5,7 @@ use super::element::Element;
 use super::frame::FlowFrame;
 use super::geometry::Projection;
 
-/// Time of an image position relative to its frame's time: a linear function of the image row.
+/// Time at which an image row is exposed, relative to the frame's time. It is a linear function of the row.
 #[derive(Clone, Copy, Debug)]
 struct Rows {
     /// Time from one row to the next, in frame periods of the reference camera; 0 for a global shutter.

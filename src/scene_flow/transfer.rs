@@ -9,8 +9,8 @@ use super::timing::TimeBetween;
 /// Maximum time between two frames that propose surface elements to each other, in frame periods of the reference
 /// camera.
 const MAX_PROPOSAL_DT: f32 = 1.1;
-/// Cost that is added per frame period between the two frames. Of two equally good surface elements, the one from the
-/// frame nearer in time is thus preferred.
+/// Cost that is added to a proposal per frame period of time between its own frame and the frame for which it is
+/// proposed. Of two equally good surface elements, the one from the frame nearer in time is thus preferred.
 const COST_PER_FRAME: f32 = 0.01;
 /// Upper bound of the matching cost of a surface element that is proposed because it is the frontmost one.
 const MAX_NEAR_COST: f32 = 0.1;

@@ -21,8 +21,8 @@ const PRIOR_PX: [f64; 2] = [4.0, 8.0];
 /// because residuals of neighbouring pixels are correlated and smoothness adds information. With these factors, the
 /// median errors on the scenes `spin`, `bounce`, `magazine` and `ball` are 0.3 to 0.9 standard errors.
 const SCALE: [f64; 2] = [0.6, 0.4];
-/// Part of the velocity's standard error per unit of acceleration (pixel per squared frame), frame periods. Real
-/// paths are not parabolas.
+/// Part of the velocity's standard error that is due to acceleration, as a multiple of the acceleration; in frame
+/// periods. This part is needed since real paths are not parabolas.
 const BY_ACCELERATION: f32 = 0.05;
 
 impl PatchMatcher<'_> {

@@ -79,9 +79,9 @@ pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     out
 }
 
-/// Upsamples inverse depths, 1/m, from the resolution of the camera `coarse` to twice that resolution. A pixel's
-/// candidates are the values of the four coarse pixels around it. The candidate with the smallest matching cost is
-/// taken.
+/// Upsamples the inverse depths `values`, 1/m, from the resolution of the camera `coarse` to twice that resolution,
+/// which is the resolution of `set`. The candidates for a pixel are the values of the four coarse pixels nearest to it.
+/// The candidate with the smallest matching cost is taken.
 pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec<f32> {
     let camera = &set.image.camera;
     let w = camera.width;

@@ -20,11 +20,11 @@ pub struct Surface<'a> {
 
 /// Number of pixels of the view that are fused at once, to limit memory. For eight cameras, about 60 MB are needed.
 const BAND_PIXELS: usize = 1 << 20;
-/// Radius of a splat. The unit is a pixel of the view, or a pixel of the splatted camera where such a pixel is larger
-/// in the view.
+/// Radius of a splat, pixels of the view. Where the view magnifies the splatted camera's image, the unit is a pixel of
+/// that camera instead.
 const RADIUS_PX: f32 = 0.8;
-/// Maximum ratio between the largest number of votes at a pixel and the number of votes of the accepted candidate. Of
-/// the candidates within this ratio, the nearest is accepted.
+/// A candidate has sufficient votes if it has at least the largest number of votes at the pixel, divided by this value.
+/// The nearest such candidate is accepted.
 const MAX_VOTE_RATIO: i32 = 2;
 /// Minimum number of votes of the best candidate at a pixel. If it has fewer, no candidate is accepted, since
 /// mismatches beside outlines have few votes.
@@ -115,8 +115,10 @@ fn are_one_surface(candidates: &[f32], cameras: usize, tolerance: f32) -> bool {
     2 * candidates.len() > cameras && high - low <= tolerance
 }
 
-/// Chooses the inverse depth of a pixel from its candidates, which are sorted with the nearest first. Returns the mean
-/// of the candidates on the nearest surface with enough votes. NaN if no candidate has [`MIN_VOTES`].
+/// Chooses the inverse depth of a pixel from its candidates, which are sorted with the nearest first. `votes` are the
+/// numbers of votes of the candidates. Takes the nearest candidate with sufficient votes ([`MAX_VOTE_RATIO`]), and
+/// returns the mean of all candidates that differ from it by at most `tolerance`, 1/m. NaN if no candidate has
+/// [`MIN_VOTES`].
 fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     let most = votes.iter().copied().max().unwrap_or(0);
     match votes.iter().position(|&v| v * MAX_VOTE_RATIO >= most) {
@@ -167,7 +169,7 @@ struct DepthSplat {
     /// Horizontal position of the surface point in the view, pixels; NaN if the view doesn't see the point.
     x: f32,
     y: f32,
-    /// Size of a pixel of the view, measured in pixels of the camera at the depth of the surface point; at most 1.
+    /// Side of a pixel of the view at the depth of the surface point, measured in pixels of the camera; at most 1.
     step: f32,
     /// Inverse depth of the surface point in the view, 1/m.
     inverse: f32,
@@ -208,8 +210,8 @@ fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32)
 }
 
 /// Calls `visit` for all pixels within the radius of each splat, in the rows `rows` of a view with the width `w`.
-/// Arguments of `visit` are the pixel's index in these rows, a weight that falls bilinearly with distance, and the
-/// splat.
+/// Arguments of `visit` are the pixel's index in these rows, a weight, and the splat. The weight is bilinear: it falls
+/// linearly with the horizontal and with the vertical distance from the splat's centre.
 fn for_each_pixel(
     splats: &[DepthSplat],
     w: usize,

@@ -10,7 +10,8 @@ use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
 use rayon::prelude::*;
 
-/// Maximum difference between two cameras' measurements of one surface point, in steps between depth levels.
+/// Maximum difference between two cameras' measurements of one surface point, as a multiple of the difference between
+/// successive depth levels.
 const TOLERANCE_LEVELS: f32 = 1.5;
 /// Maximum distance between a camera and a partner, which is a camera that it is matched with, as a multiple of the
 /// nearest partner's distance.
@@ -98,8 +99,9 @@ fn partners(cameras: &[&Camera], index: usize, count: usize) -> Vec<usize> {
     order
 }
 
-/// Returns the number of times that all images are halved before matching. It is at least the number in the options,
-/// and large enough that every cost volume has at most [`MAX_COSTS`] elements, unless images become too small.
+/// Returns the number of times that all images are halved before matching. It is the number in the options, or a larger
+/// number if a cost volume would otherwise have more than [`MAX_COSTS`] elements. Halving stops when an image can't be
+/// halved again.
 fn halvings(
     cameras: &[&Camera],
     partners: &[Vec<usize>],
@@ -123,8 +125,9 @@ fn halvings(
     }
 }
 
-/// Returns the depth levels of the camera `own`, which cover the inverse depths `range`, 1/m. They are at steps of
-/// `step_px` pixels of disparity in the camera's farthest partner.
+/// Returns the depth levels for the camera `own`, which cover the inverse depths `range`, 1/m. `farthest` is the most
+/// distant camera with which `own` is matched. In its image, successive levels differ by a disparity of `step_px`
+/// pixels.
 fn depth_levels(own: &Camera, farthest: &Camera, range: [f64; 2], step_px: f64) -> DepthLevels {
     let baseline = (farthest.center() - own.center()).norm();
     DepthLevels::new(range, step_px / (own.focal_px() * baseline))

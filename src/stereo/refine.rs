@@ -19,8 +19,8 @@ const MAX_STEP: f32 = 0.75;
 const MAX_DIFFERENCE: f32 = 0.06;
 /// Standard error of a grey value (0 to 1), due to noise, resampling and synchronization.
 const GRAY_STD_ERR: f32 = 0.01;
-/// Inverse variance of the Gaussian prior on a Gauss–Newton step that is measured in depth levels. The prior has a mean
-/// of zero, and shortens the steps where there is little texture.
+/// Inverse variance of the Gaussian prior on the length of a Gauss–Newton step, in units of 1 / (depth level)². The
+/// prior has a mean of zero, and shortens the steps where there is little texture.
 const PRIOR: f32 = 4.0;
 
 /// Refines a camera's inverse depths, 1/m, row by row, in place. `set` has the reference image and the images it is

@@ -3,10 +3,10 @@
 use crate::camera::{Camera, CameraModel};
 use nalgebra::{Matrix3, Point2, Vector3};
 
-/// Pose of a camera relative to a reference camera.
+/// Transform from the axes of a reference camera to the axes of another camera, with the other camera's lens.
 ///
-/// In the reference camera's axes, a point is `r / ρ`, where r = (x, y, 1) is its ray and ρ its inverse depth. Points
-/// are multiplied by ρ, so that they are finite at infinity too.
+/// A point of the reference camera is given by its ray r = (x, y, 1) and its inverse depth ρ. Its position in the
+/// reference camera's axes is `r / ρ`. All positions are multiplied by ρ, so that they are finite at infinity too.
 pub(super) struct RelativePose {
     rotation: Matrix3<f32>,
     shift: Vector3<f32>,

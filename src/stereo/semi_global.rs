@@ -104,7 +104,8 @@ fn extend(before: &[i16], jump: i16, cost: &[u8], out: &mut [i16], sum: &mut [i1
     out[n + 2] = min;
 }
 
-/// Returns the inverse depth of the minimum cost at every pixel, 1/m, interpolated between levels by a parabola.
+/// Returns, for every pixel, the inverse depth with the smallest sum of aggregated costs, 1/m. A parabola through the
+/// sums of neighbouring levels gives fractions of a level.
 pub(super) fn winner_takes_all(sums: &[i16], levels: &DepthLevels) -> Vec<f32> {
     let n = levels.count;
     let of = |sums: &[i16]| {

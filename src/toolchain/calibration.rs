@@ -130,8 +130,8 @@ pub struct Calibration {
     pub notes: Vec<String>,
 }
 
-/// A camera of an estimated calibration. The standard errors of its pose are relative to the other cameras, and along
-/// the least certain axis.
+/// A camera of an estimated calibration. The standard errors of its pose are those along the least certain axis. They
+/// exclude the position, rotation and scale of all cameras together, which images don't determine.
 #[derive(Clone, Debug, Deserialize)]
 pub struct CameraEstimate {
     pub id: String,
@@ -169,7 +169,7 @@ impl CameraEstimate {
         }
     }
 
-    /// Returns the first focal length of the lens model, pixels.
+    /// Returns the focal length in pixels, which is the horizontal one if the lens model has two.
     pub fn focal_px(&self) -> f64 {
         self.params.first().copied().unwrap_or(f64::NAN)
     }

@@ -42,8 +42,8 @@ pub struct FilmOptions {
     /// Part of the images to film, such as `3-6/100` for the parts 3 to 6 of 100. With `None`, all images are filmed,
     /// and then the files that complete the capture are written.
     pub part: Option<String>,
-    /// Time, seconds, after which a process that shows no sign of life counts as ended. This process then films the
-    /// images that the other one has begun.
+    /// Time, seconds, without a sign of life after which another filming process counts as ended. The images that it
+    /// had begun are then filmed by this process.
     pub silence_s: Option<u32>,
 }
 

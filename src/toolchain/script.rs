@@ -15,7 +15,7 @@ struct Progress {
     done: usize,
     total: usize,
     what: String,
-    /// Sentence that is shown to the user.
+    /// Sentence that is shown to the user; `None` if there is nothing to say.
     #[serde(default)]
     note: Option<String>,
 }

@@ -46,7 +46,7 @@ pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
 pub struct Variable {
     /// Whether the temporal offsets between cameras are estimated.
     pub offsets: bool,
-    /// Number of cameras from which a view may be blended.
+    /// Number of the capture's cameras. At most so many cameras can be blended into a view.
     pub cameras: usize,
 }
 

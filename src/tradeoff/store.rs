@@ -28,7 +28,8 @@ pub(super) struct CachedPoint {
     pub options: RenderOptions,
     /// Scores of the rendered views, by the id of the target (the view with a reference image).
     pub scores: BTreeMap<String, RegionScores>,
-    /// Reason why no view can be rendered. If there is a reason, the scores are not used.
+    /// Reason why no view can be rendered; `None` if views can be rendered. If there is a reason, the scores are not
+    /// used.
     pub reason: Option<String>,
     /// Time of each run of the timed view.
     pub runs: Vec<Elapsed>,

@@ -24,28 +24,30 @@ pub struct Point {
     pub options: RenderOptions,
     /// Whether the combination is on the Pareto front.
     pub on_front: bool,
-    /// Reason why the combination can't be rendered. If there is a reason, there are no measurements.
+    /// Reason why the combination can't be rendered; `None` if it can. If there is a reason, there are no measurements.
     pub reason: Option<String>,
-    /// Quality from which the Pareto front is computed: PSNR of the moving part, or of all pixels if nothing moves,
-    /// in decibels.
+    /// Quality from which the Pareto front is computed: PSNR of the moving part, or of all pixels if nothing moves, in
+    /// decibels. `None` if the quality wasn't measured.
     pub quality_db: Option<f64>,
     pub moving: MeanScores,
     pub whole: MeanScores,
     /// PSNR against the view that the most accurate methods render, in decibels. `None` if the capture has ground
-    /// truth.
+    /// truth, or if the combination can't be rendered.
     pub most_accurate_db: Option<f64>,
-    /// Wall-clock time of one view at a new instant, seconds.
+    /// Wall-clock time of one view at a new instant, seconds. `None` if the combination can't be rendered.
     pub wall_s: Option<Spread>,
-    /// Processor time of one view at a new instant, summed over all threads, seconds.
+    /// Processor time of one view at a new instant, summed over all threads, seconds. `None` if the combination can't
+    /// be rendered.
     pub cpu_s: Option<Spread>,
     pub preparation: Option<PreparationTime>,
 }
 
-/// Mean scores over all views that have pixels of the measured region.
+/// Mean scores of the moving part, or of all pixels, over all views. Views without such pixels are left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeanScores {
-    /// Mean PSNR in decibels. A view that is identical to the reference image counts as 99 dB.
+    /// Mean PSNR in decibels; `None` if no view has a score. A view that is identical to the reference image counts as
+    /// 99 dB.
     pub psnr_db: Option<f64>,
     pub flip: Option<f64>,
 }
@@ -60,8 +62,8 @@ pub struct Spread {
     pub runs: usize,
 }
 
-/// Wall-clock times of the preparation, in seconds. Preparation is done once for all views between two frames of
-/// each camera.
+/// Wall-clock times of the preparation, in seconds. One preparation suffices for all views at instants between the same
+/// two frames of each camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PreparationTime {
@@ -83,16 +85,16 @@ const IDENTICAL_DB: f64 = 99.0;
 /// Step, in decibels, to which qualities are rounded before combinations are compared.
 const STEP_DB: f64 = 0.01;
 
-/// Returns time and quality of a combination. Values are NaN if the combination can't be rendered or wasn't
-/// measured.
+/// Returns the time and the quality of a combination, from its measurements `point`. A value is NaN if the combination
+/// can't be rendered or the value wasn't measured.
 pub(super) fn trade(bench: &Bench, point: &CachedPoint) -> Trade {
     let seconds = spread(point, |elapsed| bench.clock.of(elapsed)).map_or(f64::NAN, |s| s.median);
     let quality = quality_db(bench, point).unwrap_or(f64::NAN);
     Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
 }
 
-/// Summarizes a measured combination. `on_front` tells whether it is on the Pareto front of all combinations.
-/// `labels` holds the names of presets and `auto` with their options.
+/// Summarizes a measured combination. `on_front` tells whether it is on the Pareto front of all combinations. `labels`
+/// are the names of the presets and `auto`, each with the options that it stands for.
 pub(super) fn summarized(
     bench: &Bench,
     cached: &CachedPoint,
@@ -152,8 +154,8 @@ fn mean(
     }
 }
 
-/// Returns statistics of a view's times over all runs. Returns `None` if the view can't be rendered or wasn't
-/// timed.
+/// Returns statistics of the times that the combination took to render a view, over all runs. `seconds` selects
+/// wall-clock time or processor time. `None` if the combination can't be rendered or wasn't timed.
 fn spread(point: &CachedPoint, seconds: impl Fn(&Elapsed) -> f64) -> Option<Spread> {
     if point.reason.is_some() {
         return None;

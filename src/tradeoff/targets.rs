@@ -41,8 +41,8 @@ pub(super) struct Target {
     pub id: String,
     pub view: View,
     pub against: Against,
-    /// Index of the held-out camera, if the reference image is one of its frames. This camera isn't used for
-    /// rendering.
+    /// Index of the held-out camera whose frame is the reference image. This camera isn't used for rendering. `None` if
+    /// the reference image isn't a camera's frame.
     pub held_out: Option<usize>,
     reference: ReferenceImage,
     /// For each pixel, row by row, whether it shows a moving surface.
@@ -62,7 +62,8 @@ pub(super) struct View {
 /// Number of cameras that are held out, one after the other, if there is no ground truth.
 const HELD_OUT: usize = 2;
 
-/// A capture with its temporal offsets and the base options, from which targets are made.
+/// The capture from which targets are made, the temporal offsets of its cameras, and the options that all combinations
+/// have in common.
 pub(super) struct TargetScene<'a> {
     pub capture: &'a Arc<Capture>,
     pub offsets: &'a Offsets,
@@ -150,8 +151,9 @@ impl TargetScene<'_> {
         Ok(found)
     }
 
-    /// Returns the targets of held-out cameras. Each reference image is a frame of an inner camera: the middle one
-    /// of the frames at whose times the most other cameras have an image.
+    /// Returns one target for each held-out camera. The held-out cameras are the [`HELD_OUT`] nearest to the rig's
+    /// centre that can be rendered. The reference image is a frame at whose time the most other cameras have an image.
+    /// If there are several such frames, it is the middle one.
     fn held_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
         let frames = FrameStore::new(self.capture.clone(), &self.base.registration);

@@ -130,8 +130,8 @@ impl<'a> Installer<'a> {
     /// Runs a command. The names of files that it downloads are shown as progress.
     ///
     /// # Errors
-    /// If the command fails: the result of `explain` for the command's stderr. If this result is `None`, a sentence
-    /// with the path of a log of all output.
+    /// If the command fails: the error that `explain` returns for the command's stderr. If `explain` returns `None`: an
+    /// error with the reason, and with the path of a log of all output.
     fn explained_step(
         &self,
         what: &str,
