@@ -139,13 +139,13 @@
 //! The suffix of the file after `-o` chooses the format. An `.exr` file has the channels `R`, `G`, `B` and `A` in
 //! linear light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have `Z` =
 //! 1e10. The channels `forward.u`, `forward.v`, `backward.u` and `backward.v` say how far each point moves to the next
-//! image and to the previous one, in pixels to the right and up, under Nuke's names. `Vector.X` to `Vector.W` have the
-//! same motion as Blender's pass: X and Y are `backward`, Z and W are `forward` with the opposite sign. In a sequence
-//! of images, the motion has two causes: the scene moves between the instants of two images, and the viewpoint may move
-//! too. The first image has no previous image, and the last image has no next image; the missing motion is the negative
-//! of the other one. A single image has the motion of the scene during one frame interval of the recording. Pixels that
-//! show nothing have motion 0. Motion is computed with `--proxy scene-flow`; where time stands still, with any method.
-//! Otherwise, the file does not have these channels, and a note says so.
+//! image and to the previous one, in pixels to the right and up. These are Nuke's names. `Vector.X` to `Vector.W` have
+//! the same motion as Blender's pass: X and Y are `backward`, Z and W are `forward` with the opposite sign. In a
+//! sequence of images, the motion has two causes: the scene moves between the instants of two images, and the viewpoint
+//! may move too. The first image has no previous image, and the last image has no next image; the missing motion is the
+//! negative of the other one. A single image has the motion of the scene during one frame interval of the recording.
+//! Pixels that show nothing have motion 0. Motion is computed with `--proxy scene-flow`; where time stands still, with
+//! any method. Otherwise, the file does not have these channels, and a note says so.
 //!
 //! `--quilt` renders all views of a Looking Glass display into one image, and `--stereo` the views of two eyes. All
 //! these views look in the same direction. Their frustums are sheared so that points in the plane at the distance
@@ -183,10 +183,10 @@
 //!
 //! `stlfr view CAPTURE` opens a page in the browser; Ctrl+C ends the command. Drag to move the viewpoint, and turn the
 //! wheel to zoom. Play the recording, slow it down, or stop time and move along the cameras. The page shows two
-//! pictures side by side; the border between them can be dragged. Each shows the space-time light field, traditional
-//! light field rendering (without synchronization), the truth, the depths, or *which cameras a pixel comes from*. The
-//! legend shows the blending weights and the depth at the pointer. *Save* saves the whole picture, and a `view.json`
-//! with which `stlfr render --camera` renders this view. `?` lists the keys; the keyboard alone suffices.
+//! pictures side by side; the border between them can be dragged. Each picture shows one of these: the space-time light
+//! field, traditional light field rendering (without synchronization), the truth, the depths, or *which cameras a pixel
+//! comes from*. The legend shows the blending weights and the depth at the pointer. *Save* saves the whole picture, and
+//! a `view.json` with which `stlfr render --camera` renders this view. `?` lists the keys; the keyboard alone suffices.
 //!
 //! While nothing moves, pictures are rendered with the options `--preset` and `--options`, as by `stlfr render`, and
 //! with the methods that are chosen on the page. While the viewpoint moves, the same options are used if the results at

@@ -28,7 +28,8 @@ pub struct QuiltLayout {
     pub cone_deg: f64,
 }
 
-/// Reason why a text doesn't describe a quilt's layout. The message is a predicate without a subject.
+/// Reason why a text doesn't describe a quilt's layout. The message is the end of a sentence that begins with the text,
+/// such as "is no display".
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum QuiltLayoutError {
     #[error("is no display ({}) and no layout like 8x6:3360x3360", names())]
@@ -122,14 +123,16 @@ impl QuiltLayout {
         [self.size_px[0] / self.columns, self.size_px[1] / self.rows]
     }
 
-    /// Returns the x and y of the top left pixel of a view's tile, from the quilt's top left corner.
+    /// Returns the column and the row of the top left pixel of a view's tile, counted from the quilt's top left corner.
+    /// View 0 is the leftmost view, whose tile is at the bottom left.
     pub fn tile_origin(&self, view: usize) -> [usize; 2] {
         let [width, height] = self.tile_px();
         let (column, row) = (view % self.columns, view / self.columns);
         [column * width, self.size_px[1] - (row + 1) * height]
     }
 
-    /// Returns the end of a file's name, before its suffix, that describes the layout, such as `_qs8x6a0.75`.
+    /// Returns the text that describes the layout in the name of a quilt's file, such as `_qs8x6a0.75`. It stands at
+    /// the end of the name, before the extension.
     pub fn name(&self) -> String {
         let aspect = format!("{:.5}", self.aspect);
         let aspect = aspect.trim_end_matches('0').trim_end_matches('.');

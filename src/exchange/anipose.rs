@@ -49,7 +49,8 @@ enum Rotation {
 /// Reads the cameras in the order of the file. A camera's name is its field `name`. If this field is missing, the name
 /// is that of the table, or `cam_0` for the table `0` under `cameras`. Cameras with `ignore` are skipped.
 ///
-/// Errors: no camera, two cameras with the same name, a camera without size, lens or pose, a skewed or unknown lens.
+/// Errors: no camera, two cameras with the same name, a camera without size, lens or pose, an intrinsic matrix with
+/// skew, an unknown lens.
 pub fn read_anipose(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let text = read_text(path, MAX_BYTES)
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;

@@ -58,8 +58,9 @@ pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     cameras.collect()
 }
 
-/// Returns the camera of an image. `frame_pose` is the pose that follows from the image's frame and rig. It overrides
-/// the image's own pose.
+/// Returns the camera of an image. `frame_pose` is the camera-from-world pose that follows from the image's frame and
+/// rig. It overrides the image's own pose; `None` if the model has no such pose. `time_ns` is `None` if the model has
+/// no time of the image.
 fn named(
     lenses: &Lenses,
     image: ModelImage,

@@ -25,7 +25,7 @@ type Rigs = HashMap<u32, HashMap<Sensor, Option<Isometry3<f64>>>>;
 struct ModelFrame {
     rig: u32,
     rig_from_world: Isometry3<f64>,
-    /// Sensor and number of each image.
+    /// For each image: the sensor that took it, and the image's number.
     images: Vec<(Sensor, u64)>,
 }
 

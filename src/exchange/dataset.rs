@@ -127,7 +127,7 @@ impl Dataset {
         Ok(())
     }
 
-    /// Returns the row of a camera in `poses_bounds.npy`. The rows have the order of [`write_llff`].
+    /// Returns the index of a camera's row in `poses_bounds.npy`. The rows are sorted as described at [`write_llff`].
     fn row(&self, camera: usize) -> usize {
         let ids: Vec<String> = self.cameras.iter().map(|(id, _)| id.clone()).collect();
         let order = numbered_order(&ids).unwrap_or_else(|| (0..ids.len()).collect());

@@ -193,7 +193,7 @@ fn number(file: &Path) -> Result<u64, String> {
     number.ok_or_else(|| format!("the number {digits} in its name is too large to count frames"))
 }
 
-/// Groups the images that a calibration lists by camera, and sorts each camera's images by their times.
+/// Groups the images of a calibration by their cameras, and sorts the images of each camera by time.
 fn listed(images: &[NamedCamera], folder: &Path) -> Result<FoundFootage, ExchangeError> {
     let wrong = |reason: String| content(folder, reason);
     let mut notes = vec!["The frames' times are those of the calibration, as of one clock.".into()];

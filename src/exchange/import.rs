@@ -128,10 +128,11 @@ impl NewCapture {
     }
 }
 
-/// Assumed focal length of an unknown lens, as a multiple of the larger side of the image.
+/// Focal length that is assumed for a camera without a calibration, as a multiple of the longer side of its images.
 const GUESSED_FOCAL: f64 = 1.2;
 
-/// Gives an unknown camera a pinhole model with the size of its images.
+/// Replaces the placeholder lens of a camera without a calibration. The new lens is a pinhole with the assumed focal
+/// length [`GUESSED_FOCAL`] and the size of the camera's images.
 fn guess_lens(footage: &mut Footage) -> Result<(), ExchangeError> {
     let [width, height] = image_size(&footage.frames)?;
     let f = GUESSED_FOCAL * width.max(height) as f64;
@@ -174,7 +175,8 @@ fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, Exchan
 
 /// Largest rounding error, in seconds, of time stamps that are whole milliseconds.
 const MILLISECONDS_S: f64 = 0.51e-3;
-/// Largest rounding error, in seconds, of time stamps in a unit that is finer than a millisecond.
+/// Largest rounding error, in seconds, of time stamps that are not whole milliseconds. They are assumed to have a
+/// resolution of a microsecond or better.
 const MICROSECONDS_S: f64 = 1.1e-6;
 
 /// Returns the constant frame rate of time stamps, in hertz. A whole number, or 1000/1001 of a whole number, is
@@ -194,8 +196,9 @@ fn steady_rate_hz(times_s: &[f64]) -> Option<f64> {
     [mean.round(), ntsc, mean].into_iter().find(is_steady)
 }
 
-/// Largest time, in nanoseconds, that is written without subtracting a start time. At this time, a double in seconds
-/// has a resolution of a tenth of a nanosecond.
+/// Limit of the earliest frame time's absolute value, nanoseconds. Beyond it, the earliest frame time, rounded down to
+/// whole seconds, is subtracted from all frame times. (Times are written as doubles in seconds. At this limit, a double
+/// has a resolution of a tenth of a nanosecond.)
 const MAX_PLAIN_NS: i64 = 1_000_000_000_000_000;
 
 /// Returns the clocks of all cameras, from the given rate, the frame times or the videos' time stamps. `notes` receives

@@ -139,8 +139,8 @@ fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>, ExchangeError> {
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })
 }
 
-/// Returns an error if there are more than [`MAX_ENTRIES`] entries. The caller adds the file's name to the error
-/// message.
+/// Returns an error if there are more than [`MAX_ENTRIES`] entries. `what` is the plural that names the entries in the
+/// message, such as `cameras`. The caller adds the file's name to the message.
 fn check_count(entries: usize, what: &str) -> Result<(), String> {
     if entries <= MAX_ENTRIES {
         return Ok(());

@@ -13,15 +13,15 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The top level of the file, of which only the list of frames is read.
+/// The list of frames at the top level of the file. The lens at the top level is read separately, as a [`FrameEntry`].
 #[derive(Debug, Deserialize)]
 struct TransformsFile {
     #[serde(deserialize_with = "bounded")]
     frames: Vec<FrameEntry>,
 }
 
-/// The fields of a frame. The top level of the file has the same fields for the lens of all frames. Other fields are
-/// skipped.
+/// The fields of a frame. The top level of the file may have the same fields: they describe the lens of the frames that
+/// lack these fields. Other fields are skipped.
 ///
 /// Serde's `flatten` is not used, because it would keep the skipped fields in memory, at 16 times their length in the
 /// file.

@@ -23,8 +23,8 @@ const VIDEOS: [&str; 20] = [
 pub(super) struct Pairs {
     pub cameras: Vec<NamedCamera>,
     pub recordings: Vec<PathBuf>,
-    /// Sentences for the user. They say how cameras and recordings were paired, unless by name, and which have no
-    /// partner.
+    /// Sentences for the user. They say how cameras and recordings were paired by number, and which cameras or
+    /// recordings have no partner and are therefore not imported.
     pub notes: Vec<String>,
 }
 
@@ -297,8 +297,8 @@ pub(super) fn numbered_order(names: &[String]) -> Option<Vec<usize>> {
     (!is_open).then_some(order)
 }
 
-/// Returns the numbers in a name, in a form that sorts by value. Each number is the count of its digits and the digits,
-/// both without leading zeros. Numbers of any length can thus be compared.
+/// Returns the numbers in a name. Each number is a pair: how many digits it has, and the digits themselves, without
+/// leading zeros. In this form, numbers of any length sort by their values.
 pub(super) fn numbers(name: &str) -> Vec<(usize, &str)> {
     let digits = name.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty());
     digits.map(|digits| digits.trim_start_matches('0')).map(|d| (d.len(), d)).collect()

@@ -93,7 +93,7 @@ struct State {
     pinned: BTreeSet<PathBuf>,
     /// Size of all cache entries together, bytes. `None` if they have not been counted yet.
     bytes: Option<u64>,
-    /// Size of all cache entries together above which entries are removed, bytes.
+    /// Limit of the size of all cache entries together, bytes. If it is exceeded, entries are removed.
     limit: u64,
 }
 
@@ -282,8 +282,9 @@ impl DiskCache {
         state.bytes = Some(total);
     }
 
-    /// Removes the least recently used cache entries, until the remaining ones fit into the maximum size or were all
-    /// used within the last [`RECENT`]. Returns the size of the remaining entries, bytes.
+    /// Removes the least recently used cache entries until the remaining ones fit into the maximum size. Entries that
+    /// were used within the last [`RECENT`] are kept, as are those with the paths `pinned`. Returns the size of the
+    /// remaining entries, bytes.
     fn shrink(&self, pinned: &BTreeSet<PathBuf>) -> u64 {
         let mut entries: Vec<Found> = self.found().into_values().flatten().collect();
         entries.sort_by_key(|entry| entry.used);

@@ -39,7 +39,8 @@ pub(crate) fn file_hash(path: &Path) -> Result<blake3::Hash> {
     Ok(hash_open(&open_file(path)?)?.0)
 }
 
-/// An open file that another program reads, and that must not change until this program has read it.
+/// A file that this process holds open while another program reads it. The file must not change until the other program
+/// has read it, which [`Self::is_unchanged`] checks.
 pub(crate) struct HeldFile {
     pub file: File,
     read: FileRead,

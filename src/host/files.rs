@@ -144,7 +144,7 @@ pub(crate) fn remove_special(path: &Path) -> Result<()> {
     }
 }
 
-/// Replaces the error of removing a file that doesn't exist by success. Returns any other result unchanged.
+/// Returns the result of removing a file, with success in place of the error that the file doesn't exist.
 pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
     match removal {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),

@@ -84,8 +84,8 @@ pub(super) fn end_all() {
     std::mem::forget(running);
 }
 
-/// Ends process groups: by SIGTERM, and by SIGKILL when their children have ended or after [`GRACE`]. `ids` are the ids
-/// of children for which this process hasn't waited yet.
+/// Ends process groups. Sends SIGTERM, waits until the children have ended, but no longer than [`GRACE`], and then
+/// sends SIGKILL to end the rest of each group. `ids` are the ids of children for which this process hasn't waited yet.
 fn end_groups(ids: impl IntoIterator<Item = i32> + Clone) {
     let signal = |id: i32, signal| {
         // SAFETY: the arguments are plain numbers. A group that doesn't exist is an error without effect.
@@ -124,8 +124,8 @@ pub(crate) fn run(command: &mut Command, mut on_line: impl FnMut(&str)) -> Resul
     process.wait()
 }
 
-/// Makes the kernel send SIGTERM to the child when the thread that started the child ends. This thread doesn't end too
-/// early, because all callers wait for the child on it.
+/// Makes the kernel send SIGTERM to the child when the thread that started the child ends. As long as this process
+/// runs, that thread outlives the child, because all callers wait on it until the child has ended.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
     // SAFETY: between fork and exec only async-signal-safe functions may run; prctl is one.

@@ -15,8 +15,8 @@ const MIN_NOISE_RATIO: f32 = 6.0;
 /// values.
 const MIN_CHANGE: f32 = 1.5 / 255.0;
 
-/// Returns the largest mean absolute difference of a block of 8×8 pixels between two images, for pixel values of 0
-/// to 1. Blocks at the right and the bottom border may be smaller.
+/// Returns the mean absolute difference between two images in the block of 8×8 pixels in which it is largest. Pixel
+/// values are 0 to 1. Blocks at the right and the bottom border may be smaller.
 ///
 /// # Panics
 /// If the images differ in size or in channels.

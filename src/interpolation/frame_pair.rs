@@ -14,16 +14,18 @@ use crate::registration::Frame;
 /// Half-width, in pixels, of the neighbourhood over which the interpolation error is maximized. Outlines may be
 /// wrong by this distance, so that a pixel may show any surface within the neighbourhood.
 const OUTLINE_PX: usize = 4;
-/// Interpolation error, in pixels, that is added per unit of the difference between the two warped frames above
-/// [`MIN_DISAGREEMENT`].
+/// Interpolation error, in pixels, that a difference of 1 between the two warped frames adds. Pixel values are 0 to 1.
+/// Only the part of the difference above [`MIN_DISAGREEMENT`] counts. For refined images, the cost (the last of the
+/// [`MOTION_CHANNELS`]) takes the place of this difference.
 const DISAGREEMENT_PX: f32 = 200.0;
 /// Mean absolute difference of the two warped frames up to which they count as equal, for pixel values of 0 to 1.
 const MIN_DISAGREEMENT: f32 = 0.03;
 /// Half-width of the window over which the difference of the two warped frames is averaged, in pixels. The refined
 /// method uses [`InterpolationOptions::window_radius_px`] instead.
 const DISAGREEMENT_RADIUS_PX: usize = 2;
-/// Factor of the change of motion per frame in the interpolation error. The factor of the motion is 1. Bodies that
-/// rotate or bounce deviate from the interpolated trajectory.
+/// Weight of the change of a pixel's motion from one frame interval to the next, in the interpolation error. The weight
+/// of the motion itself is 1. The change weighs more, because bodies that rotate or bounce deviate from the
+/// interpolated trajectory.
 const CHANGE_WEIGHT: f32 = 4.0;
 
 /// A camera's image at an instant, and its expected error.
@@ -34,9 +36,10 @@ pub struct Synchronized {
     /// Expected error of each pixel's position due to interpolation, in pixels, row by row. `None` for images that
     /// are not interpolated along motion, and if [`FramePair::with_interpolation_error`] is false.
     ///
-    /// The error is 4s(1 − s)(m + 4c + d). s is the instant's fraction of the frame interval, m is the motion
-    /// between the two frames, c is the change of the motion per frame, and d is a term for disagreement of the two
-    /// warped frames. Each pixel gets the maximum of this error over a neighbourhood.
+    /// The error is 4s(1 − s)(m + 4c + d). s is the position of the instant in the frame interval, from 0 to 1. m is
+    /// the length of the pixel's motion between the two frames, and c is the change of this motion from one frame
+    /// interval to the next. d is 0 where the two frames, moved to the instant, agree. It grows with their difference.
+    /// All three are in pixels. Each pixel gets the maximum of this error over a neighbourhood.
     pub interpolation_error_px: Option<Vec<f32>>,
 }
 
@@ -161,8 +164,9 @@ impl FramePair<'_> {
     }
 }
 
-/// Returns the motion of each pixel between the two frames, as the two warps give it, in the channels of
-/// [`warp_motions`]. The cost channel is the local mean difference of the two warped frames.
+/// Returns, for each pixel, its motion between the two frames according to the two warps. The image has the
+/// [`MOTION_CHANNELS`] channels of [`warp_motions`]. The last one, the cost, is the mean difference of the two warped
+/// frames over a window around the pixel.
 fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     let (w, h) = (warps[0].width, warps[0].height);
     let differences =
@@ -170,8 +174,8 @@ fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     warp_motions(warps, &box_filter(&differences, w, h, DISAGREEMENT_RADIUS_PX))
 }
 
-/// Returns [`Synchronized::interpolation_error_px`] for an image of pixels' motions with [`MOTION_CHANNELS`]
-/// channels.
+/// Returns [`Synchronized::interpolation_error_px`]. `motions` is an image with [`MOTION_CHANNELS`] channels, which
+/// holds each pixel's motion, change of motion and cost.
 fn error_px(motions: &Image, fractions: RowFractions) -> Vec<f32> {
     let of_pixel = |weight: f32, &[motion_px, change_px, cost]: &[f32; MOTION_CHANNELS]| {
         let unknown = DISAGREEMENT_PX * (cost - MIN_DISAGREEMENT).max(0.0);

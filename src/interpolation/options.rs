@@ -61,22 +61,23 @@ options! {
         max_edge_length_px: f64 [0.0..=200.0, "px"] = 24.0,
         /// Distance between the grid nodes at which the morph is evaluated. With 1, it is evaluated at every pixel.
         grid_px: usize [1..=256, "px"] = 4,
-        /// Half-width of the window over which refinement compares frames, for images of 320 pixels. It is scaled
-        /// up for larger images.
+        /// Half-width of the window over which refinement compares frames, for images whose longer side is 320 pixels.
+        /// It is scaled up for larger images.
         window_radius_px: usize [0..=16, "px"] = 2,
-        /// Maximum distance of a block from the tracks whose motions are tried in the block, for images of 320
-        /// pixels. It is scaled up for larger images.
+        /// Maximum distance of a block from the tracks whose motions are tried in the block, for images whose longer
+        /// side is 320 pixels. It is scaled up for larger images.
         search_radius_px: f64 [0.0..=200.0, "px"] = 28.0,
     }
 }
 
-/// Longer side, in pixels, of the images for which the lengths of the refinement are given. (On a moving magazine
-/// at 640×480, a window radius of 2 gives 29.1 dB and a radius of 4 gives 30.0 dB. At 320×240, a radius of 2 is
-/// best.)
+/// Longer side, in pixels, of the images to which `window_radius_px` and `search_radius_px` apply unscaled. For larger
+/// images, both are scaled up. (On a moving magazine at 640×480, a window radius of 2 gives 29.1 dB and a radius of 4
+/// gives 30.0 dB. At 320×240, a radius of 2 is best.)
 const REFERENCE_SIZE_PX: f64 = 320.0;
 
 impl InterpolationOptions {
-    /// Returns these options with the refinement's lengths scaled to an image of this width and height.
+    /// Returns these options with `window_radius_px` and `search_radius_px` scaled up to an image of this width and
+    /// height.
     pub(super) fn scaled_to(&self, [width, height]: [usize; 2]) -> Self {
         let scale = (width.max(height) as f64 / REFERENCE_SIZE_PX).max(1.0);
         Self {

@@ -1,21 +1,22 @@
-//! A treecode (Barnes and Hut 1986) for the sums of eq. (7): far edges are approximated by clusters.
+//! A treecode (Barnes and Hut 1986) for the sums of eq. (7): edges that are far from a position are approximated by
+//! clusters of edges. The sums are computed for square tiles of grid nodes. All nodes of a tile use the same clusters.
 //!
 //! An edge's weight in the sums is its strength, the boost of eq. (8), times a function of the distance. An edge's
-//! displacement is linear in the position. The strength-weighted sum of a cluster's displacements is therefore one
-//! linear map, without error. Only the function of the distance is approximated: every edge of the cluster gets the
+//! displacement is affine in the position. The strength-weighted sum of a cluster's displacements is therefore one
+//! affine map, without error. Only the function of the distance is approximated: every edge of the cluster gets the
 //! value for an edge of length 0 at the cluster's centre.
 //!
-//! **The error.** Let `e` be the largest error of this function in a cluster, `d` the displacement by an edge, `D′`
-//! the approximate mean displacement, and `W` the exact sum of weights. Then the error of the mean displacement is
-//! at most Σ strength·e·|d − D′| / W. Let `W′` be the approximate sum of weights, and `D₀` a reference displacement
-//! near the tile. Then this bound can be computed from sums per cluster:
+//! **The error.** Let `e` be the largest error of this function in a cluster, over all nodes of a tile. Let `d` be the
+//! displacement by an edge, `D′` the approximate mean displacement, and `W` the exact sum of weights. Then the error of
+//! the mean displacement is at most Σ strength·e·|d − D′| / W. Let `W′` be the approximate sum of weights, and `D₀` any
+//! constant displacement, preferably close to D′. Then this bound can be computed from sums per cluster:
 //!
 //! ```text
 //! error ≤ (P + Q·|D′ − D₀|) / (W′ − Q),   P = Σ strength·e·|d − D₀|,   Q = Σ strength·e
 //! ```
 //!
-//! The clusters with the largest terms are opened, which means that their children replace them. This is repeated
-//! until the bound is at most [`TOLERANCE_PX`] at every node of a tile.
+//! The clusters with the largest terms are opened, which means that their children replace them. This is repeated until
+//! the bound is at most [`TOLERANCE_PX`] at every node of the tile.
 //!
 //! Known limit: the bound does not include the rounding errors of f32, which are about 1e-4 px.
 
@@ -25,7 +26,8 @@ use std::ops::Range;
 
 /// Maximum error of a mean displacement, pixels.
 pub(super) const TOLERANCE_PX: f64 = 0.02;
-/// Distance from a tile beyond which a cluster may approximate its edges, as a multiple of the cluster's radius.
+/// A cluster may approximate its edges if the distance from the tile to the cluster's centre is more than this multiple
+/// of the cluster's radius.
 const FAR_RADII: f64 = 2.0;
 /// Maximum number of edges in a leaf of the tree.
 const LEAF_SIZE: usize = 8;
@@ -36,7 +38,8 @@ struct Cluster {
     line: Line,
     /// Upper bound of the distances from the centre to the edges' ends, pixels.
     radius: f64,
-    /// Sum over the cluster's edges of strength·|displacement at the centre − the cluster's mean displacement|.
+    /// Sum over the cluster's edges of strength·|displacement at the centre − mean displacement at the centre|, pixels.
+    /// The mean is weighted by strength.
     deviation: f64,
     /// Sum over the cluster's edges of strength·‖linear part of the displacement‖ (Frobenius norm).
     slope: f64,
@@ -52,7 +55,8 @@ pub(super) struct Clusters {
     clusters: Vec<Cluster>,
 }
 
-/// Coordinates of a tile of grid nodes, pixels. All nodes of a tile use the same clusters.
+/// A tile of grid nodes: the x coordinates of its columns and the y coordinates of its rows, pixels. All nodes of a
+/// tile use the same clusters.
 pub(super) struct Tile {
     pub xs: [f32; LANES],
     pub ys: Vec<f32>,
@@ -96,8 +100,8 @@ impl Clusters {
         Self { lines: midpoints.into_iter().map(|m| m.line).collect(), clusters }
     }
 
-    /// Returns the sums of eq. (7) at the nodes of a tile, row by row. The error of their mean displacements is at
-    /// most [`TOLERANCE_PX`].
+    /// Returns the sums of eq. (7) at the nodes of a tile, one [`WarpSums`] for each row of nodes. The mean
+    /// displacements that follow from these sums have an error of at most [`TOLERANCE_PX`].
     pub fn sums(&self, tile: &Tile) -> Vec<WarpSums> {
         let at = |lines: &[Line]| -> Vec<WarpSums> {
             tile.ys.iter().map(|&y| line_sums(lines, &tile.xs, y)).collect()
@@ -216,9 +220,9 @@ struct Midpoint {
     line: Line,
 }
 
-/// Builds a tree over edges by median splits, appends its clusters to `clusters`, and returns the index of the
-/// root. The edges are reordered, so that the edges of each cluster are contiguous. `first` is the index of the
-/// first edge in [`Clusters::lines`].
+/// Builds a tree over edges by median splits, appends its clusters to `clusters`, and returns the index of the root.
+/// The edges are reordered, so that the edges of each cluster are contiguous. `first` is the index that the first of
+/// these edges will have in [`Clusters::lines`].
 fn split(midpoints: &mut [Midpoint], first: usize, clusters: &mut Vec<Cluster>) -> usize {
     let range = first..first + midpoints.len();
     let children = (midpoints.len() > LEAF_SIZE).then(|| {

@@ -13,14 +13,16 @@ use crate::simd::multiversion;
 use clusters::Clusters;
 use rayon::prelude::*;
 
-/// `a` of eq. (7), pixels. The exponents of eq. (7) are b = 4 and ρ = 0.
+/// The constant a of eq. (7), pixels. An edge's weight falls with the distance as 1/(a + distance)^b, with b = 4. The
+/// exponent ρ is 0, so that an edge's length has no effect on its weight.
 const A_PX: f32 = 0.5;
 /// Minimum length of an edge, both at the instant and in the source frame, in pixels. A shorter edge has no
 /// direction.
 const MIN_LENGTH_PX: f64 = 1e-3;
 /// τ of eq. (8). A real edge weighs up to 2^τ times as much as a virtual edge.
 pub const EDGE_BOOST: f64 = 4.0;
-/// Largest exponent of the boost, eq. (8). The largest weight, 2^4 · 2^32 = 7e10, is within the range of f32.
+/// Largest exponent of the boost, eq. (8). At distance 0, an edge then weighs up to 2^32/a^4 = 7e10, which is within
+/// the range of f32.
 const MAX_BOOST: f64 = 32.0;
 /// Number of grid nodes that are computed at once: the f32 lanes of an AVX2 register.
 const LANES: usize = 8;
@@ -28,9 +30,9 @@ const LANES: usize = 8;
 /// clusters of edges.
 const TILE: usize = LANES;
 
-/// Returns the backward warp (§5.3) from the instant to a source frame of this width and height, by the edges'
-/// lines at the instant and in the source frame. A real edge weighs up to 2^boost times as much as a virtual edge,
-/// eq. (8). Boosts over 32 count as 32.
+/// Returns the backward warp (§5.3) from the instant to a source frame. It follows from where the edges are at the
+/// instant and in the source frame. `size` is the width and height of the frame in pixels. A real edge weighs up to
+/// 2^boost times as much as a virtual edge, eq. (8). Boosts over 32 count as 32.
 ///
 /// `grid_px` is the distance between the nodes at which the warp is evaluated. With 1, every pixel is a node. If no
 /// edge has a direction, the warp is the identity.
@@ -110,7 +112,8 @@ fn tile_row(clusters: &Clusters, grid: &NodeGrid, tile_row: usize) -> Vec<[f32; 
     displacements
 }
 
-/// An edge in the form that the inner loop needs. The edge displaces a position X by map·(X − p) + shift.
+/// An edge in the form that the inner loop needs. The edge displaces a position X by map·(X − p) + shift. `p` is the
+/// edge's first end at the instant, pixels.
 #[derive(Clone, Copy, Debug)]
 struct Line {
     p: [f32; 2],
@@ -183,8 +186,8 @@ impl WarpSums {
         Self { weights: add(self.weights, other.weights), x, y }
     }
 
-    /// Returns the weighted mean displacements, in pixels. The weight of a line is at least 1/(2^16)^4 ≥ 5e-20, so
-    /// that the divisor isn't 0. Without lines, the means are NaN.
+    /// Returns the weighted mean displacements, in pixels. Up to a distance of 2^16 pixels, the weight of a line is at
+    /// least 1/(2^16)^4 ≥ 5e-20, so that the sum of weights isn't 0. Without lines, the means are NaN.
     fn means(&self) -> [[f32; 2]; LANES] {
         std::array::from_fn(|l| [self.x[l] / self.weights[l], self.y[l] / self.weights[l]])
     }

@@ -51,8 +51,8 @@ impl BlockGrid {
         BlockArea { origin, side: self.side, image: self.image }
     }
 
-    /// Returns the weights of a block's columns. The block's rows have the same weights. The weight of a pixel is
-    /// the product of the weights of its column and of its row. At each pixel, the weights of the overlapping
+    /// Returns the weights of a block's columns. They are also the weights of its rows. The weight of a pixel is the
+    /// product of the weights of its column and of its row. At each pixel of the image, the weights of the overlapping
     /// blocks sum to 1.
     pub fn weights(&self) -> Vec<f32> {
         let ramp = |k: usize| (k as f32 + 0.5) / self.overlap as f32;

@@ -22,7 +22,7 @@ const MIN_CELL_PX: usize = 16;
 pub struct PointGrid {
     /// Top-left corner of the first point's pixel, in pixels of the image.
     pub corner: Point2<f64>,
-    /// Centre of the affine motions, in pixels. The motions' offsets are relative to this position.
+    /// Position in the image, in pixels, from which offsets are measured in [`AffineMotion::at`].
     pub center: Point2<f64>,
     /// Number of points along a side.
     pub side: usize,
@@ -121,12 +121,13 @@ impl CostPoints {
     }
 }
 
-/// Minimum costs of the candidate motions in the two frames of a pair. For each point of the earlier and of the
-/// later frame, this is the smallest difference from an adjacent frame, over the motions of nearby tracks.
+/// Costs of the two frames of a pair, computed from the motions of tracks. At each point of the earlier and of the
+/// later frame, the cost is the smallest mean difference between this frame and an adjacent frame, over the motions of
+/// all nearby tracks.
 ///
-/// The costs are the same at all instants. They depend on the inputs of [`Self::new`], on the pair's images, and on
-/// the frames before and after the pair. Only parts of the frames are needed. Costs are therefore computed in
-/// square cells, each when it is first read.
+/// The costs don't depend on the instant. They depend on the inputs of [`Self::new`], on the pair's images, and on the
+/// frames before and after the pair. Only some parts of the frames need costs. The frames are therefore divided into
+/// square cells, and the costs of a cell are computed when one of them is first read.
 pub struct PairCosts([FrameCosts; 2]);
 
 impl PairCosts {
@@ -138,8 +139,8 @@ impl PairCosts {
         Self::of_motions(size, [earlier, later], options)
     }
 
-    /// Creates the costs from two lists of motions. The first list is measured from the tracks' positions in the
-    /// earlier frame, the second from their positions in the later frame.
+    /// Creates the costs from the motions of tracks, given twice: first measured from the tracks' positions in the
+    /// earlier frame, then measured from their positions in the later frame. `size` is the frames' width and height.
     pub(super) fn of_motions(
         size: [usize; 2],
         [earlier, later]: [Vec<TrackMotion>; 2],
@@ -211,8 +212,8 @@ impl FrameCosts {
         cell[y * self.points_per_side() + x]
     }
 
-    /// Returns the minimum costs at the points of a cell, row by row. `corner` is the cell's top-left corner in
-    /// pixels. Each point is in the middle of the pixels that it represents.
+    /// Returns the minimum costs at the points of a cell, row by row. `corner` is the cell's top-left corner in pixels.
+    /// Each point represents a square of pixels and is at the square's centre, rounded to a pixel.
     fn cell(&self, frames: &FourFrames, corner: Point2<f64>) -> Vec<f32> {
         let images = frames.images();
         // The two adjacent frames: an outer one, and the other frame of the pair.

@@ -1,5 +1,11 @@
-//! Compositing of four frames. Where the two outer frames agree with the composite of the two middle frames, they
-//! are averaged in, which halves the noise variance.
+//! Compositing of four frames. The middle frames are the two frames of the pair; the outer frames are the frame before
+//! and the frame after the pair. Where the outer frames agree with the composite of the middle frames, they are
+//! averaged in, which halves the noise variance.
+//!
+//! Whether they agree is decided by costs. The cost of the middle frames at a pixel is the mean absolute difference
+//! between the two, after motion compensation, over a window. The cost of an outer frame is its mean absolute
+//! difference from the composite over the same window. The excess of an outer frame is its cost minus the cost of the
+//! middle frames.
 
 use super::FourFrames;
 use super::blocks::BlockArea;
@@ -9,14 +15,18 @@ use crate::interpolation::warp::difference;
 use crate::raster::Image;
 use std::cell::OnceCell;
 
-/// Excess of an outer frame's cost over the cost of the middle frames up to which the outer frame has full weight,
-/// for pixel values of 0 to 1.
+/// Largest excess with which an outer frame has its full weight, for pixel values of 0 to 1. The excess is the outer
+/// frame's cost minus the cost of the middle frames.
 const OUTER_SLACK: f32 = 0.01;
-/// Increase of the excess beyond [`OUTER_SLACK`] by which an outer frame's weight falls to 1/e.
+/// Excess of an outer frame beyond [`OUTER_SLACK`] at which its weight is 1/e of its full weight, for pixel values of 0
+/// to 1. The excess is the outer frame's cost minus the cost of the middle frames.
 const OUTER_SOFTNESS: f32 = 0.01;
-/// Maximum mean excess of an outer frame's cost in a static block, as a fraction of [`OUTER_SLACK`].
+/// Largest excess of an outer frame, averaged over a static block, as a fraction of [`OUTER_SLACK`]. The excess is the
+/// outer frame's cost minus the cost of the middle frames.
 const STATIC_EXCESS_FRACTION: f32 = 0.25;
-/// Fraction of the largest weight below which a weight is neglected.
+/// Relative weight that is too small to be used. An outer frame is left out of the mean at pixels at which its weight
+/// is at most this value (the weights of a mean sum to 1). A hypothesis is left out of a block if, at every pixel, its
+/// weight is at most this fraction of the largest weight of any hypothesis.
 pub const NEGLIGIBLE_WEIGHT: f32 = 1e-3;
 
 impl FourFrames<'_> {
@@ -76,9 +86,9 @@ pub struct MiddleFrames<'a> {
     pub costs: &'a [f32],
 }
 
-/// Averages the outer frames into the composite of the middle frames. Each outer frame has a weight of at most
-/// `outer_weight`. At each pixel, an outer frame is compensated by the motion for which it differs least from the
-/// composite.
+/// Averages the outer frames into a block's composite of the middle frames. Each outer frame has a weight of at most
+/// `outer_weight`. At each pixel, an outer frame is compensated by that motion among `compensated` for which it differs
+/// least from the composite.
 pub fn fuse(
     MiddleFrames { at_pixels: middle, at_points, costs }: MiddleFrames,
     compensated: &[CompensatedFrames],
@@ -126,10 +136,13 @@ pub fn fuse(
     fused
 }
 
-/// Returns whether nothing moves in a block. At each pixel, the costs of the outer frames must exceed the cost of
-/// the middle frames by at most [`OUTER_SLACK`]. On average over the block, they must exceed it by at most
-/// [`STATIC_EXCESS_FRACTION`] times this value. `outer_costs` and `costs` have one value for each pixel of the
-/// image.
+/// Returns whether nothing moves in a block. The outer frames are compared without motion compensation. Their excess is
+/// their cost minus the cost of the middle frames. In a static block, the excess of each outer frame is at most
+/// [`OUTER_SLACK`] at every pixel. Averaged over the block, it is at most [`STATIC_EXCESS_FRACTION`] times
+/// [`OUTER_SLACK`]; here a negative excess counts as 0.
+///
+/// `outer_costs` are the costs of the outer frames, and `costs` is the cost of the middle frames. Each has one value
+/// for every pixel of the image. A `None` is skipped.
 pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: BlockArea) -> bool {
     outer_costs.iter().flatten().all(|outer| {
         let (mut sum, mut count) = (0.0, 0.0);
@@ -146,8 +159,8 @@ pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: Block
     })
 }
 
-/// Returns the colours of a static block: `cross_faded`, which is the cross-fade of the middle frames, averaged
-/// with the outer frames without motion compensation. The colours are 0 outside the image.
+/// Returns the colours of a static block. They are a weighted mean of `cross_faded`, which is the cross-fade of the
+/// middle frames, and of the outer frames without motion compensation. The colours are 0 outside the image.
 pub fn static_mean(frames: &FourFrames, cross_faded: &Image, area: BlockArea) -> Vec<f32> {
     let weight = frames.outer_weight(area.center().y);
     let crop = |image: &Image| area.crop(image.data(), image.channels());

@@ -15,12 +15,13 @@ use std::borrow::Cow;
 const SOFTNESS: f32 = 0.02;
 /// Minimum weight of a hypothesis, so that the sum of weights is positive.
 const MIN_WEIGHT: f32 = 1e-30;
-/// Prior cost of a hypothesis that only one frame sees the surface, for an instant halfway between the two frames.
+/// Prior cost of the hypothesis that only one middle frame sees the surface, for an instant halfway between the two
+/// middle frames.
 const ONE_FRAME_COST: f32 = 0.1;
-/// Lower bound of 2f, by which [`ONE_FRAME_COST`] is divided. f is the time from the instant to the frame that does
-/// not see the surface, as a fraction of the frame interval.
+/// Minimum of 2f in the prior cost [`ONE_FRAME_COST`]/(2f), which prevents division by 0. f is the time from the
+/// instant to the frame that does not see the surface, as a fraction of the frame interval.
 const MIN_DOUBLE_FRACTION: f32 = 1e-3;
-/// Factor, in a hypothesis's cost, of the amount by which another motion explains a frame's pixels better.
+/// Weight of one term in a hypothesis's cost: the amount by which another motion has a smaller cost in a middle frame.
 const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 /// Motion below which a surface counts as static, pixels per frame.
 const AT_REST_PX: f32 = 1.0;
@@ -163,10 +164,10 @@ impl<'a> BlockHypotheses<'a> {
         }
     }
 
-    /// Returns, for each cost point of the block, the amount by which another motion has a smaller cost than
-    /// `motion` in one of the middle frames. `n` is 0 for the earlier and 1 for the later frame. The amount is 0 if
-    /// no other motion has a smaller cost. `costs(k)` is the cost of `motion` at point `k`. Each amount is the
-    /// minimum over a window, because windows at the outline of a surface contain background.
+    /// Returns, for each cost point of the block, the amount by which another motion has a smaller cost than `motion`
+    /// in middle frame `n` (0: earlier, 1: later). The amount is 0 if no other motion has a smaller cost. `costs(k)` is
+    /// the cost of `motion` at point `k`. Each amount is the minimum over a window, because windows at the outline of a
+    /// surface contain background.
     fn better_explained(
         &self,
         n: usize,

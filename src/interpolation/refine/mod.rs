@@ -45,19 +45,22 @@ use hypotheses::BlockHypotheses;
 use motions::MotionHypotheses;
 use rayon::prelude::*;
 
-/// Maximum cost up to which the two warped frames agree in a block, for pixel values of 0 to 1. The cost is their
-/// mean absolute difference over the window around each pixel.
+/// Maximum cost at any pixel of a block in which the two warped frames count as equal, for pixel values of 0 to 1. The
+/// cost is the mean absolute difference of the two warped frames over the window around the pixel.
 const MAX_AGREEING_COST: f32 = 0.03;
 /// Maximum number of motions by which the frames before and after the pair are compensated, in a block in which the
 /// two warped frames agree.
 const MAX_AGREEING_MOTIONS: usize = 2;
 /// Number of channels of an image of motions. Each channel is the weighted mean over a pixel's hypotheses:
 ///
-/// 1. The motion between the earlier and the later frame, pixels.
+/// 1. The length of the motion between the earlier and the later frame, pixels.
 /// 2. The change of the motion from one frame interval to the next, pixels per frame. It is the larger of the
 ///    changes at the earlier and at the later frame, and 0 if it is unknown.
-/// 3. The cost of the hypotheses, 0..=1: the mean difference of frames over a window, plus prior costs. For a
-///    static surface, it is at least the difference of the two warped frames. It is 0 if the frames agree.
+/// 3. The cost, for pixel values of 0 to 1: the mean difference of the compared frames over a window, plus the
+///    other terms of a hypothesis's cost. For a static surface, it is at least the mean difference of the two
+///    warped frames.
+///
+/// At pixels that are not refined, the channels are those of [`warp_motions`].
 pub(super) const MOTION_CHANNELS: usize = 3;
 
 /// The four frames around an instant. All images have the same size and channels.
@@ -114,7 +117,7 @@ struct RefinedBlock {
 /// with the frames before and after the pair where these agree with it. Its values are in 0..=1.
 ///
 /// `warps` map the instant to the earlier and to the later frame. `motions` are the motions of the tracks, measured
-/// from the tracks' positions at the instant. If there are none, only static blocks change.
+/// from the tracks' positions at the instant. Without tracks, only static blocks differ from the cross dissolve.
 pub(super) fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
@@ -171,9 +174,9 @@ pub(super) fn warp_motions(warps: [&Warp; 2], costs: &[f32]) -> Image {
     Image::from_data(warps[0].width, warps[0].height, MOTION_CHANNELS, data)
 }
 
-/// Refines block number `block`. Returns `None` if the block keeps the cross-fade of the two warped frames. This is
-/// so if its pixels are not needed, if no track is near, or if the warped frames agree and neither the frame before
-/// nor the frame after the pair can be used.
+/// Refines block number `block`. Returns `None` if the block keeps the cross-fade of the two warped frames. This is so
+/// in three cases: its pixels are not needed; it has no candidate motions; or the warped frames agree, and neither the
+/// frame before nor the frame after the pair can be used.
 fn refined_block(shared: &SharedInputs, block: usize) -> Option<RefinedBlock> {
     let area = shared.grid.area(block);
     if shared.frames.parts.is_some_and(|parts| !parts.touches(area.origin, area.side)) {

@@ -11,14 +11,17 @@ const SAME_MOTION_PX: f64 = 1.5;
 const MIN_TRACKS: usize = 2;
 /// Maximum number of candidate motions per block. The motions with the nearest tracks are used.
 const MAX_MOTIONS: usize = 6;
-/// Exponent with which a track's weight falls with its distance from the block's centre.
+/// Exponent of the distance in a track's weight: the weight falls with this power of the distance from the block's
+/// centre.
 const DISTANCE_POWER: i32 = 3;
-/// Ridge regularization of the fitted derivative, pixels. The derivative is damped as if the tracks had this
-/// additional spread in position.
+/// Ridge regularization of a fitted motion's derivative by position, pixels. The derivative is damped as if the tracks
+/// were spread out by this additional distance, with equal motions.
 const RIDGE_PX: f64 = 2.0;
 
-/// Four affine motions: from the image at the instant to each of the four frames around the instant. A motion has the
-/// displacement of a centre point, and the derivative of the displacement by position.
+/// Four affine motions: from one image to each of the four frames around an instant (before, earlier, later, after).
+/// The first image is the one in which the fitted tracks have their positions: the image at the instant, or a frame of
+/// the pair. A motion consists of the displacement of a centre point, and the derivative of the displacement by
+/// position.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AffineMotion {
     to: [Vector2<f64>; 4],
@@ -26,7 +29,7 @@ pub struct AffineMotion {
 }
 
 impl AffineMotion {
-    /// Fits an affine motion to tracks by least squares. Tracks nearer to `center` (pixels) have more weight.
+    /// Fits the four affine motions to tracks by least squares. Tracks nearer to `center` (pixels) have more weight.
     /// Returns `None` without tracks, or if a coordinate is not finite.
     pub fn fit(tracks: &[&TrackMotion], center: &Point2<f64>) -> Option<Self> {
         let mut normal = Matrix3::zeros();
@@ -75,8 +78,8 @@ impl MotionHypotheses {
     }
 
     /// Returns the candidate motions around a point, ordered by the distance of their nearest tracks. Tracks are
-    /// clustered greedily, nearest track first. Each track that is not assigned yet starts a cluster, which gets
-    /// all unassigned tracks with a similar motion.
+    /// clustered greedily, nearest track first: each track that is in no cluster yet starts one, which also gets all
+    /// unassigned tracks with a similar motion. A motion is fitted to every cluster of at least two tracks.
     pub fn around(&self, center: &Point2<f64>) -> Vec<AffineMotion> {
         let near = self.positions.nearest(center, usize::MAX, self.search_radius_px);
         let mut assigned = vec![false; near.len()];

@@ -12,8 +12,8 @@ struct PixelMotion {
     cost: f32,
 }
 
-/// Returns the refined image and the motion of each pixel. The pair costs and the refinement use the motions of the
-/// same tracks.
+/// Returns the refined image and the motion of each pixel. `motions` are used twice: to compute the pair costs, and in
+/// the refinement.
 fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
@@ -80,7 +80,7 @@ fn motions() -> Vec<TrackMotion> {
     all
 }
 
-/// Returns tracks at the positions of [`motions`], without motion.
+/// Returns tracks without motion. Their positions are those of the tracks that [`motions`] returns.
 fn at_rest() -> Vec<TrackMotion> {
     motions().into_iter().map(|m| TrackMotion { to: [Vector2::zeros(); 4], ..m }).collect()
 }
