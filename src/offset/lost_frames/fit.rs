@@ -273,8 +273,9 @@ impl LagProblem<'_> {
     }
 
     /// Returns the possible loss counts for a given line. A loss count is the number of frames missing before an image,
-    /// up to a common constant. The counts are all integers in the range of 0 and the observed counts (lag minus line,
-    /// rounded), limited to ±[`MAX_LOST`]. Only 0 for a camera that loses no frames.
+    /// up to a common constant. An observed count is the lag minus the line, rounded and limited to ±[`MAX_LOST`]. The
+    /// possible counts are all integers from the smallest to the largest of 0 and the observed counts. Only 0 for a
+    /// camera that loses no frames.
     fn candidate_loss_counts(&self, line: &Vector2<f64>) -> Vec<i32> {
         if !self.clock.may_lose_frames {
             return vec![0];
