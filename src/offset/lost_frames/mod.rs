@@ -80,9 +80,9 @@ const MIN_SCORE_FRACTION: f64 = 0.5;
 /// The minimum MSAC score of a frame triple (two frames of one camera, one frame of another), as a fraction of the
 /// number of its offset candidates.
 const MIN_INLIER_FRACTION: f64 = 0.3;
-/// If camera b's image is nearer in time than this to one of camera a's two images, an observation requires
-/// [`MIN_AGREEMENT`]. The unit is the interval between camera a's two images. Occluded features and T-junctions falsely
-/// agree on the time of one of these two images.
+/// If camera b's image is nearer in time than this to one of camera a's two images, an observation requires an agreement
+/// of at least [`MIN_AGREEMENT`]. The unit is the interval between camera a's two images. Occluded features and
+/// T-junctions falsely agree on the time of one of these two images.
 const NEAR_FRAME: f64 = 0.2;
 /// The maximum time by which camera b's image may be outside the interval between camera a's two images, as a
 /// fraction of this interval.
@@ -254,8 +254,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(self.offsets.len() > count_before)
     }
 
-    /// Returns the indices of the evenly spread images of camera a at which the offset is observed. Images near lost
-    /// frames are not included.
+    /// Returns the indices of the evenly spread images of camera a at which the offset is observed first. More
+    /// images near lost frames are observed later ([`Self::observe_again`]).
     fn sampled_images(&self) -> Vec<usize> {
         let count = self.recording.clocks[self.cameras[0]].times_s.len() - 1;
         spread(count, self.recording.options.max_frames)
