@@ -28,8 +28,8 @@ pub struct CalibrationUnknowns<'a> {
     errors: &'a CalibrationErrors,
     /// The cameras with the calibration that the capture states.
     cameras: Vec<&'a Camera>,
-    /// The matrix L, where L Lᵀ is the covariance of the calibration errors. The errors are L y, where y are independent
-    /// unknowns of variance 1. L has a row for each error, and a column for each entry of y.
+    /// The matrix L, where L Lᵀ is the covariance of the calibration errors. The errors are L y, where y are
+    /// independent unknowns of variance 1. L has a row for each error, and a column for each entry of y.
     pub factor: DMatrix<f64>,
 }
 

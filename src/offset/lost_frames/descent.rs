@@ -30,9 +30,9 @@ const START_LOSS_PENALTY: f64 = 1.8;
 /// The penalty of one lost frame in the final models, as a multiple of an outlier's cost. It is the log odds
 /// against a lost frame at a given image, divided by the log odds against an outlier.
 const LOSS_PENALTY: f64 = 0.75;
-/// The increase of the objective below which a jump move makes the cameras that it shifts undecided, as a multiple of an
-/// outlier's cost. A jump move shifts some image times by whole frames. At 1, the evidence of a single observation is
-/// not sufficient.
+/// The increase of the objective below which a jump move makes the cameras that it shifts undecided, as a multiple of
+/// an outlier's cost. A jump move shifts some image times by whole frames. At 1, the evidence of a single observation
+/// is not sufficient.
 const DECISIVE_OUTLIERS: f64 = 1.0;
 /// The numbers of frames by which a jump move shifts the times of a set of images.
 const JUMPS: [i32; 4] = [1, -1, 2, -2];

@@ -80,9 +80,9 @@ const MIN_SCORE_FRACTION: f64 = 0.5;
 /// The minimum MSAC score of a frame triple (two frames of one camera, one frame of another), as a fraction of the
 /// number of its offset candidates.
 const MIN_INLIER_FRACTION: f64 = 0.3;
-/// If camera b's image is nearer in time than this to one of camera a's two images, an observation requires an agreement
-/// of at least [`MIN_AGREEMENT`]. The unit is the interval between camera a's two images. Occluded features and
-/// T-junctions falsely agree on the time of one of these two images.
+/// If camera b's image is nearer in time than this to one of camera a's two images, an observation requires an
+/// agreement of at least [`MIN_AGREEMENT`]. The unit is the interval between camera a's two images. Occluded features
+/// and T-junctions falsely agree on the time of one of these two images.
 const NEAR_FRAME: f64 = 0.2;
 /// The maximum time by which camera b's image may be outside the interval between camera a's two images, as a
 /// fraction of this interval.
