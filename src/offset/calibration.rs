@@ -1,13 +1,13 @@
 //! Accounts for calibration errors in the estimated offsets.
 //!
 //! An error in a pose or a focal length shifts all epipolar lines of a pair, and so changes the times at which
-//! trajectories cross these lines. Such an error is common to all candidates of a camera, so it does not average out.
-//! If the capture states a covariance C of its calibration errors, the joint solution has these errors as further
-//! unknowns, with C as the covariance of their prior. The offsets are then generalized least-squares estimates. Let J
-//! be the derivatives of the offsets by the errors. The covariance of the offsets includes J C Jᵀ, reduced by what
-//! the candidates reveal about the errors.
+//! trajectories cross these lines. Such an error is common to all offset candidates of a camera (the offsets that
+//! single features imply), so it does not average out. If the capture states a covariance C of its calibration errors,
+//! the joint solution has these errors as further unknowns, with C as the covariance of their prior. The offsets are
+//! then generalized least-squares estimates. Let J be the derivatives of the offsets by the errors. The covariance of
+//! the offsets includes J C Jᵀ, reduced by what the candidates reveal about the errors.
 //!
-//! The offsets of the candidates are linearized in the errors. The derivatives are central differences at the given
+//! The offset candidates are linearized in the errors. The derivatives are central differences at the given
 //! calibration. After each solution, the estimated errors are subtracted from the candidates, and the weights of the
 //! candidates are fitted again.
 
@@ -28,8 +28,8 @@ pub struct CalibrationUnknowns<'a> {
     errors: &'a CalibrationErrors,
     /// The cameras with the calibration that the capture states.
     cameras: Vec<&'a Camera>,
-    /// The factor L of the covariance L Lᵀ of the calibration errors. It has a row for each error, and a column for
-    /// each of the independent unknowns of variance 1 that the errors are combined from.
+    /// The matrix L, where L Lᵀ is the covariance of the calibration errors. The errors are L y, where y are
+    /// independent unknowns of variance 1. L has a row for each error, and a column for each entry of y.
     pub factor: DMatrix<f64>,
 }
 
@@ -54,8 +54,9 @@ impl<'a> CalibrationUnknowns<'a> {
         Self { errors, cameras, factor }
     }
 
-    /// Returns the derivatives of the offsets of a pair's samples (offset candidates) by the calibration errors of
-    /// the pair's two cameras.
+    /// Returns the derivatives of the offsets of a pair's samples (offset candidates) by the calibration errors of the
+    /// pair's two cameras. `samples` holds each sample with its weight, which is not used. A derivative that can't be
+    /// computed is 0.
     pub fn slopes(&self, cameras: [usize; 2], samples: &[(Sample, f64)]) -> SampleSlopes {
         let parameters = self.errors.parameters.iter().enumerate();
         let of_pair: Vec<(usize, usize, CameraParameter)> = parameters
@@ -118,7 +119,8 @@ impl SampleSlopes {
     }
 }
 
-/// Epipolar geometry of cameras a and b with one calibration parameter decreased and increased by a small step.
+/// Two epipolar geometries of cameras a and b: one with a calibration parameter decreased by a small step, and one with
+/// the parameter increased by this step.
 struct ChangedPair {
     cameras: [[Camera; 2]; 2],
     geometry: [Option<EpipolarGeometry>; 2],
@@ -129,8 +131,8 @@ struct ChangedPair {
 }
 
 impl ChangedPair {
-    /// Returns the changed geometry for each of `parameters`, the calibration errors of cameras a and b. A parameter
-    /// is given as (index of the error, camera, kind).
+    /// Returns the changed geometries for each of `parameters`, which are calibration parameters of cameras a and b. A
+    /// parameter is given as (index of its error, index of its camera, kind of parameter).
     fn all(
         unknowns: &CalibrationUnknowns,
         [a, b]: [usize; 2],
@@ -163,8 +165,9 @@ impl ChangedPair {
         parameters.iter().map(changed).collect()
     }
 
-    /// Returns the derivative of a sample's offset by the parameter, seconds per unit of the parameter. `None` if the
-    /// cameras have no epipolar geometry, if a position can't be undistorted, or if the derivative is not finite.
+    /// Returns the derivative of a sample's offset by the changed calibration parameter, seconds per unit of the
+    /// parameter. `None` if the cameras have no epipolar geometry, if a position can't be undistorted, or if the
+    /// derivative is not finite.
     fn slope(&self, unknowns: &CalibrationUnknowns, sample: &Sample) -> Option<f64> {
         let sight = &sample.sight;
         let given = sample.cameras.map(|c| unknowns.cameras[c].model);

@@ -118,7 +118,7 @@ const CALIBRATION_ROUNDS: usize = 3;
 /// that no chain of pairs connects to the reference camera's clock. Adds the effect of the calibration errors to the
 /// standard errors of `pairs`.
 ///
-/// For [`OffsetMethod::Pairwise`], the calibration errors are no unknowns. They only increase the standard errors of
+/// For [`OffsetMethod::Pairwise`], the calibration errors are not unknowns. They only increase the standard errors of
 /// the pairs, from which the standard errors of the clocks follow.
 fn solve_with_calibration(
     capture: &Capture,
@@ -155,8 +155,9 @@ fn solve_with_calibration(
 /// Indices of a pair's two cameras, with the pair's estimate or the reason why there is none.
 type PairResult = ([usize; 2], Result<PairEstimate, PairFailure>);
 
-/// Joint solution for all clocks, with the data from which each camera's offset is reported. It uses the pairs whose
-/// standard errors are small and whose offsets no other pair contradicts.
+/// The joint solution for all clocks, with the results of all pairs and the lost frames of all cameras. Together they
+/// determine each camera's reported offset. The solution uses only the pairs whose standard errors are small and whose
+/// offsets no other pair contradicts.
 struct JointSolution<'a> {
     capture: &'a Capture,
     results: Vec<PairResult>,

@@ -43,8 +43,8 @@ const MIN_L1_DEVIATION: f64 = 0.01;
 /// The deviation of a pair up to which its weight is 1 in the iterations with redescending weights, in units of the
 /// pair's standard error.
 const FULL_WEIGHT_DEVIATION: f64 = 2.0;
-/// The lower bound of a pair's standard error, as a fraction of the median of all pairs. Errors that are common to
-/// all pairs limit the precision of every pair.
+/// The lower bound of a pair's standard error, as a fraction of the median standard error of all pairs. Errors that are
+/// common to all pairs limit the precision of every pair.
 const MIN_STD_ERR_FRACTION: f64 = 0.3;
 /// The standard deviation of the prior on every rate, whose mean is 0, seconds per second: three times the maximum
 /// drift.
@@ -128,8 +128,9 @@ struct Unknowns<'a> {
     /// The number of unknown offsets and rates of the clocks.
     clock_count: usize,
     count: usize,
-    /// The matrix that maps independent unknowns to the clocks' unknowns and the calibration errors, which are
-    /// correlated. `None` if the calibration is assumed to be exact.
+    /// The matrix that computes all unknowns from independent unknowns. It leaves the clocks' offsets and rates as they
+    /// are. It combines the correlated calibration errors from independent unknowns of variance 1. `None` if the
+    /// calibration is assumed to be exact.
     from_independent: Option<DMatrix<f64>>,
 }
 
@@ -226,8 +227,8 @@ struct PairSystem {
     /// pairs of a large array would take gigabytes.
     normal: BTreeMap<(usize, usize), f64>,
     right: DVector<f64>,
-    /// The weighted mean of the pair's observation equations: the coefficients of the unknowns, and the
-    /// observed mean offset, `offset_j − offset_i`, seconds.
+    /// The weighted mean of the pair's observation equations: the coefficients of the unknowns, and the observed mean
+    /// of `offset_j − offset_i`, seconds, where i and j are the pair's cameras.
     mean: (DVector<f64>, f64),
     /// The standard error of the observed mean offset, seconds.
     sigma_s: f64,

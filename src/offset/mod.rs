@@ -79,7 +79,7 @@ use crate::registration::FrameStore;
 /// The reason given for the unknown offset of a camera with a single frame.
 const ONE_FRAME: &str = "it has one frame, which shows no motion";
 
-/// Returns the temporal offsets of a capture's cameras. A note on the reporter names their source.
+/// Returns the temporal offsets of a capture's cameras. A note to the user, by `reporter`, says where they come from.
 ///
 /// The first source that applies is used:
 ///

@@ -111,8 +111,8 @@ impl Offsets {
         self.clocks(capture).into_iter().enumerate().map(times_s).collect()
     }
 
-    /// Returns whether these are the offsets of the capture's cameras, in its order, and the times of each camera's
-    /// frames on the reference camera's clock ascend.
+    /// Returns whether these offsets belong to the capture's cameras, in the capture's order, and give every camera's
+    /// frames ascending times on the reference camera's clock.
     pub fn fits(&self, capture: &Capture) -> bool {
         self.cameras.len() == capture.cameras.len()
             && self.cameras.iter().zip(&capture.cameras).all(|(o, c)| o.id == c.id)

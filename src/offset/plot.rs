@@ -12,8 +12,8 @@ use crate::chart::{Chart, ChartPoint, Series, svg};
 /// - The fraction of inliers among each pair's offset candidates.
 /// - The offsets from single frame triples (two frames of one camera, one frame of another) over time, minus the
 ///   jointly estimated offset.
-/// - The distribution of the inliers' distances from their epipolar lines, for the nominal clocks and for the
-///   estimated clocks (Fig. 23).
+/// - The distribution of the inliers' distances from their epipolar lines, for the nominal clocks and for each pair's
+///   estimated offset (Fig. 23).
 ///
 /// The first and the third chart leave out pairs in which a camera's offset is unknown.
 pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
@@ -31,8 +31,9 @@ pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
 /// Number of milliseconds in a second.
 const MS: f64 = 1e3;
 
-/// Returns `offset_j − offset_i` of the cameras [i, j] at a time, by the jointly estimated clocks; both in seconds.
-/// `None` if either camera's offset is unknown.
+/// Returns `offset_j − offset_i` of the cameras [i, j], seconds, by the jointly estimated clocks. `time_s` is the time,
+/// seconds, on the clock of either camera: the offsets change too slowly for the difference to matter. `None` if either
+/// camera's offset is unknown.
 fn joint_offset_s(joint: &[Option<ClockModel>], cameras: [usize; 2], time_s: f64) -> Option<f64> {
     let [i, j] = cameras.map(|c| joint[c].as_ref().map(|clock| clock.offset_at(time_s)));
     Some(j? - i?)
@@ -117,7 +118,8 @@ fn over_time(estimate: &Estimate, capture: &Capture, joint: &[Option<ClockModel>
 /// The number of quantiles with which a distribution is plotted.
 const QUANTILES: usize = 60;
 
-/// Returns the chart of the distribution of the inliers' distances from their epipolar lines (Fig. 23).
+/// Returns the chart of the distribution of the inliers' distances from their epipolar lines (Fig. 23), for the nominal
+/// clocks and for each pair's estimated offset.
 fn distances(estimate: &Estimate) -> Chart {
     let (mut nominal, mut estimated) = (Vec::new(), Vec::new());
     for pair in &estimate.pairs {

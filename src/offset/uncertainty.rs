@@ -1,10 +1,10 @@
 //! Standard errors of weighted least-squares estimates from equations with correlated errors.
 //!
-//! The errors of candidates are correlated. Candidates at the same instant share the noise of their frames.
-//! Candidates at the same place in the image share texture, occlusions and the tracker's bias. The two-way
-//! cluster-robust (sandwich) covariance accounts for both correlations (Cameron, Gelbach and Miller 2011). It is the
-//! covariance with clusters by time, plus the covariance with clusters by place, minus the covariance for independent
-//! errors, which the first two both include.
+//! The errors of candidates are correlated. Candidates at the same instant share the noise of their frames. Candidates
+//! at the same place in the image share texture, occlusions and the tracker's bias. The two-way cluster-robust
+//! (sandwich) covariance accounts for both correlations (Cameron, Gelbach and Miller 2011). It is the covariance with
+//! clusters by time, plus the covariance with clusters by place, minus the covariance for independent errors, which the
+//! first two both include. A variance is at least as large as in each of these three covariances.
 //!
 //! The features of a small body have a common error, such as occlusion at the body's outline. The scatter of these
 //! features underestimates this error. Standard errors are therefore inflated if few tracker windows carry all the
@@ -122,7 +122,7 @@ impl Sandwich {
 }
 
 /// Returns the effective number of independent clusters (Kish 1965): (Σ I)² / Σ I², where I is the information of a
-/// cluster; 0 without information. `informed` yields items (cluster, information). The information of a cluster is
+/// cluster; 0 if all information is 0. `informed` yields items (cluster, information). The information of a cluster is
 /// the sum over its items.
 pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
     let mut by_key: BTreeMap<usize, f64> = BTreeMap::new();
@@ -151,8 +151,9 @@ pub fn std_err_inflation(independent: f64) -> f64 {
     1.0 + (orders[0] / n + orders[1] / (n * n) + orders[2] / (n * n * n)) / x
 }
 
-/// Returns the sum `Σ g gᵀ` over the score vectors g of all clusters, times n / (n − 1) for n clusters. This factor
-/// corrects for a small number of clusters.
+/// Returns the sum `Σ g gᵀ` over the score vectors g of all clusters, times n / (n − 1) for n clusters. The score
+/// vector of a cluster is the sum of `weight · residual · row` over its equations ([`Sandwich::add`]). The factor
+/// n / (n − 1) corrects for a small number of clusters.
 fn clustered<'a>(
     scores: impl ExactSizeIterator<Item = &'a DVector<f64>>,
     unknowns: usize,

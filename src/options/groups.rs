@@ -32,7 +32,7 @@ impl AutoOptions {
         Self { sync: true, proxy: true, blend: true, ..Self::default() }
     }
 
-    /// Returns the names of the stages whose methods are chosen automatically, as in [`crate::plan::Decision`].
+    /// Returns the names of the stages whose methods are chosen automatically, as in [`crate::plan::Decision::stage`].
     pub fn stages(&self) -> Vec<&'static str> {
         let all = [(self.sync, "sync"), (self.proxy, "proxy"), (self.blend, "blend")];
         all.into_iter().filter(|(is_left, _)| *is_left).map(|(_, stage)| stage).collect()

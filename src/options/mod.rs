@@ -1,4 +1,4 @@
-//! The options: everything except the capture that determines an image. They are the method of each stage and the
+//! The options: everything that determines an image, except the capture. They are the method of each stage and the
 //! method's parameters.
 //!
 //! | options | content | read by |
@@ -184,7 +184,8 @@ mod tests {
         assert_eq!(error, "trail.duration_s: is NaN, must be from 0.0 to 1000000.0");
     }
 
-    /// Returns whether a schema allows a value. Only the keywords that these schemas use are checked.
+    /// Returns whether a schema allows a value. Only the JSON Schema keywords that occur in the options' schema are
+    /// checked.
     fn allows(schema: &Value, value: &Value) -> bool {
         let is_of = |kind: &Value| match kind.as_str().unwrap() {
             "object" => value.is_object(),

@@ -69,7 +69,7 @@ impl RenderOptions {
 const CHOSEN: [(&str, &str); 3] =
     [("/sync", "/auto/sync"), ("/proxy/method", "/auto/proxy"), ("/blend/method", "/auto/blend")];
 
-/// An object with the field `preset` of an options file.
+/// The field `preset` of an options file, in a JSON object of its own.
 #[derive(Deserialize)]
 struct NamedPreset {
     preset: Preset,

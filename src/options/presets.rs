@@ -13,8 +13,8 @@ pub enum Preset {
     Draft,
     /// Methods with most of the accuracy of `Best`, in a fraction of its time.
     Balanced,
-    /// Methods chosen by measurements of the capture ([`AutoOptions::all`]). An accurate method is chosen where it
-    /// reduces the error by more than the budget.
+    /// Methods chosen by measurements of the capture ([`AutoOptions::all`]). A dearer method is chosen only where a
+    /// cheaper one would exceed the error budgets of [`AutoOptions`].
     #[default]
     Best,
 }

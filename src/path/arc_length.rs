@@ -7,7 +7,8 @@ use nalgebra::Vector3;
 /// part. With fewer parts, the quadrature is inaccurate at cusps.
 const PARTS: usize = 32;
 
-/// Number of bisections in the search for a parameter inside of a part. They find it to 1e-12 of the part's length.
+/// Number of bisections in the search for a parameter inside of a part. They determine the parameter to 1e-12 of the
+/// part's length.
 const HALVINGS: usize = 40;
 
 /// Position of a key, metres, and tangent of the curve at the key, metres per unit of the parameter.
@@ -22,8 +23,8 @@ pub(super) struct ArcLength {
 }
 
 impl ArcLength {
-    /// Computes the table for the curve through `places`, which are positions with tangents. `at` has the parameters of
-    /// these keys. `None` if the curve's length is 0 or not finite.
+    /// Computes the table for the curve through keys. `at` holds the parameters of the keys, and `places` their
+    /// positions and tangents. `None` if the curve's length is 0 or not finite.
     pub fn new(at: &[f64], places: &[PlaceAndTangent]) -> Option<Self> {
         let keys: Vec<_> = at.iter().copied().zip(places.iter().copied()).collect();
         let mut curve = Self { keys, lengths: vec![(at[0], 0.0)] };
@@ -63,8 +64,8 @@ impl ArcLength {
         half * pairs.sum::<f64>()
     }
 
-    /// Converts a parameter of uniform motion to the curve's parameter. If a fraction f of the parameters' range lies
-    /// before `at`, the fraction f of the curve's length lies before the returned parameter.
+    /// Returns the curve's parameter at the position of a point at the time `at`. The point moves along the whole curve
+    /// at constant speed, while the time runs from the first key's parameter to the last key's parameter.
     pub fn parameter(&self, at: f64) -> f64 {
         let (first, last) = (self.lengths[0].0, self.lengths[self.lengths.len() - 1].0);
         let wanted = self.whole() * (at - first) / (last - first);

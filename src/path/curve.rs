@@ -18,7 +18,7 @@ pub(super) fn tangents(at: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>>
 }
 
 /// Returns the tangents at keys by parabolas through three keys. `slopes` has the mean slope in each interval between
-/// keys. `stands` says for each interval whether nothing moves in it. The tangents at both ends of such an interval are
+/// keys. `stands` is true for each interval in which nothing moves. The tangents at both ends of such an interval are
 /// 0.
 pub(super) fn parabolic(at: &[f64], slopes: &[Vector3<f64>], stands: &[bool]) -> Vec<Vector3<f64>> {
     let length = |k: usize| at[k + 1] - at[k];
@@ -42,8 +42,8 @@ pub(super) fn parabolic(at: &[f64], slopes: &[Vector3<f64>], stands: &[bool]) ->
 }
 
 /// Returns the slopes at keys of a monotone cubic interpolation (Fritsch and Butland 1984). Between two keys, the
-/// interpolation stays within the range of their values. Values on a line give this line. `at` has the parameters of
-/// the keys, ascending.
+/// interpolation stays within the range of their values. If all values lie on a line, the interpolation is this line.
+/// `at` has the parameters of the keys, ascending.
 pub(super) fn monotone_tangents(at: &[f64], values: &[f64]) -> Vec<f64> {
     let last = at.len() - 1;
     let length = |k: usize| at[k + 1] - at[k];
@@ -118,8 +118,8 @@ impl Hermite {
             + b_slope * (-h * t * t * u))
     }
 
-    /// Interpolates like [`Self::value`] between two values with monotone slopes. The result is clamped to the range of
-    /// the two values, against rounding errors.
+    /// Interpolates like [`Self::value`] between two pairs of value and slope, with the slopes of a monotone
+    /// interpolation. The result is clamped to the range of the two values, against rounding errors.
     pub fn monotone(&self, a: (f64, f64), b: (f64, f64)) -> f64 {
         self.value(a, b).clamp(a.0.min(b.0), a.0.max(b.0))
     }

@@ -24,7 +24,8 @@
 //! `at_s` is the time of the key in the video. `time_s` is the instant of the recording that the video then shows. Both
 //! are in seconds. Between keys with equal `time_s`, time stands still. Between keys with descending `time_s`, it runs
 //! backwards. At a key with `rest`, position, direction, lens and instant come to rest: their derivatives are 0. With
-//! `"constant_speed": true`, the position moves at constant speed. `rate_hz`, `rest` and `constant_speed` are optional.
+//! `"constant_speed": true`, the position moves at constant speed, and only the instant rests at such a key. `rate_hz`,
+//! `rest` and `constant_speed` are optional.
 //!
 //! | file | what |
 //! |---|---|
@@ -59,7 +60,8 @@ pub struct PathKey {
     pub time_s: f64,
     /// Position, direction and lens of the view.
     pub camera: Camera,
-    /// Whether position, direction, lens and instant come to rest at this key: their derivatives are 0.
+    /// Whether position, direction, lens and instant come to rest at this key: their derivatives are 0. If the path has
+    /// a constant speed, only the instant comes to rest.
     pub rest: bool,
 }
 
@@ -89,7 +91,7 @@ pub struct CameraPath {
     lenses: Vec<Vec<(f64, f64)>>,
     /// Instant of every key, seconds, and its slope, seconds per second of the video.
     times: Vec<(f64, f64)>,
-    /// Arc lengths of the curve of positions. `None` if the speed is not constant.
+    /// Arc lengths of the curve of positions. `None` if the speed is not constant, or if the curve has no length.
     lengths: Option<ArcLength>,
 }
 
@@ -114,7 +116,7 @@ pub enum PathError {
     Frames { duration_s: f64, frames: f64, rate_hz: f64 },
 }
 
-/// Maximum number of keys of a path: an hour with 27 keys per second.
+/// Maximum number of keys of a path: enough for an hour with 27 keys per second.
 const MAX_KEYS: usize = 100_000;
 /// Maximum absolute time in the video, and maximum absolute instant, seconds: more than a century. Within this range,
 /// differences of times are precise to microseconds.
@@ -181,7 +183,8 @@ impl CameraPath {
         self.keys[self.keys.len() - 1].at_s - self.keys[0].at_s
     }
 
-    /// Returns the path, stretched in time to another duration in seconds. A path with one key is unchanged.
+    /// Returns the path, stretched in time to another duration in seconds. Its first key is then at 0 s. A path with
+    /// one key is unchanged.
     #[must_use]
     pub fn lasting(&self, duration_s: f64) -> Self {
         let factor = duration_s / self.duration_s();
@@ -191,7 +194,7 @@ impl CameraPath {
         played.map_or_else(|_| self.clone(), |path| Self { rate_hz: self.rate_hz, ..path })
     }
 
-    /// The path, showing instants that are `seconds` later.
+    /// Returns the path with all instants moved by `seconds`. If `seconds` is positive, the path shows later instants.
     #[must_use]
     pub fn later(mut self, seconds: f64) -> Self {
         self.keys.iter_mut().for_each(|key| key.time_s += seconds);

@@ -1,9 +1,9 @@
 //! Finds the offset between two recordings that started seconds apart, to about one frame.
 //!
-//! Peaks of the normalized cross-correlation of the two cameras' activity signals ([`activity`]) propose a few
-//! offsets. Each proposed offset is verified by the epipolar candidates, eq. (10), of a few frame triples (two
-//! successive frames of camera a and one frame of camera b). The offset with the largest fraction of inliers is
-//! chosen.
+//! Peaks of the normalized cross-correlation of the two cameras' activity signals ([`activity`]) propose a few offsets.
+//! An offset candidate, eq. (10), is the offset that a single feature implies. Each proposed offset is verified by the
+//! offset candidates of a few frame triples (two successive frames of camera a and one frame of camera b). The offset
+//! with the largest fraction of inliers is chosen.
 //!
 //! Known limits: recordings shorter than 2 s are assumed to be aligned to about one frame, and periodic motion has no
 //! unique alignment.
@@ -190,8 +190,8 @@ impl Signal<'_> {
 }
 
 /// Returns the offsets `offset_b − offset_a`, seconds, at the highest local maxima of the correlation of two signals,
-/// highest maximum first. Offsets from −`search_s` to `search_s` are tried. `frame_s` is the longer frame period of
-/// the two cameras, seconds.
+/// highest maximum first. Offsets from −`search_s` to `search_s` are tried, in steps of half of `frame_s`. `frame_s` is
+/// the longer frame period of the two cameras, seconds.
 fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<f64> {
     // A peak of the correlation is about one frame period wide.
     let step = 0.5 * frame_s;

@@ -9,10 +9,10 @@
 //! standard deviation than other observations ([`super::fit::robust_loss`]). Further frames lost at the same image
 //! have a smaller penalty than the first.
 //!
-//! If several cameras lose frames at about the same time, shifting their image times together by a frame hardly
-//! changes the objective. [`super::jumps`] finds such jump moves, for any set of images. A jump move that lowers the
-//! objective is applied. If a jump move raises the objective by less than an outlier costs, the cameras whose images
-//! it shifts are undecided.
+//! If several cameras lose frames at about the same time, shifting their image times together by a frame hardly changes
+//! the objective. Such a shift of the times of any set of images is a jump move ([`super::jumps`]). A jump move that
+//! lowers the objective is applied. If a jump move raises the objective by less than an outlier costs, the cameras
+//! whose images it shifts are undecided.
 //!
 //! Known limits: frames that all cameras lose at the same time leave no trace. If observations contradict each other,
 //! a move of low cost may be missed. The camera that defines the common clock keeps its offset of 0 even if it is
@@ -30,9 +30,9 @@ const START_LOSS_PENALTY: f64 = 1.8;
 /// The penalty of one lost frame in the final models, as a multiple of an outlier's cost. It is the log odds
 /// against a lost frame at a given image, divided by the log odds against an outlier.
 const LOSS_PENALTY: f64 = 0.75;
-/// The minimum increase of the objective by every jump move of a camera for which the camera's image times count as
-/// certain, as a multiple of an outlier's cost. A jump move shifts some image times by whole frames. At 1, the
-/// evidence of a single observation is not sufficient.
+/// The increase of the objective below which a jump move makes the cameras that it shifts undecided, as a multiple of
+/// an outlier's cost. A jump move shifts some image times by whole frames. At 1, the evidence of a single observation
+/// is not sufficient.
 const DECISIVE_OUTLIERS: f64 = 1.0;
 /// The numbers of frames by which a jump move shifts the times of a set of images.
 const JUMPS: [i32; 4] = [1, -1, 2, -2];
@@ -208,8 +208,8 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// Returns, for each camera, whether a jump move (a shift of image times by whole frames) that shifts some of its
-    /// images increases the objective by less than [`DECISIVE_OUTLIERS`].
+    /// Returns, for each camera, whether its image times are undecided. They are undecided if a jump move (a shift of
+    /// image times by whole frames) of some of its images increases the objective by less than [`DECISIVE_OUTLIERS`].
     fn undecided(&self) -> Vec<bool> {
         let mut undecided = vec![false; self.clocks.len()];
         for frames in JUMPS {

@@ -21,8 +21,8 @@ pub const INLIER_BOUND_FRAMES: f64 = 3.0 * SIGMA_FRAMES;
 /// The length of an interval between two images, in frames, above which [`robust_loss`] no longer increases the
 /// standard deviation of the interval's observations.
 const MAX_LENGTH_FRAMES: f64 = 2.0;
-/// The maximum length of an interval between two images, in frames, whose observations are used to fit offset and
-/// rate. Intervals without a lost frame are shorter, even if the time stamps jitter.
+/// The maximum length of an interval between two images, in frames. Observations in longer intervals are not used to
+/// fit offset and rate. Intervals without a lost frame are shorter, even if the time stamps jitter.
 const MAX_INTERVAL_FRAMES: f64 = 1.5;
 /// The standard deviation of the prior on a drifting clock's rate, seconds per second.
 const RATE_SIGMA: f64 = 5e-4;
@@ -38,12 +38,13 @@ const MAX_RATE_STEPS: f64 = 1e3;
 const OFFSET_PRIOR_WEIGHT: f64 = 1e-3;
 /// The penalty of each further frame lost directly before the same image, as a multiple of an outlier's cost.
 const FURTHER_LOSS_PENALTY: f64 = 0.3;
-/// The maximum absolute value of a loss count (number of frames missing before an image) relative to the line. The
-/// computing time grows with the square of this number.
+/// The maximum absolute value of a loss count. A camera's lag is fitted by a line plus loss counts: the numbers of
+/// frames missing before each image, up to a common constant. The computing time grows with the square of this maximum.
 const MAX_LOST: i32 = 40;
 /// The maximum number of observed lags (common time minus nominal time) that are tried as the initial offset.
 const MAX_STARTS: usize = 64;
-/// The maximum number of alternations between fitting the loss counts and fitting the line.
+/// The maximum number of alternations between two fits: that of the loss counts (numbers of frames missing before each
+/// image), and that of the line (offset and rate).
 const MAX_ALTERNATIONS: usize = 12;
 /// The decrease of the cost in one alternation below which the fit has converged.
 const COST_TOLERANCE: f64 = 1e-9;
@@ -103,8 +104,8 @@ pub struct LagObservation {
 }
 
 impl LagObservation {
-    /// Returns the lag minus the line's value, frames. `line` holds the offset in frames and the rate in frames per
-    /// frame.
+    /// Returns the lag minus the value of `line` at this observation, frames. `line` holds the offset in frames and the
+    /// rate in frames per frame.
     fn lag_beyond(&self, line: &Vector2<f64>) -> f64 {
         self.lag_frames - line.x - line.y * self.elapsed_frames
     }
@@ -125,9 +126,9 @@ impl LagObservation {
     }
 }
 
-/// Returns the robust loss of a residual, frames, whose time was interpolated in an interval of `interval_frames`.
-/// The loss is the negative log-likelihood of a Gaussian, truncated at 1, the cost of an outlier. It is scaled so
-/// that a residual of [`INLIER_BOUND_FRAMES`] in an interval of one frame costs 1.
+/// Returns the robust loss of a residual in frames. The residual's time was interpolated between two images that are
+/// `interval_frames` frame periods apart. The loss is the negative log-likelihood of a Gaussian, truncated at 1, the
+/// cost of an outlier. It is scaled so that a residual of [`INLIER_BOUND_FRAMES`] in an interval of one frame costs 1.
 ///
 /// Trajectories are cubic curves, fitted as if no frame were missing. In a longer interval, the standard deviation of
 /// times therefore grows with the third power of the interval's length.
@@ -143,7 +144,8 @@ struct StepFit {
     line: Vector2<f64>,
     /// The indices of the images at which lags are observed, ascending.
     images: Vec<usize>,
-    /// The number of frames lost before each of `images`, relative to the line.
+    /// The loss count of each of `images`: the number of frames missing before the image, up to a common constant. The
+    /// constant belongs to the line's offset.
     loss_counts: Vec<i32>,
     cost: f64,
 }
@@ -180,9 +182,10 @@ impl LagProblem<'_> {
         (-steps..=steps).map(|n| f64::from(n) * step).collect()
     }
 
-    /// Returns the initial offset of the fit for a given rate, frames. Of the observed lags, corrected for the rate,
-    /// it is the one with the minimum sum of robust losses over all observations. For a camera that may lose frames,
-    /// residuals are taken modulo whole frames. `None` without observations.
+    /// Returns the initial offset of the fit for a given rate, frames. Up to [`MAX_STARTS`] of the observed lags are
+    /// tried, after the effect of the rate is subtracted. The one with the minimum sum of robust losses over all
+    /// observations is returned. For a camera that may lose frames, residuals are taken modulo whole frames. `None`
+    /// without observations.
     fn initial_offset(&self, rate: f64) -> Option<f64> {
         let line = Vector2::new(0.0, rate);
         let mut values: Vec<f64> = self.lags.iter().map(|o| o.lag_beyond(&line)).collect();
@@ -269,9 +272,10 @@ impl LagProblem<'_> {
         StepFit { line, images: by_image.into_keys().collect(), loss_counts, cost }
     }
 
-    /// Returns the possible loss counts (numbers of frames missing before an image) relative to the line: all
-    /// integers from the smallest to the largest observed count (lag minus line, rounded), and 0. Only 0 for a camera
-    /// that loses no frames.
+    /// Returns the possible loss counts for a given line. A loss count is the number of frames missing before an image,
+    /// up to a common constant. An observed count is the lag minus the line, rounded and limited to ±[`MAX_LOST`]. The
+    /// possible counts are all integers from the smallest to the largest of 0 and the observed counts. Only 0 for a
+    /// camera that loses no frames.
     fn candidate_loss_counts(&self, line: &Vector2<f64>) -> Vec<i32> {
         if !self.clock.may_lose_frames {
             return vec![0];

@@ -72,8 +72,8 @@ pub struct Jumps<'a> {
     nodes: Vec<MoveNode>,
     /// The range of each camera's nodes in `nodes`, by camera. The nodes of a camera ascend by image.
     of_camera: Vec<Range<usize>>,
-    /// The energy term of each timing observation: the nodes of its three images, and its cost for each combination
-    /// of their labels, as a multiple of an outlier's cost.
+    /// The energy term of each timing observation: the nodes of its three images, and its cost for each combination of
+    /// their labels (1 for a shifted node), as a multiple of an outlier's cost.
     terms: Vec<([usize; 3], TripleCosts)>,
     /// The shift of image times by a jump move, in frame periods of each camera. A positive shift makes times later.
     frames: i32,
@@ -96,7 +96,7 @@ impl<'a> Jumps<'a> {
     }
 
     /// Returns the energy term of a timing observation: the nodes of its three images, and its cost for each
-    /// combination of their labels. `None` if one of its cameras has no model.
+    /// combination of their labels (1 for a shifted node). `None` if one of its cameras has no model.
     fn term(&self, o: &TimingObservation) -> Option<([usize; 3], TripleCosts)> {
         let ([a, b], [k, m]) = (o.cameras, o.images);
         let [clock_a, clock_b] = o.cameras.map(|c| &self.component.clocks[c]);
@@ -118,9 +118,9 @@ impl<'a> Jumps<'a> {
         Some(([self.node(a, k)?, self.node(a, k + 1)?, self.node(b, m)?], costs))
     }
 
-    /// Returns a camera's nodes at which another set of its lost frames would start or end: the first and the last
-    /// node, and the nodes on both sides of each lost frame. If no jump move that shifts one of these nodes has a low
-    /// cost, the camera's lost frames are certain.
+    /// Returns the nodes that decide whether a camera's lost frames are certain: its first and last node, and the nodes
+    /// on both sides of each lost frame. A jump move that changes the camera's lost frames shifts at least one of these
+    /// nodes. If all such moves have a high cost, the lost frames are certain.
     pub fn decisive_nodes(&self, camera: usize) -> Vec<usize> {
         let range = self.of_camera[camera].clone();
         let at_loss = range.clone().filter(|n| self.nodes[*n].lost > 0);
@@ -274,8 +274,10 @@ fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     (nodes, of_camera)
 }
 
-/// Returns, for each camera, the indices of the first and the last image that other cameras could observe. Their
-/// times lie within the recordings of the cameras with which the camera has common observations, extended by one
+/// Returns, for each camera, the indices of the first and the last image that other cameras could observe.
+///
+/// The partners of a camera are the cameras with which it has common observations. The two images are the first and the
+/// last one between the start of the partners' first recording and the end of their last recording, extended by one
 /// frame period on both sides. `None` if there is no such image.
 fn observable_ends(component: &Component) -> Vec<Option<[usize; 2]>> {
     let image_times_s = |(model, clock): (&Option<ClockModel>, &NominalClock)| {

@@ -33,7 +33,7 @@ pub struct TimingObservation {
     pub cameras: [usize; 2],
     pub images: [usize; 2],
     /// The time of the image of camera `cameras[1]`, as a fraction of the interval between the two images of camera
-    /// `cameras[0]`: 0 to 1. It is slightly outside if the trajectory was extrapolated.
+    /// `cameras[0]`. It is from 0 to 1, or slightly outside this range if the trajectory was extrapolated.
     pub fraction: f64,
 }
 
@@ -80,9 +80,9 @@ const MIN_SCORE_FRACTION: f64 = 0.5;
 /// The minimum MSAC score of a frame triple (two frames of one camera, one frame of another), as a fraction of the
 /// number of its offset candidates.
 const MIN_INLIER_FRACTION: f64 = 0.3;
-/// The time between camera b's image and the nearer one of camera a's two images, as a fraction of the interval
-/// between these two, below which an observation requires [`MIN_AGREEMENT`]. Occluded features and T-junctions
-/// falsely agree on the time of one of camera a's images.
+/// If camera b's image is nearer in time than this to one of camera a's two images, an observation requires an
+/// agreement of at least [`MIN_AGREEMENT`]. The unit is the interval between camera a's two images. Occluded features
+/// and T-junctions falsely agree on the time of one of these two images.
 const NEAR_FRAME: f64 = 0.2;
 /// The maximum time by which camera b's image may be outside the interval between camera a's two images, as a
 /// fraction of this interval.
@@ -95,8 +95,9 @@ const MIN_JUMP_FRAMES: f64 = 0.6;
 const EXPECTED_WITHIN_FRAMES: f64 = 0.4;
 /// The number of images on either side of a lost frame that are observed again.
 const IMAGES_AROUND_LOSS: usize = 2;
-/// The maximum number of rounds of further observations. In each round, the frame triples (two frames of one camera,
-/// one frame of another) that the fitted clock models predict are observed too, and the models are fitted again.
+/// The maximum number of rounds of further observations. In each round, the fitted clock models tell which frame
+/// triples (two frames of one camera, one frame of another) are about simultaneous. Such triples are observed too, and
+/// the models are fitted again.
 const MAX_ROUNDS: usize = 3;
 
 /// Detects the lost frames of all cameras. Returns the fitted clock of each camera.
@@ -212,10 +213,10 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(())
     }
 
-    /// Observes the frame triples (two frames of one camera, one frame of another) that the fitted clock models
-    /// predict. Returns whether any observation is new. `clocks` and `models` have an entry for each camera. Near the
-    /// recordings' ends and near lost frames, every image of camera a is observed with up to three successive images
-    /// of camera b.
+    /// Observes further frame triples (two frames of one camera, one frame of another) that are about simultaneous
+    /// according to the fitted clock models. Near the recordings' ends and near lost frames, every image of camera a is
+    /// observed with up to three successive images of camera b. Returns whether any observation is new. `clocks` and
+    /// `models` have an entry for each camera.
     fn observe_again(
         &mut self,
         clocks: &[NominalClock],
@@ -253,7 +254,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(self.offsets.len() > count_before)
     }
 
-    /// Returns the indices of the images of camera a at which the offset is observed first. They are evenly spread.
+    /// Returns the indices of the evenly spread images of camera a at which the offset is observed first. More
+    /// images near lost frames are observed later ([`Self::observe_again`]).
     fn sampled_images(&self) -> Vec<usize> {
         let count = self.recording.clocks[self.cameras[0]].times_s.len() - 1;
         spread(count, self.recording.options.max_frames)
@@ -286,7 +288,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
     }
 
     /// Observes the offset at images k and k + 1 of camera a and image m of camera b. `None` if too few offset
-    /// candidates agree, or if they agree on a time too far outside the interval between a's two images.
+    /// candidates agree, or if they agree on a time too far outside the interval between a's two images. Also `None` if
+    /// this time is near one of these two images and the agreement is below [`MIN_AGREEMENT`].
     fn observe(&self, k: usize, m: usize) -> Result<Option<TripleOffset>, CaptureError> {
         let [times, times_b] = self.cameras.map(|c| &self.recording.clocks[c].times_s);
         let triple = self.recording.triple((self.cameras, [k, m]))?;
@@ -308,8 +311,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(valid.then_some(TripleOffset { timing, offset_s, score, agreement }))
     }
 
-    /// If the offsets of two observations differ by a jump, observes images between them by bisection, until
-    /// the jump is between two successive observable images.
+    /// If the offsets of two observations differ by a jump, observes images between them by bisection. The bisection
+    /// ends when no image between the two sides of the jump can be observed.
     fn bisect_jump(&mut self, from: TripleOffset, to: TripleOffset) -> Result<(), CaptureError> {
         let jump = (to.offset_s - from.offset_s) / self.frame_s;
         if jump.abs() < MIN_JUMP_FRAMES || to.timing.images[1] <= from.timing.images[1] {

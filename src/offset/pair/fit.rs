@@ -15,10 +15,10 @@ use std::sync::Arc;
 
 /// The RANSAC tolerance d of §7, as a fraction of the frame interval Δt.
 const TOLERANCE_FRACTION: f64 = 0.05;
-/// The product γ·Δt of the γ in eq. (12) and the frame interval Δt.
+/// The product γ·Δt: γ is the decay rate of the weights in eq. (12), and Δt the frame interval.
 const GAMMA: f64 = 70.0;
-/// The minimum fraction of inliers among a pair's offset candidates. Wrong candidates are spread over a few frames,
-/// so every window of twice the tolerance contains a small fraction of them.
+/// The minimum fraction of inliers among a pair's offset candidates. Wrong candidates are spread over a few frame
+/// periods, so a small fraction of them is within the tolerance of any offset.
 const MIN_INLIER_FRACTION: f64 = 0.15;
 /// The minimum number of moving features, as a fraction of all tracked features. If fewer move, they may be
 /// mismatches.
@@ -26,10 +26,10 @@ const MIN_MOVING_FRACTION: f64 = 0.01;
 /// The minimum number of inliers, as a fraction of the moving features. If all motion is along the epipolar lines,
 /// T-junctions and occluded features still seem to cross the lines, and agree on wrong times.
 const MIN_ACROSS_FRACTION: f64 = 0.05;
-/// The standard deviation of the error across the epipolar lines that all correspondences of a pair share, relative
-/// to the standard deviation of the residuals. This common error does not average out. It biases the offset in
-/// proportion to the mean signed speed of the features. In filmed scenes it is 0.001 to 0.006 px, at residuals of
-/// 0.03 px.
+/// All correspondences of a pair share an error perpendicular to the epipolar lines. This is the standard deviation of
+/// the shared error, as a fraction of the standard deviation of the inliers' residuals. The shared error does not
+/// average out: it biases the offset in proportion to the mean signed speed of the features. In filmed scenes it is
+/// 0.001 to 0.006 px, at residuals of 0.03 px.
 const COMMON_ERROR_FRACTION: f64 = 0.2;
 
 /// Frame triples (two frames of one camera, one frame of another) of one pair of cameras, with their offset
@@ -52,8 +52,8 @@ impl PairTriples {
         Ok(Self { cameras, triples: frames.iter().map(triple).collect::<Result<_, _>>()? })
     }
 
-    /// Returns the sum of `count` over all frame triples of the pair. `count` returns one of a triple's numbers of
-    /// features.
+    /// Returns the sum of `count` over all frame triples of the pair. `count` returns a number of features of a triple,
+    /// such as the number of tracked features.
     fn total(&self, count: fn(&FrameTriple) -> usize) -> usize {
         self.triples.iter().map(|(_, triple)| count(triple)).sum()
     }
@@ -93,8 +93,8 @@ impl PairTriples {
 /// A pair's offset candidates as observations of a line, which is the pair's offset as a function of time.
 struct PairObservations {
     samples: Vec<Sample>,
-    /// The observations of `offset_j − offset_i`, in the order of `samples`. The time of each counts from `center_s`
-    /// on camera i's clock.
+    /// The observations of `offset_j − offset_i`, in the order of `samples`. Their times are times on camera i's clock
+    /// minus `center_s`, seconds.
     observations: Vec<Observation>,
     /// The middle of the time span of all offset candidates, seconds on camera i's clock.
     center_s: f64,
@@ -211,8 +211,9 @@ pub fn refit_pair(
     Some(refitted)
 }
 
-/// Fits the mixture to a pair's observations. Fails if there are too few features, too few features that move across
-/// the epipolar lines, or too few inliers.
+/// Fits a mixture model of inliers and outliers ([`Mixture`]) to a pair's observations. Fails if there are too few
+/// features, too few features that move across the epipolar lines, or too few inliers. Also fails if the offset
+/// contradicts the nominal clocks and too few features agree on it.
 fn checked_mixture(
     pair: &PairTriples,
     data: &PairObservations,
@@ -238,9 +239,11 @@ fn checked_mixture(
     Ok(mixture)
 }
 
-/// Fits the mixture, starting at the offset with the highest consensus. `None` if the observations do not determine
-/// the line. If `with_rate` is true, the initial rate is subtracted first, since no single offset has a consensus
-/// while the offset changes.
+/// Fits a mixture model ([`Mixture`]) with a line through the inliers, starting at the offset with the highest
+/// consensus. `None` if the observations do not determine the line.
+///
+/// If `with_rate` is true, the offset changes with time, and no constant offset is near most observations. The change
+/// at the rate of `initial` is therefore subtracted from the observations before the start is chosen.
 fn fit_line(data: &PairObservations, initial: &ClockModel, with_rate: bool) -> Option<Mixture> {
     let rate = if with_rate { initial.rate } else { 0.0 };
     let relative = |o: &Observation| Observation { value_s: o.value_s - rate * o.at_s, ..*o };
@@ -250,8 +253,8 @@ fn fit_line(data: &PairObservations, initial: &ClockModel, with_rate: bool) -> O
     Some(Mixture { rate: mixture.rate + rate, ..mixture })
 }
 
-/// Returns the estimates from one frame triple (two frames of one camera, one frame of another): by RANSAC and WLS,
-/// eqs. (11) to (13), and by the mixture. `None` if the triple has too few inliers.
+/// Returns two estimates from one frame triple (two frames of one camera, one frame of another): by RANSAC and WLS,
+/// eqs. (11) to (13), and by a mixture model ([`Mixture`]). `None` if the triple has too few inliers.
 fn frame_estimate(
     recording: &Recording,
     pair: &PairTriples,
@@ -313,9 +316,8 @@ fn std_err(
     (variance > 0.0).then(|| variance.sqrt().hypot(common_error_s(observations, estimate)))
 }
 
-/// Returns the effective number of independent tracker windows that determine the offset at one instant. It is the
-/// mean over all frame triples, weighted by their information. `weights` are the weights of all triples' samples, in
-/// order.
+/// Returns the effective number of independent tracker windows that determine the offset at one instant. It is the mean
+/// over all frame triples, weighted by their information. `weights` has the weight of each sample, triple by triple.
 fn independent_windows(pair: &PairTriples, weights: &[f64]) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     let mut weights = weights.iter();
@@ -333,8 +335,8 @@ fn independent_windows(pair: &PairTriples, weights: &[f64]) -> f64 {
     if total > 0.0 { sum / total } else { 0.0 }
 }
 
-/// Returns the standard error of the offset due to the correspondences' common error across the epipolar lines
-/// ([`COMMON_ERROR_FRACTION`]), seconds; 0 without information.
+/// Returns the standard error of the offset that results from the shared error of all correspondences across the
+/// epipolar lines ([`COMMON_ERROR_FRACTION`]), seconds; 0 if no observation has any weight.
 fn common_error_s(observations: &[Observation], estimate: &PairEstimate) -> f64 {
     let (mut signed, mut squared) = (0.0, 0.0);
     for (o, (sample, weight)) in observations.iter().zip(estimate.samples.iter()) {

@@ -106,8 +106,8 @@ pub fn consensus_value(observations: &[Observation]) -> Option<(f64, f64)> {
 }
 
 impl Mixture {
-    /// Fits the mixture by EM, starting from the constant line `start_s`, seconds. A slope is fitted if `with_rate`
-    /// is true. `frame_s` is the frame period of the cameras, seconds.
+    /// Fits the mixture by EM, starting from a line with the constant offset `start_s`, seconds. A slope is fitted if
+    /// `with_rate` is true. `frame_s` is the frame period, seconds, which determines the range of the outliers' times.
     ///
     /// `None` if the observations do not determine the line: there are none, all have a speed of 0, or all have the
     /// same time although a slope is fitted.

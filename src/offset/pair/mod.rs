@@ -35,7 +35,8 @@ pub struct PairEstimate {
     pub candidates: usize,
     /// The number of inliers as a fraction of all features that move across their epipolar lines, 0 to 1.
     pub agreement: f64,
-    /// The standard deviation of the inliers' distances from their epipolar lines, pixels.
+    /// The standard deviation of the inliers' distances from their epipolar lines, pixels. It is that of the narrowest
+    /// inlier component of the mixture model.
     pub sigma_px: f64,
     /// The estimates from single frame triples: two successive frames of one of the two cameras and a frame of the
     /// other camera. Triples with too few inliers are left out.
@@ -80,8 +81,8 @@ pub struct FrameEstimate {
     pub by_information_s: f64,
 }
 
-/// Reason why a pair has no estimate; the variants are in the order of the stages of the estimation. If all pairs of
-/// a camera fail, the text of a reason explains why the camera's offset is unknown.
+/// Reason why a pair has no estimate; the variants are in the order of the stages of the estimation. If all pairs of a
+/// camera fail, the failure at the latest stage is given as the reason why the camera's offset is unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
 pub enum PairFailure {
     /// According to the clocks, no frame of one camera lies between two frames of the other camera.
@@ -112,8 +113,8 @@ pub enum PairFailure {
 
 /// The maximum absolute offset that is consistent with the nominal clocks, in frames.
 pub const NOMINAL_CLOCK_FRAMES: f64 = 1.5;
-/// The minimum agreement ([`PairEstimate::agreement`]) of an offset that is larger than [`NOMINAL_CLOCK_FRAMES`].
-/// Such an offset may be wrong by the period of a swinging object, whose features are inliers of both offsets.
+/// The minimum agreement ([`PairEstimate::agreement`]) of an offset that is larger than [`NOMINAL_CLOCK_FRAMES`]. The
+/// features of a swinging object also agree on offsets that are wrong by the period of the swing.
 pub const MIN_AGREEMENT: f64 = 0.5;
 /// The minimum number of inliers of a pair's estimate.
 pub const MIN_INLIERS: usize = 12;
@@ -125,13 +126,13 @@ const MAX_ALIGNMENT: f64 = 0.9;
 /// before. On a grid, these are a camera of the same column and a camera of a diagonal.
 const OTHER_DIRECTIONS: usize = 2;
 
-/// Returns the pairs of cameras to estimate, as ascending pairs of camera indices in ascending order. `clock` holds
-/// the index of each camera's clock.
+/// Returns the pairs of cameras whose offsets are estimated, as pairs of camera indices [i, j] with i < j. The pairs
+/// are sorted. `clock` holds the index of each camera's clock.
 ///
-/// Every camera is paired with its `neighbors` nearest cameras, including all at equal distances, and with the
-/// nearest cameras in other directions. On a grid, motion along the epipolar lines of the rows runs across the
-/// epipolar lines of the columns and diagonals. For [`OffsetMethod::Pairwise`], every camera is paired only with the
-/// reference camera (§7). Cameras that share a clock or a centre form no pair.
+/// Every camera is paired with its `neighbors` nearest cameras, including all at equal distances, and with the nearest
+/// cameras in other directions. On a grid, motion along the epipolar lines of the rows runs across the epipolar lines
+/// of the columns and diagonals. For [`OffsetMethod::Pairwise`], every camera is paired only with the reference camera
+/// (§7). Cameras that share a clock or a centre form no pair.
 pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs: Vec<[usize; 2]> = Vec::new();

@@ -31,11 +31,11 @@ const MAX_ITERATIONS: usize = 100;
 /// Convergence threshold of [`weighted_least_squares`]: the change |t̃_new − t̃_old| · γ of the mean t̃ by one iteration.
 const TOLERANCE: f64 = 1e-9;
 
-/// Returns the mean by iterated weighted least squares, eqs. (11) to (13). The iteration starts at the unweighted
-/// mean t̃. Each step computes the weighted mean with the weights `exp(−γ |t̃ − t̃_k|)`, until it converges.
+/// Returns the mean by iterated weighted least squares, eqs. (11) to (13). The iteration starts at the unweighted mean
+/// t̃. Each step computes the mean of the values t̃_k with the weights `exp(−γ |t̃ − t̃_k|)`, until it converges.
 ///
-/// `gamma` is γ, in the inverse unit of `values`; at 0 the result is the unweighted mean. `None` without values. If
-/// all weights underflow, the result is the mean of the last iteration.
+/// `gamma` is γ, in the inverse unit of `values`; at 0 the result is the unweighted mean. `None` if there are no
+/// values. If all weights underflow, the result is the mean of the last iteration.
 pub fn weighted_least_squares(values: &[f64], gamma: f64) -> Option<f64> {
     if values.is_empty() {
         return None;

@@ -142,8 +142,9 @@ fn is_near(recording: &Recording, start: &ClockModel, pair: &PairEstimate) -> bo
         && (pair.clock.offset_s - start.offset_at(pair.clock.reference_s)).abs() <= i.max(j)
 }
 
-/// Returns the [`FIRST_TRIPLES`] frame triples in the middle of each direction. `i` is the camera with two frames in
-/// the first direction. `None` if a direction has at most twice as many triples.
+/// Returns [`FIRST_TRIPLES`] frame triples of each direction, from the middle of the recording. `frames` holds all
+/// triples: first those with two frames of camera `i`, then those with two frames of the other camera. `None` if one of
+/// the two directions has at most 2·[`FIRST_TRIPLES`] triples.
 fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     let (forward, backward) = frames.split_at(frames.partition_point(|([a, _], _)| *a == i));
     let mut chosen = Vec::new();
@@ -198,8 +199,8 @@ pub fn estimate_pairs(
     Ok(pairs.into_iter().map(|pair| pair.estimate).collect())
 }
 
-/// Returns how many of the first pairs form a group, at least 1. The group's frames at one instant fit the frame
-/// cache, and its offset candidates of two rounds fit the cache of candidates.
+/// Returns how many pairs, counted from the start of `pairs`, form the next group; at least 1. The group's frames at
+/// one instant fit the frame cache. Its offset candidates of two rounds fit the cache of candidates.
 fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     let options = recording.options;
     // The factor 4 is for two directions and two rounds.
@@ -213,8 +214,8 @@ fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     pairs[..max_pairs].iter().take_while(fits).count().max(1)
 }
 
-/// Returns the offset of each camera's clock, seconds, relative to one of the cameras to which pairs with an initial
-/// offset connect it. The offset is 0 for a camera that no such pair connects to another.
+/// Returns the offset of each camera's clock, seconds. Cameras that are connected by pairs with an initial offset have
+/// offsets relative to one of these cameras. The offset is 0 for a camera without such a pair.
 fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
     let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_ok()).collect();
     let mut clocks_s: Vec<Option<f64>> = vec![None; cameras];

@@ -122,8 +122,9 @@ impl ThreeFrames<'_> {
         tracks.iter().zip(in_j).enumerate().filter_map(crossing).collect()
     }
 
-    /// Returns whether a feature can have an offset candidate with any camera j: its trajectory is smooth, and its
-    /// motion is at least `min_across_px` long. The motion then suffices for epipolar lines of some direction.
+    /// Returns whether a feature can have an offset candidate with some camera j: its trajectory is smooth, and its
+    /// motion is at least `min_across_px` long. There are then directions of epipolar lines for which the motion
+    /// suffices.
     pub fn can_cross(&self, track: &Track) -> bool {
         let ideal = |p| self.camera_i.model.ideal_from_pixel(p);
         let motion = ideal(&track.earlier).zip(ideal(&track.later)).map(|(from, to)| to - from);
@@ -134,8 +135,8 @@ impl ThreeFrames<'_> {
     }
 
     /// Computes a feature's offset candidate for a given epipolar line: the crossing of trajectory and line, by
-    /// Newton's method. The outer `None` means too little motion across the line or no valid trajectory, the inner
-    /// `None` no crossing near the two frames.
+    /// Newton's method. The outer `None` means that the feature moves too little across the line, or has no valid
+    /// trajectory. The inner `None` means that there is no crossing near the two frames.
     fn crossing(&self, line: &EpipolarLine, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let trajectory = Trajectory::new(samples.iter().copied())?;
@@ -181,8 +182,9 @@ impl ThreeFrames<'_> {
 
     /// Returns the trajectory's samples as (time, position): seconds on camera i's clock, and undistorted pixels.
     ///
-    /// `None` if trajectories are curved and the feature is tracked into none of the neighbouring frames that exist,
-    /// or moves abruptly there. Also `None` if a position can't be undistorted.
+    /// `None` if a position can't be undistorted. If trajectories are curved and camera i has more than two frames, the
+    /// feature must also be tracked into the frame before or the frame after the two frames, and must not move abruptly
+    /// there. Otherwise the result is `None` too.
     fn samples(&self, track: &Track) -> Option<Vec<(f64, Point2<f64>)>> {
         let k = self.index_i;
         let last = self.times_i.times_s.len() - 1;

@@ -168,7 +168,8 @@ impl<'a> Recording<'a> {
         self.triples.get(&triple).is_some()
     }
 
-    /// Removes the offset candidates of a pair of cameras from the cache, in both directions.
+    /// Removes all offset candidates of a pair of cameras from the cache: those of triples with two frames of a, and
+    /// those of triples with two frames of b.
     pub fn release_pair(&self, [a, b]: [usize; 2]) {
         self.triples.retain(|(pair, _)| *pair != [a, b] && *pair != [b, a]);
     }
