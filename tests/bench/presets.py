@@ -1,6 +1,6 @@
 """The default beside presets and methods: decibels and processor seconds of views beside the truth.
 
-    .venv/bin/python tests/bench/presets.py CAPTURE...
+    .venv/bin/python tests/bench/presets.py [--instants N] CAPTURE...
 
 Rendered are the views of the truth that no camera has, such as `between`, at all instants of the truth. Offsets
 are those of the capture's folder. A row has the mean PSNR over the views, of the moving part and of the whole
@@ -11,7 +11,7 @@ folder, so give a copy of it. It needs `stlfr setup`.
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from pathlib import Path
 from typing import Any
@@ -32,8 +32,14 @@ ROWS: tuple[tuple[str, str, dict[str, Any]], ...] = (
 
 def main() -> None:
     """Print a table for every capture."""
-    for folder in map(Path, sys.argv[1:]):
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE")
+    parser.add_argument("--instants", type=int, default=100)
+    arguments = parser.parse_args()
+    for folder in arguments.captures:
         views = free_views(folder)
+        times_s = sorted({view["time_s"] for view in views})[: arguments.instants]
+        views = [view for view in views if view["time_s"] in times_s]
         print(f"\n{folder.name}: {len(views)} views\n", flush=True)
         print(
             "| options | moving part, dB | whole, dB | s |\n|---|---|---|---|",
