@@ -257,8 +257,9 @@
 //!   images, larger errors pass the check. It says how large. With few features it can't tell, and says so.
 //! - `stlfr calibrate` takes cameras that don't move, and something textured that stands still. Cameras that look one
 //!   way don't tell their focal length: it is near a guess, and the command says so.
-//! - Cameras' gains and white balances are corrected by one factor a channel for the whole recording.
-//!   Automatic exposure is not followed.
+//! - Automatic exposure and white balance are followed where a camera sees still, textured surfaces, and changes
+//!   differ between cameras. A sudden change is spread over half a second. If all cameras change alike, the light of
+//!   the scene is assumed to change.
 //! - A rolling shutter's readout time (`readout_s` of a camera's clock) has to be given; it is not estimated. Rows are
 //!   those of the camera's own image, lens distortion included; `--proxy scene-flow` takes those of the undistorted one.
 //!   A camera's own motion is none. These take a frame's rows for simultaneous: `--sync nearest` and `crossfade`,

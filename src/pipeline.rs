@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 /// Cache of plans. Planning renders dozens of views, which later commands then don't repeat. A change of the renderer
 /// that changes views needs a new version, because plans are chosen by views.
-const PLANS: CacheKind = CacheKind { name: "plans", version: 3 };
+const PLANS: CacheKind = CacheKind { name: "plans", version: 4 };
 
 /// Opens a capture's light field. Clock offsets are known, read from the capture's folder, or else estimated and
 /// stored there ([`resolve_offsets`]). Notes on the reporter say which. They also name the cameras with unknown

@@ -125,8 +125,8 @@ pub struct GivenImages {
 }
 
 impl GivenImages {
-    /// Images with each camera's own exposure: one for each camera, in the capture's order; `None` if the
-    /// camera has none.
+    /// Images with each camera's own exposure, that of its first frame: one for each camera, in the capture's order;
+    /// `None` if the camera has none.
     pub fn filmed(images: Vec<Option<Arc<Synchronized>>>) -> Self {
         Self { images, are_corrected: false, hash: OnceLock::new() }
     }
@@ -158,10 +158,16 @@ impl GivenImages {
         &self.images
     }
 
-    /// A camera's image, gain-corrected to the reference camera's exposure.
-    pub(super) fn corrected_of(&self, camera: usize, gains: &Gains) -> Option<Arc<Synchronized>> {
+    /// A camera's image, gain-corrected to the reference camera's exposure. `first_s` is the time of the camera's first
+    /// frame on its own clock, seconds.
+    pub(super) fn corrected_of(
+        &self,
+        camera: usize,
+        first_s: f64,
+        gains: &Gains,
+    ) -> Option<Arc<Synchronized>> {
         let given = self.images.get(camera)?.as_ref()?;
-        let image = gains.corrected(camera, &given.image).filter(|_| !self.are_corrected);
+        let image = gains.corrected(camera, first_s, &given.image).filter(|_| !self.are_corrected);
         Some(image.map_or_else(|| given.clone(), |image| Arc::new(with_image(given, image))))
     }
 

@@ -48,7 +48,7 @@ const MAX_REASON_CHARS: usize = 500;
 const REMEDY: &str = "without the file, offsets are estimated";
 
 /// The cache kind that enters the hash of an estimate.
-const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 1 };
+const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 2 };
 
 /// The content of a capture's `offsets.json`.
 #[derive(Clone, Debug, PartialEq)]

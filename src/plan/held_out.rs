@@ -57,8 +57,9 @@ struct HeldOutFrame {
     view_s: f64,
     /// The held-out frame, corrected to the reference camera's gains.
     truth: Image,
-    /// Index, in the whole capture, of the camera to whose gains the views of `neighbors` are corrected.
-    bright_as: usize,
+    /// The exposure of the views of `neighbors`: that of a camera, by its index in the whole capture, at a time on its
+    /// own clock, seconds.
+    exposure: (usize, f64),
     gains: Arc<Gains>,
     /// Mask, row by row, of the pixels at which the frame differs from the frame before or after it.
     changing: Vec<bool>,
@@ -209,6 +210,10 @@ impl HeldOutFrame {
         let between = |s: &f64| Reverse(whole.between_frames(*s, MIN_FRACTION));
         let Some(view_s) = instants.into_iter().min_by_key(between) else { return Ok(None) };
         let gains = whole.gains(registration);
+        let own_s = filmed.clock.times_s[frame];
+        let bright_as = order[neighbors.capture().reference];
+        let bright_as_s = &capture.cameras[bright_as].clock.times_s;
+        let middle_s = bright_as_s[bright_as_s.len() / 2];
         let changing_px: Vec<f32> = changing.iter().map(|c| f32::from(u8::from(*c))).collect();
         Ok(Some(Self {
             camera: filmed.camera.clone(),
@@ -217,9 +222,9 @@ impl HeldOutFrame {
             view,
             view_s,
             near_changing: moving_part(&changing_px, truth.width(), 0.5, PARALLAX_PX),
-            truth: gains.corrected(camera, &truth).unwrap_or(truth),
+            truth: gains.corrected(camera, own_s, &truth).unwrap_or(truth),
             gains,
-            bright_as: order[neighbors.capture().reference],
+            exposure: (bright_as, middle_s),
             changing,
             neighbors,
         }))
@@ -242,7 +247,8 @@ impl HeldOutFrame {
 
     /// Sum of squared errors of a view against this frame, over the pixels where `counts` is true.
     fn squared_error(&self, view: &Rendered, counts: &[bool]) -> f64 {
-        let image = self.gains.corrected(self.bright_as, &view.image);
+        let (camera, own_s) = self.exposure;
+        let image = self.gains.corrected(camera, own_s, &view.image);
         squared(image.as_ref().unwrap_or(&view.image), &self.truth, counts)
     }
 }
@@ -326,10 +332,12 @@ pub(crate) fn recorded(
     frame: usize,
 ) -> Result<(Image, Vec<bool>), CaptureError> {
     let image = frames.get(camera, frame)?.image.clone();
+    let own_s = frames.capture().cameras[camera].clock.times_s[frame];
     let mut moving = vec![false; image.width() * image.height()];
     for other in [frame.checked_sub(1), Some(frame + 1)].into_iter().flatten() {
         if other < frames.capture().cameras[camera].frames.len() {
-            let changed = changed_pixels(&image, &frames.get(camera, other)?.image);
+            let changed =
+                changed_pixels(&image, &frames.get_exposed_at(camera, other, own_s)?.image);
             moving.iter_mut().zip(changed).for_each(|(m, c)| *m |= c);
         }
     }

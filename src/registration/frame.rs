@@ -5,7 +5,7 @@ use super::pyramid::PyramidLevel;
 use super::{Pyramid, RegistrationOptions, corners};
 use crate::raster::Image;
 use nalgebra::Point2;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// A frame with its pyramid, corners and gradients.
 #[derive(Debug)]
@@ -13,7 +13,7 @@ pub struct Frame {
     /// The image as filmed.
     pub image: Image,
     /// The pyramid for tracking, of the image gain-corrected to the reference camera's exposure.
-    pub pyramid: Pyramid,
+    pub pyramid: Arc<Pyramid>,
     corners: OnceLock<Vec<Point2<f64>>>,
     gradients: OnceLock<PolarGradients>,
 }
@@ -21,9 +21,15 @@ pub struct Frame {
 impl Frame {
     /// A frame whose pyramid is that of the image as filmed, without gain correction.
     pub fn new(image: Image, options: &RegistrationOptions) -> Self {
-        let pyramid = Pyramid::new(&image, options.levels, options.pad_px());
+        let pyramid = Arc::new(Pyramid::new(&image, options.levels, options.pad_px()));
         let (corners, gradients) = (OnceLock::new(), OnceLock::new());
         Self { image, pyramid, corners, gradients }
+    }
+
+    /// The frame with its image at another exposure. It shares the pyramid.
+    pub(super) fn with_image(&self, image: Image) -> Self {
+        let (corners, gradients) = (OnceLock::new(), OnceLock::new());
+        Self { image, pyramid: self.pyramid.clone(), corners, gradients }
     }
 
     /// The frame's corners (§4.1), pixels. They are computed by the first call, with its options; later calls

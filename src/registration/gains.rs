@@ -1,59 +1,59 @@
 //! Photometric calibration (beyond the paper): the gain of each camera relative to the reference camera, due
-//! to exposure and white balance.
+//! to exposure and white balance, and its change over the recording.
 //!
 //! Features of each camera's frame are matched in the frames of its nearest neighbours, after a rough
 //! correction by median brightness. The ratios of their linear light, channel by channel, are solved for all
 //! cameras' gains by weighted least squares. Cameras whose gains do not differ significantly from 1 are not
-//! corrected.
+//! corrected. The changes over a recording are those of [`GainCurve`].
 //!
-//! Known limits: there is one gain per channel and camera for the whole recording (no automatic exposure, no
-//! vignetting). Cameras whose frames have no features in common are assumed to have the same gains.
+//! The common exposure, to which images are corrected, is that of the reference camera's middle frame.
+//!
+//! Known limits: there is one gain for the whole image (no vignetting). Cameras whose frames have no features in
+//! common are assumed to have the same gains.
 
+use super::gain_changes::{MAX_KNOTS, gain_curves};
+use super::gain_curve::{GainCurve, GainKnot};
+use super::gain_ratios::{
+    LogGain, MIN_DIFFERENCE, MIN_STD_ERRORS, Ratio, USABLE, median, shrunk, solve_log_gains,
+};
 use super::{Frame, Match, RegistrationOptions, flow};
 use crate::capture::Capture;
 use crate::host::CacheKind;
 use crate::raster::{Image, LUMINANCE, encoded_from_linear, linear_from_encoded};
-use nalgebra::{DMatrix, DVector, Point2};
+use nalgebra::Point2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// The gains of a capture's cameras, by channel: the ratio of the linear light that a camera records to the
-/// linear light that the reference camera records of the same surface.
+/// linear light that the reference camera records of the same surface in its middle frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    /// For each camera the gains of red, green and blue; three equal ones for a grey camera.
+    /// For each camera the gains of red, green and blue at its middle frame; three equal ones for a grey camera.
     pub factors: Vec<[f64; 3]>,
+    /// For each camera the change of its gains over its recording.
+    pub curves: Vec<GainCurve>,
     /// The largest measured difference of a gain from 1, significant or not, and its standard error; (0, 0)
     /// if no cameras were compared.
     pub largest: (f64, f64),
 }
 
-/// Minimum difference of a gain from 1 that is corrected. Between cameras with equal gains, moving objects
-/// and specular surfaces cause measured differences of up to 0.019. A difference of 0.03 changes the
-/// brightest 8-bit values by 3.
-const MIN_DIFFERENCE: f64 = 0.03;
-/// Minimum difference of a gain from 1 that is corrected, in units of its standard error.
-const MIN_STD_ERRORS: f64 = 4.0;
 /// Number of nearest cameras that each camera is compared with.
 const NEIGHBORS: usize = 2;
 /// Maximum width of the compared images, pixels; larger images are halved repeatedly.
 const WIDTH_PX: usize = 250;
-/// Minimum number of matched features for comparing two cameras.
-const MIN_FEATURES: usize = 12;
 /// Range of gains that are accepted when they are read from disk.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Half-width of the windows whose mean linear light is compared, pixels.
 const RADIUS_PX: isize = 2;
-/// Range of gamma-encoded pixel values (0 to 1) that are used: neither clipped nor dominated by noise.
-const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
 
 impl Gains {
     /// The kind of the gains' entries in the disk cache.
-    pub(crate) const KIND: CacheKind = CacheKind { name: "gains", version: 1 };
+    pub(crate) const KIND: CacheKind = CacheKind { name: "gains", version: 2 };
 
     /// Gains of 1 for this many cameras.
     pub fn equal(cameras: usize) -> Self {
-        Self { factors: vec![[1.0; 3]; cameras], largest: (0.0, 0.0) }
+        let curves = vec![GainCurve::default(); cameras];
+        Self { factors: vec![[1.0; 3]; cameras], curves, largest: (0.0, 0.0) }
     }
 
     /// Whether gains that were read from a file are valid for this many cameras.
@@ -61,45 +61,83 @@ impl Gains {
         let (difference, std_err) = self.largest;
         let are_measured = [difference, std_err].iter().all(|v| v.is_finite() && *v >= 0.0);
         let are_gains = self.factors.iter().flatten().all(|g| PLAUSIBLE.contains(g));
-        are_measured && are_gains && self.factors.len() == cameras
+        let are_all = self.factors.len() == cameras && self.curves.len() == cameras;
+        are_measured && are_gains && are_all && self.curves.iter().all(GainCurve::is_plausible)
     }
 
-    /// Whether all gains are 1, so that nothing is corrected.
+    /// Upper bound on the size on disk of the gains of this many cameras, bytes.
+    pub(crate) fn max_stored_bytes(cameras: usize) -> usize {
+        cameras * (size_of::<[f64; 3]>() + MAX_KNOTS * size_of::<GainKnot>() + size_of::<usize>())
+    }
+
+    /// The size in memory, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        let curves = self.curves.iter().map(|curve| size_of::<GainCurve>() + curve.bytes());
+        size_of_val(&self.factors[..]) + curves.sum::<usize>()
+    }
+
+    /// Whether all gains are always 1, so that nothing is corrected.
     pub fn are_equal(&self) -> bool {
         self.factors.iter().all(|f| *f == [1.0; 3])
+            && self.curves.iter().all(GainCurve::is_constant)
     }
 
-    /// A camera's image (encoded values), gain-corrected to the reference camera's exposure; `None` if the
-    /// camera's gains are 1. Values may leave 0..=1.
+    /// The gains of red, green and blue of a camera at a time on its own clock, seconds.
     ///
     /// # Panics
     /// If there is no such camera.
-    pub fn corrected(&self, camera: usize, image: &Image) -> Option<Image> {
-        let factors = self.factors[camera];
+    pub fn at(&self, camera: usize, time_s: f64) -> [f64; 3] {
+        let (factors, curve) = (self.factors[camera], &self.curves[camera]);
+        if curve.is_constant() {
+            return factors;
+        }
+        let log = curve.log_at(time_s);
+        [0, 1, 2].map(|c| factors[c] * log[c].exp())
+    }
+
+    /// A camera's image (encoded values), exposed at a time on its own clock in seconds, gain-corrected to the common
+    /// exposure; `None` if the gains are 1. Values may leave 0..=1.
+    ///
+    /// # Panics
+    /// If there is no such camera.
+    pub fn corrected(&self, camera: usize, time_s: f64, image: &Image) -> Option<Image> {
+        let factors = self.at(camera, time_s);
         (factors != [1.0; 3]).then(|| scaled(image, factors.map(|f| 1.0 / f)))
     }
 
-    /// The inverse of [`Self::corrected`]: converts an image (encoded values) with the reference camera's
-    /// exposure to the exposure of `camera`; `None` if the camera's gains are 1.
+    /// The inverse of [`Self::corrected`]: converts an image (encoded values) with the common exposure to the exposure
+    /// of `camera` at a time on its own clock, seconds; `None` if the gains are 1.
     ///
     /// # Panics
     /// If there is no such camera.
-    pub fn as_filmed(&self, camera: usize, image: &Image) -> Option<Image> {
-        let factors = self.factors[camera];
+    pub fn as_filmed(&self, camera: usize, time_s: f64, image: &Image) -> Option<Image> {
+        let factors = self.at(camera, time_s);
         (factors != [1.0; 3]).then(|| scaled(image, factors))
     }
 
-    /// Estimates the gains from one frame of each camera, in the middle of its recording. A camera whose
-    /// frame cannot be read is left out; the error is reported when the frame is used.
+    /// A camera's image (encoded values), converted from its exposure at one time on its own clock to that at another,
+    /// seconds; `None` if they are the same. Values may exceed 1.
+    ///
+    /// # Panics
+    /// If there is no such camera.
+    pub fn exposed_at(
+        &self,
+        camera: usize,
+        [from_s, to_s]: [f64; 2],
+        image: &Image,
+    ) -> Option<Image> {
+        let curve = &self.curves[camera];
+        let [from, to] = [from_s, to_s].map(|time_s| curve.log_at(time_s));
+        (from != to).then(|| scaled(image, [0, 1, 2].map(|c| (to[c] - from[c]).exp())))
+    }
+
+    /// Estimates the gains from one frame of each camera, in the middle of its recording, and their changes from a few
+    /// more. A camera whose frame cannot be read is left out; the error is reported when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
         let count = capture.cameras.len();
         let small_image = |c: usize| {
             let middle = capture.cameras[c].frames.len() / 2;
-            let mut image = capture.read_frame(c, middle).ok()?;
-            while image.width() > WIDTH_PX && image.height() > 1 {
-                image = halved(&image);
-            }
-            Some(image)
+            Some(shrunk(capture.read_frame(c, middle).ok()?, WIDTH_PX))
         };
         let images: Vec<Option<Image>> = (0..count).into_par_iter().map(small_image).collect();
         let level = |image: &Image| {
@@ -118,7 +156,7 @@ impl Gains {
             let [Some(from), Some(to)] = cameras.map(|c| frames[c].as_ref()) else { return None };
             let [Some(a), Some(b)] = cameras.map(|c| images[c].as_ref()) else { return None };
             let starts: Vec<_> = from.corners(options).iter().map(|&p| (p, p)).collect();
-            Ratio::between(cameras, [a, b], &flow(from, to, &starts, options))
+            ratio_between(cameras, [a, b], &flow(from, to, &starts, options))
         };
         let ratios: Vec<Ratio> = neighbors(capture).into_iter().filter_map(ratio).collect();
         let mut gains = solve_gains(count, capture.reference, &ratios);
@@ -130,14 +168,9 @@ impl Gains {
                 *factors = luminance(*factors);
             }
         }
+        gains.curves = gain_curves(capture);
         gains
     }
-}
-
-/// The upper median; there is at least one value.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }
 
 /// The luminance of linear light, as three equal channels.
@@ -159,17 +192,6 @@ fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     pairs.sort_unstable();
     pairs.dedup();
     pairs
-}
-
-/// The image at half its width and height, by means of 2×2 pixels; an odd last row or column is dropped.
-pub(crate) fn halved(image: &Image) -> Image {
-    let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
-    let value = |k: usize| {
-        let (x, y, c) = (k / channels % w, k / channels / w, k % channels);
-        let at = |dx, dy| image.pixel(2 * x + dx, 2 * y + dy)[c];
-        0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1))
-    };
-    Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect())
 }
 
 /// The image with its linear light multiplied by a factor per channel; for a grey image, by the first factor.
@@ -207,75 +229,33 @@ fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     Some(sums.map(|sum| sum / area))
 }
 
-/// Ratio of the linear light that `cameras[1]` records to the linear light that `cameras[0]` records of the
-/// same surfaces. For each channel the ratio's logarithm and the variance of the logarithm.
-struct Ratio {
+/// The median ratio of the light of `cameras[1]` to that of `cameras[0]` over matched features, whose positions are
+/// pixels of `images`; `None` for too few of them.
+fn ratio_between(
     cameras: [usize; 2],
-    log: [f64; 3],
-    variance: [f64; 3],
+    images: [&Image; 2],
+    matches: &[Option<Match>],
+) -> Option<Ratio> {
+    let is_gray = images.iter().any(|i| i.channels() == 1);
+    let log = |m: &Match| {
+        let both = [light(images[0], &m.source)?, light(images[1], &m.target)?];
+        let [a, b] = if is_gray { both.map(luminance) } else { both };
+        // The light is positive, since it is in the usable range.
+        Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
+    };
+    Ratio::of_samples(cameras, &matches.iter().flatten().filter_map(log).collect::<Vec<_>>())
 }
 
-impl Ratio {
-    /// The median ratio over matched features, whose positions are pixels of `images`; `None` for fewer than
-    /// [`MIN_FEATURES`].
-    fn between(
-        cameras: [usize; 2],
-        images: [&Image; 2],
-        matches: &[Option<Match>],
-    ) -> Option<Self> {
-        let is_gray = images.iter().any(|i| i.channels() == 1);
-        let log = |m: &Match| {
-            let both = [light(images[0], &m.source)?, light(images[1], &m.target)?];
-            let [a, b] = if is_gray { both.map(luminance) } else { both };
-            // The light is positive, since it is in the usable range.
-            Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
-        };
-        let logs: Vec<[f64; 3]> = matches.iter().flatten().filter_map(log).collect();
-        if logs.len() < MIN_FEATURES {
-            return None;
-        }
-        let log = [0, 1, 2].map(|c| median(logs.iter().map(|l| l[c]).collect()));
-        let variance = [0, 1, 2].map(|c| {
-            let deviation = median(logs.iter().map(|l| (l[c] - log[c]).abs()).collect());
-            // For a normal distribution, the standard deviation is 1.4826 times the median absolute
-            // deviation, and the standard error of a median is √(π/2) times that of a mean.
-            let std_err = 1.2533 * 1.4826 * deviation / (logs.len() as f64).sqrt();
-            std_err * std_err + MIN_STD_ERR * MIN_STD_ERR
-        });
-        Some(Self { cameras, log, variance })
-    }
-}
-
-/// Lower bound of the standard error of a log ratio, since specular reflection differs between two views.
-const MIN_STD_ERR: f64 = 0.002;
-/// Standard deviation of the prior on a camera's log gain, with mean 0. It makes the gains of cameras without
-/// comparisons solvable.
-const PRIOR_STD_ERR: f64 = 10.0;
-
-/// The weighted least-squares solution for all cameras' gains. The reference camera's are 1.
+/// The weighted least-squares solution for all cameras' gains, those that differ significantly from 1. The reference
+/// camera's are 1.
 fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
     let mut gains = Gains::equal(cameras);
+    let logs = solve_log_gains(cameras, reference, ratios);
     for c in 0..3 {
-        let mut normal = DMatrix::from_diagonal_element(cameras, cameras, PRIOR_STD_ERR.powi(-2));
-        let mut right = DVector::zeros(cameras);
-        normal[(reference, reference)] += MIN_STD_ERR.powi(-4);
-        for ratio in ratios {
-            let ([a, b], weight) = (ratio.cameras, 1.0 / ratio.variance[c]);
-            normal[(a, a)] += weight;
-            normal[(b, b)] += weight;
-            normal[(a, b)] -= weight;
-            normal[(b, a)] -= weight;
-            right[a] -= weight * ratio.log[c];
-            right[b] += weight * ratio.log[c];
-        }
-        // The prior makes the matrix positive definite.
-        let Some(solver) = normal.cholesky() else { continue };
-        let (logs, covariance) = (solver.solve(&right), solver.inverse());
         for (camera, factors) in gains.factors.iter_mut().enumerate() {
-            let std_err = covariance[(camera, camera)].max(0.0).sqrt();
-            let difference = logs[camera].exp() - 1.0;
-            // A standard error close to the prior's means that the camera was not compared with any other.
-            if camera == reference || !difference.is_finite() || std_err > 0.1 * PRIOR_STD_ERR {
+            let Some(LogGain { log, std_err }) = logs[camera][c] else { continue };
+            let difference = log.exp() - 1.0;
+            if camera == reference {
                 continue;
             }
             if difference.abs() > gains.largest.0 {
@@ -294,7 +274,7 @@ mod tests {
     use super::*;
 
     fn ratio(cameras: [usize; 2], log: f64) -> Ratio {
-        Ratio { cameras, log: [log, 0.0, 0.5 * log], variance: [1e-5; 3] }
+        Ratio { images: cameras, log: [log, 0.0, 0.5 * log], variance: [1e-5; 3] }
     }
 
     #[test]
@@ -325,9 +305,9 @@ mod tests {
         let image = Image::from_data(2, 1, 3, vec![0.1, 0.5, 0.9, 0.3, 0.0, 0.7]);
         let brighter = scaled(&image, [1.5, 1.0, 0.7]);
         let mut gains = Gains::equal(2);
-        assert_eq!(gains.corrected(1, &image), None);
+        assert_eq!(gains.corrected(1, 0.0, &image), None);
         gains.factors[1] = [1.5, 1.0, 0.7];
-        let back = gains.corrected(1, &brighter).expect("it differs");
+        let back = gains.corrected(1, 0.0, &brighter).expect("it differs");
         for (a, b) in back.data().iter().zip(image.data()) {
             assert!((a - b).abs() < 1e-6, "{a} {b}");
         }

@@ -11,7 +11,8 @@
 //! Known limit: motion along the epipolar lines contributes only energy.
 
 use crate::camera::{Camera, EpipolarGeometry};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::CaptureError;
+use crate::registration::FrameStore;
 use nalgebra::{Point2, Vector2};
 use std::collections::BTreeMap;
 
@@ -42,18 +43,21 @@ pub struct Activity {
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {
-    /// The activity of a camera from all its frames. `bands` has an entry for each pair of this camera: the
+    /// The activity of a camera from all its frames, converted to one exposure. `bands` has an entry for each pair of this camera: the
     /// index of the pair, and this camera's bands in it.
     pub fn new(
-        capture: &Capture,
+        frames: &FrameStore,
         camera: usize,
         bands: &[(usize, &Bands)],
     ) -> Result<Self, CaptureError> {
+        let (capture, gains) = (frames.capture(), frames.gains());
         let times = &capture.cameras[camera].clock.times_s;
         let mut activity = Self::default();
         let mut before: Option<Downsampled> = None;
         for (k, &time_s) in times.iter().enumerate() {
-            let current = Downsampled::new(&capture.read_frame(camera, k)?.to_gray());
+            let image = capture.read_frame(camera, k)?;
+            let image = gains.exposed_at(camera, [time_s, times[0]], &image).unwrap_or(image);
+            let current = Downsampled::new(&image.to_gray());
             if let Some(before) = before {
                 // The interval is positive, since times ascend.
                 let interval = time_s - times[k - 1];
