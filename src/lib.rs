@@ -1,5 +1,5 @@
-//! Space-time light field rendering (Wang, Sun, Yang, IEEE TVCG 13(4), 2007): the view from
-//! anywhere, at any instant, from the videos of calibrated cameras that are not synchronized.
+//! Space-time light field rendering (Wang, Sun, Yang, IEEE TVCG 13(4), 2007). It takes the videos of calibrated cameras
+//! that are not synchronized, and renders the view from any position near the cameras, at any instant.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -42,11 +42,11 @@
 //!
 //! | paper | module |
 //! |---|---|
-//! | the calibrated array, and all conventions | [`camera`] |
-//! | its videos, and the ground truth of a simulated one | [`capture`] |
+//! | the calibrated camera array, and all conventions | [`camera`] |
+//! | the array's videos, and the ground truth of a simulated array | [`capture`] |
 //! | §4 image registration | [`registration`] |
 //! | §5 temporal interpolation | [`interpolation`] |
-//! | §6 view synthesis | [`lumigraph`], and beyond it [`stereo`] |
+//! | §6 view synthesis | [`lumigraph`]; beyond the paper also [`stereo`] |
 //! | beyond the paper: motion and geometry together | [`scene_flow`] |
 //! | §7 temporal offsets | [`offset`] |
 //! | Fig. 2, the whole pipeline | [`light_field`], opened by [`pipeline`] |
@@ -79,13 +79,13 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`host`] | files read within bounds and written whole, child processes, signals, clocks, caches |
-//! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
-//! | `simd` | kernels compiled for the processor: AVX2, or any |
+//! | [`host`] | bounded reading and atomic writing of files, child processes, signals, clocks, caches |
+//! | [`json`], [`progress`], [`random`] | JSON files, with errors that name the invalid field; progress with the time left; pseudo-random numbers that are equal on every machine |
+//! | `simd` | kernels that are compiled twice, for processors with AVX2 and for any processor |
 //! | [`text`] | escaping and checks of names and sentences from files |
-//! | [`method`], [`option`] | alternatives that a user chooses by name; options, declared once |
+//! | [`method`], [`option`] | algorithms that the user chooses by name; options, each declared in one place |
 //! | [`raster`] | images in memory, and image files |
-//! | [`metrics`] | PSNR, SSIM, FLIP, the moving part |
+//! | [`metrics`] | PSNR, SSIM, FLIP, and the moving part of an image |
 //! | [`video`] | video files, through ffmpeg |
 //! | [`chart`] | charts as SVG |
 //! | [`path`] | camera paths: position, direction, lens and time of a view as functions of a video's seconds |
@@ -101,61 +101,62 @@
 //! | [`toolchain`] | the Python environment: set-up, filming, checking, finding and refining calibrations |
 //! | [`cli`] | the command line |
 //!
-//! # Adding to it
+//! # Adding to the library
 //!
 //! | what | where |
 //! |---|---|
-//! | a method of a stage | its enum beside the stage's options, such as [`interpolation::SyncMethod`], with a line in `methods!`; then what the compiler asks for |
-//! | an option | a line in the `options!` of the stage, such as [`lumigraph::BlendOptions`]; command line, schema and Python follow |
-//! | a cached result | its inputs in `light_field/stages.rs`, with a `Stage` and a function `get` in the file of its algorithm; on disk a `StoredStage`, which `light_field/prepare.rs` writes |
-//! | a format of `import` or `export` | a file in [`exchange`], and a line in `read_calibration` there or in `cli/export.rs` |
+//! | a method of a stage | a variant of the enum beside the stage's options, such as [`interpolation::SyncMethod`], with a line in `methods!`; the compiler then reports all places that must handle it |
+//! | an option | a line in the `options!` of the stage, such as [`lumigraph::BlendOptions`]; the command line, the JSON Schema and Python are derived from it |
+//! | a cached result | a struct of its inputs in `light_field/stages.rs`, and a `Stage` and a function `get` in the file of its algorithm; for a result on disk also a `StoredStage`, which `light_field/prepare.rs` writes |
+//! | a format of `import` or `export` | a file in [`exchange`], and a line in its `read_calibration` (import) or in `cli/export.rs` (export) |
 //!
 //! # The command line
 //!
 //! `stlfr COMMAND --help` lists the options of a command, with examples. The exit code is 0 for success, 2 for bad
 //! input, and 1 if the work failed. An error is one sentence on stderr. `--quiet` silences progress and notes.
 //!
-//! A command replaces a file only if it is a regular file and no part of a capture ([`capture::OutputGuard`]). In
-//! its output folder, it does not write through links. Files are written under a temporary name and then renamed.
-//! A command that is interrupted removes its temporary files. If it is killed, the next command that writes into the
-//! same folder removes them.
+//! A command replaces only regular files that are not part of a capture ([`capture::OutputGuard`]). It does not write
+//! through symbolic links in its output folder. Files are written under a temporary name and then renamed. A command
+//! that is interrupted removes its temporary files. If a command is killed, the next command that writes into the same
+//! folder removes them.
 //!
 //! Commands read only regular files below a size limit; pipes, devices and files of gigabytes are errors. A command
 //! also fails if the capture changes while it runs. Decoded videos, registered frames, plans and measurements are
 //! cached in `CAPTURE/.stlfr/cache`. If a cached file is damaged, a note says so, and the result is computed again.
 //! `stlfr info` lists and deletes cached files. You may edit `offsets.json` ([`offset::file`]).
 //!
-//! Times are seconds on the reference camera's clock. A view at an instant outside of the recording is an error, which
-//! states the recorded time range.
+//! Times are seconds on the reference camera's clock. A view at an instant outside of the recording is an error. The
+//! error states the recorded time range.
 //!
 //! # Paths and displays
 //!
 //! `stlfr render --path` renders a video along a camera path. The path is read from a JSON file ([`path`] describes the
-//! format) or from the animated camera of a `.blend` file, or it is one of four by name: `sweep`, `orbit`,
-//! `bullet-time` and `dolly`. These four are fitted to the rig and to the scene's depths, so that the cameras see all of
-//! every view. `--time` stops time at one instant on any path. `--trail` overlays several instants in each image of the
-//! video, all rendered from this image's viewpoint; the trail ends at this image's instant.
+//! format) or from the animated camera of a `.blend` file, or it is one of four ready-made paths: `sweep`, `orbit`,
+//! `bullet-time` and `dolly`. Ready-made paths are fitted to the rig and to the scene's depths, so that the cameras see
+//! all of every view. `--time` stops time at one instant on any path. `--trail` overlays several instants in each image
+//! of the video, all rendered from this image's viewpoint; the trail ends at this image's instant.
 //!
-//! The suffix of the file after `-o` chooses the format. An `.exr` file has the channels `R`, `G`, `B` and `A` in linear
-//! light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have `Z` = 1e10. The
-//! channels `forward.u`, `forward.v`, `backward.u` and `backward.v` say how far each point moves to the next image and to
-//! the previous one, in pixels to the right and up, under Nuke's names. `Vector.X` to `Vector.W` have the same motion as
-//! Blender's pass: X and Y are `backward`, Z and W are `forward` with the opposite sign. In a sequence, and along a path,
-//! motion is that of the scene and of the view, between the cameras and instants of the two images. At both ends, the
-//! missing motion is the opposite of the other. A single image has the motion of the scene during a frame of the
-//! recording. Motion is 0 in pixels that show nothing. Motion is known with `--proxy scene-flow`, and with any method
-//! where time stands still. Otherwise the file has no such channels, and a note says so.
+//! The suffix of the file after `-o` chooses the format. An `.exr` file has the channels `R`, `G`, `B` and `A` in
+//! linear light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have `Z` =
+//! 1e10. The channels `forward.u`, `forward.v`, `backward.u` and `backward.v` say how far each point moves to the next
+//! image and to the previous one, in pixels to the right and up. These are Nuke's names. `Vector.X` to `Vector.W` have
+//! the same motion as Blender's pass: X and Y are `backward`, Z and W are `forward` with the opposite sign. In a
+//! sequence of images, the motion has two causes: the scene moves between the instants of two images, and the viewpoint
+//! may move too. The first image has no previous image, and the last image has no next image; the missing motion is the
+//! negative of the other one. A single image has the motion of the scene during one frame interval of the recording.
+//! Pixels that show nothing have motion 0. Motion is computed with `--proxy scene-flow`; where time stands still, with
+//! any method. Otherwise, the file does not have these channels, and a note says so.
 //!
-//! `--quilt` renders the views of a Looking Glass display into one image, and `--stereo` those of two eyes. All these
-//! views look in one direction. Each is sheared so that points in one plane, at the distance `--convergence`, have no
-//! parallax ([`display`]). A quilt's cone of views is at most as wide as the cameras cover: eight cameras 6 cm apart
-//! cover 12 degrees at a distance of 2 m. Blender's render tab writes the same files. Apple's spatial photos are not
-//! supported, because `libheif` can't write the box that marks two images as a stereo pair.
+//! `--quilt` renders all views of a Looking Glass display into one image, and `--stereo` the views of two eyes. All
+//! these views look in the same direction. Their frustums are sheared so that points in the plane at the distance
+//! `--convergence` have no parallax ([`display`]). A quilt's views span at most the angle that the cameras cover: eight
+//! cameras 6 cm apart cover 12 degrees at a distance of 2 m. Blender's render tab writes the same files. Apple's
+//! spatial photos are not supported, because `libheif` can't write the box that marks two images as a stereo pair.
 //!
-//! To render a sequence of images faster, start the same command several times, also on several machines that share
-//! the output folder; the shared file system must support file locks. Each process renders images that no other
-//! process has started. If processes are stopped, the same command continues where they ended. Until all images are
-//! complete, a folder `.stlfr-render-…` beside them records which are.
+//! To render a sequence of images faster, start the same command several times, also on several machines that share the
+//! output folder; the shared file system must support file locks. Each process renders images that no other process has
+//! started. If processes are stopped, the same command continues where they ended. Until all images are complete, a
+//! folder `.stlfr-render-…` beside them records which images are complete.
 //!
 //! # Recordings of real cameras
 //!
@@ -167,62 +168,63 @@
 //! Frame times are read from the table `--times`, from `timestamps.csv` beside the recordings, from the calibration, or
 //! from the video files. `--rate` overrides them. The cameras' clocks may differ: `stlfr offsets` estimates their
 //! offsets, unless `--shared` declares that all cameras have one clock. `--readout` gives the readout time of rolling
-//! shutters, from the first row's exposure to the last row's. A frame's time is then that of its middle row.
+//! shutters, from the first row's exposure to the last row's. The time of a frame is then the time of its middle row.
 //!
 //! Videos may have variable frame rates, rotation flags, limited range or 10 bits. The cameras may differ in frame rate
 //! and image size, and may start and end at different times. Interlaced and damaged videos are refused. If images have
-//! another resolution than the calibration but its aspect ratio, the calibration is scaled. If they have another aspect
-//! ratio, they are refused, unless `--crop` declares that each image is the top left part of the calibrated one.
+//! another resolution than the calibration but its aspect ratio, the calibration is scaled. Images with another aspect
+//! ratio are refused, unless `--crop` declares that each image is the top left part of the calibrated one.
 //!
 //! `stlfr export CAPTURE --synchronized` renders the images of all cameras at common instants, for programs that need
 //! synchronized cameras. `--frames` instead writes the frames as filmed, with their estimated times. `--undistort`
-//! resamples the images as pinhole cameras would see them.
+//! removes lens distortion from the images.
 //!
 //! # In the browser
 //!
-//! `stlfr view CAPTURE` opens a page in the browser; Ctrl+C ends it. Drag to move the viewpoint, and turn the wheel to
-//! zoom. Play the recording, slow it down, or stop time and move along the cameras. Two pictures stand side by side, with
-//! a border to drag between them. Each shows the space-time light field, traditional light field rendering (without
-//! synchronization), the truth, the depths, or *which cameras a pixel comes from*. The legend shows the blending weights
-//! and the depth at the pointer. *Save* saves the whole picture, and a `view.json` with which `stlfr render --camera`
-//! renders this view. `?` lists the keys; the keyboard alone suffices.
+//! `stlfr view CAPTURE` opens a page in the browser; Ctrl+C ends the command. Drag to move the viewpoint, and turn the
+//! wheel to zoom. Play the recording, slow it down, or stop time and move along the cameras. The page shows two
+//! pictures side by side; the border between them can be dragged. Each picture shows one of these: the space-time light
+//! field, traditional light field rendering (without synchronization), the truth, the depths, or *which cameras a pixel
+//! comes from*. The legend shows the blending weights and the depth at the pointer. *Save* saves the whole picture, and
+//! a `view.json` with which `stlfr render --camera` renders this view. `?` lists the keys; the keyboard alone suffices.
 //!
-//! While nothing moves, pictures are rendered with the options `--preset` and `--options`, as by `stlfr render`, and with
-//! the methods that are chosen on the page. While the viewpoint moves, the same options are used if the results at this
-//! instant are cached, and otherwise those of the preset `draft`; the picture of full quality then fades in. Only programs
-//! on this machine can reach the page; its address contains a random token. A link to a place on the page is valid until
-//! the server ends. `stlfr view CAPTURE --at LINK` opens this place again in a later run.
+//! While nothing moves, pictures are rendered with the options `--preset` and `--options`, as by `stlfr render`, and
+//! with the methods that are chosen on the page. While the viewpoint moves, the same options are used if the results at
+//! this instant are cached, and otherwise those of the preset `draft`; the picture of full quality then fades in. Only
+//! programs on this machine can reach the page; its address contains a random token. A link to a place on the page is
+//! valid until the server ends. `stlfr view CAPTURE --at LINK` opens this place again in a later run.
 //!
 //! # On the web
 //!
-//! `stlfr publish CAPTURE -o SITE` writes a folder for any static web server. Its page shows the light field over a span
-//! of time, from viewpoints among the cameras, and the visitor's graphics card renders the views. The viewpoint sways by
-//! itself until the visitor drags it, touches it or tilts the device. The wheel and the time bar move through time, and a
-//! button stops time. The command prints the sizes of the files, the PSNR of the page's views against those of
-//! `stlfr render`, and an `<iframe>` line that embeds the page. The page loads nothing from outside of its folder, and
-//! also works if it is opened from disk. On the page, the JavaScript function `stlfr.picture(VIEW, SECONDS)` returns a
-//! canvas with the view of a `view.json`.
+//! `stlfr publish CAPTURE -o SITE` writes a folder for any static web server. Its page shows the light field over a
+//! span of time, from viewpoints among the cameras, and the visitor's graphics card renders the views. The viewpoint
+//! sways by itself until the visitor drags it, touches it or tilts the device. The wheel and the time bar move through
+//! time, and a button stops time. The command prints the sizes of the files, the PSNR of the page's views against those
+//! of `stlfr render`, and an `<iframe>` line that embeds the page. The page loads nothing from outside of its folder,
+//! and also works if it is opened from disk. On the page, the JavaScript function `stlfr.picture(VIEW, SECONDS)`
+//! returns a canvas with the view of a `view.json`.
 //!
 //! # On several machines
 //!
 //! If machines share a capture's folder, run the same `stlfr capture` on all of them to film faster. Each machine films
-//! images that no other has started. The files are the same as those of a single machine. If a machine shows no sign of
-//! life for `--silence` seconds (60 by default), other machines film the images that it had started. No other image is
-//! filmed twice. The machines' clocks may be wrong.
+//! images that no other machine has started. The files are the same as those that a single machine would write. If a
+//! machine shows no sign of life for `--silence` seconds (60 by default), other machines film the images that it had
+//! started. All other images are filmed once. The machines' clocks may be wrong.
 //!
-//! `stlfr farm CAPTURE -o JOB` writes job files that describe all the work, from the set-up to the comparison, for three
-//! render farm engines: an Open Job Description (for AWS Deadline Cloud; `openjd run` runs it on one machine), scripts
-//! for Slurm, and a job type for Flamenco. Filming and rendering are divided into chunks, each a command with an option
-//! such as `--part 3-6/100`. A task may be run again: it continues its work, or writes the same files. After a failed
-//! task, submit the job again. All machines must see the program, the captures and the job at the same paths.
+//! `stlfr farm CAPTURE -o JOB` writes job files that describe all the work, from the set-up to the comparison, for
+//! three render farm engines: an Open Job Description (for AWS Deadline Cloud; `openjd run` runs it on one machine),
+//! scripts for Slurm, and a job type for Flamenco. Filming and rendering are divided into chunks, each a command with
+//! an option such as `--part 3-6/100`. A task may be run again: it continues its work, or writes the same files. After
+//! a failed task, submit the job again. All machines must see the program, the captures and the job at the same paths.
 //! `tests/farm/slurm.py` tests the scripts on a Slurm cluster that loses a node; it is run by hand.
 //!
 //! # From Python
 //!
-//! `stlfr setup` installs the module `stlfr` into `.venv`; `pip install ./blender`, in this project's folder, builds it
-//! into any other Python from 3.11 on, with the command `stlfr`. It has type stubs, releases the GIL, and runs in one
-//! process with `bpy`. `.ci/release.py` builds a wheel for any Linux with glibc 2.17 or newer: `pip install` it there.
-//! The commands that film and check use the source folder; an installed wheel finds it by `STLFR_HOME`.
+//! `stlfr setup` installs the Python module `stlfr` into `.venv`. To install the module and the command `stlfr` into
+//! another Python (3.11 or newer), run `pip install ./blender` in this project's folder. The module has type stubs,
+//! releases the GIL, and runs in one process with Blender's module `bpy`. `.ci/release.py` builds a wheel that
+//! `pip install` accepts on any Linux with glibc 2.17 or newer. The commands that film and check need the source
+//! folder; with an installed wheel, the environment variable `STLFR_HOME` must name it.
 //!
 //! ```python
 //! import numpy as np
@@ -239,51 +241,56 @@
 //! first_s, last_s = capture.covered_s()
 //! ```
 //!
-//! `stlfr.methods()` lists the methods of each stage, `stlfr.options()` all options with their defaults,
-//! ranges and units. `capture.render(..., proceed=f)` calls `f(done, total)` before every step of every
-//! instant, and stops if it returns something false.
-//! `capture.moment(0.1).view(camera)` renders many views of one instant, what they share but once.
+//! `stlfr.methods()` lists the methods of each stage, `stlfr.options()` all options with their defaults, ranges and
+//! units. `capture.render(..., proceed=f)` calls `f(done, total)` before every step of every instant, and stops if it
+//! returns something false. `capture.moment(0.1)` prepares one instant; its method `view(camera)` then renders many
+//! views of this instant quickly.
 //!
 //! # Limits
 //!
-//! - Something must move, and not only along the line of cameras. Otherwise offsets are unknown, and the
-//!   program says so.
-//! - Where only thin or plain objects move, offsets are off by up to 0.01 frame over 12 frames. Their error
-//!   bars say so.
-//! - Lost frames are found only where other cameras film around them. One lost at a recording's very start
-//!   or end may be missed. Several cameras that lose a frame at nearly the same time hide each other's
-//!   losses: their offsets are unknown where several places fit.
-//! - COLMAP confirms a calibration only as finely as the images show it. With small, noisy or distant
-//!   images, larger errors pass the check. It says how large. With few features it can't tell, and says so.
-//! - `stlfr calibrate` takes cameras that don't move, and something textured that stands still. Cameras that look one
-//!   way don't tell their focal length: it is near a guess, and the command says so.
-//! - Automatic exposure and white balance are followed where a camera sees still, textured surfaces, and changes
-//!   differ between cameras. A sudden change is spread over half a second. If all cameras change alike, the light of
-//!   the scene is assumed to change.
-//! - A rolling shutter's readout time (`readout_s` of a camera's clock) has to be given; it is not estimated. Rows are
-//!   those of the camera's own image, lens distortion included; `--proxy scene-flow` takes those of the undistorted one.
-//!   A camera's own motion is none. These take a frame's rows for simultaneous: `--sync nearest` and `crossfade`,
-//!   traditional light field rendering, the rough alignment of recordings, gains, `plan`, and the page of `publish`.
-//!   `export --frames` writes frames as filmed.
-//! - Bodies that move by more than 60 pixels a frame lose their tracks. They are blurred, and their depth is
-//!   wrong. `--proxy scene-flow` needs no tracks: it shows bodies of up to 120 pixels a frame.
-//! - Thin things that move further than they are thick, as a pendulum's rod, vanish between two frames.
-//! - In narrow gaps between bodies that move along the line of cameras, what is behind them gets their
-//!   motion. There, OpenCV's DIS interpolates up to 0.5 dB better.
-//! - `--proxy scene-flow` takes 35 to 45 processor seconds for a new instant of eight cameras at 640×480 that `prepare` has
-//!   not prepared, and 1 GB of memory. `stlfr view` uses what `prepare` stored, or depth per pixel.
-//! - A body that bounces between two frames is misplaced in a camera's image. `--sync all-cameras` takes it
-//!   from cameras that filmed it then.
-//! - `capture --engine workbench` films instants. A camera with an exposure time needs Cycles.
+//! - To estimate temporal offsets, something must move in the scene, and not only along the line of cameras. Otherwise,
+//!   the offsets are unknown, and the program says so.
+//! - If only thin or untextured objects move, the errors of offsets from 12 frames are up to 0.01 frame interval. Their
+//!   standard errors show it.
+//! - A lost frame is found only if other cameras film before and after it. A frame that was lost at the very start or
+//!   end of a recording may be missed. If several cameras lose a frame at nearly the same time, the positions of these
+//!   frames may be ambiguous; the offsets of these cameras are then unknown.
+//! - The check of a calibration by COLMAP is only as precise as the images allow. With small or noisy images, or a
+//!   distant scene, larger errors pass the check. The check states how large. With few features, it states that there
+//!   is no verdict.
+//! - `stlfr calibrate` needs cameras that don't move, and a textured static part of the scene. If all cameras look in
+//!   the same direction, the images hardly determine the focal length. It is then close to an initial guess, and the
+//!   command says so.
+//! - Changes by automatic exposure and white balance are corrected only if the camera sees still, textured surfaces,
+//!   and if the changes differ between cameras. A sudden change is corrected as one of half a second or more. If all
+//!   cameras change alike, it is assumed that the light in the scene changes.
+//! - A rolling shutter's readout time (`readout_s` of a camera's clock) has to be given; it is not estimated. The time
+//!   of a pixel follows from its row in the camera's own, distorted image; with `--proxy scene-flow`, from its row in
+//!   the undistorted image. Cameras must not move. The following assume that all rows of a frame are exposed at the
+//!   same time: `--sync nearest` and `crossfade`, traditional light field rendering, the rough alignment of recordings,
+//!   the estimation of gains, `plan`, and the page of `publish`. `export --frames` writes frames as filmed.
+//! - Bodies that move by more than 60 pixels per frame can't be tracked. They are blurred, and their depths are wrong.
+//!   `--proxy scene-flow` needs no tracks, and shows bodies that move by up to 120 pixels per frame.
+//! - A thin object that moves by more than its thickness from one frame to the next, such as a pendulum's rod, vanishes
+//!   between the two frames.
+//! - The background in narrow gaps between bodies that move along the line of cameras gets the motion of these bodies.
+//!   There, interpolation by OpenCV's optical flow DIS is up to 0.5 dB better.
+//! - For eight cameras at 640×480, `--proxy scene-flow` takes 1 GB of memory, and 35 to 45 seconds of processor time
+//!   for each instant that `prepare` has not prepared. `stlfr view` uses the results that `prepare` has stored, or else
+//!   depth per pixel.
+//! - A body that bounces between two frames of a camera is misplaced in this camera's synchronized image.
+//!   `--sync all-cameras` takes the body from other cameras that filmed it at that time.
+//! - `capture --engine workbench` renders instantaneous exposures only. A camera with an exposure time needs the engine
+//!   Cycles.
 //! - The Blender extension is tested in `bpy` without a window. `tests/window/walk.py` tries it in a window,
 //!   by hand, with software OpenGL; no graphics card has drawn it yet.
 //!
 //! # Conventions
 //!
-//! Metres, seconds, right-handed world; COLMAP's camera axes and models; the centre of the
-//! top-left pixel is (0.5, 0.5); transforms are named `target_from_source`; units are suffixes
-//! (`_px`, `_s`, `_m`, `_deg`). f64 for geometry and time, f32 for pixels. Time is seconds on the
-//! reference camera's clock. In the library's functions, 0 is the capture's start
+//! Lengths are metres and times are seconds. The world is right-handed; camera axes and camera models are COLMAP's. The
+//! centre of the top-left pixel is (0.5, 0.5). Transforms are named `target_from_source`. Names of quantities end with
+//! their unit (`_px`, `_s`, `_m`, `_deg`). Geometry and time are f64, pixel values are f32. Times are seconds on the
+//! reference camera's clock. In the library's functions, time 0 is the capture's start
 //! ([`Capture::time_origin_s`](capture::Capture::time_origin_s)).
 
 pub mod camera;

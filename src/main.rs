@@ -1,4 +1,4 @@
-//! The program `stlfr`.
+//! The program `stlfr`, the library's command line.
 
 use std::process::ExitCode;
 

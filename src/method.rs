@@ -1,30 +1,31 @@
-//! Methods of a stage: alternatives that a user chooses by name.
+//! Methods: alternative algorithms for a pipeline stage, which the user chooses by name.
 
-/// Implemented by an enum of alternatives, such as a stage's methods. Each variant has a name and a line of help.
+/// An enum of alternatives that the user chooses by name, such as the methods of a pipeline stage. Each variant has a
+/// name and a line of help.
 ///
 /// The name is the same in options files, on the command line and in reports.
 pub trait Method: Copy + Default + PartialEq + Send + Sync + 'static {
-    /// All methods, cheapest first.
+    /// All methods, from the cheapest to the most expensive.
     const ALL: &'static [Self];
 
-    /// The method's name: lower case, words joined by hyphens.
+    /// Returns the method's name: lower-case words joined by hyphens.
     fn name(self) -> &'static str;
 
-    /// What the method does, in one line.
+    /// Returns one line of help, which says what the method does.
     fn help(self) -> &'static str;
 
-    /// The method of this name; `None` if no method has it.
+    /// Returns the method with this name. `None` if no method has it.
     fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|method| method.name() == name)
     }
 
-    /// The names of all methods, cheapest first.
+    /// Returns the names of all methods, from the cheapest to the most expensive.
     fn names() -> Vec<&'static str> {
         Self::ALL.iter().map(|method| method.name()).collect()
     }
 }
 
-/// Implements [`Method`] for an enum from a table of its variants.
+/// Implements [`Method`] for an enum. Each row of the given table has a variant, its name and its help.
 macro_rules! methods {
     ($name:ty { $($variant:ident = $text:literal: $help:literal,)+ }) => {
         impl $crate::method::Method for $name {

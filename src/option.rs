@@ -1,12 +1,13 @@
-//! Options. The macro `options!` declares each option once, with its type, default, range, unit and help. Checks, the
-//! list of all options, the JSON Schema and the command line's help are derived from this.
+//! Declaration of options. The macro `options!` declares each option once, with its type, default, range, unit and help
+//! text. The range checks, the list of all options, the JSON Schema and the command line's help are derived from this
+//! declaration.
 
 use crate::method::Method;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::ops::RangeInclusive;
 
-/// The error of an option whose value is out of range.
+/// The error for an option whose value is out of its range.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{field}: is {value:?}, must be from {min:?} to {max:?}")]
 pub struct OptionError {
@@ -25,47 +26,49 @@ pub enum OptionKind {
     Number,
     Integer,
     Boolean,
-    /// One of several names.
+    /// A name from a fixed list.
     Choice,
 }
 
-/// One name that an option may have as its value.
+/// A name that an option of kind [`OptionKind::Choice`] can have as its value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct OptionChoice {
     pub name: &'static str,
     pub help: &'static str,
 }
 
-/// An option: its declaration, and its value in one set of options.
+/// An option's declaration, together with its value in one set of options.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct DeclaredOption {
     /// The option's path in an options file, such as `blend.cameras`.
     pub name: String,
-    /// One or two sentences of help.
+    /// Help text of one or two sentences.
     pub help: String,
     pub kind: OptionKind,
     pub default: Value,
     #[serde(skip)]
     pub value: Value,
-    /// Smallest and largest allowed value of a number.
+    /// Smallest and largest allowed value of a numeric option, in this order; `None` for other options.
     pub range: Option<[f64; 2]>,
-    /// The unit of a number, or the noun that it counts.
+    /// Unit of a numeric option, such as `px`. If the option is a count, the noun for the counted things, such as
+    /// `cameras`.
     pub unit: Option<&'static str>,
-    /// The allowed names of a choice; for methods, the cheapest is first.
+    /// Allowed names of an option of kind [`OptionKind::Choice`], from the cheapest to the dearest method. Empty for
+    /// other options.
     pub choices: Vec<OptionChoice>,
-    /// The value of a number. It may be NaN, which JSON can't express.
+    /// The option's value if it is a number. It may be NaN, which `value` can't represent because JSON has no NaN.
     #[serde(skip)]
     number: Option<f64>,
 }
 
 impl DeclaredOption {
-    /// An option without kind, default and value. Line breaks in `help` become spaces.
+    /// Creates an option that has only a name and a help text. Line breaks in `help` become spaces.
     pub fn new(name: String, help: &str) -> Self {
         let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
         Self { name, help, ..Self::default() }
     }
 
-    /// An error for a NaN, or a number out of its range.
+    /// Returns an error if the option's value is NaN or a number out of its range.
     pub fn check(&self) -> Result<(), OptionError> {
         let (Some(value), Some([min, max])) = (self.number, self.range) else { return Ok(()) };
         if (min..=max).contains(&value) {
@@ -74,7 +77,7 @@ impl DeclaredOption {
         Err(OptionError { field: self.name.clone(), value, min, max })
     }
 
-    /// The JSON Schema of the value.
+    /// Returns the JSON Schema of the option's value.
     fn schema(&self) -> Value {
         let kind = match self.kind {
             OptionKind::Choice => json!("string"),
@@ -94,7 +97,8 @@ impl DeclaredOption {
     }
 }
 
-/// The JSON Schema of an object with these options. All fields are optional, and other fields are errors.
+/// Returns the JSON Schema of an object with these options as fields. An option's name, such as `blend.cameras`, is the
+/// path of its field. All fields are optional, and unknown fields are errors.
 pub fn options_schema(options: &[DeclaredOption]) -> Value {
     let group = || json!({"type": "object", "properties": {}, "additionalProperties": false});
     let mut root = group();
@@ -113,13 +117,14 @@ pub fn options_schema(options: &[DeclaredOption]) -> Value {
     root
 }
 
-/// A type that an option, or a group of options, can have.
+/// Implemented by the types of options' values, and by structs that group options.
 pub trait OptionValue {
-    /// Appends this option with its kind, default and value. A group appends all of its options.
+    /// Appends `option` to `options`, with the kind of this type, the given default, and `self` as its value. A group
+    /// of options appends each of its options.
     fn declare(&self, default: &Self, option: DeclaredOption, options: &mut Vec<DeclaredOption>);
 }
 
-/// A value as in an options file. An `f32` has the shortest digits that identify it.
+/// Converts a value to JSON, as in an options file. An `f32` is written with the fewest digits that identify it.
 fn in_json(value: &impl Serialize) -> Value {
     serde_json::to_string(value).and_then(|text| serde_json::from_str(&text)).unwrap_or_default()
 }
@@ -153,21 +158,22 @@ impl<M: Method> OptionValue for M {
     }
 }
 
-/// The names of all methods, cheapest first.
+/// Returns the names and help texts of all methods of a stage, cheapest first.
 pub fn choices<M: Method>() -> Vec<OptionChoice> {
     M::ALL.iter().map(|m| OptionChoice { name: m.name(), help: m.help() }).collect()
 }
 
-/// The smallest and the largest value of a range.
+/// Returns the smallest and the largest value of a range, in this order.
 pub fn limits<T: Into<f64>>(range: RangeInclusive<T>) -> [f64; 2] {
     let (min, max) = range.into_inner();
     [min.into(), max.into()]
 }
 
-/// Declares a struct of options. A line such as `cameras: usize [1..=1000, "cameras"] = 3,` has the type, range, unit
-/// and default of an option, and the comment above it is the option's help.
+/// Declares a struct of options. A line such as `cameras: usize [1..=1000, "cameras"] = 3,` declares an option with its
+/// type, range, unit and default. The comment above the line becomes the option's help text.
 ///
-/// Enums and Booleans have no range. A field whose type is another struct of options has no default.
+/// A field of an enum type or of type `bool` has no range. A field whose type is another struct of options has no
+/// default.
 macro_rules! options {
     (
         $(#[doc = $about:literal])*

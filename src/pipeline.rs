@@ -1,4 +1,4 @@
-//! The whole pipeline (Fig. 2): opens a capture as a light field, from which views are rendered, and
+//! The whole pipeline (Fig. 2 of the paper). It opens a capture as a light field, from which views are rendered, and
 //! chooses methods automatically.
 
 use crate::camera::Camera;
@@ -14,15 +14,15 @@ use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
 
-/// Cache of plans. Planning renders dozens of views, which later commands then don't repeat. A change of the renderer
-/// that changes views needs a new version, because plans are chosen by views.
+/// Cache of plans. To make a plan, dozens of views are rendered, which later commands then need not repeat. If a change
+/// of the renderer changes views, the version must be incremented, because plans are chosen by comparing views.
 const PLANS: CacheKind = CacheKind { name: "plans", version: 4 };
 
-/// Opens a capture's light field. Clock offsets are known, read from the capture's folder, or else estimated and
-/// stored there ([`resolve_offsets`]). Notes on the reporter say which. They also name the cameras with unknown
-/// offsets, which are excluded from views.
+/// Opens a capture's light field. The offsets of the cameras' clocks are known from the capture, or are read from its
+/// folder, or else are estimated and stored there ([`resolve_offsets`]). Notes on the reporter say which of these
+/// applies, and name the cameras with unknown offsets. These cameras are excluded from views.
 ///
-/// Estimation and views share the decoded frames and the estimated gains.
+/// The estimation and the views share the decoded frames and the estimated gains.
 pub fn open_field(
     capture: Arc<Capture>,
     options: &RenderOptions,
@@ -40,9 +40,10 @@ pub fn open_field(
     Ok(field)
 }
 
-/// The options with automatic choices resolved. For the stages that `options.auto` names, [`plan`] chooses the method
-/// and its parameters; other stages are unchanged. Without a choice that has an effect, nothing is measured. The plan is cached, keyed with offsets
-/// and options. Notes on the reporter state the chosen methods, and the reasons if the plan is new.
+/// Replaces the automatic choices in options by methods. [`plan`] chooses the methods and parameters of the stages that
+/// `options.auto` names. Other stages are unchanged. Nothing is measured if no choice would have an effect. A plan is
+/// cached for the same offsets and options. Notes on the reporter state the chosen methods; for a new plan, they also
+/// state the reasons.
 pub fn resolved(
     field: &LightField,
     options: &RenderOptions,
@@ -74,14 +75,14 @@ pub fn resolved(
     Ok(plan.options)
 }
 
-/// The options that a cached plan chose for the same offsets and options; `None` if none is cached.
+/// Returns the options that a cached plan chose for the same offsets and options. `None` if no such plan is cached.
 pub fn planned_before(field: &LightField, options: &RenderOptions) -> Option<RenderOptions> {
     let cache = field.capture().cache().ok()?;
     let planned: Option<RenderOptions> = cache.load_json(PLANS, &(field.offsets(), options));
     planned.filter(|planned| planned.check().is_ok())
 }
 
-/// Computes a plan, and caches it for later commands with the same options.
+/// Computes a plan, and caches it for later commands with the same offsets and options.
 pub fn plan_again(
     field: &LightField,
     options: &RenderOptions,

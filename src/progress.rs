@@ -1,5 +1,5 @@
-//! Progress reports. On a terminal, progress is a bar with the time left. In a log it is a line every half minute, and
-//! for another program it is lines of JSON.
+//! Progress reports: on a terminal, a bar with the time left; in a log, a line every half minute; for another program,
+//! lines of JSON.
 
 use crate::text::printable;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
-/// Receives the progress of all tasks: shows it as bars (terminal) or lines (log) on standard error, or as lines of
+/// Shows the progress of all tasks: as bars on a terminal, or as lines in a log, both on standard error; or as lines of
 /// JSON on standard output.
 #[derive(Clone, Copy, Debug)]
 pub struct Reporter {
@@ -21,32 +21,34 @@ pub struct Reporter {
 enum Listener {
     Nobody,
     Terminal,
-    /// Lines on a standard error that isn't a terminal.
+    /// Lines on standard error, which isn't a terminal.
     Log,
     Lines,
 }
 
-/// A running task. Dropping it removes its bar.
+/// A running task, whose progress is shown. Dropping this value removes the task's bar.
 pub struct Task {
     bar: ProgressBar,
     in_lines: bool,
     log: Option<Log>,
 }
 
-/// Writes a task's progress to a log at regular intervals, until it is dropped.
+/// Writes a task's progress to a log at regular intervals, until this value is dropped.
 struct Log {
-    /// Number of steps that an earlier run has done.
+    /// Number of the task's steps that an earlier run has done.
     resumed: Arc<AtomicU64>,
     _end: Sender<()>,
 }
 
-/// Time between two lines of a log.
+/// Time between two lines of a progress log.
 const LOG_INTERVAL: Duration = Duration::from_secs(30);
 
-/// Time between two frames of the spinner of a task without counted steps.
+/// Time between two frames of the animation for a task without counted steps.
 const TICK: Duration = Duration::from_millis(200);
 
 impl Reporter {
+    /// Returns a reporter that prints nothing if `quiet` is true. Otherwise, it shows bars if standard error is a
+    /// terminal, and lines of a log if it isn't.
     pub fn new(quiet: bool) -> Self {
         Self {
             to: match quiet {
@@ -57,17 +59,18 @@ impl Reporter {
         }
     }
 
-    /// A reporter that prints nothing.
+    /// Returns a reporter that prints nothing.
     pub fn silent() -> Self {
         Self { to: Listener::Nobody }
     }
 
-    /// A reporter that prints counted steps as lines `{"done", "total", "what"}` on standard output.
+    /// Returns a reporter for another program. It prints every counted step as a line of JSON,
+    /// `{"done", "total", "what"}`, on standard output.
     pub fn lines() -> Self {
         Self { to: Listener::Lines }
     }
 
-    /// Starts a task of `total` steps, shown as a bar.
+    /// Starts a task of `total` steps, whose progress is shown as a bar.
     pub fn task(&self, label: &str, total: usize) -> Task {
         let template = "{msg:28} {bar:30} {pos}/{len}  {eta} left";
         let bar = self.bar(label, Some(total as u64), template);
@@ -76,7 +79,7 @@ impl Reporter {
         task
     }
 
-    /// Starts a task without counted steps, which shows its elapsed time.
+    /// Starts a task without counted steps. Its elapsed time is shown.
     pub fn phase(&self, label: &str) -> Task {
         let bar = self.bar(label, None, "{spinner} {msg}  {elapsed}");
         if self.to == Listener::Terminal {
@@ -104,7 +107,7 @@ impl Reporter {
         bar.with_style(style.progress_chars("━╸ "))
     }
 
-    /// Shows one sentence to the user.
+    /// Shows one sentence to the user on standard error. Reporters that are silent or print JSON don't show it.
     pub fn note(&self, sentence: &str) {
         if matches!(self.to, Listener::Terminal | Listener::Log) {
             // If standard error can't be written, the note is lost.
@@ -114,17 +117,19 @@ impl Reporter {
 }
 
 impl Task {
+    /// Adds `steps` to the number of finished steps.
     pub fn advance(&self, steps: usize) {
         self.bar.inc(steps as u64);
         self.say();
     }
 
+    /// Sets the number of finished steps.
     pub fn set(&self, done: usize) {
         self.bar.set_position(done as u64);
         self.say();
     }
 
-    /// Marks `done` steps as done by an earlier run. They don't count in the estimate of the time left.
+    /// Marks `done` steps as done by an earlier run. The estimate of the time left doesn't count these steps.
     pub fn resume_at(&self, done: usize) {
         self.bar.set_position(done as u64);
         self.bar.reset_eta();
@@ -138,7 +143,7 @@ impl Task {
         self.bar.set_message(label.to_owned());
     }
 
-    /// In JSON mode, prints the progress as a line. Errors of standard output are ignored.
+    /// Prints the progress as a line of JSON, if the reporter prints JSON. Errors of standard output are ignored.
     fn say(&self) {
         if self.in_lines {
             let (done, total) = (self.bar.position(), self.bar.length().unwrap_or(0));
@@ -147,7 +152,7 @@ impl Task {
         }
     }
 
-    /// Removes the bar before the task ends.
+    /// Removes the task's bar before the task ends.
     pub fn hide(&self) {
         self.bar.finish_and_clear();
     }
@@ -159,7 +164,8 @@ impl Drop for Task {
     }
 }
 
-/// Calls `write` with the state of a bar in every interval, until the bar is finished or the returned log is dropped.
+/// Starts a thread that calls `write` with the state of a bar in every interval. The thread ends when the bar is
+/// finished, or when the returned log is dropped.
 fn follow(bar: ProgressBar, interval: Duration, write: impl Fn(String) + Send + 'static) -> Log {
     let (end, ended) = channel();
     let log = Log { resumed: Arc::default(), _end: end };
@@ -173,7 +179,7 @@ fn follow(bar: ProgressBar, interval: Duration, write: impl Fn(String) + Send + 
     log
 }
 
-/// A duration rounded to one unit, in words such as `3 minutes`.
+/// Converts a duration to words, rounded to one unit, such as `3 minutes`.
 pub fn in_words(seconds: f64) -> String {
     HumanDuration(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)).to_string()
 }
@@ -187,8 +193,8 @@ struct Estimate {
     left_s: f64,
 }
 
-/// The progress as one line. The time left is extrapolated from the steps of this run; the first `resumed` steps are
-/// of an earlier run. Until another step is done, the estimate made after the last one counts down.
+/// Returns the progress as one line. The time left is extrapolated from the steps of this run. An earlier run has done
+/// the first `resumed` steps. Until another step is done, the estimate made after the last one counts down.
 fn state(bar: &ProgressBar, resumed: u64, estimate: &mut Estimate) -> String {
     let (label, done, elapsed_s) = (bar.message(), bar.position(), bar.elapsed().as_secs_f64());
     let Some(total) = bar.length() else {

@@ -1,6 +1,6 @@
-//! Pseudo-random numbers that are equal on every platform: SplitMix64 (Steele, Lea, Flood 2014).
+//! Pseudo-random numbers that are identical on every platform, by SplitMix64 (Steele, Lea, Flood 2014).
 
-/// A pseudo-random generator.
+/// A pseudo-random number generator.
 #[derive(Clone, Debug)]
 pub struct Random(u64);
 
@@ -9,7 +9,8 @@ impl Random {
         Self(seed)
     }
 
-    /// A generator for one purpose. Streams of one seed with different purposes are independent.
+    /// Creates a generator for one purpose. Generators with the same seed and different purposes give independent
+    /// numbers.
     pub fn stream(seed: u64, purpose: &str) -> Self {
         let mut hasher = blake3::Hasher::new();
         hasher.update(&seed.to_le_bytes());
@@ -27,22 +28,22 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// A uniform number in [0, 1).
+    /// Returns a uniformly distributed number in [0, 1).
     pub fn unit(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// A uniform number in [`low`, `high`).
+    /// Returns a uniformly distributed number in [`low`, `high`).
     pub fn in_range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
 
-    /// A uniform number in [−1, 1).
+    /// Returns a uniformly distributed number in [−1, 1).
     pub fn signed(&mut self) -> f64 {
         self.in_range(-1.0, 1.0)
     }
 
-    /// A normal number of mean 0 and standard deviation 1 (Box–Muller).
+    /// Returns a normally distributed number with mean 0 and standard deviation 1 (Box–Muller transform).
     pub fn gaussian(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.unit()).cos()

@@ -1,17 +1,17 @@
-//! Function multiversioning: kernels have one source and are compiled twice, for AVX2 with FMA and for any
-//! processor.
+//! Function multiversioning. A kernel, which is a function with a heavy inner loop, has one source and is compiled
+//! twice: for processors with AVX2 and FMA, and for any processor.
 //!
-//! A kernel is an `#[inline(always)]` function, and [`multiversion!`] defines the function that calls it.
-//! Plain loops, which the compiler vectorizes, give the same bits in both versions. Kernels that the compiler
-//! doesn't vectorize well are written with vectors of a generic type `V:` [`F32x8`]. With AVX2 their
-//! multiply–adds are fused; the two versions agree to 1e-5 for values of order 1.
+//! A kernel is an `#[inline(always)]` function. [`multiversion!`] defines the function that calls the kernel.
+//! Kernels of plain loops are vectorized by the compiler and give bit-identical results in both versions. Kernels
+//! that the compiler doesn't vectorize well are written with vectors of a generic type `V:` [`F32x8`]. Their
+//! multiply–adds are fused with AVX2, so that the two versions agree to 1e-5 for values of order 1.
 
 use std::ops::{Add, Div, Mul, Sub};
 
-/// Defines a function that calls a kernel in the version for the current processor.
+/// Defines a function that calls the version of a kernel for the current processor.
 ///
-/// `fn f(a: A) -> R = kernel` calls a kernel of plain loops, `= kernel::<V>` one that is generic over `V:`
-/// [`F32x8`]. Further generic parameters stand in brackets: `fn f[const C: usize](…)`.
+/// `fn f(a: A) -> R = kernel` calls a kernel of plain loops. `fn f(a: A) -> R = kernel::<V>` calls a kernel that is
+/// generic over `V:` [`F32x8`]. Further generic parameters are written in brackets: `fn f[const C: usize](…)`.
 macro_rules! multiversion {
     (
         $(#[$meta:meta])*
@@ -41,61 +41,62 @@ macro_rules! multiversion {
 
 pub(crate) use multiversion;
 
-/// Whether the processor has AVX2 and FMA. All processors with AVX2 have POPCNT too.
+/// Returns whether the processor has AVX2 and FMA. All processors with AVX2 also have POPCNT.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 pub(crate) fn has_avx2_and_fma() -> bool {
     is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
 }
 
-/// Number of values in a vector.
+/// Number of values in a SIMD vector.
 pub const LANES: usize = 8;
 
-/// A SIMD vector of eight `f32` values; operators work element by element. The default methods are those of
-/// [`Scalar`]. [`Avx2`] overrides the ones that the compiler doesn't vectorize, or that round differently.
+/// A SIMD vector of eight `f32` values. Operators work element by element. [`Scalar`] uses the default methods.
+/// [`Avx2`] overrides the methods that the compiler doesn't vectorize, and the methods that round differently.
 ///
-/// Closures must not use this trait: they are not compiled for the instruction set of the function around
-/// them.
+/// Closures must not use this trait: a closure is not compiled for the instruction set of the function that
+/// contains it.
 pub trait F32x8:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
-    /// The vector with these values, in order.
+    /// Creates a vector from its eight values, in order.
     fn from_array(lanes: &[f32; LANES]) -> Self;
 
-    /// The eight values, in order.
+    /// Returns the eight values, in order.
     fn to_array(self) -> [f32; LANES];
 
-    /// The vector whose eight values are all `value`.
+    /// Creates a vector whose eight values are all `value`.
     #[inline(always)]
     fn splat(value: f32) -> Self {
         Self::from_array(&[value; LANES])
     }
 
-    /// The vector of eight zeros.
+    /// Creates a vector of eight zeros.
     #[inline(always)]
     fn zero() -> Self {
         Self::splat(0.0)
     }
 
-    /// `self·factor + term`, element-wise. [`Scalar`] rounds the product and the sum, AVX2 the sum only.
+    /// Returns `self·factor + term`, element by element. [`Scalar`] rounds the product and then the sum. AVX2
+    /// rounds only the sum.
     #[inline(always)]
     fn mul_add(self, factor: Self, term: Self) -> Self {
         self * factor + term
     }
 
-    /// Square roots.
+    /// Returns the square root of each element.
     #[inline(always)]
     fn sqrt(self) -> Self {
         Self::from_array(&self.to_array().map(f32::sqrt))
     }
 
-    /// Absolute values.
+    /// Returns the absolute value of each element.
     #[inline(always)]
     fn abs(self) -> Self {
         Self::from_array(&self.to_array().map(f32::abs))
     }
 
-    /// Element-wise: `then` where `self` is below `other`, and `otherwise` elsewhere.
+    /// Selects element by element: `then` where `self` is below `other`, and `otherwise` elsewhere.
     #[inline(always)]
     fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self {
         let [a, b, then, otherwise] = [self, other, then, otherwise].map(Self::to_array);
@@ -103,23 +104,24 @@ pub trait F32x8:
         Self::from_array(&std::array::from_fn(choice))
     }
 
-    /// Element-wise minimum. Where `self` is NaN, the result is `other`. Where `other` is NaN, it is `self`
-    /// with [`Scalar`], and NaN with AVX2.
+    /// Returns the element-wise minimum. Where `self` is NaN, the result is `other`. Where `other` is NaN, the
+    /// result is `self` with [`Scalar`], and NaN with AVX2.
     #[inline(always)]
     fn simd_min(self, other: Self) -> Self {
         let [a, b] = [self, other].map(Self::to_array);
         Self::from_array(&std::array::from_fn(|l| a[l].min(b[l])))
     }
 
-    /// Element-wise maximum; NaN is treated as in [`Self::simd_min`].
+    /// Returns the element-wise maximum. Where `self` is NaN, the result is `other`. Where `other` is NaN, the
+    /// result is `self` with [`Scalar`], and NaN with AVX2.
     #[inline(always)]
     fn simd_max(self, other: Self) -> Self {
         let [a, b] = [self, other].map(Self::to_array);
         Self::from_array(&std::array::from_fn(|l| a[l].max(b[l])))
     }
 
-    /// Element-wise floor and fractional part, in 0..1, of values below 2²³ in magnitude. The floor of NaN is
-    /// 0 with [`Scalar`], and `i32::MIN` with AVX2.
+    /// Returns the floor and the fractional part (in 0..1) of each element. Elements must be below 2²³ in
+    /// magnitude. The floor of NaN is 0 with [`Scalar`], and `i32::MIN` with AVX2.
     #[inline(always)]
     fn floor_and_fraction(self) -> ([i32; LANES], Self) {
         let whole = self.to_array().map(|v| {
@@ -129,16 +131,16 @@ pub trait F32x8:
         (whole, self - Self::from_array(&whole.map(|v| v as f32)))
     }
 
-    /// The sum of the eight values; pairs are added in `f32`.
+    /// Returns the sum of the eight values. Values are added pairwise in `f32`.
     #[inline(always)]
     fn sum(self) -> f64 {
         let [a, b, c, d, e, f, g, h] = self.to_array();
         f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
     }
 
-    /// Separable filtering of eight 4×4 neighbourhoods: value l of the result is
-    /// `Σ_r Σ_c y[r]·x[c]·plane[first[l] + r·stride + c]`, with r and c from 0 to 3 and value l of
-    /// the weights `x` and `y`.
+    /// Filters eight 4×4 neighbourhoods of `plane` by separable weights. Element l of the result is
+    /// `Σ_r Σ_c y[r]·x[c]·plane[first[l] + r·stride + c]`, with r and c from 0 to 3 and element l of the weights `x`
+    /// and `y`.
     ///
     /// # Panics
     /// If a neighbourhood is not inside the plane.
@@ -163,16 +165,16 @@ pub trait F32x8:
         }))
     }
 
-    /// The eight values of `row` from index `at` on.
+    /// Loads the eight values of `row` that start at index `at`.
     ///
     /// # Panics
-    /// If `row` ends before the eighth.
+    /// If `row` has fewer than eight values from index `at` on.
     #[inline(always)]
     fn load(row: &[f32], at: usize) -> Self {
         Self::from_array(row[at..].first_chunk().expect("rows are padded to whole vectors"))
     }
 
-    /// [`Self::load`] without a bounds check.
+    /// Loads eight values like [`Self::load`], without a bounds check.
     ///
     /// # Safety
     /// `row` has at least eight values from index `at` on.
@@ -183,16 +185,16 @@ pub trait F32x8:
         Self::from_array(unsafe { &*row.as_ptr().add(at).cast() })
     }
 
-    /// Writes the eight values to `row` from index `at` on.
+    /// Writes the eight values to `row`, starting at index `at`.
     ///
     /// # Panics
-    /// If `row` ends before the eighth.
+    /// If `row` has fewer than eight values from index `at` on.
     #[inline(always)]
     fn store(self, row: &mut [f32], at: usize) {
         row[at..at + LANES].copy_from_slice(&self.to_array());
     }
 
-    /// [`Self::splat`] of each value.
+    /// Applies [`Self::splat`] to each value.
     #[inline(always)]
     fn splats<const N: usize>(values: [f32; N]) -> [Self; N] {
         let mut all = [Self::zero(); N];
@@ -202,7 +204,7 @@ pub trait F32x8:
         all
     }
 
-    /// [`Self::sum`] of each vector.
+    /// Applies [`Self::sum`] to each vector.
     #[inline(always)]
     fn sums<const N: usize>(vectors: &[Self; N]) -> [f64; N] {
         let mut all = [0.0; N];
@@ -227,7 +229,7 @@ macro_rules! operator {
     };
 }
 
-/// [`F32x8`] as an array, for any processor.
+/// Implementation of [`F32x8`] as an array, for any processor.
 #[derive(Clone, Copy)]
 pub struct Scalar([f32; LANES]);
 
@@ -263,13 +265,14 @@ mod avx2 {
     use super::{F32x8, LANES};
     use std::arch::x86_64::*;
 
-    /// [`F32x8`] as a 256-bit register, for AVX2 and FMA. Only [`multiversion!`](super::multiversion) uses
-    /// this type, so that its methods are inlined into functions compiled for these instructions.
+    /// Implementation of [`F32x8`] as a 256-bit register, for processors with AVX2 and FMA. Only
+    /// [`multiversion!`](super::multiversion) uses this type. Its methods are therefore inlined into functions that
+    /// are compiled for these instructions.
     #[derive(Clone, Copy)]
     pub struct Avx2(__m256);
 
-    // SAFETY of all blocks below: the processor has AVX2 and FMA, as the use of this type requires; loads and
-    // stores are within their arrays.
+    // SAFETY of all blocks below: this type is used only on processors with AVX2 and FMA, and all loads and stores
+    // are within their arrays.
     operator!(Avx2, Add add, |a, b| unsafe { Avx2(_mm256_add_ps(a.0, b.0)) });
     operator!(Avx2, Sub sub, |a, b| unsafe { Avx2(_mm256_sub_ps(a.0, b.0)) });
     operator!(Avx2, Mul mul, |a, b| unsafe { Avx2(_mm256_mul_ps(a.0, b.0)) });
@@ -336,7 +339,7 @@ mod avx2 {
                 last = last.max(first);
             }
             assert!(last + 3 * stride + 4 <= plane.len(), "the border is wide enough");
-            // Neighbourhoods k and k + 4 share a register, with a row of four samples each.
+            // Neighbourhoods k and k + 4 share a register, which holds a row of four samples of each.
             macro_rules! column_sums {
                 ($k:literal) => {{
                     const ALL: i32 = $k * 0b01_01_01_01;
@@ -354,7 +357,7 @@ mod avx2 {
                 }};
             }
             let (a, b, c, d) = (column_sums!(0), column_sums!(1), column_sums!(2), column_sums!(3));
-            // Transposes them, so that each register holds one column of all neighbourhoods, in order.
+            // Transposes the registers, so that each holds one column of all neighbourhoods, in order.
             unsafe {
                 let (ab_low, ab_high) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
                 let (cd_low, cd_high) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
@@ -383,7 +386,7 @@ mod tests {
         assert_eq!(fraction.0, [0.5, 0.0, 0.75, 0.0, 0.25, 0.0, 0.75, 0.0]);
     }
 
-    /// Operations that give the same bits in both implementations.
+    /// Applies operations whose results are bit-identical in both implementations.
     #[inline(always)]
     fn exact_by<V: F32x8>(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] {
         let (a, b) = (V::from_array(a), V::from_array(b));

@@ -1,7 +1,7 @@
-//! Makes text from files safe for a terminal, a chart or another program's file.
+//! Makes text that was read from files safe for a terminal, a chart or another program's file.
 
-/// Regular expression of the id of a camera or a view in JSON Schemas (ECMAScript, with Unicode). It excludes Hangul
-/// fillers, which are invisible letters.
+/// Regular expression for the id of a camera or a view, for JSON Schemas (ECMAScript syntax, with Unicode). It
+/// excludes Hangul fillers, which are invisible letters.
 pub const ID_PATTERN: &str =
     r"^(?! )(?!\.{1,2}$)(?!.*[\u115F\u1160\u3164\uFFA0])[\p{Alphabetic}\p{N}_. -]+(?<! )$";
 /// Maximum number of characters of an id.
@@ -12,8 +12,8 @@ pub const MAX_NAME_LENGTH: usize = 1000;
 /// Maximum number of characters of a number in a message.
 const MAX_NUMBER_LENGTH: usize = 24;
 
-/// Checks that an id can name a file: at most [`MAX_ID_LENGTH`] visible letters, digits, `_`, `-`, `.`
-/// and inner spaces, and neither `.` nor `..`. The error completes the sentence "The id …".
+/// Checks that an id can name a file. An id has at most [`MAX_ID_LENGTH`] characters: visible letters, digits, `_`,
+/// `-`, `.` and inner spaces. It must not be `.` or `..`. The error completes the sentence "The id …".
 pub fn check_id(id: &str) -> Result<(), String> {
     let is_legal = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '.' | ' ');
     let length = id.chars().count();
@@ -35,7 +35,7 @@ pub fn check_id(id: &str) -> Result<(), String> {
     Err(format!("'{}' {reason}", printable(id)))
 }
 
-/// Checks a name that is displayed, such as a scene's: one line of at most [`MAX_NAME_LENGTH`] printable
+/// Checks a name that is displayed, such as the name of a scene: one line of at most [`MAX_NAME_LENGTH`] printable
 /// characters. The error completes the sentence "The name …".
 pub fn check_name(name: &str) -> Result<(), String> {
     if name.chars().count() <= MAX_NAME_LENGTH && name.chars().all(is_printable) {
@@ -44,8 +44,8 @@ pub fn check_name(name: &str) -> Result<(), String> {
     Err(format!("must be a line of at most {MAX_NAME_LENGTH} printable characters"))
 }
 
-/// Formats a number for a message; with an exponent if it would have more than [`MAX_NUMBER_LENGTH`]
-/// characters.
+/// Formats a number for a message. If it would have more than [`MAX_NUMBER_LENGTH`] characters, it is written with
+/// an exponent.
 pub(crate) fn number(value: impl std::fmt::Display) -> String {
     let text = value.to_string();
     match text.parse::<f64>() {
@@ -54,7 +54,8 @@ pub(crate) fn number(value: impl std::fmt::Display) -> String {
     }
 }
 
-/// Formats two times for a message, seconds, with as many decimals as distinguish them, at least 4.
+/// Formats two times, in seconds, for a message. Both have the smallest number of decimals, at least 4, that
+/// distinguishes them.
 pub(crate) fn distinct_s([a, b]: [f64; 2]) -> [String; 2] {
     let decimals =
         (4..MAX_NUMBER_LENGTH).find(|n| a == b || format!("{a:.n$}") != format!("{b:.n$}"));
@@ -62,14 +63,14 @@ pub(crate) fn distinct_s([a, b]: [f64; 2]) -> [String; 2] {
     [a, b].map(|value| number(format!("{value:.decimals$}")))
 }
 
-/// Shortens a value for a message, to [`MAX_ID_LENGTH`] characters. Control characters are not escaped:
+/// Shortens a value for a message to its first [`MAX_ID_LENGTH`] characters. Control characters are not escaped;
 /// see [`printable`].
 pub(crate) fn short(value: &str) -> String {
     value.chars().take(MAX_ID_LENGTH).collect()
 }
 
-/// Escapes text for one line of a terminal. Control characters, line separators, direction marks and
-/// characters of zero width are written as `\u{1b}` and the like.
+/// Escapes text for one line of a terminal. Control characters, line separators, direction marks and characters of
+/// zero width are replaced by escapes such as `\u{1b}`.
 pub fn printable(text: &str) -> String {
     let shown = |c: char| if is_printable(c) { c.into() } else { c.escape_default().to_string() };
     text.chars().map(shown).collect()

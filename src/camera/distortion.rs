@@ -95,8 +95,8 @@ impl Distortion {
         }
     }
 
-    /// Returns the Jacobian of [`Self::distorted`] for Brown's model. Other models don't use this function, and get the
-    /// identity matrix.
+    /// Returns the Jacobian of [`Self::distorted`] at the point `n`, for Brown's model. The other models are inverted
+    /// without a Jacobian, and get the identity matrix.
     fn derivative(&self, n: &Point2<f64>) -> Matrix2<f64> {
         let Self::Brown { k, p: [p1, p2] } = self else { return Matrix2::identity() };
         let (x, y) = (n.x, n.y);

@@ -1,5 +1,5 @@
-//! Epipolar geometry of two cameras i and j: `p_jᵀ F p_i = 0`. This is eq. (1) of the paper, except for the order of
-//! the two cameras.
+//! Epipolar geometry of two cameras i and j. The pixels p_i and p_j of one scene point satisfy `p_jᵀ F p_i = 0`. This
+//! is eq. (1) of the paper with the two cameras exchanged.
 
 use super::Camera;
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
@@ -9,7 +9,8 @@ use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 pub struct EpipolarLine {
     /// Unit vector perpendicular to the line.
     pub normal: Vector2<f64>,
-    /// Minus the signed distance, along the normal, from the image's origin to the line, pixels.
+    /// Signed distance of the image's origin from the line, pixels. It is positive on the side to which the normal
+    /// points.
     pub offset: f64,
 }
 
@@ -26,7 +27,7 @@ impl EpipolarLine {
     }
 }
 
-/// The fundamental matrix F of an ordered pair of cameras (i, j), eq. (1).
+/// The fundamental matrix F of an ordered pair of cameras (i, j), eq. (1) of the paper.
 ///
 /// Pixel positions in both images are undistorted: those that
 /// [`ideal_from_pixel`](super::CameraModel::ideal_from_pixel) returns.
@@ -40,8 +41,8 @@ pub struct EpipolarGeometry {
 /// of a shorter baseline is dominated by rounding errors.
 const MIN_BASELINE_FRACTION: f64 = 1e-12;
 
-/// Minimum length of an epipolar line's normal, as a fraction of the norm of F. A pixel with a shorter normal is the
-/// epipole.
+/// Minimum length of the normal of an epipolar line F p, as a fraction of the norm of F. If the normal is shorter, the
+/// pixel p counts as the epipole.
 const MIN_LINE_FRACTION: f64 = 1e-12;
 
 impl EpipolarGeometry {

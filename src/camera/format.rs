@@ -18,14 +18,15 @@ use schemars::JsonSchema;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
-/// Pose in JSON: the rigid transform from world coordinates to camera coordinates. A rig's file has rig coordinates in
-/// place of world coordinates.
+/// Pose in JSON: the rigid transform from world coordinates to camera coordinates. In a rig's file, it is the transform
+/// from rig coordinates to camera coordinates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFormat {
-    /// Rotation as a quaternion (w, x, y, z). Its length differs from 1 by at most [`MAX_QUATERNION_ERROR`].
+    /// Rotation from world to camera coordinates, as a quaternion (w, x, y, z). The quaternion's length differs from 1
+    /// by at most [`MAX_QUATERNION_ERROR`].
     pub rotation_wxyz: [f64; 4],
-    /// Translation, metres.
+    /// Translation from world to camera coordinates: the world's origin in camera coordinates, metres.
     pub translation: [f64; 3],
 }
 
@@ -68,7 +69,7 @@ pub struct ViewFormat {
 /// Error in a camera's JSON. The message starts with the name of the wrong field.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum CameraFormatError {
-    /// The width or the height is 0 or too large.
+    /// The width or the height is 0 or larger than `max`, pixels.
     #[error("{field}: is {value}, must be from 1 to {max}")]
     Size { field: &'static str, value: u32, max: u32 },
     /// The image has more than [`MAX_PIXELS`] pixels, or a view to render has more than 8192×4320 pixels.
@@ -83,7 +84,7 @@ pub enum CameraFormatError {
     /// The length of the quaternion differs from 1 by more than [`MAX_QUATERNION_ERROR`].
     #[error("cam_from_world.rotation_wxyz: has length {}, must be of unit length to 1e-3", number(.length))]
     Quaternion { length: f64 },
-    /// A coordinate of the translation is not finite, or its magnitude is too large.
+    /// A coordinate of the translation is not finite, or its absolute value is larger than 1e12 m.
     #[error("cam_from_world.translation: must be within {MAX_TRANSLATION_M:e} of 0")]
     Translation,
 }
@@ -95,8 +96,8 @@ fn known_models() -> String {
 
 /// Maximum width and height of an image, pixels.
 const MAX_SIZE_PX: u32 = 65_536;
-/// Maximum magnitude of a translation's coordinate, metres. Powers of this value, as rendering computes them, stay
-/// finite.
+/// Maximum absolute value of a translation's coordinate, metres. With this limit, the powers of distances in rendering
+/// don't overflow.
 const MAX_TRANSLATION_M: f64 = 1e12;
 /// Maximum number of pixels of a view: 8K of digital cinema. Rendering takes about 32 bytes per pixel.
 const MAX_VIEW_PIXELS: u64 = 8192 * 4320;
@@ -104,8 +105,8 @@ const MAX_VIEW_PIXELS: u64 = 8192 * 4320;
 pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
 impl ViewFormat {
-    /// Checks every field and converts the view to a camera. The maximum number of pixels is smaller than for an input
-    /// image.
+    /// Checks every field and converts the view to a camera. The largest allowed number of pixels is smaller for a view
+    /// than for an input image.
     pub fn camera(self) -> Result<Camera, CameraFormatError> {
         let Self { width, height, model, params, cam_from_world, .. } = self;
         let camera = CameraFormat { width, height, model, params, cam_from_world }.camera()?;

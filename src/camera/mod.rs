@@ -42,8 +42,8 @@ pub struct Camera {
 const MIN_DEPTH_FRACTION: f64 = 1e-6;
 
 impl Camera {
-    /// Returns the camera for an image of half the resolution. An odd last row or column is dropped. `None` if no pixel
-    /// is left.
+    /// Returns the camera for an image of half the resolution. An odd last row or column is dropped. `None` if the
+    /// image is less than 2 pixels wide or high.
     pub fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         let model = self.model.halved();
@@ -75,7 +75,8 @@ impl Camera {
 
     /// Returns the viewing direction of a pixel in camera coordinates, scaled to z = 1.
     ///
-    /// `None` where the lens model can't be inverted: far outside of the image of a lens with distortion.
+    /// `None` where the lens model can't be inverted, which is far outside of the image and only for lenses with
+    /// distortion.
     pub fn ray(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         let n = self.model.normalized_from_pixel(pixel)?;
         Some(Vector3::new(n.x, n.y, 1.0))

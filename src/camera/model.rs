@@ -408,7 +408,8 @@ mod tests {
         assert!(!folding.is_short_of_fold(&Point2::new(f64::NAN, 0.0)));
     }
 
-    /// Beyond the second fold the slope is positive again, but points nearer to the axis project to the same pixels.
+    /// Beyond the second fold, the distorted radius grows again. The model is still not invertible there, because
+    /// points nearer to the axis project to the same pixels.
     #[test]
     fn a_lens_that_folds_twice_ends_at_the_first() {
         let model = CameraModel::Radial { f: 1.0, cx: 0.0, cy: 0.0, k: [-1.0, 0.3] };
@@ -421,7 +422,8 @@ mod tests {
         assert!(inverse.is_none_or(|n| n.coords.norm() < 0.65), "{inverse:?}");
     }
 
-    /// Tests barrel distortion up to the fold, and pincushion distortion, which moves points beyond the fold's radius.
+    /// Tests the inverse up to the fold. The pincushion distortion maps some points inside of the fold to distorted
+    /// radii larger than the fold's radius. Newton's method then starts beyond the fold.
     #[test]
     fn strong_distortion_is_inverted_up_to_its_fold() {
         let barrel = CameraModel::SimpleRadial { f: 1.0, cx: 0.0, cy: 0.0, k: -0.5 };

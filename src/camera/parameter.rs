@@ -14,7 +14,8 @@ pub enum CameraParameter {
     Focal,
     /// Coordinate x (0) or y (1) of the principal point, pixels.
     PrincipalPoint(usize),
-    /// Distortion parameter of the lens model, counted from 0 in COLMAP's order after the principal point.
+    /// Distortion parameter of the lens model. Index 0 is the first parameter after the principal point in COLMAP's
+    /// order.
     Distortion(usize),
 }
 
@@ -51,8 +52,9 @@ impl CameraModel {
 }
 
 impl Camera {
-    /// Returns the camera with `change` added to one parameter of its calibration. If the camera model lacks the
-    /// parameter, such as the third distortion parameter of a pinhole, the camera is returned unchanged.
+    /// Returns the camera with `change` added to one parameter of its calibration. The unit of `change` is stated at
+    /// the variants of [`CameraParameter`]. If the camera model lacks the parameter, such as the third distortion
+    /// parameter of a pinhole, the camera is returned unchanged.
     pub fn with_change(&self, parameter: CameraParameter, change: f64) -> Self {
         let mut camera = self.clone();
         let axis = |axis: usize| Vector3::ith(axis, change);

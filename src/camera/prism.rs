@@ -27,8 +27,8 @@ impl PrismFisheye {
         self.project_angles(&angles(n))
     }
 
-    /// Returns whether the model is invertible at the point `n` of the plane z = 1: the radial part grows from the axis
-    /// to `n`, and the Jacobian's determinant is positive at `n`.
+    /// Returns whether the model is invertible at the point `n` of the plane z = 1. The radius after radial distortion
+    /// must grow all the way from the axis to `n`, and the Jacobian's determinant must be positive at `n`.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         self.is_inside(&angles(n))
     }

@@ -1,17 +1,18 @@
-//! Numerical inversion of lens distortion: positivity of polynomials, and Newton's method inside a domain.
+//! Numerical inversion of lens distortion: a test whether a polynomial is positive on an interval, and Newton's method
+//! inside a domain.
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Relative length of a step below which Newton's iteration stops.
+/// Newton's iteration stops after a step whose length, relative to the current solution, is below this value.
 pub(super) const STEP: f64 = 1e-14;
 /// Maximum number of Newton steps. Usually 3 to 6 steps suffice. At the border of the invertible domain, convergence is
 /// linear and takes about 30 steps.
 pub(super) const ITERATIONS: usize = 60;
-/// Minimum slope of the distorted radius, and minimum determinant of the distortion's Jacobian, in the invertible
-/// domain.
+/// In the invertible domain, the derivative of the distorted radius and the determinant of the distortion's Jacobian
+/// are above this value.
 pub(super) const MIN_SLOPE: f64 = 1e-9;
-/// Maximum residual of an accepted solution, in units of the plane z = 1. For points far from the axis, the limit grows
-/// with the radius.
+/// Maximum distance between the distorted solution and the given distorted point d, in units of the plane z = 1. The
+/// limit is this value times 1 + |d|.
 pub(super) const MAX_RESIDUAL: f64 = 1e-12;
 /// Maximum angle from the optical axis, radians. A ray at 90° doesn't meet the plane z = 1.
 pub(super) const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;

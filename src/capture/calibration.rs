@@ -1,6 +1,7 @@
 //! Errors of a capture's calibration: the fields of `capture.json` that state them, and their covariance.
 //!
-//! A calibration error of a camera affects all features in all of its frames alike. It therefore doesn't average out.
+//! A calibration error of a camera has the same effect on all features in all of its frames. Therefore it doesn't
+//! average out over the features.
 
 use super::CaptureError;
 use crate::camera::{Camera, CameraParameter};
@@ -38,13 +39,13 @@ pub enum LensGroup {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CalibrationStdFormat {
-    /// Standard deviation of the rotation about each axis, degrees, at most 45.
+    /// Standard deviation of the error of the camera's rotation about each of the world's axes, degrees, at most 45.
     pub rotation_deg: f64,
-    /// Standard deviation of the camera's centre along each axis, metres, at most 1000.
+    /// Standard deviation of the error of the camera's centre along each of the world's axes, metres, at most 1000.
     pub centre_m: f64,
-    /// Standard deviation of the focal lengths, as a fraction of the focal lengths, at most 0.5.
+    /// Standard deviation of the relative error of the focal lengths, at most 0.5.
     pub focal_relative: f64,
-    /// Standard deviation of each coordinate of the principal point, pixels, at most 1000.
+    /// Standard deviation of the error of each coordinate of the principal point, pixels, at most 1000.
     pub principal_point_px: f64,
 }
 
@@ -59,7 +60,7 @@ pub struct CalibrationErrors {
 }
 
 /// Tolerance for negative eigenvalues due to rounding, in a covariance matrix scaled to unit variances. Numbers in
-/// files have six digits or more.
+/// files are rounded to six digits or more.
 const ROUNDING: f64 = 1e-5;
 
 impl CalibrationStdFormat {
@@ -79,8 +80,8 @@ impl CalibrationStdFormat {
         wrong.map_or(Ok(()), |(field, _, max)| Err(format!("{field} must be from 0 to {max}")))
     }
 
-    /// Returns the standard deviation of a calibration parameter: radians, metres, pixels, or a fraction of the focal
-    /// length.
+    /// Returns the standard deviation of a calibration parameter's error. The unit is radians for rotations, metres for
+    /// translations, and pixels for the principal point. The focal length's error is a fraction of the focal length.
     fn of(&self, parameter: CameraParameter) -> f64 {
         match parameter {
             CameraParameter::Rotation(_) => self.rotation_deg.to_radians(),
@@ -93,11 +94,12 @@ impl CalibrationStdFormat {
 }
 
 impl CalibrationErrors {
-    /// Converts the calibration errors that `capture.json` states. `None` if it states no errors. `stated` has each
-    /// camera's `calibration_std`, `format` is the capture's `calibration_covariance`.
+    /// Returns the covariance of the calibration errors that `capture.json` states. `None` if it states no errors.
+    /// `format` is the capture's field `calibration_covariance`. `stated` holds the field `calibration_std` of each
+    /// camera.
     ///
-    /// Errors: both kinds of fields are given, the matrix has a wrong size, a number is not finite, or the matrix is
-    /// not positive semidefinite.
+    /// Errors: both fields are given, the matrix has a wrong size, a number is not finite, or the matrix is not
+    /// positive semidefinite.
     pub(super) fn open(
         format: Option<&CalibrationCovarianceFormat>,
         stated: &[Option<CalibrationStdFormat>],
@@ -186,7 +188,7 @@ impl CalibrationErrors {
         Ok(Self { parameters, covariance })
     }
 
-    /// Returns the errors of the given cameras, with the cameras renumbered in this order.
+    /// Returns the covariance of the errors of the given cameras only. The cameras are renumbered in the given order.
     pub(super) fn of_cameras(&self, cameras: &[usize]) -> Self {
         let mut parameters = Vec::new();
         let mut rows = Vec::new();

@@ -21,7 +21,8 @@ pub const MAX_DRIFT_PPM: f64 = 1000.0;
 /// Times of a camera's frames on its own clock, and how this clock may differ from the reference camera's clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
-    /// Middle of the exposure of each frame's middle row: seconds from the capture's start, strictly ascending.
+    /// Time of each frame, seconds on the camera's own clock, strictly ascending. It is the middle of the exposure of
+    /// the frame's middle row. [`Capture::time_origin_s`] is subtracted.
     pub times_s: Vec<f64>,
     /// Whether the camera runs on the common clock. All cameras with this flag share one clock.
     pub shared: bool,
@@ -47,7 +48,7 @@ pub struct RowTimes {
 
 impl RowTimes {
     /// Makes the row times of an image of `height` pixels. `readout_s` is the time from the first row to the last row,
-    /// seconds. An image with a single row has the frame's time.
+    /// seconds. The single row of an image of height 1 is exposed at the frame's time.
     pub fn new(readout_s: f64, height: usize) -> Self {
         let s_per_px = if height > 1 { readout_s / (height - 1) as f64 } else { 0.0 };
         Self { s_per_px, middle_px: 0.5 * height as f64 }
@@ -140,7 +141,7 @@ pub fn are_frame_times(times_s: &[f64]) -> bool {
 /// Times of a camera's frames, and of the rows in the frames.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameTimes<'a> {
-    /// Time of each frame's middle row, seconds on any clock, strictly ascending.
+    /// Time of each frame's middle row, seconds, strictly ascending. The clock is the camera's own or the reference's.
     pub times_s: &'a [f64],
     pub rows: RowTimes,
 }
@@ -151,8 +152,8 @@ impl<'a> FrameTimes<'a> {
         Self { times_s, rows: RowTimes::default() }
     }
 
-    /// Returns the time at which a position of a frame was exposed, seconds. The position is in the camera's own image
-    /// with lens distortion, pixels.
+    /// Returns the time at which a position of a frame was exposed, seconds on the clock of `times_s`. The position is
+    /// in the camera's own image with lens distortion, pixels.
     ///
     /// # Panics
     /// If the camera has no frame with this index.
@@ -167,7 +168,8 @@ impl FilmedCamera {
         RowTimes::new(self.clock.readout_s, self.camera.height)
     }
 
-    /// Combines the given times of this camera's frames, on any clock, with the times of its image rows.
+    /// Combines the given times of this camera's frames with the times of its image rows. The given times may be on any
+    /// clock.
     pub fn frame_times<'a>(&self, times_s: &'a [f64]) -> FrameTimes<'a> {
         FrameTimes { times_s, rows: self.row_times() }
     }
@@ -184,9 +186,9 @@ impl FilmedCamera {
 }
 
 impl Capture {
-    /// Returns an upper bound on the time between any camera's recording and the reference's recording, seconds.
-    /// Offsets are estimated along chains of overlapping recordings. In the longest chain, all recordings follow one
-    /// another.
+    /// Returns an upper bound on the time between any camera's recording and the reference's recording, seconds. The
+    /// bound is the sum of the durations of all recordings: offsets are only estimated between recordings that overlap,
+    /// directly or through the recordings of other cameras.
     pub fn reach_s(&self) -> f64 {
         self.cameras.iter().map(FilmedCamera::max_duration_s).sum()
     }
@@ -197,9 +199,9 @@ impl Capture {
         camera == self.reference || (shares(camera) && shares(self.reference))
     }
 
-    /// Returns lower and upper bounds on the times of a camera's frames for every possible offset, seconds on the
-    /// reference's clock. If `camera` is `None`, the bounds are for all cameras together. The bounds are exact for a
-    /// camera that has the reference's clock and loses no frames.
+    /// Returns the lower and the upper bound on the times of a camera's frames, seconds on the reference's clock. The
+    /// bounds hold for every possible offset of the camera. If `camera` is `None`, the bounds are for all cameras
+    /// together. The bounds are exact for a camera that has the reference's clock and loses no frames.
     pub fn widest_span_s(&self, camera: Option<usize>) -> (f64, f64) {
         let reference = &self.cameras[self.reference];
         let span = |c: usize| {

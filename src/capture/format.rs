@@ -27,7 +27,8 @@ pub struct CaptureFormat {
     pub reference: Option<String>,
     /// The cameras, at least one.
     pub cameras: Vec<FilmedCameraFormat>,
-    /// Estimated covariance of the calibration's errors. `stlfr offsets` includes these errors in the standard errors.
+    /// Estimated covariance of the errors of all cameras' calibration. `stlfr offsets` includes these errors in the
+    /// standard errors of the offsets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration_covariance: Option<CalibrationCovarianceFormat>,
 }
@@ -52,8 +53,8 @@ pub struct FilmedCameraFormat {
     pub params: Vec<f64>,
     /// Pose: the rigid transform from world coordinates to camera coordinates.
     pub cam_from_world: PoseFormat,
-    /// Standard deviations of the calibration's errors, stated by hand. Replaces the capture's
-    /// `calibration_covariance`.
+    /// Standard deviations of the errors of this camera's calibration, stated by hand. Not allowed together with the
+    /// capture's `calibration_covariance`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration_std: Option<CalibrationStdFormat>,
     /// Whether the frames are read as RGB or as grey.
@@ -77,13 +78,14 @@ pub enum Color {
 #[serde(deny_unknown_fields)]
 pub struct ClockFormat {
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    /// Frame rate, hertz.
+    /// Frame rate, hertz. Absent if `times_s` is given.
     pub rate_hz: Option<f64>,
-    /// Time of the first frame on the camera's own clock, seconds.
+    /// Time of the first frame on the camera's own clock, seconds. Absent if `times_s` is given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_s: Option<f64>,
-    /// Middle of each frame's exposure on the camera's own clock, seconds. Ascending, one time per frame. With
-    /// `readout_s`, the middle of the exposure of the frame's middle row.
+    /// Time of each frame on the camera's own clock, seconds, ascending: the middle of the frame's exposure. With
+    /// `readout_s`, it is the middle of the exposure of the frame's middle row. Absent if `rate_hz` and `first_s` are
+    /// given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times_s: Option<Vec<f64>>,
     /// Whether the camera runs on the common clock. All cameras with this flag share one clock.
@@ -95,15 +97,15 @@ pub struct ClockFormat {
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub lost: bool,
     /// Readout time of a rolling shutter: the time from the exposure of the first row to the exposure of the last row,
-    /// seconds. At most the median time between frames. 0 for a global shutter.
+    /// seconds. At most the median time between frames. 0 or absent for a global shutter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0))]
     pub readout_s: Option<f64>,
 }
 
 impl CaptureFormat {
-    /// Checks everything that can be checked without the frames. Returns the index of the reference camera. The error
-    /// message doesn't name the file.
+    /// Checks the format, the version, the capture's name and the cameras' ids. Returns the index of the reference
+    /// camera. The error message doesn't name the file.
     pub(super) fn check(&self) -> Result<usize, String> {
         if self.format != "stlfr-capture" {
             return Err(format!("format: is '{}', must be 'stlfr-capture'", short(&self.format)));
@@ -178,7 +180,9 @@ impl FilmedCameraFormat {
 }
 
 impl ClockFormat {
-    /// Returns the clock of a camera with `frames` frames. The error message doesn't name the file.
+    /// Checks the fields, and returns the clock of a camera with `frames` frames. `video` is the camera's video file,
+    /// whose time stamps must not contradict `rate_hz`; `None` for an image sequence. The error message doesn't name
+    /// the file.
     fn open(&self, frames: usize, video: Option<&VideoFile>) -> Result<Clock, String> {
         let offer = || video.map_or(String::new(), |v| format!("; {}", v.offer()));
         let times_s = match (self.rate_hz, self.first_s, &self.times_s) {

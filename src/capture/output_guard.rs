@@ -63,7 +63,7 @@ impl OutputGuard {
     }
 
     /// Returns an error if `path` is not allowed as an output folder. `names` lists what will be written into the
-    /// folder: files, and sub-folders with a final `/`. They may exist already.
+    /// folder: files, and sub-folders with a final `/`. These files and sub-folders may exist already.
     pub fn check_folder(&mut self, path: &Path, names: &[&str]) -> Result<(), CaptureError> {
         must_be_a_folder(path)?;
         self.check(path, true, ProtectedPaths::against_capture)?;
@@ -86,9 +86,10 @@ impl OutputGuard {
         self.check(path, true, ProtectedPaths::against_capture)
     }
 
-    /// Checks a path against the protected paths of the command's own capture and of all captures in folders above the
-    /// path. Symbolic links in parent folders are resolved. If `is_folder`, a link at the path itself is resolved too.
-    /// `against` returns the reason why the path is protected, or `None`.
+    /// Returns an error if a path is protected. The path is checked against the protected paths of the command's own
+    /// capture, and of all captures in folders above the path. Symbolic links in parent folders are resolved. If
+    /// `is_folder` is true, a symbolic link at the path itself is resolved too. `against` returns the reason why a path
+    /// is protected, or `None` if it isn't.
     fn check(
         &mut self,
         path: &Path,

@@ -86,8 +86,8 @@ pub struct Truth {
     hashes: Arc<Mutex<HashMap<PathBuf, blake3::Hash>>>,
 }
 
-/// True clock of one camera. With the time first_cam of the camera's first frame, time_ref = time_cam + (time_cam −
-/// first_cam) · `rate_ppm` · 1e-6 + `offset_s`.
+/// True clock of one camera. With t_first, the time of the camera's first frame: time_ref = time_cam + `offset_s` +
+/// (time_cam − t_first) · `rate_ppm` · 1e-6.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthOffset {
@@ -96,10 +96,11 @@ pub struct TruthOffset {
     /// Offset at the time of the camera's first frame, seconds: time on the reference's clock minus time on the
     /// camera's clock.
     pub offset_s: f64,
-    /// Drift relative to the reference's clock, parts per million.
+    /// Drift of the camera's clock, parts per million: the microseconds per second by which (time on the reference's
+    /// clock − time on the camera's clock) grows.
     #[serde(default)]
     pub rate_ppm: f64,
-    /// For each missing frame, the index of the next recorded image.
+    /// For each lost frame, the index of the next image that was recorded. Recorded images are counted from 0.
     #[serde(default)]
     pub lost_before: Vec<u32>,
 }
@@ -110,7 +111,7 @@ pub struct TruthOffset {
 pub struct TruthShutter {
     /// The camera's id.
     pub id: String,
-    /// Times in ascending order, one per frame, seconds on the reference's clock.
+    /// Middle of the exposure of each frame, seconds on the reference's clock, in ascending order.
     pub times_s: Vec<f64>,
 }
 
@@ -133,7 +134,8 @@ pub struct TruthView {
     pub image: String,
     /// npy file of the depth, relative to `truth/`: f32, H×W, metres along the camera's +z.
     pub depth: String,
-    /// npy file of the motion, relative to `truth/`: f32, H×W, pixels that the surface point moves within ±1 frame.
+    /// npy file of the motion, relative to `truth/`: f32, H×W, pixels. The motion is the displacement of a surface
+    /// point within one frame before the instant or one frame after it, whichever is larger.
     pub motion: String,
 }
 
@@ -166,8 +168,8 @@ impl Truth {
         Ok(Some(truth))
     }
 
-    /// Returns an error for another format, for ids and names that `capture.json` couldn't have, and for invalid
-    /// cameras. The error message doesn't name the file.
+    /// Checks the format, the version, and all names, ids and cameras. Names and ids must be valid in `capture.json`.
+    /// The error message doesn't name the file.
     fn check(&self) -> Result<(), String> {
         if self.format != "stlfr-truth" || self.version != 1 {
             return Err("format and version must be 'stlfr-truth' and 1".into());
@@ -194,12 +196,13 @@ impl Truth {
         Ok(())
     }
 
-    /// Returns a camera's true offset, seconds. `None` for an unknown id.
+    /// Returns a camera's true offset at its first frame, seconds: time on the reference's clock minus time on the
+    /// camera's clock. `None` if the ground truth has no camera with this id.
     pub fn offset_s(&self, id: &str) -> Option<f64> {
         self.clock(id).map(|o| o.offset_s)
     }
 
-    /// Returns a camera's true clock. `None` for an unknown id.
+    /// Returns a camera's true clock. `None` if the ground truth has no camera with this id.
     pub fn clock(&self, id: &str) -> Option<&TruthOffset> {
         self.offsets.iter().find(|o| o.id == id)
     }

@@ -43,14 +43,14 @@ pub struct VideoFile {
     folder: PathBuf,
     /// Hashes of the decoded frames' files, in order.
     pub(super) frames: Vec<blake3::Hash>,
-    /// The video's own time stamps, seconds.
+    /// The time stamp of each frame in the video file, seconds.
     stamps_s: Vec<f64>,
 }
 
 /// The cache entry of a decoded video.
 #[derive(Serialize, Deserialize)]
 struct DecodedVideo {
-    /// The video's own time stamps, seconds.
+    /// The time stamp of each frame in the video file, seconds.
     times_s: Vec<f64>,
     /// Hash of every decoded frame's file, in hexadecimal digits.
     frames: Vec<String>,
@@ -166,9 +166,9 @@ impl VideoFile {
         Ok(())
     }
 
-    /// Returns an error if a constant frame rate contradicts the video's own time stamps. The tolerance is half a frame
-    /// between two consecutive frames and 1 % over all frames, plus [`ROUNDING_S`]. The error message doesn't name the
-    /// file.
+    /// Returns an error if a constant frame rate contradicts the video's own time stamps. Each interval between two
+    /// frames may differ by 50 % from 1 / `rate_hz`. The duration from the first to the last frame may differ by 1 %
+    /// from its expected value. [`ROUNDING_S`] is added to both tolerances. The error message doesn't name the file.
     pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
         let frame_s = 1.0 / rate_hz;
         let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
@@ -198,8 +198,8 @@ impl VideoFile {
     }
 }
 
-/// Returns the hashes of the decoded frames in a folder. `None` if they don't match the cache entry. The entry's
-/// checksum uses no secret, so the entry may be forged. Its numbers are therefore checked first.
+/// Returns the hashes of the decoded frames in a folder. `None` if they don't match the cache entry. The entry may be
+/// forged, because its checksum uses no secret. The number of frames in the entry is therefore checked first.
 fn matching_hashes(
     cache: &DiskCache,
     folder: &Path,
@@ -235,7 +235,7 @@ fn lock_file(folder: &Path) -> io::Result<File> {
     File::options().write(true).create(true).truncate(false).custom_flags(flags).open(path)
 }
 
-/// Name of the folder that holds the frames inside a temporary folder.
+/// Name of the folder of decoded frames while a video is being decoded. The folder lies in a temporary folder.
 const FRAMES: &str = "frames";
 
 #[cfg(test)]

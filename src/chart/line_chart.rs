@@ -15,7 +15,8 @@ pub struct Chart {
     pub log_x: bool,
     /// Whether the y axis is logarithmic. A logarithmic axis doesn't show values that aren't positive.
     pub log_y: bool,
-    /// Smallest and largest value of a range that the y axis includes, even if no point lies there.
+    /// Smallest and largest value of a range that the y axis includes, even if no point lies there. `None` if the data
+    /// alone determine the axis's range.
     pub y_shows: Option<(f64, f64)>,
     /// Point sets of the chart. Later series are drawn over earlier series.
     pub series: Vec<Series>,
@@ -68,7 +69,7 @@ impl From<(f64, f64)> for ChartPoint {
     }
 }
 
-/// Width of a chart without a key, pixels at a zoom of 1. `HEIGHT` is the height.
+/// Width of a chart without a key, pixels.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 340.0;
 /// Left, right, top and bottom margins between the chart's edges and its frame, pixels. They contain the ticks and
@@ -76,7 +77,7 @@ const HEIGHT: f64 = 340.0;
 const MARGINS: [f64; 4] = [74.0, 16.0, 34.0, 48.0];
 /// Height of a line of text, pixels.
 const ROW: f64 = 15.0;
-/// Factor by which a chart with a key is enlarged.
+/// Ratio of the width and height of a chart with a key to those of a chart without a key. The key's own width is added.
 const KEYED: f64 = 1.4;
 /// Colours of the series, which differ in hue and in lightness.
 const COLORS: [&str; 8] =
@@ -126,7 +127,8 @@ impl Chart {
         longest.map_or(0.0, |n| ADVANCE * n as f64 + 16.0)
     }
 
-    /// Returns the number of text rows that the legend takes above the key.
+    /// Returns the row of text in which the key starts, counted from 0. It lies below the legend's rows and one empty
+    /// row.
     fn key_from(&self) -> usize {
         let names = self.series.iter().filter(|s| !s.label.is_empty()).count();
         if names > 0 { names + 1 } else { 0 }

@@ -13,7 +13,7 @@ pub(super) const TEXT_SIZE: f64 = 11.7;
 /// decimal, and `number` writes a number without trailing zeros.
 ///
 /// # Panics
-/// If the template is wrong, for any values.
+/// If the template itself has an error, such as wrong syntax. The values can't cause a panic.
 pub(super) fn filled(template: &'static str, values: Value) -> String {
     let mut env = Environment::new();
     let mut syntax = SyntaxConfig::builder();

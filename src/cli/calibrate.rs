@@ -1,4 +1,4 @@
-//! `stlfr calibrate` and `stlfr refine`
+//! The commands `stlfr calibrate` and `stlfr refine`, which estimate and refine the calibration of a capture.
 
 use super::CliError;
 use super::files::{CommandOutput, open_capture};
@@ -12,15 +12,15 @@ use crate::toolchain::{
 };
 use std::path::{Path, PathBuf};
 
-/// Make a capture from recordings without a calibration, or with one that is not trusted.
+/// Make a capture from recordings whose calibration is missing or not trusted.
 ///
-/// The cameras must not move. Their poses and lenses are estimated from the static part of the scene, the median of
-/// each camera's frames, so that they need not be synchronized. The static part must be textured, and neighbouring
-/// cameras must see the same part of it. Images do not determine the scale: give --distance for true metres. If all
-/// cameras look in one direction, images do not determine the focal length either: give --focal, or depths are wrong by
-/// the error of a guess.
+/// The cameras must not move. Their poses and lenses are estimated from the static part of the scene, which is the
+/// median of each camera's frames. The cameras therefore need not be synchronized. The static part must be textured,
+/// and neighbouring cameras must see the same part of it. Images do not determine the scale: give --distance for true
+/// metres. If all cameras look in one direction, images do not determine the focal length either: give --focal, or
+/// depths are wrong by the error of a guessed focal length.
 ///
-/// If a capture is given, its calibration is not read, and its truth, offsets and COLMAP model are not copied.
+/// If a capture is given, its calibration is not read, and its ground truth, offsets and COLMAP model are not copied.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr calibrate videos -o .captures/mine\n  \
@@ -30,30 +30,30 @@ use std::path::{Path, PathBuf};
 pub struct CalibrateArgs {
     /// A folder with a video or a sub-folder of images for each camera, or a capture.
     recordings: PathBuf,
-    /// Two cameras and the distance of their centres, metres.
+    /// Two cameras and the distance between their centres, in metres.
     #[arg(long, num_args = 3, value_names = ["CAMERA", "CAMERA", "METRES"])]
     distance: Option<Vec<String>>,
-    /// Focal length of all cameras, pixels [default: estimated].
+    /// Focal length of all cameras, in pixels [default: estimated].
     #[arg(long, value_name = "PX")]
     focal: Option<f64>,
-    /// COLMAP's lens model.
+    /// Lens model, by its name in COLMAP.
     #[arg(long, value_name = "MODEL", default_value = "SIMPLE_RADIAL",
         value_parser = ["PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"])]
     lens: String,
     #[command(flatten)]
     clocks: ClockArgs,
-    /// The capture to make: a new folder.
+    /// Folder of the new capture.
     #[arg(short, long, value_name = "CAPTURE")]
     output: PathBuf,
 }
 
 /// Refine a capture's calibration by the static part of its images, and write a new capture.
 ///
-/// Bundle adjustment of the poses, and with --focal and --principal-point also of these lens parameters. The given
-/// capture is not changed. The array's mean position, direction and size stay as they are. Parameters that the images
-/// do not determine keep their given values. The covariance of the result is saved with the new capture, and counts in
-/// the standard errors of its offsets. If focal lengths may be wrong, give --focal: otherwise the error of a focal
-/// length becomes an error of the poses.
+/// Bundle adjustment refines the poses. With --focal and --principal-point, it also refines these lens parameters. The
+/// given capture is not changed. The mean position, the direction and the size of the array stay the same. Parameters
+/// that the images do not determine keep their given values. The covariance of the result is saved with the new
+/// capture, and is included in the standard errors of its offsets. If focal lengths may be wrong, give --focal:
+/// otherwise the error of a focal length becomes an error of the poses.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr refine .captures/mine -o .captures/refined\n  \
@@ -61,13 +61,14 @@ pub struct CalibrateArgs {
 pub struct RefineArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// Refine focal lengths too. Given ones are assumed to have a standard error of 1 %.
+    /// Refine focal lengths too. The given focal lengths are assumed to have a standard error of 1 %.
     #[arg(long)]
     focal: bool,
-    /// Refine principal points too. Given ones are assumed to have a standard error of 0.5 % of the image's width.
+    /// Refine principal points too. The given points are assumed to have a standard error of 0.5 % of the image's
+    /// width.
     #[arg(long)]
     principal_point: bool,
-    /// The capture to make: a new folder.
+    /// Folder of the new capture.
     #[arg(short, long, value_name = "CAPTURE")]
     output: PathBuf,
 }
@@ -107,7 +108,8 @@ pub fn run_refine(args: &RefineArgs, page: &mut Page, reporter: &Reporter) -> Re
     calibrated(&args.capture, &request, &args.output, page, reporter)
 }
 
-/// Estimates a calibration from a capture's frames, and writes both as the capture `output`.
+/// Estimates a calibration from a capture's frames, and writes the frames with this calibration as the capture
+/// `output`.
 fn calibrated(
     folder: &Path,
     request: &CalibrationRequest,
@@ -115,7 +117,7 @@ fn calibrated(
     page: &mut Page,
     reporter: &Reporter,
 ) -> Result<(), CliError> {
-    // A wrong capture is an error before a set-up that may take minutes.
+    // A wrong capture is reported before the set-up of the environment, which may take minutes.
     let capture = open_capture(folder, None, reporter)?;
     require_distance(&capture, request)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
@@ -134,7 +136,7 @@ fn calibrated(
     Ok(())
 }
 
-/// Parses the values of `--distance`.
+/// Parses the values of `--distance`: the ids of two cameras, and the distance between their centres in metres.
 fn distance(values: &[String]) -> Result<([String; 2], f64), CliError> {
     let wrong = |reason: &str| CliError::BadInput(format!("--distance: {reason}"));
     let [first, second, metres] = values else { return Err(wrong("needs three values")) };
@@ -146,7 +148,7 @@ fn distance(values: &[String]) -> Result<([String; 2], f64), CliError> {
     Ok(([first.clone(), second.clone()], metres))
 }
 
-/// An error if `--distance` names a camera that the capture doesn't have.
+/// Returns an error if `--distance` names a camera that the capture doesn't have.
 fn require_distance(capture: &Capture, request: &CalibrationRequest) -> Result<(), CliError> {
     let CalibrationRequest::New { distance_m: Some((ids, _)), .. } = request else {
         return Ok(());

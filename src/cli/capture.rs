@@ -1,4 +1,4 @@
-//! `stlfr capture`
+//! The command `stlfr capture`, which films a scene in Blender with a simulated camera rig.
 
 use super::CliError;
 use super::files::{CommandOutput, must_be_a_file};
@@ -10,18 +10,17 @@ use crate::rig::Rig;
 use crate::toolchain::{FilmOptions, FilmedScene, ensure_environment, film, project_root};
 use std::path::{Path, PathBuf};
 
-/// Film a scene in Blender with a simulated camera rig. After an interruption, the same command
-/// continues.
+/// Film a scene in Blender with a simulated camera rig. After an interruption, the same command continues.
 ///
 /// Other machines that share the folder may run the same command to help. Each image is filmed once, even if the
-/// machines' clocks are wrong. Images that a failed machine had begun are filmed again after --silence.
+/// machines' clocks are wrong. Images that a failed machine had begun are filmed again after the time of --silence.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr capture rigs/linear8.json --scene magazine -o .captures/magazine --size 320x240\n  \
     stlfr capture rigs/linear8.json --blend my-scene.blend -o .captures/mine --frames 30\n\n\
     In a .blend, an object named `rig` (or else the scene's camera) says where the rig stands.")]
 pub struct CaptureArgs {
-    /// The rig's file, such as rigs/linear8.json.
+    /// Rig file, such as rigs/linear8.json.
     #[arg(requires = "source")]
     rig: PathBuf,
     /// The capture's folder.
@@ -29,20 +28,21 @@ pub struct CaptureArgs {
     output: PathBuf,
     #[command(flatten)]
     scene: SceneArgs,
-    /// Film only parts K to L of N, such as 3-6/100. When all parts are filmed, run the command without it to complete
-    /// the capture.
+    /// Film only parts K to L of N equal parts of the images, such as 3-6/100. When all parts are filmed, run the
+    /// command without --part to complete the capture.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
-    /// Seconds without a sign of life after which the images of another process are filmed here [default: 60].
+    /// Seconds without activity after which another process counts as failed and its images are filmed here [default:
+    /// 60].
     #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u32).range(5..=100_000))]
     silence: Option<u32>,
 }
 
-/// A scene, and how it is filmed.
+/// Arguments that choose a scene, and how the scene is filmed.
 #[derive(Debug, Default, PartialEq, clap::Args)]
 #[command(group = clap::ArgGroup::new("source"))]
 pub struct SceneArgs {
-    /// A scene of blender/scenes.
+    /// Name of a scene in blender/scenes.
     #[arg(long, value_name = "NAME", group = "source")]
     scene: Option<String>,
     /// A .blend file of your own.
@@ -51,20 +51,20 @@ pub struct SceneArgs {
     /// Image size of all cameras, with the rig's aspect ratio [default: the rig's size].
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     size: Option<(u32, u32)>,
-    /// Number of frames of the reference camera; the others film for the same time [default: 9].
+    /// Number of frames of the reference camera; the other cameras film for the same time [default: 9].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
-    /// Samples per pixel; images of the truth have four times as many [default: 16].
+    /// Samples per pixel; ground-truth images have four times as many [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     samples: Option<u32>,
     /// Blender's render engine. Workbench is many times faster, and lacks shadows, highlights and
     /// procedural textures [default: cycles].
     #[arg(long, value_name = "ENGINE", value_parser = ["cycles", "workbench"])]
     engine: Option<String>,
-    /// Number of instants at which the truth is rendered [default: 3].
+    /// Number of instants at which the ground truth is rendered [default: 3].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     instants: Option<u32>,
-    /// The instants of the truth, in seconds on the reference camera's clock, such as 0.1,0.15.
+    /// Instants of the ground truth, in seconds on the reference camera's clock, such as 0.1,0.15.
     #[arg(
         long,
         value_name = "T,T",
@@ -73,13 +73,13 @@ pub struct SceneArgs {
         allow_hyphen_values = true
     )]
     instants_s: Vec<f64>,
-    /// Number of surface points whose tracks are written into the truth [default: 0].
+    /// Number of surface points whose tracks are written into the ground truth [default: 0].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     tracks: Option<u32>,
-    /// Number of frames of a slow motion that is rendered as truth, from the rig's first view [default: 0].
+    /// Number of frames of a slow motion that is rendered as ground truth, from the rig's first view [default: 0].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=MAX_FRAMES as i64))]
     truth_video: Option<u32>,
-    /// Film without truth.
+    /// Render no ground truth.
     #[arg(long)]
     no_truth: bool,
     /// Store each camera's frames as one lossless video (FFV1 in Matroska) in place of images.
@@ -88,7 +88,7 @@ pub struct SceneArgs {
 }
 
 pub fn run(args: &CaptureArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    // Wrong arguments are reported before the set-up, which may take minutes.
+    // Wrong arguments are reported before the set-up of the environment, which may take minutes.
     let mut options = args.scene.options(&args.rig, &args.output)?;
     options.part = args.part.as_ref().map(Parts::to_string);
     options.silence_s = args.silence;
@@ -102,8 +102,8 @@ pub fn run(args: &CaptureArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// An error that lists the scenes, if none has this name. A scene is a module of `blender/scenes` with a function
-/// `build`.
+/// Returns an error that lists the known scenes, if no scene has this name. A scene is a module of `blender/scenes`
+/// with a function `build`.
 fn must_be_a_scene(name: &str, root: &Path) -> Result<(), CliError> {
     let is_scene = |file: &Path| {
         let is_module = file.extension().is_some_and(|extension| extension == "py");
@@ -123,12 +123,12 @@ fn must_be_a_scene(name: &str, root: &Path) -> Result<(), CliError> {
 }
 
 impl SceneArgs {
-    /// Whether truth is filmed.
+    /// Returns whether ground truth is rendered.
     pub fn has_truth(&self) -> bool {
         !self.no_truth
     }
 
-    /// The options of filming with a rig. All files that they name are checked.
+    /// Returns the options for filming with a rig, and checks all files that the options name.
     pub fn options(&self, rig: &Path, capture: &Path) -> Result<FilmOptions, CliError> {
         for file in std::iter::once(rig).chain(self.blend.as_deref()) {
             must_be_a_file(file)?;

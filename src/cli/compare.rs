@@ -1,4 +1,4 @@
-//! `stlfr compare`
+//! The command `stlfr compare`, which compares rendered views with the ground truth.
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
@@ -20,23 +20,23 @@ use crate::toolchain::{Environment, project_root, review};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Compare rendered views with the truth, and with traditional light field rendering: pictures, metrics.json and
-/// report.html.
+/// Compare rendered views with the ground truth, and with traditional light field rendering. Write pictures,
+/// metrics.json and report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr compare .captures/demo\n  \
     stlfr compare .captures/demo --video -o review\n  \
     stlfr compare .captures/demo --offsets mine.json")]
 pub struct CompareArgs {
-    /// The capture's folder; it must have truth.
+    /// The capture's folder; the capture must have ground truth.
     capture: PathBuf,
-    /// Where the report goes [default: CAPTURE/review].
+    /// Folder of the report [default: CAPTURE/review].
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Also write a video: truth, traditional and space-time light field side by side.
+    /// Also write a video: ground truth, traditional and space-time light field rendering side by side.
     #[arg(long)]
     video: bool,
-    /// Only score the offsets in this file, of the form that `stlfr offsets --json` prints.
+    /// Only score the offsets in this file, which has the format that `stlfr offsets --json` prints.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "video", "options", "preset"])]
     offsets: Option<PathBuf>,
     #[command(flatten)]
@@ -56,7 +56,7 @@ pub fn run(args: &CompareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// Scores the offsets in a file against the truth.
+/// Compares the offsets in a file with the ground truth, and prints their errors.
 fn print_scores(
     folder: &Path,
     file: &Path,
@@ -104,7 +104,8 @@ fn print_scores(
     Ok(())
 }
 
-/// Renders and compares. If `video` is set, writes a video too.
+/// Renders views, compares them with the ground truth, and writes the report into the folder `out`. If `video` is true,
+/// also writes a video.
 pub fn with_truth(
     capture: Arc<Capture>,
     options: &RenderOptions,
@@ -130,7 +131,7 @@ pub fn with_truth(
     Ok(summary)
 }
 
-/// Prints the main results, and the paths of the report.
+/// Prints the main results, and the paths of the written files.
 pub fn print(summary: &Summary, page: &mut Page) {
     for line in lines(&summary.headline) {
         page.line(line);
@@ -183,8 +184,8 @@ fn lines(headline: &Headline) -> Vec<String> {
     lines
 }
 
-/// Lines of the score table: the traditional baseline, ST-LFR with every proxy, and perfect synchronization with the
-/// proxy that `render` uses.
+/// Returns the lines of the score table: traditional light field rendering with one proxy, space-time light field
+/// rendering with every proxy, and perfectly synchronized images with the proxy that `render` uses.
 fn table(methods: &[MethodHeadline]) -> Vec<String> {
     let Some(baseline) = methods.first() else { return Vec::new() };
     let rendered = methods.iter().find(|m| m.is_rendered).map(|m| m.proxy);

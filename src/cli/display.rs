@@ -1,4 +1,4 @@
-//! Options `--quilt` and `--stereo` of `stlfr render`: several views in one picture.
+//! The options `--quilt` and `--stereo` of `stlfr render`, which put several views into one picture.
 
 use super::CliError;
 use super::shots::{Shots, camera};
@@ -10,21 +10,22 @@ use crate::light_field::{LightField, Request, Viewpoint};
 use crate::options::RenderOptions;
 use crate::progress::Reporter;
 
-/// Smallest angle of a quilt's view cone, degrees. A smaller angle shows no depth.
+/// Smallest angle of a quilt's view cone, in degrees. At a smaller angle, no depth is visible.
 const MIN_CONE_DEG: f64 = 1.0;
 
-/// Options of pictures that contain several views.
+/// Arguments for pictures that contain several views.
 #[derive(Debug, clap::Args)]
 pub struct DisplayArgs {
-    /// A quilt for a Looking Glass display: go, portrait, 16-landscape, 16-landscape-7x7, 16-portrait, 27-landscape,
-    /// 27-portrait, 32-landscape, 32-portrait, 65, or a layout such as 8x6:3360x3360. The layout is appended to the
-    /// file's name, such as _qs8x6a0.75.
+    /// Render a quilt, a grid of views, for a Looking Glass display: go, portrait, 16-landscape, 16-landscape-7x7,
+    /// 16-portrait, 27-landscape, 27-portrait, 32-landscape, 32-portrait, 65, or a layout such as 8x6:3360x3360. The
+    /// layout is appended to the file's name, such as _qs8x6a0.75.
     #[arg(long, value_name = "DISPLAY")]
     quilt: Option<QuiltLayout>,
-    /// Angle between a quilt's first and last view [default: the display's, or as much as the cameras cover].
+    /// Angle between a quilt's first and last view [default: the display's angle, at most the angle that the cameras
+    /// cover].
     #[arg(long, value_name = "DEGREES", requires = "quilt", value_parser = positive)]
     cone: Option<f64>,
-    /// Views of the left and the right eye side by side, the eyes this far apart.
+    /// Render the views of the left and the right eye side by side, with this distance between the eyes.
     #[arg(long, value_name = "METRES", conflicts_with = "quilt", value_parser = positive)]
     stereo: Option<f64>,
     /// Distance of the plane without parallax, which appears at the display's surface [default: the middle of the
@@ -33,33 +34,35 @@ pub struct DisplayArgs {
     convergence: Option<f64>,
 }
 
-/// How many views a picture contains, and how their cameras are placed.
+/// The arrangement of the views in a picture, and of their cameras.
 pub enum Layout {
     Single,
     Quilt { quilt: QuiltLayout, cone_deg: f64, convergence_m: f64 },
     Stereo { distance_m: f64, convergence_m: f64 },
 }
 
-/// Places of the views inside a picture.
+/// Positions of the views inside a picture.
 pub struct PictureParts {
-    /// Width and height of the picture, pixels.
+    /// Width and height of the picture, in pixels.
     pub size_px: [usize; 2],
-    /// The top left pixel of each view.
+    /// Position (x, y) of each view's top left pixel in the picture.
     pub origins: Vec<[usize; 2]>,
 }
 
 impl DisplayArgs {
-    /// Whether a picture contains several views.
+    /// Returns whether a picture contains several views.
     pub fn is_of_several(&self) -> bool {
         self.quilt.is_some() || self.stereo.is_some()
     }
 
-    /// The output path; for a quilt, the quilt's layout is appended to the name, as Looking Glass software expects.
+    /// Returns the output path. For a quilt, the quilt's layout is appended to the file's name, as Looking Glass
+    /// software expects.
     pub fn named(&self, output: &ImageOutput) -> ImageOutput {
         self.quilt.map_or_else(|| output.clone(), |quilt| output.ending(&quilt.name()))
     }
 
-    /// The layout of all pictures. Its cone and its convergence distance are chosen for the first view.
+    /// Returns the layout of all pictures. If no convergence distance is given, it is chosen for the first view. If no
+    /// cone is given, a quilt's cone is limited to the angle that the cameras cover around all views.
     pub fn layout(
         &self,
         field: &LightField,
@@ -121,7 +124,8 @@ impl DisplayArgs {
 }
 
 impl Layout {
-    /// The views that a picture around `view` contains, in the order of its parts.
+    /// Returns the views that a picture contains, in the order of the picture's parts. `view` is the middle of these
+    /// views.
     pub fn views(&self, field: &LightField, view: &NamedView) -> Vec<NamedView> {
         let middle = camera(field, view);
         let cameras = match self {
@@ -136,7 +140,7 @@ impl Layout {
         cameras.into_iter().map(NamedView::Free).collect()
     }
 
-    /// The places of the views inside a picture; `None` for a picture of a single view.
+    /// Returns the positions of the views inside a picture; `None` for a picture of a single view.
     pub fn parts(&self, field: &LightField, view: &NamedView) -> Option<PictureParts> {
         match self {
             Self::Single => None,

@@ -1,4 +1,4 @@
-//! Errors of the command line: one sentence on stderr, and an exit code.
+//! Errors of the command line. Each error is printed as one sentence on stderr, and determines the exit code.
 
 use crate::capture::CaptureError;
 use crate::compare::CompareError;
@@ -16,12 +16,13 @@ use std::fmt::{Display, Formatter};
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
-/// Why a command failed. It doesn't implement [`Error`], so that every error of the library converts to it by `From`.
+/// The reason why a command failed. This type doesn't implement [`Error`], so that every error of the library converts
+/// to it by `From`.
 #[derive(Debug)]
 pub enum CliError {
-    /// An input is wrong: exit code 2.
+    /// An input is wrong. The exit code is 2.
     BadInput(String),
-    /// The work failed: exit code 1.
+    /// The work failed. The exit code is 1.
     Failure(String),
 }
 
@@ -33,7 +34,8 @@ impl Display for CliError {
 }
 
 impl CliError {
-    /// Puts the name of a flag before the message, for a wrong value of this flag.
+    /// Returns the error with the name of a flag before its message, if the error is bad input. Other errors are
+    /// unchanged.
     pub fn of_flag(self, flag: &str) -> Self {
         match self {
             Self::BadInput(sentence) => Self::BadInput(format!("{flag}: {sentence}")),
@@ -49,8 +51,9 @@ impl<E: Error + 'static> From<E> for CliError {
     }
 }
 
-/// Whether an error is failed work (exit code 1) and not bad input. Bad input includes a view that can't be rendered
-/// (a time outside of the recording, nothing in view), and a file that is missing or must not be read.
+/// Returns whether an error means that the work failed (exit code 1), and not that the input is bad (exit code 2). Bad
+/// input includes a view that can't be rendered, for example because its time is outside the recording, and a file that
+/// is missing or not readable.
 fn is_failure(error: &(dyn Error + 'static)) -> bool {
     match error.downcast_ref() {
         Some(TradeoffError::Capture(error)) => return is_failure(error),
@@ -90,7 +93,8 @@ fn is_failure(error: &(dyn Error + 'static)) -> bool {
     io.is_some_and(|io| !is_bad_input(io))
 }
 
-/// Whether reading or writing failed because of a missing file, a permission or a wrong kind of file.
+/// Returns whether reading or writing failed because of the input, such as a missing file, a missing permission or a
+/// wrong kind of file.
 fn is_bad_input(error: &std::io::Error) -> bool {
     matches!(
         error.kind(),
@@ -118,12 +122,12 @@ pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result
     })
 }
 
-/// Adds the path to the error of writing a file.
+/// Adds the path to an error of writing a file.
 pub fn written<T>(path: &Path, result: std::io::Result<T>) -> Result<T, CliError> {
     of_io(path, "can't be written", result)
 }
 
-/// The result of printing. A closed pipe counts as success.
+/// Converts the result of printing on stdout. A closed pipe counts as success, and any other error as failed work.
 pub fn heard(printed: std::io::Result<()>) -> Result<(), CliError> {
     match printed {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
@@ -144,7 +148,7 @@ pub fn exit(result: Result<(), CliError>) -> u8 {
     }
 }
 
-/// Prints help and version as clap does, and an error in the command line as one sentence.
+/// Prints help and version as clap does, and an error in the command line as one sentence. Returns the exit code.
 pub fn usage(error: &clap::Error) -> u8 {
     match error.kind() {
         UsageKind::DisplayHelp | UsageKind::DisplayVersion => {
@@ -158,7 +162,7 @@ pub fn usage(error: &clap::Error) -> u8 {
     }
 }
 
-/// Sentences of Rust's number parsers, and those of this program.
+/// Messages of Rust's number parsers, each with the message that replaces it.
 const OF_NUMBERS: [(&str, &str); 4] = [
     ("invalid float literal", "is no number"),
     ("cannot parse float from empty string", "is no number"),
@@ -166,8 +170,8 @@ const OF_NUMBERS: [(&str, &str); 4] = [
     ("cannot parse integer from empty string", "is no whole number"),
 ];
 
-/// The first paragraph of clap's message on one line, without the prefix "error: ", and clap's suggestion of a similar
-/// word.
+/// Returns the first paragraph of clap's message on one line, without the prefix "error: ". If clap suggests a similar
+/// word, the suggestion is appended.
 fn sentence(message: &str) -> String {
     let mut paragraphs = message.split("\n\n");
     let first = paragraphs.next().unwrap_or_default();
@@ -184,7 +188,8 @@ fn sentence(message: &str) -> String {
     }
 }
 
-/// Rewrites a choice of required arguments, `<--a <A>|--b <B>>`, as `--a <A> or --b <B>`. Other lines are unchanged.
+/// Rewrites a choice of required arguments, such as `<--a <A>|--b <B>>`, as `--a <A> or --b <B>`. Returns other lines
+/// unchanged.
 fn alternatives(line: &str) -> String {
     let inner = line.strip_prefix('<').and_then(|line| line.strip_suffix('>'));
     match inner.filter(|inner| inner.starts_with("--")) {

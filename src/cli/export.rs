@@ -1,4 +1,4 @@
-//! `stlfr export`
+//! The command `stlfr export`, which writes a capture for other programs.
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
@@ -12,11 +12,11 @@ use crate::progress::Reporter;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Write a capture's calibration for another program, also with synchronized images or with the filmed frames.
+/// Write a capture's calibration for another program, optionally with synchronized images or with the filmed frames.
 ///
-/// Without --synchronized and --frames, only the calibration is written. --synchronized renders every camera's image
-/// at common instants, for trainers of Gaussian splatting and NeRF. --frames writes the frames as filmed, with their
-/// times on the reference camera's clock.
+/// Without --synchronized and --frames, only the calibration is written. --synchronized renders every camera's image at
+/// common instants, to train Gaussian splatting or NeRF. --frames writes the frames as filmed, with their times on the
+/// reference camera's clock.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr export .captures/demo --format colmap -o sparse/0\n  \
@@ -37,16 +37,17 @@ pub struct ExportArgs {
     /// Write the filmed frames with their times.
     #[arg(long)]
     frames: bool,
-    /// N instants evenly from START to END [default: the reference camera's frames that all cameras film around].
+    /// N evenly spaced instants from START to END [default: the reference camera's frame times at which all cameras
+    /// film].
     #[arg(long, value_name = "START:END:N", allow_hyphen_values = true, requires = "synchronized")]
     times: Option<Times>,
-    /// Undistort the images: pinhole cameras with the same focal lengths.
+    /// Undistort the images. The cameras become pinhole cameras with the same focal lengths.
     #[arg(long)]
     undistort: bool,
-    /// The nearest depth, metres (llff).
+    /// Nearest depth of the scene, in metres (llff only).
     #[arg(long, value_name = "METRES", required_if_eq("format", "llff"))]
     near: Option<f64>,
-    /// The farthest depth, metres (llff).
+    /// Farthest depth of the scene, in metres (llff only).
     #[arg(long, value_name = "METRES", required_if_eq("format", "llff"))]
     far: Option<f64>,
     #[command(flatten)]
@@ -58,11 +59,11 @@ pub struct ExportArgs {
 
 #[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
 enum Format {
-    /// COLMAP's model in binary files.
+    /// COLMAP's model as binary files.
     Colmap,
-    /// COLMAP's model in text files.
+    /// COLMAP's model as text files.
     ColmapText,
-    /// LLFF's poses_bounds.npy, in the order of the numbers in the cameras' ids.
+    /// LLFF's poses_bounds.npy; the cameras are in the order of the numbers in their ids.
     Llff,
     /// NeRF's transforms.json.
     Nerf,
@@ -104,7 +105,7 @@ pub fn run(args: &ExportArgs, reporter: &Reporter) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Writes a folder of images with their calibration.
+/// Writes a dataset, which is a folder of images with their calibration.
 fn run_dataset(
     args: &ExportArgs,
     bounds_m: (f64, f64),
@@ -164,14 +165,15 @@ fn run_dataset(
     Ok(writing.dataset.finish()?)
 }
 
-/// Indices of the cameras, the reference first. The first camera is the reference of COLMAP's rig.
+/// Returns the indices of the cameras, the reference camera first. The first camera becomes the reference of COLMAP's
+/// rig.
 fn by_reference(capture: &Capture) -> Vec<usize> {
     let mut cameras: Vec<usize> = (0..capture.cameras.len()).collect();
     cameras.sort_by_key(|&c| c != capture.reference);
     cameras
 }
 
-/// A dataset that is being written, with the cameras that it contains.
+/// A dataset that is being written, and its cameras.
 struct Writing<'a> {
     capture: &'a Arc<Capture>,
     dataset: Dataset,
@@ -180,7 +182,8 @@ struct Writing<'a> {
 }
 
 impl Writing<'_> {
-    /// Appends an image of camera `chosen[k]`. The time is in seconds from the capture's start.
+    /// Appends an image. `k` is the index of the image's camera in `chosen`, the exported cameras. `time_s` is the
+    /// image's time in seconds from the capture's start.
     fn image(
         &mut self,
         k: usize,
@@ -194,7 +197,7 @@ impl Writing<'_> {
         Ok(self.dataset.push(k, time_ns, undistorted.as_ref().unwrap_or(image), depth)?)
     }
 
-    /// Appends all frames as filmed.
+    /// Appends all frames of the chosen cameras as they were filmed.
     fn frames(&mut self, field: &LightField, reporter: &Reporter) -> Result<(), CliError> {
         let times_s = field.offsets().common_times_s(self.capture);
         let frames = self.chosen.iter().map(|&c| self.capture.cameras[c].frames.len()).sum();
@@ -211,8 +214,9 @@ impl Writing<'_> {
     }
 }
 
-/// The instants to render, seconds from the capture's start: those of `--times`, or the frame times of the first
-/// camera. All cameras film before and after each of them.
+/// Returns the instants to render, in seconds from the capture's start: the instants of `--times`, or else the frame
+/// times of the first chosen camera at which all chosen cameras film. An instant of `--times` at which a camera doesn't
+/// film is an error.
 fn instants_s(
     args: &ExportArgs,
     field: &LightField,
@@ -243,10 +247,11 @@ fn instants_s(
     }))
 }
 
-/// Largest deviation of a step between instants from the mean step, as a fraction of it, for a video.
+/// Largest deviation of a step between two instants from the mean step, as a fraction of the mean step. Instants with a
+/// larger deviation can't become a video.
 const MAX_UNEVENNESS: f64 = 1e-3;
 
-/// The frame rate of evenly spaced instants, hertz; 30 for a single instant.
+/// Returns the frame rate of evenly spaced instants, in hertz; 30 for a single instant. Uneven instants are an error.
 fn even_rate_hz(instants_s: &[f64]) -> Result<f64, CliError> {
     let steps = instants_s.len() - 1;
     if steps == 0 {

@@ -1,4 +1,4 @@
-//! `stlfr farm`
+//! The command `stlfr farm`, which writes jobs for render farms.
 
 use super::CliError;
 use super::capture::SceneArgs;
@@ -14,12 +14,12 @@ use crate::progress::Reporter;
 use crate::rig::Rig;
 use std::path::{Path, PathBuf, absolute};
 
-/// Write a job for a render farm, which divides the work on captures among machines: Open Job Description, Slurm,
-/// Flamenco.
+/// Write a job for a render farm (Open Job Description, Slurm or Flamenco), which divides the work on captures among
+/// machines.
 ///
-/// The steps of the job: set-up; with --rig, filming in chunks; the calibration check; offsets; prepare; with --times
-/// or --path, rendering in chunks, into JOB/frames; compare, where there is truth. Every task may be run again. All
-/// machines must see the program, the captures and JOB at the same paths. JOB holds
+/// The steps of the job are set-up; filming in chunks (with --rig); the calibration check; offsets; prepare; rendering
+/// in chunks, into JOB/frames (with --times or --path); compare (with ground truth). Every task may be run again. All
+/// machines must see the program, the captures and JOB at the same paths. JOB contains these files:
 ///
 /// openjd.json, for AWS Deadline Cloud and other engines of Open Job Description;
 /// submit.sh, which submits the other scripts to Slurm;
@@ -58,14 +58,14 @@ pub struct FarmArgs {
     /// Number of processor cores that a task needs.
     #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u32).range(1..=1024))]
     cores: u32,
-    /// Memory that a task needs, MiB.
+    /// Memory that a task needs, in MiB.
     #[arg(long, value_name = "MIB", default_value = "4096", value_parser = clap::value_parser!(u32).range(512..=10_000_000))]
     memory: u32,
     #[command(flatten)]
     options: OptionsArgs,
 }
 
-/// Writes the job. `program` is the path of `stlfr` on the farm's machines.
+/// Writes the job. `program` is the path of `stlfr` on the machines of the farm.
 pub fn run(
     args: &FarmArgs,
     program: &Path,
@@ -91,7 +91,7 @@ pub fn run(
 }
 
 impl FarmArgs {
-    /// The number of images to render; `None` without a view.
+    /// Returns the number of images to render; `None` if no view is given.
     fn rendered(&self, reporter: &Reporter) -> Result<Option<u32>, CliError> {
         let (viewpoint, instants) = (&self.viewpoint, &self.instants);
         if viewpoint.name().is_none() && viewpoint.camera.is_none() && viewpoint.path.is_none() {
@@ -125,13 +125,13 @@ impl FarmArgs {
 struct Steps<'a> {
     args: &'a FarmArgs,
     reporter: &'a Reporter,
-    /// Suffix of the step names of one capture, if the job has several captures.
+    /// Suffix of the names of one capture's steps; empty if the job has a single capture.
     suffix: String,
     steps: Vec<FarmStep>,
 }
 
 impl Steps<'_> {
-    /// Adds a step that runs after the steps `after`. All names get the capture's suffix, except `setup`.
+    /// Adds a step that runs after the steps `after`. All names except `setup` get the suffix of the capture.
     fn add(
         &mut self,
         name: &str,
@@ -174,7 +174,7 @@ impl Steps<'_> {
             return Err(CliError::BadInput(sentence));
         }
         let options = self.args.options.absolute_words()?;
-        // A single camera has no offset.
+        // A single camera has no offset to estimate.
         for name in ["check", "offsets", "prepare"] {
             if name == "offsets" && ids.len() == 1 {
                 continue;
@@ -194,7 +194,7 @@ impl Steps<'_> {
         Ok(())
     }
 
-    /// Adds the steps that film in parts, and the step that completes the capture.
+    /// Adds the step that films the capture in parts, and the step that completes the capture.
     fn add_filming(&mut self, rig: &Path, capture: &Path) -> Result<(), CliError> {
         let mut film = self.args.scene.options(rig, capture)?;
         film.make_absolute().map_err(|error| CliError::BadInput(error.to_string()))?;

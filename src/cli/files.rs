@@ -1,4 +1,4 @@
-//! Files on the command line. They are checked before long work; each error is one sentence.
+//! Checking and reading of files that the command line names. Files are checked before long work starts.
 
 use super::CliError;
 use super::error::written;
@@ -15,16 +15,16 @@ use crate::toolchain::{Environment, blend_path, find_ffmpeg, project_root};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Size limit of options and view files, bytes.
+/// Size limit of options files and view files, in bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// An error unless `path` is a readable regular file.
+/// Returns an error unless `path` is a readable regular file.
 pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
     open_file(path).map(drop).map_err(|error| wrong(path, error))
 }
 
-/// Opens a capture. The command's output, if there is one, is checked first, because opening may decode videos for
-/// minutes.
+/// Opens a capture. The path of the command's output is checked first, because opening may decode videos for minutes.
+/// `output` is `None` for a command without an output.
 pub fn open_capture(
     folder: &Path,
     output: Option<CommandOutput>,
@@ -38,20 +38,20 @@ pub fn open_capture(
     Ok(Arc::new(Capture::open_with(folder, &opening)?))
 }
 
-/// Finds ffmpeg for the flag `what`. The error says how to install it.
+/// Finds ffmpeg for `what`, such as a flag. The error says that `what` needs ffmpeg, and how to install ffmpeg.
 pub fn ffmpeg_for(what: &str) -> Result<PathBuf, CliError> {
     find_ffmpeg().ok_or_else(|| {
         CliError::Failure(format!("{what} needs ffmpeg: install it, or run stlfr setup"))
     })
 }
 
-/// Options of all stages: a preset, overridden by a file, overridden by single options.
+/// Options of all stages: a preset, overridden by an options file, overridden by single options.
 #[derive(Clone, Debug, clap::Args)]
 pub struct OptionsArgs {
     /// Named options of all stages, from fast to accurate [default: best].
     #[arg(long, value_name = "NAME", value_parser = method::<Preset>())]
     preset: Option<Preset>,
-    /// Options of all stages, a JSON file; it overrides the preset.
+    /// JSON file with options of all stages; it overrides the preset.
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
     /// One option, such as blend.cameras=4; it overrides the file. See stlfr options.
@@ -60,7 +60,7 @@ pub struct OptionsArgs {
 }
 
 impl OptionsArgs {
-    /// The flags of these options, as words of a command line.
+    /// Returns the flags that give these options, as words of a command line.
     pub fn words(&self) -> Vec<String> {
         let preset = self.preset.iter().flat_map(|p| ["--preset".into(), p.name().into()]);
         let file = self.options.iter().flat_map(|f| ["--options".into(), f.display().to_string()]);
@@ -68,7 +68,7 @@ impl OptionsArgs {
         preset.chain(file).chain(set).collect()
     }
 
-    /// The flags of these options, with absolute paths, as words of a command line in a job.
+    /// Returns the flags that give these options, as words of a command line in a job. Paths are absolute.
     pub fn absolute_words(&self) -> Result<Vec<String>, CliError> {
         let mut options = self.clone();
         if let Some(file) = &mut options.options {
@@ -78,7 +78,7 @@ impl OptionsArgs {
         Ok(options.words())
     }
 
-    /// Whether no option is given, so that the default preset applies.
+    /// Returns whether no option is given, so that the default preset applies.
     pub fn are_default(&self) -> bool {
         self.words().is_empty()
     }
@@ -134,17 +134,17 @@ fn wrong(path: &Path, error: impl std::fmt::Display) -> CliError {
 #[derive(Clone, Copy)]
 pub enum CommandOutput<'a> {
     File(&'a Path),
-    /// A number of images.
+    /// The path of one image or the pattern of a sequence, and the number of images.
     Images(&'a ImageOutput, usize),
-    /// A folder, with the names of the files that the command writes into it.
+    /// A folder, and the names of the files that the command writes into this folder.
     Folder(&'a Path, &'a [&'a str]),
     /// A folder that is a capture or becomes one.
     Capture(&'a Path),
 }
 
 impl CommandOutput<'_> {
-    /// An error if the output can't be written, if it would replace a part of a capture, or if it would replace
-    /// anything but a regular file. `own` is the folder of the capture that the command reads.
+    /// Returns an error if the output can't be written, would replace a part of a capture, or would replace anything
+    /// but a regular file. `own` is the folder of the capture that the command reads.
     pub fn check(self, own: Option<&Path>) -> Result<(), CliError> {
         let mut guard = OutputGuard::new(own);
         let path = match self {
@@ -168,7 +168,7 @@ impl CommandOutput<'_> {
     }
 }
 
-/// An error if the nearest existing folder of the output can't be written to.
+/// Returns an error if the nearest existing folder of the output isn't writable.
 fn must_be_writable(output: &Path) -> Result<(), CliError> {
     let absolute = written(output, std::path::absolute(output))?;
     // The output may be an existing folder. A regular file in place of a parent folder is an error.

@@ -1,4 +1,5 @@
-//! The images of a sequence that this process renders: all, some parts, or those that no other process has taken.
+//! The images of a sequence that this process renders: all images, some parts of the sequence, or the images that no
+//! other process renders.
 
 use super::CliError;
 use super::error::written;
@@ -8,11 +9,11 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Interval at which the images of other processes are checked. Larger: the end is noticed later; smaller: more file
-/// access.
+/// Interval at which the images of other processes are checked again. With a longer interval, finished images are
+/// noticed later. With a shorter interval, there is more file access.
 const LOOK: Duration = Duration::from_millis(300);
 
-/// The folder through which processes divide the images of a sequence among themselves.
+/// A folder through which several processes divide the images of a sequence among themselves.
 #[derive(Clone)]
 pub struct SharedFolder {
     claims: Claims,
@@ -20,20 +21,20 @@ pub struct SharedFolder {
 }
 
 impl SharedFolder {
-    /// Removes the folder after all images are done.
+    /// Removes the folder. Must be called when all images are done.
     pub fn end(&self) -> Result<(), CliError> {
         written(&self.folder, self.claims.end())
     }
 
-    /// Removes the folder after a failure, unless it says that images are done, or other processes use it.
+    /// Removes the folder after a failure. The folder is kept if some images are done, or if other processes use it.
     pub fn end_unused(&self) {
-        // The failure is told; a folder that stays does no harm.
+        // An error is ignored here, because the failure is reported, and a remaining folder does no harm.
         let _ = self.claims.end_unused();
     }
 }
 
-/// Iterates over the images that this process has to render, in order. At the end it waits for images that other
-/// processes render, and takes over those of processes that have died.
+/// Iterator over the images that this process has to render, in order. At the end, the iterator waits for the images
+/// that other processes render, and takes over the images of processes that have died.
 pub struct Frames<'a> {
     output: &'a ImageOutput,
     claims: Option<SharedFolder>,
@@ -42,19 +43,20 @@ pub struct Frames<'a> {
 }
 
 impl<'a> Frames<'a> {
-    /// The given images, rendered by this process alone.
+    /// Creates the iterator over the given images for a process that renders alone.
     pub fn all(output: &'a ImageOutput, frames: impl Iterator<Item = usize>) -> Self {
         Self { output, claims: None, left: frames.collect(), elsewhere: Vec::new() }
     }
 
-    /// The first `count` images, divided among all processes that use the same folder.
+    /// Creates the iterator over the first `count` images, which are divided among all processes that use the same
+    /// folder.
     pub fn shared(output: &'a ImageOutput, count: usize, folder: &Path) -> Result<Self, CliError> {
         let claims = written(folder, Claims::join(folder))?;
         let claims = Some(SharedFolder { claims, folder: folder.to_owned() });
         Ok(Self { claims, ..Self::all(output, 0..count) })
     }
 
-    /// The folder through which the images are shared; `None` if this process renders alone.
+    /// Returns the folder through which the images are shared; `None` if this process renders alone.
     pub fn shared_folder(&self) -> Option<SharedFolder> {
         self.claims.clone()
     }

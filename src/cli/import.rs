@@ -1,4 +1,4 @@
-//! `stlfr import`
+//! The command `stlfr import`, which makes a capture from recordings and a calibration of another program.
 
 use super::CliError;
 use super::files::CommandOutput;
@@ -11,8 +11,10 @@ use std::path::PathBuf;
 /// Make a capture from another program's calibration and from videos or image sequences.
 ///
 /// The calibration is a folder with a COLMAP model, or a file: transforms.json, poses_bounds.npy, Calib.toml of Anipose
-/// or Pose2Sim, camera_array.toml of caliscope, Qualisys' .qca.txt, or another capture's capture.json. Each camera's recording is the video or the folder
-/// of images with its name, else with its number. Images are copied, videos linked. Notes say what was decided.
+/// or Pose2Sim, camera_array.toml of caliscope, Qualisys' .qca.txt, or another capture's capture.json. The recording of
+/// a camera is the video or the folder of images that has the camera's name, or else its number. Images are copied, and
+/// videos are linked. Notes say which recording each camera has, where the times come from, and which lenses are
+/// scaled.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr import sparse/0 --images frames --rate 30 -o .captures/mine\n  \
@@ -31,10 +33,10 @@ pub struct ImportArgs {
     table: Option<PathBuf>,
     #[command(flatten)]
     clocks: ClockArgs,
-    /// Images smaller than the calibration's are cropped from its top left corner.
+    /// Treat images that are smaller than the calibrated image as its top left part.
     #[arg(long)]
     crop: bool,
-    /// The unit of the calibration's lengths, which Qualisys gives in millimetres.
+    /// Unit of the calibration's lengths; Qualisys files are always in millimetres.
     #[arg(long, value_enum, default_value = "m")]
     unit: Unit,
     /// The folder of the new capture.
@@ -42,13 +44,13 @@ pub struct ImportArgs {
     output: PathBuf,
 }
 
-/// The clocks of imported cameras.
+/// Arguments for the clocks of imported cameras.
 #[derive(Debug, clap::Args)]
 pub struct ClockArgs {
-    /// Frame rate, hertz [default: the times of the videos, of timestamps.csv or of the calibration].
+    /// Frame rate, in hertz [default: the times of the videos, of timestamps.csv or of the calibration].
     #[arg(long, value_name = "HZ", conflicts_with = "times")]
     pub rate: Option<f64>,
-    /// The first frame's time on each camera's own clock, seconds.
+    /// Time of the first frame on each camera's own clock, in seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_negative_numbers = true)]
     pub first: f64,
     /// A CSV table with the time of every frame.
@@ -57,20 +59,20 @@ pub struct ClockArgs {
     /// All cameras share one clock, and offsets are not estimated.
     #[arg(long)]
     pub shared: bool,
-    /// Readout time of the cameras' rolling shutters, from the first row to the last, seconds. A frame's time is that
-    /// of its middle row.
+    /// Readout time of the cameras' rolling shutters, from the first row to the last, in seconds. The time of a frame
+    /// is the time of its middle row.
     #[arg(long, value_name = "SECONDS")]
     pub readout: Option<f64>,
 }
 
 impl ClockArgs {
-    /// Whether any is given.
+    /// Returns whether any of these arguments is given.
     pub fn are_given(&self) -> bool {
         let is_any = self.rate.is_some() || self.times.is_some() || self.readout.is_some();
         is_any || self.shared || self.first != 0.0
     }
 
-    /// The clock of every camera, checked.
+    /// Checks the arguments, and returns the clock that they describe for every camera.
     pub fn clock(&self) -> Result<ImportClock, CliError> {
         let is_rate = |rate: f64| rate.is_finite() && rate > 0.0;
         if !(self.rate.is_none_or(is_rate) && self.first.is_finite()) {

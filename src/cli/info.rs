@@ -1,4 +1,4 @@
-//! `stlfr info`
+//! The command `stlfr info`, which shows the contents of a capture.
 
 use super::CliError;
 use super::error::of_io;
@@ -16,9 +16,9 @@ use std::path::{Path, PathBuf};
 
 /// Show what a capture contains, its offsets, and its cached results.
 ///
-/// Nothing is decoded or estimated. Decoded videos, registered frames, plans, measurements and hashes of files are cached
-/// in the capture's folder, under .stlfr/cache. They may be deleted at any time, and are computed again when they are
-/// needed.
+/// Nothing is decoded or estimated. Decoded videos, registered frames, plans, measurements and hashes of files are
+/// cached in the capture's folder, under .stlfr/cache. They may be deleted at any time, and are computed again when
+/// they are needed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr info .captures/demo\n  \
@@ -31,7 +31,7 @@ pub struct InfoArgs {
     /// Print JSON and nothing else.
     #[arg(long)]
     json: bool,
-    /// Delete all cached results, or those of one kind, and do nothing else.
+    /// Delete all cached results, or the cached results of one kind, and do nothing else.
     #[arg(long, value_name = "KIND", num_args = 0..=1, conflicts_with = "json")]
     delete_cache: Option<Option<String>>,
 }
@@ -49,7 +49,7 @@ pub fn run(args: &InfoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
     }
 }
 
-/// Deletes cached results. It works too if the capture can't be opened.
+/// Deletes cached results. This also works if the capture can't be opened.
 fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), CliError> {
     must_be_a_file(&capture.join(CAPTURE_FILE))?;
     let cache = DiskCache::new(capture, |_| ());
@@ -70,22 +70,24 @@ fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), Cli
     Ok(())
 }
 
-/// Summary of a capture, printed as text or JSON.
+/// Summary of a capture, which is printed as text or JSON.
 #[derive(Serialize)]
 struct Info {
     name: String,
-    /// The reference camera's id.
+    /// Id of the reference camera.
     reference: String,
     cameras: Vec<CameraInfo>,
-    /// First and last time at which every camera with a known clock has frames, seconds on the reference's clock.
+    /// First and last time at which all cameras with known clocks have frames, in seconds on the reference camera's
+    /// clock. `None` if there is no such time, or if videos aren't decoded yet.
     times_of_all_s: Option<(f64, f64)>,
-    /// First and last time at which any camera with a known clock has frames, seconds on the reference's clock.
+    /// First and last time at which any camera with a known clock has frames, in seconds on the reference camera's
+    /// clock. `None` if videos aren't decoded yet.
     times_of_any_s: Option<(f64, f64)>,
-    /// Times of the truth's images, seconds on the reference's clock, by view.
+    /// Times of the ground-truth images, in seconds on the reference camera's clock, by the name of the view.
     truth: BTreeMap<String, Vec<f64>>,
     offsets: OffsetsState,
     cache: Vec<CacheUse>,
-    /// A command that renders a view; `None` if videos aren't decoded yet.
+    /// Example of a command that renders a view; `None` if videos aren't decoded yet.
     example: Option<String>,
 }
 
@@ -95,14 +97,14 @@ struct CameraInfo {
     width: u32,
     height: u32,
     model: String,
-    /// The camera's `frames` in capture.json: a pattern, or a video.
+    /// The camera's field `frames` in capture.json: the pattern of the image files, or a video.
     source: String,
-    /// Number of frames; `None` for a video that isn't decoded yet.
+    /// Number of frames; `None` if videos aren't decoded yet.
     frames: Option<usize>,
-    /// Frame rate; `None` for a camera with one frame.
+    /// Frame rate, in hertz; `None` for a camera with one frame, or if it is unknown before videos are decoded.
     rate_hz: Option<f64>,
     clock: ClockState,
-    /// Time on the reference's clock minus time on the camera's clock, seconds; `None` if unknown.
+    /// Time on the reference camera's clock minus time on this camera's clock, in seconds; `None` if unknown.
     offset_s: Option<f64>,
     std_err_s: Option<f64>,
 }
@@ -111,9 +113,9 @@ struct CameraInfo {
 #[serde(rename_all = "snake_case")]
 enum ClockState {
     Reference,
-    /// The camera shares the reference's clock.
+    /// The camera shares the clock of the reference camera.
     Shared,
-    /// Every camera has one frame, so that no offset is needed.
+    /// Every camera has a single frame, so that no offset is needed.
     OneFrame,
     Estimated,
     /// The offset in offsets.json was edited by hand.
@@ -124,15 +126,15 @@ enum ClockState {
 #[derive(Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum OffsetsState {
-    /// No offset is needed: all cameras share one clock, or have one frame.
+    /// No offset is needed, because all cameras share one clock, or every camera has a single frame.
     Unneeded,
     Missing,
-    /// offsets.json was estimated from these frames.
+    /// The offsets in offsets.json were estimated from the capture's present frames.
     Estimated,
-    /// offsets.json was estimated from other frames, or by another version.
+    /// The offsets in offsets.json were estimated from other frames, or by another version of the program.
     Outdated,
     Edited,
-    /// Not known, because videos aren't decoded yet.
+    /// The state is unknown, because videos aren't decoded yet.
     Unchecked,
 }
 
@@ -246,7 +248,7 @@ impl Info {
         );
     }
 
-    /// Rows of the truth's views, those with the same times in one row.
+    /// Returns one row of text for each group of successive ground-truth views that have the same times.
     fn true_views(&self) -> Vec<String> {
         let views: Vec<(&String, &Vec<f64>)> = self.truth.iter().collect();
         let row = |views: &[(&String, &Vec<f64>)]| {
@@ -257,7 +259,7 @@ impl Info {
     }
 }
 
-/// Prints rows; the text `head` stands before the first one. Prints `none` if there are no rows.
+/// Prints rows of text, with the text `head` before the first row. If there are no rows, prints `none` after `head`.
 fn list(page: &mut Page, mut head: &str, none: &str, rows: Vec<String>) {
     if rows.is_empty() {
         page.line(format_args!("{head:<8} {none}"));
@@ -304,8 +306,9 @@ impl OffsetsState {
     }
 }
 
-/// The state of offsets.json, and the offsets. They are those of the file, if it was edited or estimated from these
-/// frames; else only offsets that need no estimate are known. `None` if the state is unknown.
+/// Returns the state of offsets.json and the known offsets, which are never `None`. The offsets are read from the file
+/// if the file was edited, or if it was estimated from the capture's present frames. Otherwise, only the offsets that
+/// need no estimate are known.
 fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliError> {
     let is_known = |camera| capture.has_reference_clock(camera);
     let mut known = Offsets::known(capture);
@@ -328,7 +331,7 @@ fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliErro
     })
 }
 
-/// Times of the truth's images, by view, seconds on the reference's clock.
+/// Returns the times of the ground-truth images, in seconds on the reference camera's clock, by the name of the view.
 fn true_times_s(folder: &Path) -> Result<BTreeMap<String, Vec<f64>>, CliError> {
     let mut by_view = BTreeMap::<String, Vec<f64>>::new();
     for view in Truth::open(folder)?.into_iter().flat_map(|truth| truth.views) {
@@ -340,7 +343,8 @@ fn true_times_s(folder: &Path) -> Result<BTreeMap<String, Vec<f64>>, CliError> {
 
 type Span = Option<(f64, f64)>;
 
-/// Times at which all cameras have frames, and times at which any has. Cameras with unknown clocks are ignored.
+/// Returns the time span in which all cameras have frames, and the time span in which any camera has frames, in seconds
+/// on the reference camera's clock. A span without times is `None`. Cameras with unknown clocks are ignored.
 fn spans_s(capture: &Capture, offsets: &Offsets) -> (Span, Span) {
     let times_s = offsets.common_times_s(capture);
     let of_camera = |times: &Vec<f64>| Some((*times.first()?, *times.last()?));
@@ -353,7 +357,7 @@ fn spans_s(capture: &Capture, offsets: &Offsets) -> (Span, Span) {
     (fold(f64::max, f64::min), fold(f64::min, f64::max))
 }
 
-/// Lists the first few times, and the number of the others.
+/// Formats the first few times, and the number of the remaining times.
 fn times_of(times_s: &[f64]) -> String {
     const SHOWN: usize = 6;
     let shown: Vec<String> = times_s.iter().take(SHOWN).map(|t| rounded(*t)).collect();

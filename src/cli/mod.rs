@@ -1,5 +1,5 @@
-//! The command line. Each command has its arguments and calls the library. The program `stlfr` calls [`main`], and so
-//! does the command that the Python module installs.
+//! The command line. Each command has its arguments and calls the library. The program `stlfr` and the command that the
+//! Python module installs both call [`main`].
 
 mod calibrate;
 mod capture;
@@ -36,12 +36,12 @@ use print::Page;
 use std::ffi::OsString;
 use std::path::Path;
 
-/// Runs a command line, whose first argument is the program's name, and returns the exit code. `program` is the path of
-/// the program, which `stlfr farm` writes into jobs. With `in_lines`, progress is printed on standard output as lines of
-/// JSON. After this call, SIGINT, SIGTERM and SIGHUP end the process.
+/// Runs a command line and returns the exit code. The first of the `arguments` is the name of the program. `program` is
+/// the path of the program, which `stlfr farm` writes into jobs. If `in_lines` is true, progress is printed on standard
+/// output as lines of JSON. After this call, SIGINT, SIGTERM and SIGHUP end the process.
 pub fn main(program: &Path, arguments: impl IntoIterator<Item = OsString>, in_lines: bool) -> u8 {
     reuse_freed_memory();
-    // If this fails, the next run removes the files that an interrupted run leaves.
+    // If this call fails, the next run removes the files that an interrupted run leaves.
     let _ = remove_unfinished_on_signals();
     match Cli::try_parse_from(arguments) {
         Ok(cli) => {
@@ -52,7 +52,7 @@ pub fn main(program: &Path, arguments: impl IntoIterator<Item = OsString>, in_li
     }
 }
 
-/// The view from anywhere, at any instant, from cameras that are not synchronized.
+/// Render the view from anywhere, at any instant, from cameras that are not synchronized.
 #[derive(Debug, Parser)]
 #[command(
     name = "stlfr",
@@ -65,7 +65,7 @@ pub fn main(program: &Path, arguments: impl IntoIterator<Item = OsString>, in_li
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// No progress and no notes; errors still go to stderr.
+    /// Print no progress and no notes; errors are still printed on stderr.
     #[arg(long, short, global = true, display_order = 998)]
     quiet: bool,
 }
@@ -95,7 +95,7 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command. Its output is printed even if the command fails.
+    /// Runs the command, and prints its output even if the command fails.
     fn run(&self, program: &Path, reporter: &Reporter) -> Result<(), CliError> {
         let mut page = Page::default();
         let result = self.run_on(program, &mut page, reporter);

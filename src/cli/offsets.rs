@@ -1,4 +1,4 @@
-//! `stlfr offsets`
+//! The command `stlfr offsets`, which estimates the temporal offsets of the cameras.
 
 use super::CliError;
 use super::files::{OptionsArgs, open_capture};
@@ -8,16 +8,16 @@ use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::path::PathBuf;
 
-/// Estimate the offset of each camera's clock from the reference's clock, with its standard error, from the images
-/// alone.
+/// Estimate the offset of each camera's clock from the reference camera's clock, with its standard error, from the
+/// images alone.
 ///
-/// Time on the reference's clock = time on the camera's clock + offset. Rates are estimated for clocks
-/// that capture.json declares to drift, and lost frames for cameras that it declares may lose them. The
-/// result is saved in the capture's folder as offsets.json, and a plot of the data behind it as
+/// Time on the reference camera's clock = time on the camera's clock + offset. If capture.json declares that a clock
+/// drifts, its rate is estimated too. If capture.json declares that a camera may lose frames, its lost frames are
+/// estimated too. The result is saved in the capture's folder as offsets.json, and a plot of the data behind it as
 /// offsets.svg.
 ///
-/// offsets.json may be edited: render, compare and plan then use its offsets as given. This command
-/// estimates all the same, and leaves the edited file as it is.
+/// offsets.json may be edited: render, compare and plan then use the edited offsets. This command still estimates the
+/// offsets, but leaves the edited file unchanged.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr offsets .captures/demo\n  \

@@ -1,4 +1,4 @@
-//! `stlfr options`
+//! The command `stlfr options`, which lists all options.
 
 use super::CliError;
 use super::files::OptionsArgs;
@@ -42,7 +42,8 @@ pub fn run(args: &OptionListArgs, page: &mut Page) -> Result<(), CliError> {
     }
 }
 
-/// A row of the table: name, value, range of a number, and help with the allowed names of a choice.
+/// Returns a row of the table: the option's name, its value, its range and unit if it is a number, and its help text
+/// with the allowed names if it is a choice.
 fn row(option: &DeclaredOption) -> [String; 4] {
     let value = option.value.as_str().map_or_else(|| option.value.to_string(), str::to_owned);
     let range = option.range.map(|range| {

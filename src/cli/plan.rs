@@ -1,4 +1,4 @@
-//! `stlfr plan`
+//! The command `stlfr plan`, which chooses methods by measurements of a capture.
 
 use super::CliError;
 use super::error::written;
@@ -11,10 +11,10 @@ use crate::plan::{Decision, Plan};
 use crate::progress::Reporter;
 use std::path::PathBuf;
 
-/// Choose for every stage the cheapest method whose error on this capture is within a budget, and say why.
+/// Choose for every stage the cheapest method whose error on this capture is within a budget, and give the reason.
 ///
-/// `--sync auto`, `--proxy auto` and `--blend auto` of `render`, and `auto` in an options file, choose
-/// methods by this plan.
+/// `--sync auto`, `--proxy auto` and `--blend auto` of `render`, and `auto` in an options file, use this plan to choose
+/// methods.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr plan .captures/demo\n  \
@@ -23,13 +23,13 @@ use std::path::PathBuf;
 pub struct PlanArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// Largest error by which a cheaper method may displace a surface in the image, pixels [default: 0.25].
+    /// Largest displacement of a surface in the image that a cheaper method may cause, in pixels [default: 0.25].
     #[arg(long, value_name = "PX")]
     budget_px: Option<f64>,
     /// Print JSON and nothing else.
     #[arg(long)]
     json: bool,
-    /// Write the options of all stages, with the methods chosen, into a file.
+    /// Write the options of all stages, with the chosen methods, into a file.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! `stlfr prepare`
+//! The command `stlfr prepare`, which registers all frame pairs of a capture before rendering.
 
 use super::CliError;
 use super::error::of_io;
@@ -16,8 +16,8 @@ use std::time::Instant;
 /// also estimate depth and motion of all frames.
 ///
 /// The results are stored in the capture's folder, under .stlfr/cache, where render, view and compare find them.
-/// Rendered images are the same to the byte. After an interruption, the same command continues. Other frames, offsets
-/// or registration options need other frame pairs; all presets use the same.
+/// Rendered images stay the same to the byte. After an interruption, the same command continues. If frames, offsets or
+/// registration options change, other frame pairs must be registered. All presets use the same frame pairs.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr prepare .captures/demo\n  \
@@ -33,7 +33,7 @@ pub struct PrepareArgs {
     options: OptionsArgs,
 }
 
-/// Deletes the registered frame pairs of a capture. It works too if the capture can't be opened.
+/// Deletes the stored results of `stlfr prepare`. This also works if the capture can't be opened.
 fn delete(capture: &Path, page: &mut Page) -> Result<(), CliError> {
     must_be_a_file(&capture.join(CAPTURE_FILE))?;
     let cache = DiskCache::new(capture, |_| ());
@@ -46,7 +46,7 @@ fn delete(capture: &Path, page: &mut Page) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Bytes of a megabyte.
+/// Number of bytes in a megabyte.
 const MB: f64 = 1e6;
 
 pub fn run(args: &PrepareArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {

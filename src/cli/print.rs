@@ -6,12 +6,12 @@ use crate::text::printable;
 use std::fmt::Display;
 use std::io::Write;
 
-/// The output of a command, collected and printed at the command's end.
+/// The output of a command, which is collected and printed when the command ends.
 #[derive(Debug, Default)]
 pub struct Page(String);
 
 impl Page {
-    /// Adds lines. Control characters are escaped.
+    /// Adds lines to the output. Control characters are escaped.
     pub fn line(&mut self, line: impl Display) {
         let line = line.to_string();
         let lines: Vec<String> = line.split('\n').map(printable).collect();
@@ -29,14 +29,15 @@ impl Page {
         Ok(())
     }
 
-    /// Prints the output.
+    /// Prints the collected output.
     pub fn print(&self) -> Result<(), CliError> {
         let mut stdout = std::io::stdout().lock();
         heard(stdout.write_all(self.0.as_bytes()).and_then(|()| stdout.flush()))
     }
 }
 
-/// Number of decimals that shows two digits of a standard error, at most 4.
+/// Returns the number of decimal places at which two digits of a standard error are visible, from 0 to 4. Returns 4 if
+/// there is no positive standard error.
 pub fn decimals(std_err: Option<f64>) -> usize {
     let digits = |error: f64| (1.0 - error.log10().floor()).clamp(0.0, 4.0) as usize;
     std_err.filter(|error| *error > 0.0).map_or(4, digits)

@@ -1,4 +1,4 @@
-//! `stlfr publish`
+//! The command `stlfr publish`, which writes a light field as a website.
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, open_capture};
@@ -14,9 +14,9 @@ use std::path::{Path, PathBuf};
 
 /// Publish the light field as a folder that any static web server shows.
 ///
-/// The visitor's graphics card draws the page (WebGL 2), from the frames with their depth and motion, like render
-/// --proxy scene-flow. The page also opens from disk. Depth and motion that prepare has not stored are computed first.
-/// Quality and size of the frames are the largest that fit into --max-mb.
+/// The visitor's graphics card renders the views (WebGL 2) from the frames with their depth and motion, as render
+/// --proxy scene-flow does. The page also opens from disk. Depth and motion that prepare has not stored are computed
+/// first. Quality and size of the frames are the largest that fit into --max-mb.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr publish .captures/demo -o site\n  \
@@ -27,23 +27,23 @@ use std::path::{Path, PathBuf};
 pub struct PublishArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// The site's folder: a new one, or that of an earlier site.
+    /// Folder of the site: a new folder, or the folder of an earlier site.
     #[arg(short, long, value_name = "SITE")]
     output: PathBuf,
-    /// The span of time, seconds on the reference camera's clock [default: while all cameras film].
+    /// Time span of the site, in seconds on the reference camera's clock [default: the span in which all cameras film].
     #[arg(long, value_name = "START:END", allow_hyphen_values = true)]
     span: Option<TimeSpan>,
-    /// Largest size of the frames: larger ones are halved until they fit.
+    /// Largest size of the frames; larger frames are halved until they fit.
     #[arg(long, value_name = "WxH", value_parser = image_size)]
     size: Option<(u32, u32)>,
-    /// Largest size of the folder, MB.
+    /// Largest size of the folder, in MB.
     #[arg(long, value_name = "MB", default_value = "15", value_parser = clap::value_parser!(u32).range(1..=1000))]
     max_mb: u32,
     #[command(flatten)]
     options: OptionsArgs,
 }
 
-/// Bytes of a megabyte.
+/// Number of bytes in a megabyte.
 const MB: f64 = 1e6;
 
 pub fn run(args: &PublishArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
@@ -79,7 +79,8 @@ pub fn run(args: &PublishArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// Prints the number and size of the published files, and the PSNR between the site's pictures and those of `render`.
+/// Prints the numbers and sizes of the published data, and the PSNR of the site's pictures relative to the pictures of
+/// `render`.
 fn print(published: &Publication, origin_s: f64, page: &mut Page) {
     let &Publication { cameras, frames, size: [width, height], span_s, jpeg, .. } = published;
     let [start, end] = [span_s.0, span_s.1].map(|t| rounded(t + origin_s));
@@ -109,7 +110,7 @@ fn print(published: &Publication, origin_s: f64, page: &mut Page) {
     }
 }
 
-/// The `<iframe>` line that embeds the site in another page.
+/// Returns the line of HTML with the `<iframe>` that embeds the site in another page.
 fn iframe(folder: &Path, name: &str, [width, height]: [usize; 2]) -> String {
     let folder = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     format!(
@@ -119,7 +120,7 @@ fn iframe(folder: &Path, name: &str, [width, height]: [usize; 2]) -> String {
     )
 }
 
-/// A folder's name, percent-encoded for an address.
+/// Percent-encodes the name of a folder for an address.
 fn in_address(name: &str) -> String {
     let shown = |b: u8| match b {
         b if b.is_ascii_alphanumeric() || b"-._~".contains(&b) => char::from(b).to_string(),
@@ -128,7 +129,7 @@ fn in_address(name: &str) -> String {
     name.bytes().map(shown).collect()
 }
 
-/// A text, escaped for an attribute in HTML.
+/// Escapes a text for an attribute in HTML.
 fn in_attribute(text: &str) -> String {
     text.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;").replace('>', "&gt;")
 }

@@ -1,4 +1,4 @@
-//! `stlfr render`
+//! The command `stlfr render`, which renders views into images or videos.
 
 use super::CliError;
 use super::display::DisplayArgs;
@@ -49,26 +49,26 @@ pub struct RenderArgs {
     /// Render only parts K to L of N, such as 3-6/100. Other commands, on any machine, render the other parts.
     #[arg(long, value_name = "K-L/N")]
     part: Option<Parts>,
-    /// An image (.png, .jpg, .exr with depth and motion); for --times and --path a pattern such as out/%04d.png, or a
-    /// video (.mp4 and .webm for browsers and slides, .gif, .mkv without loss).
+    /// Output: an image (.png, .jpg, or .exr with depth and motion). For --times and --path: a pattern such as
+    /// out/%04d.png, or a video (.mp4 and .webm for browsers and slides, .gif, .mkv without loss).
     #[arg(short, long, value_name = "FILE")]
     output: ImageOutput,
-    /// How each camera's image is synchronized to the instant.
+    /// Sync method, which makes each camera's image at an instant between its frames.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<SyncMethod>())]
     sync: Option<String>,
     /// The geometry proxy, an estimate of the scene's shape.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<ProxyMethod>())]
     proxy: Option<String>,
-    /// How cameras are weighted where they see the same point.
+    /// Blending method, which weights the cameras that see the same point.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<BlendMethod>())]
     blend: Option<String>,
-    /// Overlay what moved in this many seconds before the instant (temporal integration).
+    /// Overlay the views of this many seconds before the instant (temporal integration).
     #[arg(long, value_name = "SECONDS")]
     trail: Option<f64>,
     /// Number of instants that a trail overlays [default: 16].
     #[arg(long, value_name = "N")]
     trail_instants: Option<usize>,
-    /// How a trail overlays its instants [default: mean].
+    /// How the images of a trail are combined into one [default: mean].
     #[arg(long, value_name = "MODE", value_parser = method::<TrailMode>())]
     trail_mode: Option<TrailMode>,
     #[command(flatten)]
@@ -76,7 +76,8 @@ pub struct RenderArgs {
 }
 
 impl RenderArgs {
-    /// The preset's options, overridden by the file's, overridden by the command line's.
+    /// Returns the options of all stages: the options of the preset, overridden by the options file, overridden by the
+    /// command line.
     fn render_options(&self) -> Result<RenderOptions, CliError> {
         let mut options = self.options.read()?;
         for (method, auto, option) in [
@@ -93,7 +94,7 @@ impl RenderArgs {
         trail.duration_s = self.trail.unwrap_or(trail.duration_s);
         trail.instants = self.trail_instants.unwrap_or(trail.instants);
         trail.mode = self.trail_mode.unwrap_or(trail.mode);
-        // The file's options were checked when they were read, the command line's were not.
+        // The options of the file were checked when they were read. This check is for the options of the command line.
         options.check()?;
         Ok(options)
     }
@@ -117,8 +118,8 @@ impl RenderArgs {
         }
     }
 
-    /// The images that this process renders. A whole sequence is shared with other processes that run the same
-    /// command; `key` identifies the command.
+    /// Returns the images that this process renders. The images of a whole sequence are shared with other processes
+    /// that run the same command. `key` identifies this command.
     fn frames<'a>(
         &self,
         wanted: Range<usize>,
@@ -134,7 +135,7 @@ impl RenderArgs {
         }
     }
 
-    /// Indices of the images to render among `count` images, after `--part`.
+    /// Returns the indices of the images to render among `count` images, as `--part` selects them.
     fn wanted(&self, count: usize) -> Result<Range<usize>, CliError> {
         match &self.part {
             None => Ok(0..count),
@@ -198,7 +199,7 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
                 done += instants;
             }
         }
-        // If an image fails, the writer waits for those before it.
+        // If an image fails, the writer waits until the images before it are written.
         writer.finish()
     };
     render_all().inspect_err(|_| shared.iter().for_each(SharedFolder::end_unused))?;

@@ -1,4 +1,4 @@
-//! `stlfr rig`
+//! The command `stlfr rig`, which generates simulated camera rigs.
 
 use super::CliError;
 use super::error::written;
@@ -16,10 +16,10 @@ use crate::tradeoff;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-/// Generate a rig: the cameras' poses, lenses, shutters and sensors. The same command writes the same
-/// file.
+/// Generate a rig file with the poses, lenses, shutters and sensors of simulated cameras. The same command writes the
+/// same file.
 ///
-/// Options that take a list give its entries to the cameras in turn.
+/// If an option takes a list, its values are assigned to the cameras in turn.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr rig line --count 8 --seed 7 -o rigs/mine.json\n  \
@@ -32,10 +32,10 @@ pub struct RigArgs {
     /// Arrangement of the cameras: a line from left to right, a grid row by row, or an arc whose cameras look at one
     /// point.
     layout: Option<LayoutName>,
-    /// Check a rig file instead.
+    /// Check a rig file instead of generating one.
     #[arg(long, value_name = "FILE")]
     check: Option<PathBuf>,
-    /// Print a format's JSON Schema instead.
+    /// Print the JSON Schema of a format instead of generating a rig.
     #[arg(long, value_name = "FORMAT")]
     schema: Option<SchemaName>,
     #[command(flatten)]
@@ -47,7 +47,7 @@ pub struct RigArgs {
     /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// The rig's name [default: the file's].
+    /// Name of the rig [default: the name of the file].
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
     /// The file to write [default: standard output].
@@ -72,32 +72,32 @@ enum SchemaName {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Places and lenses")]
 struct PlaceArgs {
-    /// Cameras of a line or an arc [default: 8].
+    /// Number of cameras of a line or an arc [default: 8].
     #[arg(long, value_name = "N", value_parser = number_of)]
     count: Option<NonZeroUsize>,
-    /// Rows of a grid [default: 2].
+    /// Number of rows of a grid [default: 2].
     #[arg(long, value_name = "N", value_parser = number_of)]
     rows: Option<NonZeroUsize>,
-    /// Columns of a grid [default: 4].
+    /// Number of columns of a grid [default: 4].
     #[arg(long, value_name = "N", value_parser = number_of)]
     columns: Option<NonZeroUsize>,
-    /// Distance between neighbouring cameras, metres.
+    /// Distance between neighbouring cameras, in metres.
     #[arg(long, value_name = "M", default_value_t = 0.06)]
     spacing: f64,
-    /// Distance to the point that the cameras of an arc look at, metres [default: 1.8].
+    /// Distance to the point that the cameras of an arc look at, in metres [default: 1.8].
     #[arg(long, value_name = "M")]
     distance: Option<f64>,
-    /// Image sizes.
+    /// Image sizes, in pixels.
     #[arg(long, value_name = "WxH,…", default_value = "640x480", value_delimiter = ',',
         value_parser = image_size)]
     size: Vec<(u32, u32)>,
-    /// Focal lengths.
+    /// Focal lengths, in millimetres.
     #[arg(long, value_name = "MM,…", default_value = "38.6", value_delimiter = ',')]
     lens: Vec<f64>,
-    /// The sensor's longer side.
+    /// Longer side of the sensor, in millimetres.
     #[arg(long, value_name = "MM", default_value_t = 36.0)]
     sensor: f64,
-    /// Lens distortion of all cameras, COLMAP's OPENCV model.
+    /// Lens distortion of all cameras, in COLMAP's OPENCV model.
     #[arg(long, value_name = "K1,K2,P1,P2", value_parser = distortion, allow_hyphen_values = true)]
     distortion: Option<RigDistortion>,
 }
@@ -105,39 +105,39 @@ struct PlaceArgs {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Shutters and clocks")]
 struct RigClockArgs {
-    /// Frame rates.
+    /// Frame rates, in hertz.
     #[arg(long, value_name = "HZ,…", default_value = "30", value_delimiter = ',')]
     rate: Vec<f64>,
-    /// Times of the first exposures: `random` within a frame, `none`, or seconds.
+    /// Times of the first exposures: `random` within a frame interval, `none` for no delay, or a list of seconds.
     #[arg(long, value_name = "random|none|S,…", default_value = "random", value_parser = delays,
         allow_hyphen_values = true)]
     delays: Delays,
-    /// Standard deviations of the exposure times' jitter, seconds.
+    /// Standard deviations of the jitter of exposure times, in seconds.
     #[arg(long, value_name = "S,…", default_value = "0.001", value_delimiter = ',')]
     jitter: Vec<f64>,
-    /// The cameras write no time stamps, so that their jitter is hidden.
+    /// The cameras record no time stamps, so that their jitter is unknown.
     #[arg(long)]
     hidden_jitter: bool,
-    /// Largest drift of the clocks, parts per million; the reference's clock has none.
+    /// Largest drift of the clocks, in parts per million; the reference camera's clock has no drift.
     #[arg(long, value_name = "PPM", default_value_t = 0.0)]
     drift: f64,
-    /// Number of frames that each camera loses; the reference loses none.
+    /// Number of frames that each camera loses; the reference camera loses none.
     #[arg(long, value_name = "N", default_value_t = 0)]
     lost: usize,
-    /// Frames are lost only among the first N, but never the very first.
+    /// Frames are lost only among the first N frames, but never the very first frame.
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..MAX_FRAMES as i64)]
     lost_within: i64,
-    /// How a camera's time stamps show lost frames: as a gap, not at all, or alternately by camera.
+    /// How the time stamps show lost frames: as gaps, not at all, or as gaps in every second camera.
     #[arg(long, value_name = "HOW", default_value = "stamped",
         value_parser = method::<LossStamps>())]
     lost_stamps: LossStamps,
     /// All cameras share one clock, and offsets are not estimated.
     #[arg(long)]
     shared_clock: bool,
-    /// Exposure durations, seconds.
+    /// Exposure durations, in seconds.
     #[arg(long, value_name = "S,…", default_value = "0", value_delimiter = ',')]
     exposure: Vec<f64>,
-    /// Readout times of rolling shutters, from the first row to the last, seconds.
+    /// Readout times of rolling shutters, from the first row to the last, in seconds.
     #[arg(long, value_name = "S,…", default_value = "0", value_delimiter = ',')]
     readout: Vec<f64>,
 }
@@ -220,7 +220,7 @@ impl RigArgs {
         })
     }
 
-    /// The given name, else the stem of the output file.
+    /// Returns the given name, or else the output file's name without extension, or else `rig`.
     fn name(&self) -> String {
         let stem = || {
             let stem = self.output.as_ref()?.file_stem()?.to_str()?;
@@ -231,7 +231,7 @@ impl RigArgs {
 }
 
 impl PlaceArgs {
-    /// The rig's layout. An error for arguments of another layout.
+    /// Returns the rig's layout. Arguments that belong to another layout are an error.
     fn layout(&self, name: LayoutName) -> Result<RigLayout, CliError> {
         let is_grid = matches!(name, LayoutName::Grid);
         let wrong = if is_grid && self.count.is_some() {

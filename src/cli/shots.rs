@@ -1,4 +1,4 @@
-//! The views that `stlfr render` renders: one view, one view at many instants, or a camera path.
+//! The views that `stlfr render` renders: one view at one instant, one view at many instants, or a camera path.
 
 use super::CliError;
 use super::files::{read_blend_path, read_path};
@@ -12,10 +12,10 @@ use crate::path::{CameraPath, PATH_RATE_HZ, PathFrame, READY_MADE_S, ReadyMadePa
 use crate::pipeline::{PathFitError, ready_made_path};
 use crate::progress::Reporter;
 
-/// Arguments of the instants.
+/// Arguments that choose the instants of the views.
 #[derive(Debug, clap::Args)]
 pub struct InstantArgs {
-    /// The instant, seconds on the reference camera's clock. With --path, time stops at this instant.
+    /// The instant, in seconds on the reference camera's clock. With --path, time stops at this instant.
     #[arg(
         long,
         value_name = "SECONDS",
@@ -24,7 +24,7 @@ pub struct InstantArgs {
         conflicts_with = "times"
     )]
     time: Option<f64>,
-    /// N instants evenly from START to END, both included: slow motion in one run.
+    /// N evenly spaced instants from START to END, both included, such as for slow motion.
     #[arg(
         long,
         value_name = "START:END:N",
@@ -33,17 +33,17 @@ pub struct InstantArgs {
         conflicts_with = "path"
     )]
     pub times: Option<Times>,
-    /// Duration of the video along a path, seconds [default: the path's own; 4 for sweep, orbit, bullet-time and
+    /// Duration of the video along a path, in seconds [default: the path's own; 4 for sweep, orbit, bullet-time and
     /// dolly].
     #[arg(long, value_name = "SECONDS", requires = "path", value_parser = positive)]
     duration: Option<f64>,
-    /// Frame rate of a video or a path, hertz [default: the path's or 30; for --times the capture's].
+    /// Frame rate of a video or a path, in hertz [default: the path's rate or 30; for --times the capture's rate].
     #[arg(long, value_name = "HZ", value_parser = rate_hz)]
     fps: Option<f64>,
 }
 
 impl InstantArgs {
-    /// The arguments that choose these instants, for another command.
+    /// Returns the arguments that choose the same instants in another command.
     pub fn words(&self) -> Vec<String> {
         let number = |flag: &str, value: Option<f64>| value.map(|v| format!("--{flag}={v}"));
         let span = |Times(times_s): &Times| {
@@ -66,7 +66,7 @@ pub struct ShotArgs<'a> {
 #[derive(Debug)]
 pub struct Shot {
     pub view: NamedView,
-    /// The instant, seconds from the capture's start.
+    /// The instant, in seconds from the capture's start.
     pub time_s: f64,
 }
 
@@ -74,17 +74,19 @@ pub struct Shot {
 pub struct Shots<'a> {
     viewpoint: &'a ViewpointArgs,
     source: ShotSource,
-    /// Frame rate, hertz; `None` if it depends on the capture.
+    /// Frame rate, in hertz; `None` if it is the capture's frame rate.
     rate_hz: Option<f64>,
-    /// The number of views.
+    /// Number of views.
     count: usize,
     is_sequence: bool,
-    /// The views; empty before [`Shots::place`], and for a ready-made path before [`Shots::fit`].
+    /// The views. They are empty before [`Shots::place`]. A ready-made path such as `orbit` has no views before
+    /// [`Shots::fit`].
     shots: Vec<Shot>,
 }
 
 enum ShotSource {
-    /// One view at several instants. A view of `--camera` is given here. Times are seconds on the reference's clock.
+    /// One view, and its instants in seconds on the reference camera's clock. The camera is read from the file of
+    /// `--camera`. It is `None` if `--like` names the view.
     Still(Option<Box<Camera>>, Vec<f64>),
     Path(Vec<PathFrame>),
     ReadyMade {
@@ -140,7 +142,8 @@ impl<'a> ShotArgs<'a> {
         Ok(self.path_shots(source, rate_hz, count))
     }
 
-    /// The views of a camera path. They are placed in the capture later.
+    /// Creates the views of a camera path. Their cameras and times are determined later, by [`Shots::place`] and
+    /// [`Shots::fit`].
     fn path_shots(self, source: ShotSource, rate_hz: f64, count: usize) -> Shots<'a> {
         let viewpoint = self.viewpoint;
         let rate_hz = Some(rate_hz);
@@ -157,17 +160,18 @@ fn frames(path: &CameraPath, rate_hz: f64) -> Result<Vec<PathFrame>, CliError> {
 }
 
 impl Shots<'_> {
-    /// The number of views.
+    /// Returns the number of views.
     pub fn len(&self) -> usize {
         self.count
     }
 
-    /// Whether the output is a sequence, which may have only one view.
+    /// Returns whether the output is a sequence. A sequence may have a single view.
     pub fn is_sequence(&self) -> bool {
         self.is_sequence
     }
 
-    /// The given instants, seconds on the reference's clock; empty for a ready-made path.
+    /// Returns the given instants, in seconds on the reference camera's clock. Empty for a ready-made path such as
+    /// `orbit`.
     #[cfg(test)]
     pub fn times_in_file_s(&self) -> Vec<f64> {
         match &self.source {
@@ -177,7 +181,7 @@ impl Shots<'_> {
         }
     }
 
-    /// The view of an index.
+    /// Returns the view with this index.
     ///
     /// # Panics
     /// If the views aren't placed yet ([`Self::place`], [`Self::fit`]).
@@ -185,8 +189,8 @@ impl Shots<'_> {
         &self.shots[index]
     }
 
-    /// The views before and after one of a sequence. A single view has itself, one frame of the recording before and
-    /// after.
+    /// Returns the cameras and instants of the views before and after a view in the sequence; `None` at the ends. For a
+    /// single view, returns its own camera one frame interval earlier and one frame interval later.
     pub fn neighbors<'b>(
         &'b self,
         field: &'b LightField,
@@ -201,8 +205,8 @@ impl Shots<'_> {
         [other(index.checked_sub(1)), other(Some(index + 1))]
     }
 
-    /// A hash of these views, the offsets, the options and `more` (other options of the output), 16 hexadecimal
-    /// digits.
+    /// Returns a hash of the views, the offsets, the options and `more`, as 16 hexadecimal digits. `more` is a text
+    /// with other options of the output.
     pub fn key(&self, field: &LightField, options: &RenderOptions, more: &str) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format!("{:?} {options:?} {more}", field.offsets()).as_bytes());
@@ -212,14 +216,15 @@ impl Shots<'_> {
         hasher.finalize().to_hex()[..16].to_owned()
     }
 
-    /// Frame rate, hertz.
+    /// Returns the frame rate, in hertz.
     pub fn rate_hz(&self, capture: &Capture) -> f64 {
         let frame_s = capture.frame_s();
         let own_hz = if frame_s > 0.0 { 1.0 / frame_s } else { PATH_RATE_HZ };
         self.rate_hz.unwrap_or(own_hz)
     }
 
-    /// Converts the views to the capture's cameras and times, and makes all checks that need no offsets.
+    /// Determines the camera and the time of each view, and makes all checks that need no offsets. The views of a
+    /// ready-made path such as `orbit` are determined later, by [`Self::fit`].
     pub fn place(&mut self, capture: &Capture, reporter: &Reporter) -> Result<(), CliError> {
         let origin_s = capture.time_origin_s;
         match &self.source {
@@ -257,13 +262,13 @@ impl Shots<'_> {
         self.shots.iter().map(|shot| shot.time_s).collect()
     }
 
-    /// An error if an instant lies outside of the light field's time range.
+    /// Returns an error if an instant is outside the light field's time range.
     pub fn check(&self, field: &LightField) -> Result<(), CliError> {
         let Some(first) = self.shots.first() else { return Ok(()) };
         Ok(field.check_times(viewpoint(&first.view), &self.times_s())?)
     }
 
-    /// Fits a ready-made path to the scene; other views stay as they are.
+    /// Fits the camera path to the scene if it is a ready-made path such as `orbit`. Other views are unchanged.
     pub fn fit(&mut self, field: &LightField, options: &RenderOptions) -> Result<(), CliError> {
         let ShotSource::ReadyMade { kind, duration_s, frozen_s } = self.source else {
             return Ok(());
@@ -281,7 +286,7 @@ impl Shots<'_> {
     }
 }
 
-/// The camera of a view.
+/// Returns the camera of a view.
 pub fn camera<'a>(field: &'a LightField, view: &'a NamedView) -> &'a Camera {
     match view {
         NamedView::Filming(index) => &field.capture().cameras[*index].camera,
@@ -289,7 +294,7 @@ pub fn camera<'a>(field: &'a LightField, view: &'a NamedView) -> &'a Camera {
     }
 }
 
-/// The viewpoint that renders a named view.
+/// Converts a view to the viewpoint that the light field renders: a camera of the capture, or a free camera.
 pub fn viewpoint(view: &NamedView) -> Viewpoint<'_> {
     match view {
         NamedView::Filming(index) => Viewpoint::Like(*index),

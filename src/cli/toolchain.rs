@@ -1,4 +1,4 @@
-//! `stlfr setup`, `stlfr check` and `stlfr demo`: commands that need the Python environment.
+//! The commands `stlfr setup`, `stlfr check` and `stlfr demo`, which need the Python environment.
 
 use super::error::written;
 use super::files::{CommandOutput, open_capture};
@@ -16,7 +16,7 @@ use crate::toolchain::{
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Set up the pinned Python environment, once; `demo`, `capture` and `check` do it by themselves.
+/// Set up the Python environment with pinned versions; `demo`, `capture` and `check` do this by themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr setup\n  \
@@ -44,11 +44,11 @@ pub fn run_setup(args: &SetupArgs, page: &mut Page, reporter: &Reporter) -> Resu
     Ok(())
 }
 
-/// Check a capture's calibration against COLMAP: projections, and a reconstruction from the pixels
-/// of one instant.
+/// Check a capture's calibration against COLMAP: by projections, and by a reconstruction from the images of one
+/// instant.
 ///
-/// The last line is the verdict: the calibration is right, it is off (exit code 1), or the images can't tell. The exit code
-/// is also 1 if the program itself is inconsistent.
+/// The last line is the verdict: the calibration is right, the calibration is wrong (exit code 1), or the images can't
+/// decide. The exit code is also 1 if the program's own projections are inconsistent.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr check .captures/demo\n  \
@@ -56,13 +56,13 @@ pub fn run_setup(args: &SetupArgs, page: &mut Page, reporter: &Reporter) -> Resu
 pub struct CheckArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// File for the measured values.
+    /// JSON file for the measured values.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
 
 pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    // A wrong capture or output is reported before the set-up, which may take minutes.
+    // A wrong capture or output is reported before the set-up of the environment, which may take minutes.
     open_capture(&args.capture, args.json.as_deref().map(CommandOutput::File), reporter)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     let check = check(&environment, &args.capture, reporter)?;
@@ -75,13 +75,14 @@ pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Resu
     if check.verdict.is_failure() { Err(refuted(check)) } else { Ok(()) }
 }
 
-/// The error of a check with a negative verdict; its message is the table's last line.
+/// Returns the error of a check with a negative verdict. The message is the last line of the table, which is the
+/// verdict.
 fn refuted(mut check: Check) -> CliError {
     CliError::Failure(check.table.pop().unwrap_or_default())
 }
 
-/// Everything, end to end: set up, film a scene with eight cameras that are not synchronized,
-/// check the calibration, reconstruct, and compare with the truth.
+/// Run the whole program, end to end: set up, film a scene with eight cameras that are not synchronized, check the
+/// calibration, reconstruct, and compare with the ground truth.
 ///
 /// After an interruption, the same command continues, and keeps the frames that were filmed.
 #[derive(Debug, clap::Args)]
@@ -98,7 +99,7 @@ pub struct DemoArgs {
     /// Samples per pixel [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     samples: Option<u32>,
-    /// Also write a video: truth, traditional and space-time light field side by side.
+    /// Also write a video: ground truth, traditional and space-time light field rendering side by side.
     #[arg(long)]
     video: bool,
     /// The capture's folder [default: .captures/demo in the source folder; with other options, a folder beside it].
@@ -106,7 +107,7 @@ pub struct DemoArgs {
     output: Option<PathBuf>,
 }
 
-/// Number of frames of the slow motion that is filmed as truth for `--video`.
+/// Number of frames of the slow motion that is filmed as ground truth for `--video`.
 const VIDEO_FRAMES: u32 = 48;
 
 pub fn run_demo(args: &DemoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
@@ -139,7 +140,8 @@ impl DemoArgs {
         if check.verdict.is_failure() { Err(refuted(check)) } else { Ok(capture) }
     }
 
-    /// Name of the capture's folder. It depends on the options, unless all have their defaults.
+    /// Returns the name of the capture's folder: `demo` if all options have their defaults, and otherwise a name that
+    /// depends on the options.
     fn name(&self) -> String {
         let mut name = "demo".to_owned();
         if self.size != (320, 240) {

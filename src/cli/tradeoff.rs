@@ -1,4 +1,4 @@
-//! `stlfr tradeoff`
+//! The command `stlfr tradeoff`, which measures time and quality of combinations of methods.
 
 use super::CliError;
 use super::files::{CommandOutput, OptionsArgs, open_capture};
@@ -9,12 +9,11 @@ use crate::progress::Reporter;
 use crate::tradeoff::{FILES, Point, TimingClock, Tradeoff, TradeoffOptions, methods, tradeoff};
 use std::path::PathBuf;
 
-/// Measure speed and accuracy on this capture: time and quality of every sensible combination of methods and main
-/// parameters.
+/// Measure time and quality of every sensible combination of methods and main parameters on this capture.
 ///
-/// Quality is measured against the truth; without truth, against held-out cameras. The output is
-/// tradeoff.json, a plot (tradeoff.svg), and recommended.json, the options of the fastest
-/// combination within 0.2 dB of the best. If it is interrupted, the same command resumes it.
+/// Quality is measured against the ground truth, or without ground truth against held-out cameras. The output is
+/// tradeoff.json, a plot (tradeoff.svg), and recommended.json, the options of the fastest combination within 0.2 dB of
+/// the best. If the command is interrupted, the same command resumes it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr tradeoff .captures/demo -o tradeoff\n  \
@@ -23,16 +22,17 @@ use std::path::PathBuf;
 pub struct TradeoffArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// Folder for the results: a new one, or that of an interrupted run.
+    /// Folder for the results: a new folder, or the folder of an interrupted run.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Number of times that each view is timed.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = parsed(1, 1000))]
     runs: usize,
-    /// Number of rounds that vary the Pareto front, one parameter at a time; 0 measures the methods alone.
+    /// Number of rounds that vary the Pareto front's combinations, one parameter at a time; 0 measures only the
+    /// methods.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parsed(0, 10))]
     rounds: usize,
-    /// The timing from which the Pareto front is computed.
+    /// The kind of time from which the Pareto front is computed.
     #[arg(long, value_name = "CLOCK", value_parser = method::<TimingClock>(), default_value = "wall")]
     clock: TimingClock,
     /// Print JSON and nothing else.
@@ -42,7 +42,7 @@ pub struct TradeoffArgs {
     options: OptionsArgs,
 }
 
-/// Parser of a count from `min` to `max`.
+/// Returns a parser for counts from `min` to `max`.
 fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Clone {
     move |text| match text.parse() {
         Ok(count) if (min..=max).contains(&count) => Ok(count),
@@ -51,7 +51,7 @@ fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Cl
 }
 
 pub fn run(args: &TradeoffArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    // Combinations fix the methods, so that no automatic choice remains.
+    // Every combination fixes the methods, so that no method is chosen automatically.
     let are_default = args.options.are_default();
     let base = if are_default { RenderOptions::default() } else { args.options.read()? };
     let output = CommandOutput::Folder(&args.output, &FILES);
@@ -72,7 +72,7 @@ pub fn run(args: &TradeoffArgs, page: &mut Page, reporter: &Reporter) -> Result<
     Ok(())
 }
 
-/// Prints combinations of methods, the Pareto front, presets and `auto`.
+/// Prints the combinations of methods, the Pareto front, the presets and the automatic choice.
 fn print_table(found: &Tradeoff, options: &TradeoffOptions, page: &mut Page) {
     page.line(format_args!(
         "{:<2}{:>24} {:>7} {:>8} {:>14} {:>14}  combination",

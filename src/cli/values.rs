@@ -1,4 +1,4 @@
-//! Types of values on the command line, and their parsers: methods, sizes, instants and image files.
+//! Types of values on the command line, with their parsers: methods, sizes, instants and image files.
 
 use super::CliError;
 use crate::method::Method;
@@ -11,38 +11,38 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// Value in place of a method's name. It leaves the choice of the method to [`crate::plan`].
+/// The value `auto`, which replaces the name of a method and leaves the choice of the method to [`crate::plan`].
 pub const AUTO: &str = "auto";
 
 fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
     T::ALL.iter().map(|m| PossibleValue::new(m.name()).help(m.help()))
 }
 
-/// Parses a method of a stage.
+/// Returns a parser for the methods of a stage.
 pub fn method<T: Method>() -> impl TypedValueParser<Value = T> {
-    // The parser before has accepted only names of methods.
+    // The inner parser accepts only names of methods, so that the default is never used.
     PossibleValuesParser::new(possible::<T>()).map(|name| T::from_name(&name).unwrap_or_default())
 }
 
-/// Parses the name of a stage's method, or `auto`.
+/// Returns a parser for the names of a stage's methods and for `auto`.
 pub fn method_or_auto<T: Method>() -> PossibleValuesParser {
     let auto =
         PossibleValue::new(AUTO).help("The cheapest that this capture requires: see stlfr plan");
     PossibleValuesParser::new(std::iter::once(auto).chain(possible::<T>()))
 }
 
-/// Parses a size such as `320x240`: width and height in pixels.
+/// Parses an image size such as `320x240`, which is width and height in pixels.
 pub fn image_size(text: &str) -> Result<(u32, u32), String> {
     let size = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
     size.filter(|(width, height)| [width, height].iter().all(|n| (8..=99_999).contains(*n)))
         .ok_or_else(|| "is no size like 320x240, at least 8x8".into())
 }
 
-/// `X,Y,Z`: a displacement right, down and forward, metres.
+/// A displacement right, down and forward, in metres. It is parsed from `X,Y,Z`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shift(pub [f64; 3]);
 
-/// Largest coordinate of a displacement, metres. The displaced pose stays finite.
+/// Largest absolute coordinate of a displacement, in metres. With this limit, the displaced pose is finite.
 const MAX_SHIFT_M: f64 = 1e9;
 
 impl FromStr for Shift {
@@ -58,11 +58,11 @@ impl FromStr for Shift {
     }
 }
 
-/// `START:END:N`: N instants evenly from START to END, both included, in seconds.
+/// Instants in seconds. They are parsed from `START:END:N`: N evenly spaced instants from START to END, both included.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Times(pub Vec<f64>);
 
-/// Largest number of instants. A typing error can't ask for billions of images.
+/// Largest number of instants. With this limit, a typing error can't ask for billions of images.
 const MAX_TIMES: usize = 1_000_000;
 
 impl FromStr for Times {
@@ -81,14 +81,15 @@ impl FromStr for Times {
         if count == 0 || count > MAX_TIMES {
             return Err(format!("asks for {count} images, must be from 1 to {MAX_TIMES}"));
         }
-        // The last fraction is exactly 1, so that rounding can't exceed END. END − START could overflow.
+        // The last fraction is exactly 1, so that rounding can't exceed END. END − START is not used, because it could
+        // overflow.
         let fraction = |k: usize| if count == 1 { 0.0 } else { k as f64 / (count - 1) as f64 };
         let instant_s = |k: usize| start_s * (1.0 - fraction(k)) + end_s * fraction(k);
         Ok(Self((0..count).map(instant_s).collect()))
     }
 }
 
-/// `START:END`: a span of time, seconds.
+/// A time span in seconds. It is parsed from `START:END`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimeSpan(pub f64, pub f64);
 
@@ -104,7 +105,8 @@ impl FromStr for TimeSpan {
     }
 }
 
-/// `K-L/N`: parts K to L of N equal parts of a sequence of images, counted from 1, both included.
+/// A range of parts of a sequence of images, parsed from `K-L/N`: parts K to L of N equal parts. Parts are counted from
+/// 1, and both K and L are included.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parts {
     first: usize,
@@ -134,13 +136,13 @@ impl Display for Parts {
 }
 
 impl Parts {
-    /// The indices of the images in these parts, for a sequence of `images` images.
+    /// Returns the indices of the images in these parts, for a sequence of `images` images.
     pub fn range(&self, images: usize) -> Range<usize> {
         (self.first - 1) * images / self.count..self.last * images / self.count
     }
 }
 
-/// A camera path: a ready-made one by name, or a file.
+/// A camera path: a ready-made path such as `orbit`, or a file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum PathSource {
     ReadyMade(ReadyMadePath),
@@ -168,31 +170,31 @@ impl FromStr for PathSource {
     }
 }
 
-/// Parses a frame rate, hertz.
+/// Parses a frame rate in hertz.
 pub fn rate_hz(text: &str) -> Result<f64, String> {
     let rate_hz = text.parse().ok().filter(|rate_hz| is_rate_hz(*rate_hz));
     rate_hz.ok_or_else(|| format!("must be a number from {MIN_RATE_HZ} to {MAX_RATE_HZ}"))
 }
 
-/// Parses a number above 0.
+/// Parses a number from 0.000001 to 1000000.
 pub fn positive(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|number| (1e-6..=1e6).contains(number));
     number.ok_or_else(|| "must be a number from 0.000001 to 1000000".into())
 }
 
-/// Format of an image file.
+/// The format of an image file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ImageFile {
     Still(StillFormat),
-    /// OpenEXR, with depth.
+    /// OpenEXR, with depth and motion.
     Exr,
 }
 
-/// Output of rendered images: one file, a numbered sequence, or a video.
+/// The output of rendered images: one file, a numbered sequence of files, or a video.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ImageOutput {
     Image(PathBuf, ImageFile),
-    /// Printf pattern, such as `out/%04d.png`.
+    /// A sequence with a printf pattern such as `out/%04d.png`.
     Sequence(PathBuf, ImageFile),
     Video(PathBuf, Codec),
 }
@@ -225,14 +227,14 @@ impl FromStr for ImageOutput {
 }
 
 impl ImageOutput {
-    /// Paths of the first `images` images.
+    /// Returns the paths of the first `images` images.
     pub fn files(&self, images: usize) -> impl Iterator<Item = PathBuf> {
         let files = if matches!(self, Self::Sequence(..)) { images } else { 1 };
         (0..files).filter_map(|index| self.file(index))
     }
 
-    /// Path of the `index`-th image; the same for all indices if the output is one image or a video. `None` for a
-    /// sequence whose pattern has no number field.
+    /// Returns the path of image `index`. If the output is one image or a video, the path is the same for all indices.
+    /// Returns `None` for a sequence whose pattern has no number field.
     pub fn file(&self, index: usize) -> Option<PathBuf> {
         let (Self::Image(path, _) | Self::Sequence(path, _) | Self::Video(path, _)) = self;
         if !matches!(self, Self::Sequence(..)) {
@@ -248,7 +250,7 @@ impl ImageOutput {
         (!after.contains('%')).then(|| PathBuf::from(format!("{before}{index:0width$}{after}")))
     }
 
-    /// Format of the images; `None` for a video.
+    /// Returns the format of the images; `None` for a video.
     pub fn image_file(&self) -> Option<ImageFile> {
         match self {
             Self::Image(_, file) | Self::Sequence(_, file) => Some(*file),
@@ -256,7 +258,8 @@ impl ImageOutput {
         }
     }
 
-    /// The output with `end` appended to the name before the suffix, unless the name has it already.
+    /// Returns the output with `end` appended to the file's name, before the extension. A name that already has this
+    /// ending is unchanged.
     #[must_use]
     pub fn ending(&self, end: &str) -> Self {
         let mut output = self.clone();
@@ -272,8 +275,8 @@ impl ImageOutput {
     }
 }
 
-/// A path as a word that the shells and templates of all engines leave unchanged. An error for `{{` and control
-/// characters.
+/// Returns a path as a word that the shells and templates of all farm engines leave unchanged. A path that contains
+/// `{{` or control characters, or that is not UTF-8, is an error.
 pub fn job_word(path: &Path) -> Result<String, CliError> {
     let text =
         path.to_str().filter(|text| !text.contains("{{") && !text.contains(char::is_control));

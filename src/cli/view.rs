@@ -1,4 +1,4 @@
-//! `stlfr view`
+//! The command `stlfr view`, which shows a capture in the browser.
 
 use super::CliError;
 use super::error::heard;
@@ -14,7 +14,7 @@ use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Look around in a capture, in space and time, in the browser. Ctrl+C ends it.
+/// Look around in a capture, in space and time, in the browser. Ctrl+C ends the command.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr view .captures/demo\n  \
@@ -26,13 +26,14 @@ use std::process::{Command, Stdio};
 pub struct ViewArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// The port of the page's address [default: a free one].
+    /// Port of the page's address [default: a free port].
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     port: u16,
-    /// Start at the place of a link that the page gave, also in an earlier run. Only the part after its # is needed.
+    /// Start at the view of a link that the page gave, also in an earlier run. Only the part of the link after # is
+    /// needed.
     #[arg(long, value_name = "LINK", value_parser = place)]
     at: Option<String>,
-    /// Only print the address.
+    /// Print the address, but open no browser.
     #[arg(long)]
     no_open: bool,
     #[command(flatten)]
@@ -61,10 +62,11 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     server.serve(&studio).map_err(|error| CliError::Failure(format!("the server ended ({error})")))
 }
 
-/// The options with which the page's pictures are rendered, and the equivalent flags of `stlfr render`.
+/// Returns the options with which the page's pictures are rendered, and the equivalent flags of `stlfr render`.
 ///
-/// Slow automatic choices are replaced by depth per pixel: without other options, a plan that isn't cached; and scene
-/// flow whose depth and motion aren't prepared.
+/// Two automatic choices of methods would make the page slow, and are replaced by depth per pixel. The first is a plan
+/// that must be computed, because no options are given and no plan is cached. The second is scene flow whose depth and
+/// motion have not been prepared.
 fn live_options(
     field: &LightField,
     options: &RenderOptions,
@@ -99,10 +101,11 @@ fn live_options(
     Ok((planned, words))
 }
 
-/// Longest accepted state of a link, bytes.
+/// Largest length of the page's state in a link, in bytes.
 const MAX_PLACE: usize = 512;
 
-/// The page's state in a link, as names and values: the part after its `#`, which may also be given alone.
+/// Returns the page's state from a link: the names and values after `#`. The state may also be given alone, without the
+/// rest of the link.
 fn place(link: &str) -> Result<String, String> {
     let place = link.rsplit_once('#').map_or(link, |(_, place)| place);
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "=&.+-".contains(c);
@@ -131,10 +134,10 @@ fn open(address: &str) -> bool {
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
     let mut command = Command::new(opener);
     command.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    // A process group of its own: Ctrl+C ends the server, but not the browser.
+    // The browser gets a process group of its own, so that Ctrl+C ends the server, but not the browser.
     match command.process_group(0).spawn() {
         Ok(mut child) => {
-            // The child may be the browser itself, which keeps running. A thread waits for it.
+            // The child may be the browser itself, which keeps running. Therefore a thread waits for the child.
             std::thread::spawn(move || child.wait());
             true
         }

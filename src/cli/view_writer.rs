@@ -1,4 +1,4 @@
-//! Writes rendered views into images, sequences or videos. A picture has one view, or several side by side.
+//! Writing of rendered views into images, sequences or videos. A picture has one view, or several views side by side.
 
 use super::CliError;
 use super::display::PictureParts;
@@ -18,58 +18,58 @@ use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
-/// Largest number of rendered views that wait to be written. Larger: more memory; smaller: rendering stalls on a file
-/// that takes long to write.
+/// Largest number of rendered views that wait to be written. A larger number takes more memory. With a smaller number,
+/// rendering stalls when a file takes long to write.
 const WAITING_VIEWS: usize = 2;
 
-/// Fraction of a view's pixels that some camera should see. If a view has a smaller fraction, a note states the
-/// smallest one of all views.
+/// Fraction of a view's pixels that at least one camera should see. If views are below this fraction, a note states the
+/// smallest fraction of all views.
 const MIN_SEEN_FRACTION: f64 = 0.5;
 
-/// A rendered view.
+/// A rendered view that is to be written.
 pub struct RenderedView {
-    /// Index of the picture that the view belongs to.
+    /// Index of the picture that contains the view.
     pub frame: usize,
     /// Index of the view inside its picture.
     pub part: usize,
     pub rendered: Rendered,
-    /// Depths, if the output format has them, and motion where it is known.
+    /// Depth of the pixels, and their motion if it is known; `None` if the output format has no such layers.
     pub layers: Option<(DepthMap, Option<ImageMotion>)>,
-    /// Marks the picture as done for other processes; the last view of a picture has it.
+    /// Claim that marks the picture as done for other processes. Only the last view of a shared picture has one.
     pub claim: Option<Claim>,
 }
 
-/// Writes rendered views to the output.
+/// Writer of rendered views.
 pub struct ViewWriter {
     output: ImageOutput,
-    /// Places of the views inside a picture; `None` for pictures of one view.
+    /// Positions of the views inside a picture; `None` for pictures of one view.
     parts: Option<PictureParts>,
-    /// The picture of which not all views have arrived.
+    /// The picture for which some views are still missing; `None` if no picture has been begun.
     picture: Option<Quantized>,
     depth: BitDepth,
     rate_hz: f64,
-    /// Path of ffmpeg, and the codec; `None` if the output isn't a video.
+    /// Path of ffmpeg, and codec of the video; `None` if the output isn't a video.
     encoder: Option<(PathBuf, Codec)>,
-    /// The video; `None` before its first frame.
+    /// The video that is being written; `None` before its first frame.
     video: Option<VideoWriter>,
-    /// The smallest fraction of a view's pixels that cameras see, over the views so far.
+    /// Fraction of a view's pixels that at least one camera sees: the smallest over all views so far.
     seen_fraction: f64,
     reporter: Reporter,
 }
 
-/// A thread that writes views while the next ones are rendered. If the value is dropped before [`Self::finish`], as
-/// after an error, the thread writes the views that it has, but doesn't finish a video.
+/// A thread that writes views while the next views are rendered. If the value is dropped before [`Self::finish`], as
+/// after an error, the thread writes the views that it has received, but doesn't finish a video.
 pub struct WritingThread {
-    /// Sends views to the thread, then `None` for the end. It is `None` itself after the end.
+    /// Channel that sends the views to the thread, and then `None` for the end. The field is `None` after the end.
     views: Option<SyncSender<Option<RenderedView>>>,
     thread: Option<JoinHandle<Result<(), CliError>>>,
 }
 
 impl WritingThread {
-    /// Writes a view.
+    /// Sends a view to the thread, which writes the view.
     ///
     /// # Errors
-    /// That of an earlier view.
+    /// The error of an earlier view that couldn't be written.
     pub fn add(&mut self, view: RenderedView) -> Result<(), CliError> {
         match self.views.as_ref().is_some_and(|views| views.send(Some(view)).is_ok()) {
             true => Ok(()),
@@ -77,10 +77,10 @@ impl WritingThread {
         }
     }
 
-    /// Waits until all views are written and a video is finished.
+    /// Waits until all views are written, and the video is finished if there is one.
     pub fn finish(mut self) -> Result<(), CliError> {
         if let Some(views) = &self.views {
-            // Sending fails if the thread has failed; then joining returns its error.
+            // Sending fails if the thread has failed. Joining then returns the error of the thread.
             let _ = views.send(None);
         }
         self.join()
@@ -99,13 +99,13 @@ impl WritingThread {
 impl Drop for WritingThread {
     fn drop(&mut self) {
         self.views = None;
-        // After an error, that error is reported and not the thread's.
+        // After an error, the caller reports this error, and the result of the thread is ignored.
         let _ = self.thread.take().map(JoinHandle::join);
     }
 }
 
 impl ViewWriter {
-    /// A writer of pictures with one view. For a video, finds an encoder and tries it.
+    /// Creates a writer of pictures with one view. For a video, finds an encoder and tests it.
     pub fn new(
         output: &ImageOutput,
         capture: &Capture,
@@ -134,8 +134,8 @@ impl ViewWriter {
         })
     }
 
-    /// Starts the thread that writes. `parts` are the places of the views inside a picture; `None` for pictures of one
-    /// view.
+    /// Starts the thread that writes the views. `parts` are the positions of the views inside a picture; `None` for
+    /// pictures of one view.
     pub fn start(self, parts: Option<PictureParts>) -> WritingThread {
         let (views, received) = sync_channel(WAITING_VIEWS);
         let writer = Self { parts, ..self };
@@ -163,7 +163,7 @@ impl ViewWriter {
         self.video.map_or(Ok(()), |video| Ok(video.finish()?))
     }
 
-    /// Adds a view to its picture. Writes the picture when its last view arrives.
+    /// Adds a view to its picture. Writes the picture when its last view has arrived.
     fn add(&mut self, view: &RenderedView) -> Result<(), CliError> {
         let Rendered { image, coverage } = &view.rendered;
         let seen = coverage.iter().filter(|is_seen| **is_seen).count();
@@ -197,7 +197,7 @@ impl ViewWriter {
         Ok(())
     }
 
-    /// Whether the output's format has an alpha channel, for pixels that no camera sees.
+    /// Returns whether the output's format has an alpha channel for pixels that no camera sees.
     fn has_alpha(&self) -> bool {
         matches!(self.output.image_file(), Some(ImageFile::Still(format)) if format.is_lossless())
     }

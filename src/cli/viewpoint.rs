@@ -1,4 +1,4 @@
-//! The viewpoint of `stlfr render`, and the example command of `stlfr info`.
+//! The viewpoint arguments of `stlfr render`, and the example command of `stlfr info`.
 
 use super::CliError;
 use super::error::written;
@@ -10,20 +10,21 @@ use crate::method::Method;
 use nalgebra::{Point3, distance};
 use std::path::{Path, PathBuf, absolute};
 
-/// Arguments of the viewpoint. A command may require their group `view`.
+/// Arguments that choose the viewpoint. `--camera`, `--like` and `--path` form the clap group `view`, so that a command
+/// can require one of them.
 #[derive(Debug, clap::Args)]
 pub struct ViewpointArgs {
-    /// A JSON file of the view: a camera in the form of capture.json.
+    /// JSON file of the view: a camera in the format of capture.json.
     #[arg(long, value_name = "VIEW.json", group = "view")]
     pub camera: Option<PathBuf>,
-    /// Name of the view: a camera of the capture, or a view of the truth, such as between.
+    /// Name of the view: a camera of the capture, or a view of the ground truth, such as between.
     #[arg(long, value_name = "NAME", group = "view")]
     like: Option<String>,
-    /// A camera path over place, direction, lens and time: path.json, the animated camera of my.blend, or one of
-    /// sweep, orbit, bullet-time and dolly, which stay where the rig sees the whole view.
+    /// A camera path over position, direction, lens and time: path.json, the animated camera of my.blend, or one of
+    /// sweep, orbit, bullet-time and dolly, which stay where the cameras see the whole view.
     #[arg(long, value_name = "PATH", group = "view")]
     pub path: Option<PathSource>,
-    /// Move the view right, down and ahead, in metres along its own axes, such as 0.03,0,0.
+    /// Move the view right, down and forward, in metres along its own axes, such as 0.03,0,0.
     #[arg(
         long,
         value_name = "X,Y,Z",
@@ -35,17 +36,17 @@ pub struct ViewpointArgs {
 }
 
 impl ViewpointArgs {
-    /// The camera of the `--camera` file; `None` without `--camera`.
+    /// Reads the camera of the `--camera` file. Returns `None` without `--camera`.
     pub fn camera(&self) -> Result<Option<Camera>, CliError> {
         self.camera.as_deref().map(read_view).transpose()
     }
 
-    /// The name of the view, if one is given.
+    /// Returns the name that `--like` gives; `None` without `--like`.
     pub fn name(&self) -> Option<&str> {
         self.like.as_deref()
     }
 
-    /// The arguments of this view for a command that runs in another folder: paths are absolute.
+    /// Returns the arguments of this view for a command that runs in another folder. Paths are absolute.
     pub fn absolute_words(&self) -> Result<Vec<String>, CliError> {
         let file = |flag: &str, path: &Path| -> Result<String, CliError> {
             Ok(format!("--{flag}={}", job_word(&written(path, absolute(path))?)?))
@@ -63,7 +64,7 @@ impl ViewpointArgs {
         Ok(words)
     }
 
-    /// The view that the arguments choose; `given` is the result of [`Self::camera`].
+    /// Returns the view that the arguments choose. `given` is the result of [`Self::camera`].
     pub fn view(&self, given: Option<Camera>, capture: &Capture) -> Result<NamedView, CliError> {
         let name = self.like.as_deref().unwrap_or_default();
         let view = match given {
@@ -83,7 +84,8 @@ fn centers(capture: &Capture) -> Vec<Point3<f64>> {
     capture.cameras.iter().map(|filmed| filmed.camera.center()).collect()
 }
 
-/// A warning for a view that is further from every camera than any two cameras are from each other; else `None`.
+/// Returns a warning if a view is further from every camera than any two cameras are from each other, and `None`
+/// otherwise.
 pub fn far_outside(view: &Camera, capture: &Capture) -> Option<String> {
     let centers = centers(capture);
     let to_all = |from: &Point3<f64>| centers.iter().map(|c| distance(from, c)).collect::<Vec<_>>();
@@ -98,8 +100,8 @@ pub fn far_outside(view: &Camera, capture: &Capture) -> Option<String> {
     })
 }
 
-/// A command that renders an example: the view halfway between the reference and its nearest camera, between two
-/// frames.
+/// Returns a command that renders an example: the view halfway between the reference camera and its nearest camera, at
+/// an instant between two frames.
 pub fn example(capture: &Capture, folder: &Path) -> String {
     let reference = &capture.cameras[capture.reference];
     let centers = centers(capture);
@@ -131,7 +133,7 @@ pub fn rounded(value: f64) -> String {
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-/// A word of a shell's command line, in quotes if it needs them.
+/// Quotes a word for a shell's command line, if the word needs quotes.
 fn quoted(word: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "/._-".contains(c);
     if word.chars().all(is_plain) {

@@ -102,7 +102,7 @@ pub trait Renderer: Sync {
     /// Returns the options of all rendering stages. They are written into `metrics.json`.
     fn options(&self) -> &RenderOptions;
 
-    /// Returns the run times of the preparation: opening the light field, with its offsets.
+    /// Returns the run times of the preparation, which opens the light field and reads or estimates the offsets.
     fn timings(&self) -> Vec<StageTime>;
 }
 
@@ -127,10 +127,11 @@ pub struct CompareOptions {
     pub sync: SyncMethod,
     /// True to measure all sync methods on the filming cameras, false to measure only `nearest` and `sync`.
     pub all_methods: bool,
-    /// Threshold of the moving part, pixels. A pixel belongs to the moving part if its surface point moves farther
-    /// within ±1 frame.
+    /// Threshold of the moving part, pixels. A pixel belongs to the moving part if its surface point moves by more than
+    /// this value within one frame before or after the image's instant.
     pub moving_threshold_px: f32,
-    /// Radius of the square by which the mask of the moving part is dilated, pixels.
+    /// Dilation of the mask of the moving part, pixels. Each pixel of the mask grows by this value to the left, right,
+    /// top and bottom, into a square.
     pub moving_dilation_px: usize,
     /// Viewing condition of the FLIP metric: pixels per degree of visual angle.
     pub pixels_per_degree: f64,

@@ -5,8 +5,8 @@ use crate::capture::Truth;
 use crate::offset::{CameraOffset, Offsets};
 
 impl OffsetResult {
-    /// Compares a camera's offset with its true offset. `frame_s` is the frame interval in seconds. If it is `None`,
-    /// errors in frames are `None`.
+    /// Compares a camera's offset with its true offset. `given` is the camera's offset, `None` if it is missing.
+    /// `frame_s` is the frame interval in seconds. Without `frame_s`, the errors in frames are `None`.
     pub(super) fn new(
         camera: &str,
         given: Option<&CameraOffset>,

@@ -48,12 +48,13 @@ pub struct Headline {
     pub offset: OffsetHeadline,
     pub sync: SyncHeadline,
     pub views: Vec<ViewHeadline>,
-    /// Median scores of every view method with every proxy geometry. The baseline is first.
+    /// Median scores of every view method with every proxy geometry. The first entry is the baseline, traditional LFR.
     pub methods: Vec<MethodHeadline>,
-    /// Number of images that couldn't be rendered. Both the cameras' synchronized images and the blended views are
-    /// counted.
+    /// Number of missing images: synchronized images of cameras, blended views, and cameras' images that are missing in
+    /// blended views.
     pub missing_images: usize,
-    /// Number of images that should have been rendered.
+    /// Number of images that should have been rendered: synchronized images of cameras, blended views, and the cameras'
+    /// images for every blended view.
     pub wanted_images: usize,
     /// The most frequent reason for a missing image. `None` if no image is missing.
     pub missing_reason: Option<String>,
@@ -64,7 +65,8 @@ pub struct Headline {
 pub struct MethodHeadline {
     pub proxy: ProxyMethod,
     pub method: ViewMethod,
-    /// Whether the command `render` uses this method and this proxy when it has the same options.
+    /// Whether the command `render` uses this method and this proxy geometry, if it is given the options of the
+    /// comparison.
     pub is_rendered: bool,
     pub scores: RegionScores,
     pub views: usize,
@@ -97,7 +99,7 @@ pub struct ViewHeadline {
     pub gain_whole_db: Option<f64>,
     pub gain_moving_db: Option<f64>,
     /// PSNR of perfect synchronization minus PSNR of ST-LFR over the whole image, median over views, decibels. Negative
-    /// if ST-LFR is better.
+    /// if ST-LFR is better. `None` if no view has both values.
     pub gap_whole_db: Option<f64>,
     pub gap_moving_db: Option<f64>,
     pub views: usize,
@@ -113,7 +115,7 @@ pub struct OffsetResult {
     pub truth_s: Option<f64>,
     pub error_frames: Option<f64>,
     pub std_err_frames: Option<f64>,
-    /// The offset's error divided by its standard error.
+    /// The offset's error divided by its standard error. `None` if either is unknown, or if the standard error is 0.
     pub z: Option<f64>,
     /// Sentence that says why the offset is unknown. `None` if the offset is known.
     pub reason: Option<String>,
@@ -133,7 +135,7 @@ pub struct SyncResult {
     pub reason: Option<String>,
 }
 
-/// Method of a blended view: which images of the filming cameras are blended. The help text is its name in reports.
+/// Method of a blended view: which images of the filming cameras are blended. Reports name a method by its help text.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViewMethod {
@@ -142,7 +144,7 @@ pub enum ViewMethod {
     TraditionalLfr,
     /// Space-time light field rendering: blends images synchronized by the chosen sync method.
     StLfr,
-    /// Blends the true images of all cameras at the instant. This is an upper bound for any synchronization.
+    /// Blends the true images of all cameras at the instant. The result shows what perfect synchronization would reach.
     PerfectSync,
 }
 
@@ -161,7 +163,7 @@ pub struct ViewResult {
     pub method: ViewMethod,
     /// Number of cameras whose images are blended.
     pub cameras: usize,
-    /// Cameras that have no image at this instant, with the reasons.
+    /// Cameras whose images are missing at this instant and aren't blended, with the reasons.
     pub excluded: Vec<ExcludedCamera>,
     /// Fraction of the view's pixels that are measured: the pixels covered by every method with every proxy geometry.
     /// `None` if the view has no image.
@@ -185,7 +187,7 @@ pub struct StageTime {
     pub seconds: f64,
 }
 
-/// Wall-clock times of the stages, each summed over its calls.
+/// Wall-clock times: one entry per stage, with the sum over all calls of the stage.
 pub(super) struct StageTimes(pub Vec<StageTime>);
 
 impl StageTimes {
@@ -207,7 +209,7 @@ impl StageTimes {
     }
 }
 
-/// Returns the distinct methods among the given ones, cheapest first.
+/// Returns the methods that occur, each once, from the cheapest to the most expensive.
 pub(super) fn used<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<M> {
     let occurring: Vec<M> = occurring.collect();
     M::ALL.iter().copied().filter(|method| occurring.contains(method)).collect()
@@ -250,7 +252,8 @@ pub(super) fn headline(
     }
 }
 
-/// Returns the reasons of all missing images, one reason per image.
+/// Returns the reasons of all missing images, one reason per image. A camera's image that is missing in a blended view
+/// is counted too.
 fn missing_reasons<'a>(sync: &'a [SyncResult], views: &'a [ViewResult]) -> Vec<&'a str> {
     let unknown = |reason: &'a Option<String>| reason.as_deref().unwrap_or("no image");
     let cameras = sync.iter().filter(|s| s.scores.is_none()).map(|s| unknown(&s.reason));

@@ -87,8 +87,8 @@ fn movie_reel(video: &ReviewVideo) -> Reel {
     Reel { name: "Video", rate_hz: video.rate_hz, shots: vec![shot] }
 }
 
-/// Makes a shot of still pictures: by traditional LFR, by ST-LFR, and the true picture from the same folder. `None` if
-/// both methods have no picture.
+/// Makes a shot of still pictures from the pictures of traditional LFR and ST-LFR, in this order. The true picture is
+/// the file `truth.png` in their folder. Returns `None` if neither method has a picture.
 fn still(label: String, panels: [Option<ReviewPanel>; 2]) -> Option<ReviewShot> {
     let (folder, _) = panels.iter().flatten().next()?.file.rsplit_once('/')?;
     let truth = Some(format!("{folder}/truth.png"));

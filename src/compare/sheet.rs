@@ -34,7 +34,7 @@ pub(super) struct Panel<'a> {
 }
 
 /// Draws a comparison sheet as an RGB image. The true image is at the left, with its moving part marked below. The
-/// methods' images follow. Below each is its absolute difference from the true image times `gain`.
+/// methods' images follow. Below each method's image is its absolute difference from the true image, times `gain`.
 ///
 /// # Panics
 /// If an image differs from the true image in size or number of channels.
@@ -100,7 +100,7 @@ fn difference(a: &Image, b: &Image, gain: f32) -> Image {
     Image::from_data(a.width(), a.height(), a.channels(), data.collect())
 }
 
-/// Returns one line of text per metric, with the scores of the whole image and of the moving part.
+/// Returns three lines of text: PSNR, SSIM and FLIP, each for the whole image and for the moving part.
 fn score_lines(scores: &RegionScores) -> [String; 3] {
     let number = |v: Option<f64>, digits: usize| match v {
         Some(v) => format!("{v:.digits$}"),
@@ -141,7 +141,8 @@ fn reduced(image: &Image, factor: usize) -> Cow<'_, Image> {
     Cow::Owned(Image::from_data(width, height, image.channels(), data))
 }
 
-/// Copies an image into an RGB sheet, enlarged by the integer factor `scale`. Its top left corner is at (x, y).
+/// Copies an image into an RGB sheet, enlarged by the integer factor `scale`. The image's top left corner is at the
+/// pixel (x, y) of the sheet.
 ///
 /// # Panics
 /// If the enlarged image doesn't fit into the sheet.

@@ -111,14 +111,14 @@ fn offsets() -> Offsets {
     Offsets { reference: "a".into(), cameras }
 }
 
-/// A renderer whose errors are known. Its images differ from the true image by 0.1 with `nearest`, and by 0.01 with all
-/// other sync methods. A view is the mean of the blended images.
+/// A renderer whose errors are known. The image of a camera differs from the true image by 0.1 with `nearest`, and by
+/// 0.01 with all other sync methods. A rendered view is the mean of the cameras' images.
 struct Fake {
     field: LightField,
     truth: Image,
     /// Index of a camera for which every sync method except `nearest` fails.
     broken: Option<usize>,
-    /// Number of covered pixels of a view, from the first pixel on.
+    /// Number of covered pixels of a rendered view. They are its first pixels, row by row.
     covered: usize,
     options: RenderOptions,
 }

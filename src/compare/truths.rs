@@ -11,9 +11,9 @@ const SAME_INSTANT_S: f64 = 1e-6;
 
 /// An instant at which the ground truth has images.
 pub(crate) struct TrueInstant {
-    /// Time of the instant in `truth.json`, seconds on the reference's clock.
+    /// Time of the instant as in `truth.json`, in seconds on the reference camera's clock.
     pub time_s: f64,
-    /// Time of the instant in seconds on the reference's clock, from the capture's start.
+    /// Time of the instant from the capture's start, in seconds on the reference camera's clock.
     pub inner_s: f64,
     pub views: Vec<TrueView>,
 }
@@ -111,8 +111,8 @@ impl TrueView {
     }
 }
 
-/// Replaces the pixels that aren't covered by those of the true image. The windows of the metrics then contain no error
-/// from uncovered pixels.
+/// Returns `image` with the pixels of the true image in place of its uncovered pixels. Metrics that compare windows of
+/// pixels then find no error at the uncovered pixels. `covered` has one value per pixel, row by row.
 pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
     let n = image.channels();
     let mut filled = image.clone();
@@ -124,7 +124,8 @@ pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Ima
     filled
 }
 
-/// Returns the image as a file of this bit depth holds it: clamped, rounded, and grey (1 channel) or RGB.
+/// Returns the image that a file of this bit depth would contain. Values are clamped to 0..=1 and rounded. The image is
+/// converted to grey for 1 channel, otherwise to RGB.
 pub(crate) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Image {
     let mut image = if channels == 1 { image.to_gray() } else { image.to_rgb() };
     let most = ((1u32 << bits(depth)) - 1) as f32;

@@ -64,9 +64,11 @@ pub(super) struct ReviewVideo {
 }
 
 impl ReviewVideo {
-    /// Renders and writes the videos. The view is the view of the truth's video. Without such a video, it is the first
-    /// view of the ground truth that no camera filmed, or else the reference camera's view, over the time span that all
-    /// cameras cover. The proxy geometry is the one in the renderer's options. `codec` encodes the side-by-side video.
+    /// Renders and writes the videos. They show the view and the times of the video in the ground truth. If the ground
+    /// truth has no video, the times cover the span in which all cameras can give an image. The view is then the first
+    /// view of the ground truth that no camera filmed. If there is none, it is the reference camera's view.
+    ///
+    /// The proxy geometry is the one in the renderer's options. `codec` encodes the side-by-side video.
     pub fn write(
         comparison: &Comparison,
         codec: Codec,
@@ -118,7 +120,7 @@ impl ReviewVideo {
 /// A view at several times, with its true images.
 struct VideoInstants {
     target: Camera,
-    /// Times in seconds on the reference's clock, from the capture's start.
+    /// Times from the capture's start, in seconds on the reference camera's clock.
     times_s: Vec<f64>,
     /// Files of the true images, one per time. Empty if there are no true images.
     truth: Vec<PathBuf>,
@@ -126,7 +128,7 @@ struct VideoInstants {
 }
 
 impl VideoInstants {
-    /// Takes the times and the true images from the truth's video.
+    /// Takes the view, the times and the true images from the video in the ground truth.
     fn of_truth(comparison: &Comparison, video: &TruthVideo) -> Result<Self, ReviewVideoError> {
         let wrong = |reason: &str| ReviewVideoError::Field(reason.to_owned());
         if video.times_s.is_empty() || video.times_s.iter().any(|t| !t.is_finite()) {
@@ -146,7 +148,8 @@ impl VideoInstants {
         })
     }
 
-    /// Spaces `frames` times evenly over the time span that all cameras cover. There are no true images.
+    /// Returns a view and `frames` times, which are evenly spaced over the span that all cameras cover. There are no
+    /// true images. [`ReviewVideo::write`] describes how the view is chosen.
     fn spanning(comparison: &Comparison, frames: usize) -> Result<Self, ReviewVideoError> {
         let capture = comparison.renderer.field().capture();
         let span_s = comparison.renderer.field().common_span_s();

@@ -46,8 +46,8 @@ impl Figure {
     }
 }
 
-/// Returns the centre of the 2×2 grid cells with the largest sum of absolute differences, as fractions of width and
-/// height.
+/// Finds the block of 2×2 cells of [`GRID`] in which the sum of absolute differences is largest. Returns the block's
+/// centre, as fractions of the image's width and height. If any surface moves, only pixels of moving surfaces count.
 fn focus(truth: &TrueImage, image: &Image) -> [f64; 2] {
     let [columns, rows] = GRID;
     let (width, height, channels) =
@@ -68,11 +68,11 @@ fn focus(truth: &TrueImage, image: &Image) -> [f64; 2] {
     [(best.0 + 1) as f64 / columns as f64, (best.1 + 1) as f64 / rows as f64]
 }
 
-/// Views whose pictures are arranged in the same rows and columns.
+/// A group of views. The pictures of each view are arranged in a table with the same rows and columns.
 #[derive(Debug, Serialize)]
 pub(super) struct ViewerGroup {
     title: &'static str,
-    /// Titles of the rows. The title of a single row may be empty.
+    /// Titles of the table's rows. If there is only one row, its title may be empty.
     rows: Vec<&'static str>,
     columns: Vec<&'static str>,
     /// Row and column of the picture that the viewer shows first.
@@ -99,7 +99,8 @@ struct ViewerCell {
     reason: Option<String>,
 }
 
-/// Returns all views of a comparison: the new views first, then the filming cameras.
+/// Returns the views of a comparison in two groups: first the new views, then the views of the filming cameras. A group
+/// without views is left out.
 pub(super) fn groups(metrics: &Metrics, figures: &[Figure]) -> Vec<ViewerGroup> {
     let mut groups = vec![new_views(metrics, figures), filming_cameras(metrics, figures)];
     groups.retain(|group| !group.views.is_empty());

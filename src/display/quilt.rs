@@ -1,32 +1,35 @@
-//! Quilts, the pictures of Looking Glass displays: a grid of views. The leftmost view is at the bottom left, the
-//! rightmost at the top right. The file's name ends in `_qsCxRaA`: columns, rows, and the aspect ratio of the views.
+//! Quilts, the pictures of Looking Glass displays: a grid of views. The leftmost view is at the bottom left, and the
+//! rightmost view at the top right. The file's name ends in `_qsCxRaA`, with the number of columns C, the number of
+//! rows R, and the aspect ratio A of the views.
 //!
-//! Sizes are those of <https://docs.lookingglassfactory.com/keyconcepts/quilts>. View cones are those of the vendor's
-//! LKG-Toolkit, or else the documentation's standard of 35°. Copies of that page differ for the landscape display of 16
-//! inches: one, which lists the displays of 27 inches, has 8×6 views in 7680×4320; another, which doesn't, has 7×7 in
-//! 5999×5999, here `16-landscape-7x7`. That the first is the newer edition is inferred from this; the vendor doesn't say
-//! so. A file's name says which layout it has, so that the vendor's programs show both.
+//! Sizes are from <https://docs.lookingglassfactory.com/keyconcepts/quilts>. View cones are from the vendor's
+//! LKG-Toolkit, or else are the documentation's standard of 35°. Two copies of that page differ for the 16-inch
+//! landscape display. The copy that also lists 27-inch displays has 8×6 views in 7680×4320 pixels, here `16-landscape`.
+//! The other copy has 7×7 views in 5999×5999 pixels, here `16-landscape-7x7`. The copy with the 27-inch displays is
+//! assumed to be newer, but the vendor doesn't say so. A file's name gives the layout, so that the vendor's programs
+//! show both.
 
 use super::sheared;
 use crate::camera::{Camera, CameraModel};
 use std::str::FromStr;
 
-/// The layout of a quilt.
+/// Layout of a quilt, which is a grid of views in one picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QuiltLayout {
-    /// Number of views per row.
+    /// Number of views in each row.
     pub columns: usize,
     /// Number of rows of views.
     pub rows: usize,
-    /// Width and height of the quilt, pixels.
+    /// Width and height of the whole quilt, pixels.
     pub size_px: [usize; 2],
-    /// Width of the display divided by its height. Each view is stretched from this aspect ratio to its tile.
+    /// Width of the display divided by its height. Each view has this aspect ratio, and is stretched to its tile.
     pub aspect: f64,
-    /// Angle between the first and the last view, seen from the middle of the plane of convergence, degrees.
+    /// Angle between the first and the last view, seen from the middle of the plane of convergence, in degrees.
     pub cone_deg: f64,
 }
 
-/// Why a text doesn't describe a quilt. The message is a predicate without a subject.
+/// Reason why a text doesn't describe a quilt's layout. The message is the end of a sentence that begins with the text,
+/// such as "is no display".
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum QuiltLayoutError {
     #[error("is no display ({}) and no layout like 8x6:3360x3360", names())]
@@ -41,7 +44,7 @@ const MAX_VIEWS: usize = 1024;
 const MIN_TILE_PX: usize = 8;
 const MAX_SIDE_PX: usize = 8192;
 
-/// The documentation's standard view cone, degrees.
+/// Standard view cone in the vendor's documentation, used for displays without a view cone of their own, degrees.
 const STANDARD_CONE_DEG: f64 = 35.0;
 
 const fn device(
@@ -57,7 +60,7 @@ const fn device(
 const LANDSCAPE: f64 = 16.0 / 9.0;
 const PORTRAIT: f64 = 9.0 / 16.0;
 
-/// The layouts of displays, by the display's name.
+/// Quilt layouts of Looking Glass displays, each with the display's name.
 static DEVICES: [(&str, QuiltLayout); 10] = [
     ("go", device(11, 6, [4092, 4092], PORTRAIT, 54.0)),
     ("portrait", device(8, 6, [3360, 3360], 0.75, 40.0)),
@@ -75,7 +78,8 @@ fn names() -> String {
     DEVICES.map(|(name, _)| name).join(", ")
 }
 
-/// Parses the name of a display, or `COLUMNSxROWS:WIDTHxHEIGHT`, whose aspect ratio is that of a tile.
+/// Parses the name of a display, or the form `COLUMNSxROWS:WIDTHxHEIGHT`. In the second form, the views have the aspect
+/// ratio of their tiles.
 impl FromStr for QuiltLayout {
     type Err = QuiltLayoutError;
 
@@ -103,39 +107,41 @@ impl FromStr for QuiltLayout {
 }
 
 impl QuiltLayout {
-    /// The layouts of all displays, by name.
+    /// Returns the layouts of all known displays, each with the display's name.
     pub fn of_displays() -> &'static [(&'static str, Self)] {
         &DEVICES
     }
 
-    /// The number of views.
+    /// Returns the number of views in the quilt.
     pub fn views(&self) -> usize {
         self.columns * self.rows
     }
 
-    /// Width and height of a view's tile, pixels. Pixels outside of all tiles are black; they are at the right and at
-    /// the top.
+    /// Returns the width and height of a view's tile, pixels. Pixels of the quilt outside all tiles are black. They are
+    /// at the right and at the top.
     pub fn tile_px(&self) -> [usize; 2] {
         [self.size_px[0] / self.columns, self.size_px[1] / self.rows]
     }
 
-    /// The top left pixel of a view's tile, from the quilt's top left corner.
+    /// Returns the column and the row of the top left pixel of a view's tile, counted from the quilt's top left corner.
+    /// View 0 is the leftmost view, whose tile is at the bottom left.
     pub fn tile_origin(&self, view: usize) -> [usize; 2] {
         let [width, height] = self.tile_px();
         let (column, row) = (view % self.columns, view / self.columns);
         [column * width, self.size_px[1] - (row + 1) * height]
     }
 
-    /// The part of a file's name before its suffix that describes the layout: `_qs8x6a0.75`.
+    /// Returns the text that describes the layout in the name of a quilt's file, such as `_qs8x6a0.75`. It stands at
+    /// the end of the name, before the extension.
     pub fn name(&self) -> String {
         let aspect = format!("{:.5}", self.aspect);
         let aspect = aspect.trim_end_matches('0').trim_end_matches('.');
         format!("_qs{}x{}a{aspect}", self.columns, self.rows)
     }
 
-    /// The cameras of all views, the leftmost first. `view` is in their middle, `cone_deg` degrees lie between the
-    /// first and the last, seen from the point `convergence_m` metres ahead. The views show the largest centred part
-    /// of `view` that has the display's aspect ratio.
+    /// Returns the cameras of all views, the leftmost first. `view` is in their middle. The first and the last camera
+    /// are `cone_deg` degrees apart, seen from the point `convergence_m` metres ahead of `view`. All views show the
+    /// largest centred part of `view` that has the display's aspect ratio.
     pub fn cameras(&self, view: &Camera, cone_deg: f64, convergence_m: f64) -> Vec<Camera> {
         let framed = self.framed(view);
         let last = (self.views() - 1) as f64;
@@ -144,8 +150,8 @@ impl QuiltLayout {
         (0..self.views()).map(|k| sheared(&framed, offset_m(k), convergence_m)).collect()
     }
 
-    /// The largest centred part of a view that has the display's aspect ratio, at the resolution of a tile. Its pixels
-    /// are not square if the tile's aspect ratio differs.
+    /// Returns the camera of the largest centred part of a view that has the display's aspect ratio, at the resolution
+    /// of a tile. Its pixels are not square if the tile's aspect ratio differs from the display's.
     fn framed(&self, view: &Camera) -> Camera {
         let (fx, fy, cx, cy) = view.model.intrinsics();
         let [width, height] = [view.width, view.height].map(|side| side as f64);

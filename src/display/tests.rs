@@ -8,7 +8,7 @@ fn view() -> Camera {
     view
 }
 
-/// The world coordinates of a point in a view's camera frame.
+/// Returns the world coordinates of a point that is given in a view's camera frame, metres.
 fn at(view: &Camera, point: [f64; 3]) -> Point3<f64> {
     view.cam_from_world.inverse() * Point3::from(point)
 }

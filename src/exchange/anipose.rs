@@ -1,10 +1,11 @@
-//! Calibrations in TOML with OpenCV's conventions: `Calib.toml` of Anipose and Pose2Sim, `camera_array.toml` of
+//! Calibrations in TOML with OpenCV's conventions: `Calib.toml` of Anipose and Pose2Sim, and `camera_array.toml` of
 //! caliscope.
 //!
-//! Each camera is a table, at the top level or under `cameras`. Its fields: `size`, `matrix`, `distortions` (k1 k2 p1
-//! p2 k3 k4 k5 k6, or four of a fisheye), `rotation` (a Rodrigues vector or a matrix) and `translation`, both from the
-//! world to the camera. OpenCV has the centre of the first pixel at 0, so that half a pixel is added to the principal
-//! point. Other tables are skipped.
+//! Each camera is a table, either at the top level or under `cameras`. The fields of a camera are `size`, `matrix` (of
+//! the intrinsics), `distortions` (k1 k2 p1 p2 k3 k4 k5 k6, or the four coefficients of a fisheye lens), `rotation` (a
+//! Rodrigues vector or a matrix) and `translation`. Rotation and translation are from the world to the camera. In
+//! OpenCV, the centre of the first pixel is at 0, so half a pixel is added to the principal point. Other tables are
+//! skipped.
 
 use super::{
     ExchangeError, NamedCamera, checked, content, opencv_model, pose_from_axes, whole_size,
@@ -16,10 +17,11 @@ use serde::Deserialize;
 use std::path::Path;
 use toml::{Table, Value};
 
-/// Size limit of the file, bytes: enough for two thousand cameras. Parsing takes up to a hundred times as much memory.
+/// Size limit of the file, in bytes. It is large enough for two thousand cameras. Parsing takes up to a hundred times
+/// the file's size in memory.
 const MAX_BYTES: u64 = 2 << 20;
 
-/// The fields of a camera. Other fields are skipped.
+/// The fields of a camera's table. Other fields are skipped.
 #[derive(Debug, Deserialize)]
 struct CameraTable {
     name: Option<Value>,
@@ -39,15 +41,16 @@ struct CameraTable {
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 enum Rotation {
-    /// Rodrigues vector: its direction is the axis, its length the angle in radians.
+    /// Rodrigues vector: its direction is the rotation axis, and its length is the angle in radians.
     Vector([f64; 3]),
     Matrix([[f64; 3]; 3]),
 }
 
-/// Reads the cameras in the order of the file. A camera is named by `name`, else by its table; tables under `cameras`
-/// give names `cam_0` and so on. Cameras with `ignore` are skipped.
+/// Reads the cameras in the order of the file. A camera's name is its field `name`. If this field is missing, the name
+/// is that of the table, or `cam_0` for the table `0` under `cameras`. Cameras with `ignore` are skipped.
 ///
-/// Errors: no camera, a camera without size, lens or pose, a skewed or unknown lens.
+/// Errors: no camera, two cameras with the same name, a camera without size, lens or pose, an intrinsic matrix with
+/// skew, an unknown lens.
 pub fn read_anipose(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let text = read_text(path, MAX_BYTES)
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
@@ -80,7 +83,7 @@ pub fn read_anipose(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     Ok(cameras)
 }
 
-/// A parser's message on one line. Its line breaks only draw a pointer to the place of the error.
+/// Returns a parser's message on one line. The message's line breaks only serve to mark the position of the error.
 fn one_line(message: &str) -> String {
     message.split_whitespace().collect::<Vec<_>>().join(" ")
 }

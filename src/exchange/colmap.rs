@@ -1,4 +1,4 @@
-//! COLMAP's sparse model, `cameras`, `images` and `points3D`, as text or binary.
+//! COLMAP's sparse model: the files `cameras`, `images` and `points3D`, as text or binary.
 
 use super::colmap_rigs::{frame_poses, image_times};
 use super::colmap_values::{
@@ -11,12 +11,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Files of a text model: cameras, images, points.
+/// Names of the files of a text model: cameras, images and points, in this order.
 pub const COLMAP_TEXT_FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
-/// Files of a binary model: cameras, images, points.
+/// Names of the files of a binary model: cameras, images and points, in this order.
 pub const COLMAP_BINARY_FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 
-/// Image size (width, height, pixels) and lens of each camera, by COLMAP's camera number.
+/// Image size (width, height; pixels) and lens of each camera, by COLMAP's camera id.
 type Lenses = HashMap<u32, ((u64, u64), CameraModel)>;
 
 struct ModelImage {
@@ -27,15 +27,16 @@ struct ModelImage {
     translation: [f64; 3],
 }
 
-/// Parsers of the cameras file and of the images file. The error is a reason, without the file's name.
+/// Parsers of the cameras file and of the images file, in this order. The caller adds the file's name to their error
+/// messages.
 type Readers = (fn(&[u8]) -> Result<Lenses, String>, fn(&[u8]) -> Result<Vec<ModelImage>, String>);
 
-/// Reads a COLMAP model's folder: one [`NamedCamera`] per image, named after the image, sorted by image number. Binary
-/// files are preferred to text files, as in COLMAP. If there are rigs and frames, they give the poses. If there are
-/// colmap4d's `times`, they give the images' times.
+/// Reads the folder of a COLMAP model. Returns one [`NamedCamera`] per image, named after the image and sorted by image
+/// number. Binary files are preferred to text files, as in COLMAP. If the model has rigs and frames, they give the
+/// poses. If it has colmap4d's `times`, this file gives the times of the images.
 ///
 /// Errors: no images, too many images or cameras, a file that is not regular or larger than `MAX_MODEL_BYTES`, an
-/// unknown camera model, a camera that a capture would refuse.
+/// unknown camera model, a camera that is invalid in a capture.
 pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let is_binary = folder.join(COLMAP_BINARY_FILES[0]).exists();
     let files = if is_binary { COLMAP_BINARY_FILES } else { COLMAP_TEXT_FILES };
@@ -57,7 +58,9 @@ pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     cameras.collect()
 }
 
-/// The camera of an image. `frame_pose`, the pose from the image's frame and rig, overrides the image's own pose.
+/// Returns the camera of an image. `frame_pose` is the camera-from-world pose that follows from the image's frame and
+/// rig. It overrides the image's own pose; `None` if the model has no such pose. `time_ns` is `None` if the model has
+/// no time of the image.
 fn named(
     lenses: &Lenses,
     image: ModelImage,
@@ -104,7 +107,8 @@ fn model(name: &str, params: &[f64]) -> Result<CameraModel, String> {
         .ok_or_else(|| format!("the model {name} with {} parameters isn't known", params.len()))
 }
 
-/// Parses `images.txt`. Each image has two lines; the second lists its points, may be empty, and is skipped.
+/// Parses `images.txt`. Each image has two lines. The second line lists the image's points, may be empty, and is
+/// skipped.
 fn text_images(bytes: &[u8]) -> Result<Vec<ModelImage>, String> {
     let mut images = Vec::new();
     let mut lines = text(bytes)?.lines().enumerate();
@@ -116,10 +120,10 @@ fn text_images(bytes: &[u8]) -> Result<Vec<ModelImage>, String> {
     Ok(images)
 }
 
-/// Number of values before the name in an image's line.
+/// Number of values before the name in an image's first line.
 const IMAGE_FIELDS: usize = 9;
 
-/// The rest of a line after its first `count` fields.
+/// Returns the rest of a line after its first `count` fields.
 fn after_fields(line: &str, count: usize) -> &str {
     (0..count).fold(line, |rest, _| {
         rest.find(char::is_whitespace).map_or("", |end| rest[end..].trim_start())
@@ -180,10 +184,10 @@ fn binary_images(bytes: &[u8]) -> Result<Vec<ModelImage>, String> {
     Ok(images)
 }
 
-/// The files of a COLMAP text model by name: `cameras.txt`, `images.txt` and an empty `points3D.txt`.
+/// Returns the files of a COLMAP text model, by file name: `cameras.txt`, `images.txt` and an empty `points3D.txt`.
 ///
-/// Each image has its own camera. Images and cameras are numbered from 1 in the given order. Cameras are not checked
-/// (see [`CameraFormat::camera`]). Every number parses to the same double again.
+/// `images` has a name and a camera for each image. Images and cameras are numbered from 1 in the given order. Cameras
+/// are not checked (see [`CameraFormat::camera`]). Every number is written so that it parses to the same double.
 pub fn colmap_text(images: &[(String, CameraFormat)]) -> BTreeMap<&'static str, String> {
     let mut camera_lines = String::from("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
     let mut image_lines = String::from(
@@ -206,7 +210,7 @@ fn numbers(values: &[f64]) -> String {
     values.iter().copied().map(number).collect::<Vec<_>>().join(" ")
 }
 
-/// The shortest text that parses to the same double, with an exponent as in C: `1e-07`.
+/// Returns the shortest text that parses to the same double, with an exponent as in C, such as `1e-07`.
 fn number(value: f64) -> String {
     let text = format!("{value:?}");
     let Some((digits, exponent)) = text.split_once('e') else { return text };
@@ -214,8 +218,8 @@ fn number(value: f64) -> String {
     format!("{digits}e{sign}{power:0>2}")
 }
 
-/// Writes the files of [`colmap_text`] into a folder, which is created if it is missing. A name with a space is an
-/// error, because COLMAP splits names at spaces.
+/// Writes the files of [`colmap_text`] into a folder, which is created if it is missing. A name that contains a space
+/// is an error, because COLMAP splits lines at spaces.
 pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     if let Some(spaced) = cameras.iter().find(|c| c.name.contains(char::is_whitespace)) {
         let reason = format!(
@@ -231,8 +235,8 @@ pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), E
         .try_for_each(|(name, text)| write(&folder.join(name), text.as_bytes()))
 }
 
-/// Writes the cameras as a binary COLMAP model: `cameras.bin`, `images.bin` and an empty `points3D.bin`. Numbers are
-/// those of [`colmap_text`]. The folder is created if it is missing.
+/// Writes the cameras as a binary COLMAP model: `cameras.bin`, `images.bin` and an empty `points3D.bin`. Images and
+/// cameras are numbered as in [`colmap_text`]. The folder is created if it is missing.
 pub fn write_colmap_binary(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let (mut lenses, mut images) = (counted(cameras.len()), counted(cameras.len()));
     for (number, NamedCamera { name, camera, .. }) in (1_u32..).zip(cameras) {

@@ -1,5 +1,5 @@
-//! Optional files of COLMAP models: rigs and frames, which give the poses of images since COLMAP 3.12, and the times
-//! of images in colmap4d's format (specification 1.0).
+//! Optional files of COLMAP models: rigs and frames, which give the poses of images since COLMAP 3.12, and times of
+//! images in the format of colmap4d (specification 1.0).
 
 use super::colmap_values::{Bytes, MAX_MODEL_BYTES, has_values, pose, text, value};
 use super::{ExchangeError, check_count, content, read_bytes};
@@ -8,28 +8,29 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::str::SplitWhitespace;
 
-/// Files of colmap4d: the times of images, and their unit and meaning.
+/// Names of colmap4d's files: the times of the images, and the times' unit and meaning.
 pub(super) const TIME_FILES: [&str; 2] = ["times.bin", "time_meta.json"];
 
-/// Type and number of a sensor. Only sensors of the type [`CAMERA`] are used.
+/// Type and number of a sensor in a COLMAP rig. Only sensors of the type [`CAMERA`] are used.
 type Sensor = (i32, u32);
 
 /// COLMAP's code for the sensor type *camera*.
 const CAMERA: i32 = 0;
 
-/// Poses of sensors from their rig, by rig and sensor; `None` if a pose is unknown. The reference sensor's pose is the
-/// identity.
+/// Sensor-from-rig poses, by rig number and sensor; `None` if a sensor's pose is unknown. The pose of a rig's reference
+/// sensor is the identity.
 type Rigs = HashMap<u32, HashMap<Sensor, Option<Isometry3<f64>>>>;
 
 /// A frame in COLMAP's sense: the images of one rig at one instant.
 struct ModelFrame {
     rig: u32,
     rig_from_world: Isometry3<f64>,
-    /// Each image's sensor and number.
+    /// For each image: the sensor that took it, and the image's number.
     images: Vec<(Sensor, u64)>,
 }
 
-/// The poses of images by image number, composed from the rigs and frames of a model; empty if it has none.
+/// Returns the camera-from-world pose of each image, by image number. The poses are composed from the rigs and frames
+/// of a COLMAP model. Returns an empty map if the model has no rigs or no frames.
 pub(super) fn frame_poses(
     folder: &Path,
     is_binary: bool,
@@ -106,7 +107,7 @@ fn binary_pose(bytes: &mut Bytes) -> Result<Isometry3<f64>, String> {
     pose(rotation, [bytes.f64()?, bytes.f64()?, bytes.f64()?])
 }
 
-/// Parses every line that has values. The error names the line.
+/// Parses every line that has values. The error starts with the number of the line.
 fn lines<T>(
     bytes: &[u8],
     mut parse: impl FnMut(&mut SplitWhitespace) -> Result<T, String>,
@@ -163,8 +164,8 @@ fn text_frames(bytes: &[u8]) -> Result<Vec<ModelFrame>, String> {
     })
 }
 
-/// The times of images by image number, nanoseconds; empty if the model has none. If an image has several times, the
-/// last one is used. The binary file is preferred to the text file.
+/// Returns the times of images in nanoseconds, by image number. If an image has several times, the last one is used.
+/// The binary file is preferred to the text file. Returns an empty map if the model has neither.
 pub(super) fn image_times(folder: &Path) -> Result<HashMap<u32, i64>, ExchangeError> {
     let [binary, in_text]: [PathBuf; 2] = ["times.bin", "times.txt"].map(|name| folder.join(name));
     let times = if binary.exists() {

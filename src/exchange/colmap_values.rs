@@ -1,14 +1,15 @@
-//! Reading and writing of single values in COLMAP's files, text and binary.
+//! Reading and writing of single values in COLMAP's text and binary files.
 
 use crate::camera::{Camera, CameraModel, MAX_QUATERNION_ERROR};
 use crate::text::number;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use std::str::{FromStr, SplitWhitespace};
 
-/// Size limit of a model's file, bytes: enough for thousands of images with their points.
+/// Size limit of a file of a COLMAP model, in bytes. It is large enough for thousands of images with their points.
 pub(super) const MAX_MODEL_BYTES: u64 = 768 << 20;
 
-/// A pose from a quaternion (w, x, y, z) and a translation. The error is a reason, without the file's name.
+/// Creates a pose from a unit quaternion (w, x, y, z) and a translation. The caller adds the file's name to the error
+/// message.
 pub(super) fn pose(wxyz: [f64; 4], translation: [f64; 3]) -> Result<Isometry3<f64>, String> {
     let [w, x, y, z] = wxyz;
     let rotation = Quaternion::new(w, x, y, z);
@@ -24,19 +25,19 @@ pub(super) fn text(bytes: &[u8]) -> Result<&str, String> {
     std::str::from_utf8(bytes).map_err(|_| "is no text".into())
 }
 
-/// Parses the next value of a line. `what` is its name in the error.
+/// Parses the next value of a line. `what` names the value in the error.
 pub(super) fn value<T: FromStr>(fields: &mut SplitWhitespace, what: &str) -> Result<T, String> {
     let field = fields.next().ok_or_else(|| format!("{what} is missing"))?;
     field.parse().map_err(|_| format!("{what} can't be '{field}'"))
 }
 
-/// Whether a line of a text file has values: it is neither empty nor a comment.
+/// Returns whether a line of a text file has values, that is, whether it is neither empty nor a comment.
 pub(super) fn has_values(line: &str) -> bool {
     let line = line.trim();
     !line.is_empty() && !line.starts_with('#')
 }
 
-/// Reads little-endian values from the front of a byte slice, which shrinks.
+/// Bytes from whose front little-endian values are read. Each read value is removed from the slice.
 pub(super) struct Bytes<'a>(pub &'a [u8]);
 
 impl Bytes<'_> {
@@ -65,7 +66,7 @@ impl Bytes<'_> {
         Ok(name.to_owned())
     }
 
-    /// Skips `count` records of `size` bytes.
+    /// Skips `count` records of `size` bytes each.
     pub fn skip(&mut self, count: u64, size: u64) -> Result<(), String> {
         let bytes = count.checked_mul(size).and_then(|n| usize::try_from(n).ok());
         self.0 = bytes.and_then(|n| self.0.get(n..)).ok_or("is cut short")?;
@@ -77,12 +78,12 @@ impl Bytes<'_> {
     }
 }
 
-/// A count of entries as COLMAP writes it before a list.
+/// Encodes the number of entries that COLMAP writes before a list.
 pub(super) fn counted(entries: usize) -> Vec<u8> {
     (entries as u64).to_le_bytes().to_vec()
 }
 
-/// A camera's entry in `cameras.bin`.
+/// Encodes a camera as an entry of `cameras.bin`.
 pub(super) fn camera_bytes(number: u32, camera: &Camera) -> Vec<u8> {
     let name = camera.model.name();
     let model = CameraModel::KNOWN.iter().find(|(known, ..)| *known == name);
@@ -95,7 +96,7 @@ pub(super) fn camera_bytes(number: u32, camera: &Camera) -> Vec<u8> {
     bytes
 }
 
-/// An image's entry in `images.bin`; it lists no points.
+/// Encodes an image without points as an entry of `images.bin`.
 pub(super) fn image_bytes(number: u32, camera_number: u32, camera: &Camera, name: &str) -> Vec<u8> {
     let mut bytes = number.to_le_bytes().to_vec();
     bytes.extend(pose_bytes(&camera.cam_from_world));
@@ -106,7 +107,7 @@ pub(super) fn image_bytes(number: u32, camera_number: u32, camera: &Camera, name
     bytes
 }
 
-/// A pose in the form of the binary files: quaternion (w, x, y, z) and translation.
+/// Encodes a pose as in COLMAP's binary files: quaternion (w, x, y, z) and translation.
 pub(super) fn pose_bytes(pose: &Isometry3<f64>) -> Vec<u8> {
     let (q, t) = (pose.rotation, pose.translation);
     [q.w, q.i, q.j, q.k, t.x, t.y, t.z].iter().flat_map(|v| v.to_le_bytes()).collect()

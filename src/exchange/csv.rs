@@ -1,15 +1,16 @@
-//! Tables with comma-separated values (CSV). The first line names the columns.
+//! Reading of tables with comma-separated values (CSV). The first line has the names of the columns.
 
 use super::{ExchangeError, content};
 use crate::host::read_text;
 use crate::text::short;
 use std::path::Path;
 
-/// Size limit of a table, bytes. An hour of sixteen cameras at 60 Hz has about 80 MB.
+/// Size limit of a table, in bytes. The frame times of sixteen cameras at 60 Hz take about 80 MB per hour.
 const MAX_BYTES: u64 = 128 << 20;
 
-/// Reads the wanted columns of a table. `wanted` lists the accepted names of each column. For each line, `row` gets
-/// the names that were found, in lower case, and the values, both in the order of `wanted`. Empty lines are skipped.
+/// Reads some columns of a table. `wanted` lists the accepted names of each column. `row` is called for each line. Its
+/// arguments are the names of the columns that were found, in lower case, and the values of the line, both in the order
+/// of `wanted`. Empty lines are skipped.
 ///
 /// # Errors
 /// A missing column, a line with too few or too many values, or an error of `row`.
@@ -50,8 +51,8 @@ fn columns<const N: usize>(
     Ok(())
 }
 
-/// The values of a line, without surrounding blanks. A comma inside quotes belongs to the value; a doubled quote is a
-/// quote.
+/// Splits a line into its values, without surrounding blanks. A comma between quotes belongs to the value. The quotes
+/// are removed.
 fn fields(line: &str) -> Vec<String> {
     let mut fields = vec![String::new()];
     let mut is_quoted = false;
@@ -69,9 +70,9 @@ fn fields(line: &str) -> Vec<String> {
     fields.iter().map(|field| field.trim().to_owned()).collect()
 }
 
-/// Parses a decimal number with a unit, and converts it to nanoseconds, rounded to the nearest. `unit_digits` is 9 for
-/// seconds and 0 for nanoseconds. Digits are exact: they are not rounded to a double first. The error is the reason,
-/// without the file's name.
+/// Parses a decimal number and converts it to nanoseconds, rounded to the nearest. `unit_digits` gives the unit of the
+/// number: 9 for seconds, 6 for milliseconds, 3 for microseconds, 0 for nanoseconds. The conversion is exact, because
+/// decimal digits are not rounded to a double first. The caller adds the file's name to the error message.
 pub(super) fn nanoseconds(text: &str, unit_digits: usize) -> Result<i64, String> {
     let wrong = || format!("'{}' is no time", short(text));
     let (sign, digits) = match text.strip_prefix('-') {
@@ -83,7 +84,7 @@ pub(super) fn nanoseconds(text: &str, unit_digits: usize) -> Result<i64, String>
         return Err(wrong());
     }
     if !(whole.chars().chain(fraction.chars())).all(|c| c.is_ascii_digit()) {
-        // Numbers with an exponent are not so precise that a double would lose digits.
+        // A number with an exponent has so few digits that a double keeps all of them.
         let value: f64 = text.parse().map_err(|_| wrong())?;
         let ns = value * 10_f64.powi(unit_digits as i32);
         return if ns.abs() < 9e18 { Ok(ns.round() as i64) } else { Err(wrong()) };

@@ -1,12 +1,12 @@
-//! Datasets for other programs: a folder of images with their calibration and times.
+//! Datasets for other programs: a folder of images or videos with their calibration and times.
 //!
 //! | format | files |
 //! |---|---|
 //! | COLMAP | `images/cam0/0000.png`, `sparse/0/` with a binary model and colmap4d's times (specification 1.0) |
-//! | NeRF | `images/cam0/0000.png`, `transforms.json` with a `time` for every image, seconds |
-//! | LLFF | `cam00.mp4` and so on in the order of the rows of `poses_bounds.npy` |
+//! | NeRF | `images/cam0/0000.png`, `transforms.json` with a `time` for every image, in seconds |
+//! | LLFF | `cam00.mp4` and so on, in the order of the rows of `poses_bounds.npy` |
 //!
-//! In COLMAP's model, the images of one instant are a frame of one rig.
+//! If the cameras are synchronized, the images of one instant form a frame of a rig in COLMAP's model.
 
 use super::colmap::COLMAP_BINARY_FILES;
 use super::colmap_rigs::TIME_FILES;
@@ -20,15 +20,15 @@ use crate::video::{Codec, VideoFormat, VideoWriter};
 use nalgebra::Isometry3;
 use std::path::{Path, PathBuf};
 
-/// Format of a dataset.
+/// The format of a dataset.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DatasetFormat {
-    /// COLMAP's binary model. If `is_synchronized`, images of equal time are a frame of a rig.
+    /// COLMAP's binary model. If `is_synchronized`, images with the same time form a frame of a rig.
     Colmap { is_synchronized: bool },
     /// NeRF's `transforms.json`.
     Nerf,
-    /// LLFF's `poses_bounds.npy`, with lossless videos at `rate_hz`. `bounds_m` has the nearest and the farthest
-    /// depth, metres.
+    /// LLFF's `poses_bounds.npy` and a lossless video of each camera at `rate_hz` frames per second. `bounds_m` is the
+    /// nearest and the farthest depth, in metres.
     Llff { bounds_m: (f64, f64), rate_hz: f64, ffmpeg: PathBuf },
 }
 
@@ -41,24 +41,25 @@ struct DatasetImage {
     name: String,
 }
 
-/// A dataset that is being written into a temporary folder. [`Self::finish`] moves it to its path. If it is dropped
-/// before, it leaves no files.
+/// A dataset that is being written into a temporary folder. [`Self::finish`] moves the dataset to its final path. A
+/// dataset that is dropped earlier leaves no files.
 pub struct Dataset {
     target: PathBuf,
     format: DatasetFormat,
     cameras: Vec<(String, Camera)>,
     images: Vec<DatasetImage>,
-    /// The video of each camera; `None` before its first image. Dropped before the temporary folder, because it is
-    /// declared before.
+    /// The video of each camera; `None` before the camera's first image. This field is declared before `temporary`, so
+    /// that the videos are dropped before the temporary folder is removed.
     videos: Vec<Option<VideoWriter>>,
     temporary: Temporary,
 }
 
-/// Name of the dataset inside its temporary folder.
+/// Name of the dataset's folder inside its temporary folder.
 const WHOLE: &str = "dataset";
 
 impl Dataset {
-    /// Begins a dataset of cameras with ids. An error if the target isn't empty, or the format can't represent a lens.
+    /// Begins a dataset. `cameras` are pairs of an id and a camera. Returns an error if the target folder isn't empty,
+    /// or if the format can't represent a lens.
     pub fn create(
         target: &Path,
         format: DatasetFormat,
@@ -83,13 +84,14 @@ impl Dataset {
         self.temporary.path().join(WHOLE).join(name)
     }
 
-    /// An error message with the target's path in place of the temporary folder's.
+    /// Returns an error with this message, in which the path of the target replaces the path of the temporary folder.
     fn of_target(&self, message: String) -> ExchangeError {
         let path = format!("{}/", self.temporary.path().join(WHOLE).display());
         content(&self.target, message.strip_prefix(&path).unwrap_or(&message))
     }
 
-    /// Appends an image of a camera. For LLFF, the images of each camera must come in the order of their times.
+    /// Appends an image of the camera with the index `camera`. For LLFF, each camera's images must be appended in the
+    /// order of their times.
     pub fn push(
         &mut self,
         camera: usize,
@@ -125,14 +127,14 @@ impl Dataset {
         Ok(())
     }
 
-    /// The row of a camera in `poses_bounds.npy`, in the order of [`write_llff`].
+    /// Returns the index of a camera's row in `poses_bounds.npy`. The rows are sorted as described at [`write_llff`].
     fn row(&self, camera: usize) -> usize {
         let ids: Vec<String> = self.cameras.iter().map(|(id, _)| id.clone()).collect();
         let order = numbered_order(&ids).unwrap_or_else(|| (0..ids.len()).collect());
         order.iter().position(|&k| k == camera).unwrap_or(camera)
     }
 
-    /// Writes the calibration, and moves the dataset to its path.
+    /// Writes the calibration, and moves the dataset to its final path.
     pub fn finish(mut self) -> Result<(), ExchangeError> {
         for video in std::mem::take(&mut self.videos).into_iter().flatten() {
             video.finish().map_err(|e| self.of_target(e.to_string()))?;
@@ -204,7 +206,8 @@ impl Dataset {
         files.iter().try_for_each(|(name, bytes)| write(&folder.join(name), bytes))
     }
 
-    /// COLMAP's rigs file with one rig of all cameras. The first camera is its reference sensor.
+    /// Returns the bytes of COLMAP's rigs file, with one rig of all cameras. The first camera is the rig's reference
+    /// sensor.
     fn rigs(&self) -> Vec<u8> {
         let mut rigs = counted(1);
         rigs.extend(RIG.to_le_bytes());
@@ -224,7 +227,7 @@ impl Dataset {
         rigs
     }
 
-    /// COLMAP's frames file: a frame for every instant, with all images of that time.
+    /// Returns the bytes of COLMAP's frames file. Each instant is a frame, which has all images of this time.
     fn frames(&self) -> Vec<u8> {
         let mut instants: Vec<i64> = self.images.iter().map(|image| image.time_ns).collect();
         instants.sort_unstable();
@@ -246,7 +249,7 @@ impl Dataset {
         frames
     }
 
-    /// The file that says what colmap4d's times mean.
+    /// Returns the contents of the file that describes colmap4d's times.
     fn time_meta(&self) -> serde_json::Value {
         let device = |(number, (id, _)): (usize, &(String, Camera))| {
             (id.clone(), serde_json::json!({ "camera_ids": [number + 1] }))
@@ -262,7 +265,7 @@ impl Dataset {
     }
 }
 
-/// The number of the model's only rig.
+/// Number of the only rig in the COLMAP model.
 const RIG: u32 = 1;
 /// COLMAP's code for the sensor type *camera*.
 const CAMERA_SENSOR: i32 = 0;

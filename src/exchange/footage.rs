@@ -1,4 +1,5 @@
-//! Finds the frames of each camera: a folder of images, a video, or images that a calibration lists with their times.
+//! Search for the frames of each camera: a folder of images, a video, or images that a calibration lists with their
+//! times.
 
 use super::pairing::{
     Pairs, entries, extension, id_of, is_image, is_same, numbers, one_each, pair, pair_by_table,
@@ -12,18 +13,18 @@ use crate::raster::read_header;
 use crate::video::{VideoError, VideoFacts, inspect};
 use std::path::{Path, PathBuf};
 
-/// A camera with its frames.
+/// A camera with its recorded frames.
 pub(super) struct Footage {
     pub id: String,
     pub camera: NamedCamera,
     pub frames: FootageFrames,
-    /// The frames' times, nanoseconds; `None` if they are unknown.
+    /// Times of the frames, in nanoseconds; `None` if the times are unknown.
     pub times_ns: Option<Vec<i64>>,
 }
 
-/// The files of a camera's frames.
+/// The files that hold a camera's frames.
 pub(super) enum FootageFrames {
-    /// Image files in order.
+    /// Image files, in the order of the frames.
     Images(Vec<PathBuf>),
     Video(PathBuf, VideoFacts),
 }
@@ -36,7 +37,7 @@ impl FootageFrames {
         }
     }
 
-    /// Path of the first image, or of the video.
+    /// Returns the path of the first image, or of the video.
     pub fn path(&self) -> &Path {
         match self {
             Self::Images(files) => &files[0],
@@ -45,15 +46,17 @@ impl FootageFrames {
     }
 }
 
-/// The frames of all cameras, sentences for the user about them, and whether all times are of one clock.
+/// The frames of all cameras, sentences for the user about these frames, and a flag that is true if all frame times are
+/// on one clock.
 pub(super) struct FoundFootage {
     pub footage: Vec<Footage>,
     pub notes: Vec<String>,
     pub has_one_clock: bool,
 }
 
-/// Finds the frames of all cameras. A calibration that has a time for every image lists the frames. Otherwise the
-/// request's table or [`pair`] assigns recordings to cameras. `scratch` is a folder for temporary files.
+/// Finds the frames of all cameras. If the calibration has a time for every image, and the request has neither a table
+/// nor a frame rate, the frames are the images that the calibration lists. Otherwise the request's table or [`pair`]
+/// assigns a recording to each camera. `scratch` is a folder for temporary files.
 pub(super) fn find(
     cameras: &[NamedCamera],
     request: &ImportRequest,
@@ -85,8 +88,9 @@ pub(super) fn find(
     Ok(FoundFootage { footage, notes, has_one_clock: false })
 }
 
-/// The times of the frames, with their file: the request's, or else `timestamps.csv` beside the images. `None` without
-/// a file.
+/// Reads the frame times from the request's file, or else from `timestamps.csv` beside the images. Returns the path of
+/// the file and the times. Returns `None` if neither file is given, or if the request has a frame rate in place of
+/// times. `notes` receives sentences for the user.
 fn frame_times(
     request: &ImportRequest,
     notes: &mut Vec<String>,
@@ -121,7 +125,7 @@ fn checked_times(
     Err(content(file, format!("has {} times of {id} for {frames} frames", times.len())))
 }
 
-/// Size and time stamps of a video.
+/// Reads the image size and the time stamps of a video.
 fn facts(path: &Path, opening: &Opening, scratch: &Path) -> Result<VideoFacts, ExchangeError> {
     let unread = |source| ExchangeError::Read { path: path.to_owned(), source };
     let Some(ffmpeg) = opening.ffmpeg else {
@@ -136,7 +140,7 @@ fn facts(path: &Path, opening: &Opening, scratch: &Path) -> Result<VideoFacts, E
     })
 }
 
-/// Width and height of the images, pixels.
+/// Returns the width and the height of a camera's images, in pixels.
 pub(super) fn image_size(frames: &FootageFrames) -> Result<[usize; 2], ExchangeError> {
     match frames {
         FootageFrames::Video(_, facts) => Ok(facts.size),
@@ -151,7 +155,7 @@ pub(super) fn image_size(frames: &FootageFrames) -> Result<[usize; 2], ExchangeE
     }
 }
 
-/// The images of a folder, sorted by the numbers in their names. The numbers must be consecutive.
+/// Returns the images of a folder, sorted by the numbers in their names. Numbers that are not consecutive are an error.
 fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let mut files = entries(folder)?;
     files.retain(|path| is_image(path));
@@ -176,7 +180,8 @@ fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     Ok(numbered.into_iter().map(|(_, file)| file).collect())
 }
 
-/// The last number in a file's stem; 0 if there is none. The error is the reason, without the file's name.
+/// Returns the last number in a file's name without extension; 0 if this name has no digits. The caller adds the file's
+/// name to the error message.
 fn number(file: &Path) -> Result<u64, String> {
     let stem = file.file_stem().unwrap_or_default().to_string_lossy();
     let is_other = |c: char| !c.is_ascii_digit();
@@ -188,7 +193,7 @@ fn number(file: &Path) -> Result<u64, String> {
     number.ok_or_else(|| format!("the number {digits} in its name is too large to count frames"))
 }
 
-/// The frames from the images that a calibration lists, sorted by their times.
+/// Groups the images of a calibration by their cameras, and sorts the images of each camera by time.
 fn listed(images: &[NamedCamera], folder: &Path) -> Result<FoundFootage, ExchangeError> {
     let wrong = |reason: String| content(folder, reason);
     let mut notes = vec!["The frames' times are those of the calibration, as of one clock.".into()];
@@ -212,7 +217,7 @@ fn listed(images: &[NamedCamera], folder: &Path) -> Result<FoundFootage, Exchang
     Ok(FoundFootage { footage, notes, has_one_clock: true })
 }
 
-/// The path of a file that a calibration lists. NeRF's files may lack the extension.
+/// Returns the path of an image that a calibration lists. The names in NeRF's files may lack the extension `.png`.
 fn listed_file(folder: &Path, name: &str) -> Result<PathBuf, String> {
     let path = folder.join(name);
     let with_png = folder.join(format!("{name}.png"));
@@ -220,8 +225,9 @@ fn listed_file(folder: &Path, name: &str) -> Result<PathBuf, String> {
     found.ok_or_else(|| format!("has no image '{}'", crate::text::short(name)))
 }
 
-/// Groups images by camera: by their folders, or by pose and lens if all are in one folder. The error is the reason,
-/// without the file's name.
+/// Groups images by camera and returns each camera's id with its images. Images with the same camera id in their names
+/// are one group. If all these ids differ, images with the same pose and lens are one group. The caller adds the file's
+/// name to the error message.
 fn grouped(
     images: &[NamedCamera],
     notes: &mut Vec<String>,
@@ -258,7 +264,7 @@ fn grouped(
     Ok(groups)
 }
 
-/// The common start of the names of a camera's images, without the numbers of the frames.
+/// Returns the common start of the names of a camera's images, without the numbers of the frames.
 fn common_name(group: &[NamedCamera]) -> String {
     let stem = |image: &NamedCamera| id_of(&image.name).unwrap_or_default();
     let mut common = stem(&group[0]);
@@ -268,7 +274,7 @@ fn common_name(group: &[NamedCamera]) -> String {
             common.pop();
         }
     }
-    // Digits at the end belong to the frame's number, and are removed.
+    // Digits at the end belong to the number of the frame, and are removed.
     if group.len() > 1 || numbers(&common).len() > 1 {
         common.truncate(common.trim_end_matches(|c: char| c.is_ascii_digit()).len());
     }

@@ -1,4 +1,4 @@
-//! Imports a calibration with videos or image sequences as a capture.
+//! Import of a calibration with videos or image sequences as a capture.
 
 use super::footage::{Footage, FootageFrames, FoundFootage, find, image_size};
 use super::pairing::{all_entries, extension};
@@ -14,28 +14,28 @@ use crate::text::number;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// Name of the capture inside its temporary folder.
+/// Name of the capture's folder inside its temporary folder.
 const WHOLE: &str = "capture";
-/// Folder for lists of video frames, beside the capture in the temporary folder.
+/// Name of the folder for lists of video frames, which is beside the capture in the temporary folder.
 const SCRATCH: &str = "scratch";
 
-/// Imports a calibration and recordings as the capture `target`. Images are copied. Videos are hard-linked, or copied
-/// where the file system can't link them. The target appears only when it is complete and can be opened.
+/// Imports a calibration and recordings as the new capture `target`. Images are copied. Videos are hard-linked, or
+/// copied where the file system can't link them. The target appears only when it is complete and can be opened.
 ///
-/// A camera's id is the first folder of its name, or the name without extension. Its recording is the sub-folder or
-/// video of that name in the request's folder. If no camera has a recording of its name, cameras and recordings are
-/// paired by the numbers in their names. If a calibration has no names, the recordings' names become the ids, in the
-/// order of their numbers. All images of one folder belong to one camera. If the calibration has a time for every
-/// image, the frames are those that it lists.
+/// The id of a camera is the first folder in its name, or else its name without extension. The recording of a camera is
+/// the sub-folder or video with this name in the request's folder. If no camera has a recording of its name, cameras
+/// and recordings are paired by the numbers in their names. If a calibration has no names, the names of the recordings
+/// become the ids, in the order of their numbers. All images in one folder belong to one camera. If the calibration has
+/// a time for every image, the frames are the images that it lists.
 ///
-/// A frame's time comes from the first of these that exists: the given rate, the given table, `timestamps.csv` beside
-/// the recordings, the calibration, the video.
+/// The times of the frames come from the first of these sources that exists: the given rate, the given table,
+/// `timestamps.csv` beside the recordings, the calibration, the video.
 ///
-/// Returns sentences for the user: the recordings that were found, and how they are read.
+/// Returns sentences for the user. They say which recordings were found, and how they are interpreted.
 ///
 /// Errors: a target that is not empty, a moving camera, recordings whose pairing is ambiguous, a sequence of mixed
-/// image types or with a gap, frames without times, images of another shape than the calibration's, a video that is
-/// damaged or interlaced, a capture that can't be opened.
+/// image types or with a gap, frames without times, images whose aspect ratio differs from the calibrated image, a
+/// video that is damaged or interlaced, a capture that can't be opened.
 pub fn import(
     cameras: &[NamedCamera],
     request: &ImportRequest,
@@ -74,14 +74,14 @@ pub fn import(
     Ok(notes)
 }
 
-/// The name of a capture: that of its folder.
+/// Returns the name of a capture, which is the name of its folder.
 pub(super) fn name_of(target: &Path) -> Result<String, ExchangeError> {
     let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
     let absolute = std::path::absolute(target).map_err(failed)?;
     Ok(absolute.file_name().map_or("imported".into(), |n| n.to_string_lossy().into_owned()))
 }
 
-/// Refuses a folder for a new capture that holds files.
+/// Returns an error if the folder of a new capture already holds files.
 pub fn require_new(target: &Path) -> Result<(), ExchangeError> {
     if target.symlink_metadata().is_ok() && !all_entries(target)?.is_empty() {
         return Err(content(target, "holds files already, which are not written over"));
@@ -89,15 +89,15 @@ pub fn require_new(target: &Path) -> Result<(), ExchangeError> {
     Ok(())
 }
 
-/// A capture that is being made in a temporary folder beside its place.
+/// A capture that is being made in a temporary folder beside its final path.
 pub(super) struct NewCapture {
     pub temporary: Temporary,
-    /// The capture's folder inside the temporary one.
+    /// The capture's folder inside the temporary folder.
     pub whole: PathBuf,
 }
 
 impl NewCapture {
-    /// Begins the capture `target`, a new folder.
+    /// Begins the capture `target`, a folder that must be missing or empty.
     pub fn begin(target: &Path) -> Result<Self, ExchangeError> {
         let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
         require_new(target)?;
@@ -109,7 +109,7 @@ impl NewCapture {
         Ok(Self { temporary, whole })
     }
 
-    /// Describes the capture, opens it and moves it to its place.
+    /// Writes the capture's description, opens the capture as a check, and moves it to `target`.
     pub fn finish(
         self,
         format: &CaptureFormat,
@@ -118,7 +118,7 @@ impl NewCapture {
     ) -> Result<(), ExchangeError> {
         let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
         write_json(&self.whole.join(CAPTURE_FILE), format).map_err(failed)?;
-        // Opened here, so that an invalid capture fails this command and not a later one.
+        // The capture is opened here, so that an invalid capture fails this command and not a later one.
         Capture::open_with(&self.whole, opening).map_err(|error| {
             let message = error.to_string();
             let path = format!("{}/", self.whole.display());
@@ -128,10 +128,11 @@ impl NewCapture {
     }
 }
 
-/// The focal length of an unknown lens, in the image's larger sides.
+/// Focal length that is assumed for a camera without a calibration, as a multiple of the longer side of its images.
 const GUESSED_FOCAL: f64 = 1.2;
 
-/// Gives an unknown camera a pinhole of its images' size.
+/// Replaces the placeholder lens of a camera without a calibration. The new lens is a pinhole with the assumed focal
+/// length [`GUESSED_FOCAL`] and the size of the camera's images.
 fn guess_lens(footage: &mut Footage) -> Result<(), ExchangeError> {
     let [width, height] = image_size(&footage.frames)?;
     let f = GUESSED_FOCAL * width.max(height) as f64;
@@ -142,9 +143,9 @@ fn guess_lens(footage: &mut Footage) -> Result<(), ExchangeError> {
     Ok(())
 }
 
-/// Adapts a camera's calibration to the size of its images. For the same aspect ratio, the lens is scaled. If
-/// `is_cropped`, smaller images are the top left part of the calibrated image. Returns a sentence for the user if the
-/// size differs.
+/// Adapts a camera's calibration to the size of its images. If the aspect ratio is the same, the lens is scaled. If
+/// `is_cropped`, smaller images of another aspect ratio are the top left part of the calibrated image. Other sizes are
+/// an error. Returns a sentence for the user if the size was adapted, and `None` if the size is equal.
 fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, ExchangeError> {
     let [width, height] = image_size(&footage.frames)?;
     let camera = &mut footage.camera.camera;
@@ -172,12 +173,14 @@ fn fit(footage: &mut Footage, is_cropped: bool) -> Result<Option<String>, Exchan
     Err(content(footage.frames.path(), format!("has images of {sizes}{advice}")))
 }
 
-/// Largest rounding errors of time stamps, seconds: in whole milliseconds, and in finer units.
+/// Largest rounding error, in seconds, of time stamps that are whole milliseconds.
 const MILLISECONDS_S: f64 = 0.51e-3;
+/// Largest rounding error, in seconds, of time stamps that are not whole milliseconds. They are assumed to have a
+/// resolution of a microsecond or better.
 const MICROSECONDS_S: f64 = 1.1e-6;
 
-/// The constant frame rate of time stamps, hertz. A whole number, or 1000/1001 of one, is preferred if the stamps
-/// agree with it. `None` if the stamps are uneven or fewer than two.
+/// Returns the constant frame rate of time stamps, in hertz. A whole number, or 1000/1001 of a whole number, is
+/// preferred if it agrees with the time stamps. Returns `None` if the time stamps are uneven or fewer than two.
 fn steady_rate_hz(times_s: &[f64]) -> Option<f64> {
     let (first, last) = (times_s.first()?, times_s.last()?);
     let mean = (times_s.len() - 1) as f64 / (last - first);
@@ -193,11 +196,13 @@ fn steady_rate_hz(times_s: &[f64]) -> Option<f64> {
     [mean.round(), ntsc, mean].into_iter().find(is_steady)
 }
 
-/// Largest time that is written unchanged, nanoseconds. A double of that many seconds resolves a tenth of a
-/// nanosecond.
+/// Limit of the earliest frame time's absolute value, nanoseconds. Beyond it, the earliest frame time, rounded down to
+/// whole seconds, is subtracted from all frame times. (Times are written as doubles in seconds. At this limit, a double
+/// has a resolution of a tenth of a nanosecond.)
 const MAX_PLAIN_NS: i64 = 1_000_000_000_000_000;
 
-/// The clocks of all cameras, from frame times or the given rate.
+/// Returns the clocks of all cameras, from the given rate, the frame times or the videos' time stamps. `notes` receives
+/// sentences for the user.
 fn clocks(
     footage: &[Footage],
     request: &ImportRequest,
@@ -263,7 +268,7 @@ fn clocks(
     Ok(clocks)
 }
 
-/// A sentence with the number of cameras and frames.
+/// Returns a sentence for the user with the numbers of cameras and frames.
 fn summary(filmed: &[FilmedCameraFormat], footage: &[Footage]) -> String {
     let frames = || footage.iter().map(|one| one.frames.len());
     let (min, max) = (frames().min().unwrap_or(0), frames().max().unwrap_or(0));
@@ -276,8 +281,8 @@ fn summary(filmed: &[FilmedCameraFormat], footage: &[Footage]) -> String {
     format!("{} cameras with {frames} frames, {unshared}.", filmed.len())
 }
 
-/// Puts a camera's frames into the temporary capture `whole`, which will be moved to `target`. Returns the name of the
-/// video or the pattern of the frames.
+/// Puts a camera's frames into the temporary folder `whole` of the capture, which will be moved to `target`. Returns
+/// the file name of the video, or the pattern of the images' file names.
 fn place(footage: &Footage, whole: &Path, target: &Path) -> Result<String, ExchangeError> {
     let id = &footage.id;
     match &footage.frames {
@@ -296,7 +301,7 @@ fn place(footage: &Footage, whole: &Path, target: &Path) -> Result<String, Excha
     }
 }
 
-/// Links a file, or copies it where the file system can't link it.
+/// Creates a hard link to a file, or copies the file where the file system can't link it.
 pub(super) fn link(from: &Path, to: &Path) -> std::io::Result<()> {
     let from = from.canonicalize()?;
     std::fs::hard_link(&from, to).or_else(|_| copy_file(&from, to))
@@ -308,7 +313,8 @@ fn copy_file(from: &Path, to: &Path) -> std::io::Result<()> {
     to.sync_all()
 }
 
-/// Copies the files of a sequence into a new folder, numbered from 0. Errors name paths in the capture `target`.
+/// Copies the images of a sequence into a new folder, and numbers them from 0. An error has the path of the capture
+/// `target` in place of the temporary path.
 fn copy(files: &[PathBuf], folder: &Path, target: &Path) -> Result<(), ExchangeError> {
     let extension = extension(&files[0]).unwrap_or_default();
     for (k, path) in files.iter().enumerate() {
@@ -352,7 +358,7 @@ mod tests {
                 assert!((found / rate - 1.0).abs() < 1e-12, "{rate} {unit}: {found}");
             }
         }
-        // A rate that isn't whole is the mean rate of the stamps.
+        // If the rate isn't whole, the mean rate of the stamps is returned.
         let found = steady_rate_hz(&stamps(17.3, 1e-6, 900)).unwrap();
         assert!((found / 17.3 - 1.0).abs() < 1e-7, "{found}");
     }

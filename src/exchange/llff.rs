@@ -1,8 +1,8 @@
-//! LLFF's `poses_bounds.npy`: an array with 17 numbers per camera.
+//! LLFF's `poses_bounds.npy`, an array with 17 numbers per camera.
 //!
-//! The first 15 numbers are a 3×5 matrix, row by row. Its columns are the camera's axes down, right and back in the
-//! world, its centre, and (height, width, focal length) in pixels. The last two numbers are the nearest and the
-//! farthest depth. Cameras have no names. Their order is that of the numbers in the names of their images.
+//! The first 15 numbers are a 3×5 matrix, row by row. Its columns are the camera's down, right and back axes in the
+//! world, the camera's centre, and (height, width, focal length) in pixels. The last two numbers are the nearest and
+//! the farthest depth. Cameras have no names. They have the order of the numbers in the names of their images.
 
 use super::pairing::numbered_order;
 use super::{ExchangeError, NamedCamera, axes_and_center, checked, content, pose_from_axes};
@@ -12,13 +12,14 @@ use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
 const COLUMNS: usize = 17;
-/// Size limit of the file, bytes: enough for a hundred thousand cameras.
+/// Size limit of the file, in bytes. It is large enough for a hundred thousand cameras.
 const MAX_BYTES: u64 = 16 << 20;
-/// Largest deviation, pixels, from two assumptions of the format: a centred principal point, and equal focal lengths.
+/// Largest deviation, in pixels, from two assumptions of the format: a principal point in the middle of the image, and
+/// equal focal lengths.
 const MAX_OFF_PX: f64 = 1e-6;
 
-/// Reads the cameras in the file's order, named `0`, `1` and so on. An error for an array of another shape or type,
-/// and for an invalid pose or lens.
+/// Reads the cameras in the order of the file, and names them `0`, `1` and so on. An array of another shape or type, an
+/// invalid pose and an invalid lens are errors.
 pub fn read_llff(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let rows = rows(&read_bytes(path, MAX_BYTES)?).map_err(|reason| content(path, reason))?;
     let cameras = rows.iter().enumerate().map(|(k, row)| {
@@ -39,7 +40,7 @@ fn camera(row: &[f64; COLUMNS]) -> Result<crate::camera::Camera, String> {
     checked(size, &model, &pose)
 }
 
-/// The rows of an npy file of float32 or float64.
+/// Parses the rows of an npy file of float32 or float64. The caller adds the file's name to the error message.
 fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     let (rest, version) = match bytes {
         [0x93, b'N', b'U', b'M', b'P', b'Y', version @ 1..=3, _, rest @ ..] => (rest, *version),
@@ -73,10 +74,12 @@ fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     Ok(rows.to_vec())
 }
 
-/// Writes the cameras. All get the same nearest and farthest depth, metres. The format has no names; rows are sorted
-/// by the numbers in the names. Names that differ in more than numbers keep the given order.
+/// Writes the cameras. All cameras get the same nearest depth `near_m` and farthest depth `far_m`, in metres. The
+/// format has no names, so the rows are sorted by the numbers in the cameras' names. If the names differ in more than
+/// numbers, the rows keep the given order.
 ///
-/// An error for a lens that the format can't represent: distorted, off centre, or with two focal lengths.
+/// A lens that the format can't represent is an error: a lens with distortion, a principal point off the image's
+/// middle, or two focal lengths.
 pub fn write_llff(
     path: &Path,
     cameras: &[NamedCamera],
@@ -101,7 +104,7 @@ pub fn write_llff(
     }
     let count = cameras.len();
     let fields = format!("'descr': '<f8', 'fortran_order': False, 'shape': ({count}, {COLUMNS}), ");
-    // Magic number, version and header length take 10 bytes; the data starts at a multiple of 64.
+    // The magic number, the version and the header length take 10 bytes. The data starts at a multiple of 64 bytes.
     let width = (10 + fields.len() + 3).next_multiple_of(64) - 11;
     let header = format!("{:width$}\n", format!("{{{fields}}}"));
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();

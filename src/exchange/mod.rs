@@ -1,15 +1,15 @@
 //! Calibration files of other programs, and the import of recordings as captures.
 //!
-//! | file | camera axes | pose | lens | pixels |
+//! | file | camera axes | pose | lens | pixel coordinates |
 //! |---|---|---|---|---|
-//! | COLMAP | x right, y down, z forward | camera from world | all of [`crate::camera::CameraModel`] | centre of the first at 0.5 |
+//! | COLMAP | x right, y down, z forward | camera from world | all of [`crate::camera::CameraModel`] | centre of the first pixel at 0.5 |
 //! | `poses_bounds.npy` | columns down, right, back | world from camera | one focal length, centred | no principal point |
-//! | `transforms.json` | x right, y up, z back | world from camera | pinhole, OpenCV, OpenCV fisheye | as COLMAP |
-//! | `Calib.toml`, `camera_array.toml` | as COLMAP | camera from world | OpenCV, OpenCV fisheye | centre of the first at 0 |
-//! | `.qca.txt` | x right, y up, z back | world from camera, mm | OpenCV | centre of the first at 0 |
+//! | `transforms.json` | x right, y up, z back | world from camera | pinhole, OpenCV, OpenCV fisheye | as in COLMAP |
+//! | `Calib.toml`, `camera_array.toml` | as in COLMAP | camera from world | OpenCV, OpenCV fisheye | centre of the first pixel at 0 |
+//! | `.qca.txt` | x right, y up, z back | world from camera, mm | OpenCV | centre of the first pixel at 0 |
 //!
-//! World axes and metres are unchanged. Every count and size in a file is checked against the file's length before
-//! memory is allocated for it.
+//! World axes are not converted. Every count and size in a file is checked against the file's length before memory is
+//! allocated for it.
 //!
 //! Known limit: points and tracks are neither read nor written.
 
@@ -53,14 +53,14 @@ use std::path::{Path, PathBuf};
 /// The camera of an image, with its name in a calibration file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedCamera {
-    /// Name of an image, such as `cam0/0000.png`, or a number if the format has no names.
+    /// Name of the image, such as `cam0/0000.png`. If the format has no names, it is a number.
     pub name: String,
-    /// Time of the image, nanoseconds; `None` if the file has no times.
+    /// Time of the image, in nanoseconds; `None` if the file has no times.
     pub time_ns: Option<i64>,
     pub camera: Camera,
 }
 
-/// An error of a calibration or recording. The message is one sentence with the file.
+/// An error in a calibration or a recording. The message is one sentence that starts with the path of the file.
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
     /// The file can't be read.
@@ -75,14 +75,14 @@ pub enum ExchangeError {
     /// A video can't be read without ffmpeg.
     #[error("{path}: is a video, and reading one needs ffmpeg: install it, or run stlfr setup")]
     NoFfmpeg { path: PathBuf },
-    /// The contents are invalid, or the format can't represent a camera.
+    /// The contents of the file are invalid, or the format can't represent a camera.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
 }
 
-/// Reads a calibration: the folder of a COLMAP model, or a file whose format is that of its extension. A
-/// `capture.json` gives the calibration of its cameras. Lengths are in units of `unit_m` metres; Qualisys' are always
-/// millimetres.
+/// Reads a calibration from the folder of a COLMAP model, or from a file whose extension determines its format. A
+/// `capture.json` gives the calibration of its cameras. Lengths in the file are in units of `unit_m` metres. Qualisys
+/// files are always in millimetres, and `unit_m` is ignored.
 pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, ExchangeError> {
     let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     let mut cameras = match extension.as_deref() {
@@ -102,7 +102,7 @@ pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, Ex
     Ok(cameras)
 }
 
-/// Whether a JSON file is the description of a capture.
+/// Returns whether a JSON file describes a capture.
 fn is_capture(path: &Path) -> bool {
     #[derive(serde::Deserialize)]
     struct Head {
@@ -112,8 +112,8 @@ fn is_capture(path: &Path) -> bool {
     head.is_ok_and(|head| head.format.as_deref() == Some("stlfr-capture"))
 }
 
-/// Reads the cameras of a `capture.json`, named by their ids. It serves as calibration of another recording by the
-/// same array.
+/// Reads the cameras of a `capture.json` and names them by their ids. They can serve as the calibration of another
+/// recording by the same array.
 fn read_capture(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let format: CaptureFormat = json::read(path).map_err(|error| content(path, error))?;
     let named = |(k, camera): (usize, FilmedCameraFormat)| {
@@ -125,9 +125,9 @@ fn read_capture(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     format.cameras.into_iter().enumerate().map(named).collect()
 }
 
-/// Largest number of images or cameras in a calibration.
+/// Largest allowed number of images or cameras in a calibration.
 const MAX_ENTRIES: usize = 100_000;
-/// Largest entry of |RᵀR − I| for a rotation R. Files with few printed digits are off by 1e-4.
+/// Largest allowed entry of |RᵀR − I| for a rotation matrix R. In files with few printed digits, entries reach 1e-4.
 const MAX_ROTATION_ERROR: f64 = 1e-3;
 
 fn content(path: &Path, reason: impl std::fmt::Display) -> ExchangeError {
@@ -139,7 +139,8 @@ fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>, ExchangeError> {
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })
 }
 
-/// An error for more than [`MAX_ENTRIES`] entries. The error is the reason, without the file's name.
+/// Returns an error if there are more than [`MAX_ENTRIES`] entries. `what` is the plural that names the entries in the
+/// message, such as `cameras`. The caller adds the file's name to the message.
 fn check_count(entries: usize, what: &str) -> Result<(), String> {
     if entries <= MAX_ENTRIES {
         return Ok(());
@@ -152,7 +153,8 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {
         .map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
 }
 
-/// An image size from a file that holds it as two floats. The error is the reason, without the file's name.
+/// Converts an image size that a file holds as two floats, in pixels. A side that is not a whole number of at least 1
+/// is an error. The caller adds the file's name to the error message.
 fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
     for side in [width, height] {
         if !(side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0) {
@@ -163,10 +165,11 @@ fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
     Ok((width as u64, height as u64))
 }
 
-/// Largest time, seconds: 127 years. Its nanoseconds fit into an `i64`.
+/// Largest absolute value of a time, in seconds: 127 years. In nanoseconds, it fits into an `i64`.
 const MAX_TIME_S: f64 = 4e9;
 
-/// Converts seconds to nanoseconds. The error is the reason, without the file's name.
+/// Converts seconds to nanoseconds. A time beyond [`MAX_TIME_S`] is an error. The caller adds the file's name to the
+/// error message.
 fn seconds_in_ns(time_s: f64) -> Result<i64, String> {
     if !(time_s.abs() <= MAX_TIME_S) {
         return Err(format!("time {} must be within {MAX_TIME_S:e} s of 0", number(time_s)));
@@ -174,7 +177,8 @@ fn seconds_in_ns(time_s: f64) -> Result<i64, String> {
     Ok((time_s * 1e9).round() as i64)
 }
 
-/// The simplest model with these intrinsics (fx, fy, cx, cy; pixels) and this distortion of Brown's model.
+/// Returns the simplest camera model with these intrinsics (fx, fy, cx, cy; pixels) and these coefficients of Brown's
+/// distortion model: radial `k` and tangential `p`.
 fn opencv_model([fx, fy, cx, cy]: [f64; 4], k: [f64; 6], p: [f64; 2]) -> CameraModel {
     let ([k1, k2, rest @ ..], [p1, p2]) = (k, p);
     if k == [0.0; 6] && p == [0.0; 2] {
@@ -186,8 +190,8 @@ fn opencv_model([fx, fy, cx, cy]: [f64; 4], k: [f64; 6], p: [f64; 2]) -> CameraM
     }
 }
 
-/// A camera from the numbers of a file. It is checked like the cameras of a capture. The error is the reason, without
-/// the file's name.
+/// Creates a camera from the numbers of a file, and checks it like the cameras of a capture. The image size is (width,
+/// height) in pixels. The caller adds the file's name to the error message.
 fn checked(
     (width, height): (u64, u64),
     model: &CameraModel,
@@ -208,8 +212,8 @@ fn checked(
     format.camera().map_err(|e| e.to_string())
 }
 
-/// `cam_from_world` of a camera at `center`. The columns of `axes` are the camera's right, down and forward axes in
-/// the world. The error is the reason, without the file's name.
+/// Returns the camera-from-world pose of a camera at `center`. The columns of `axes` are the camera's right, down and
+/// forward axes in the world. The caller adds the file's name to the error message.
 fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3<f64>, String> {
     if !axes.iter().chain(center.iter()).all(|v| v.is_finite()) {
         return Err("a pose must be finite".into());
@@ -218,7 +222,7 @@ fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3
     if error > MAX_ROTATION_ERROR || axes.determinant() < 0.0 {
         return Err(format!("a pose's rotation is no rotation (off by {error:.1e})"));
     }
-    // The nearest rotation matrix is U Vᵀ of the singular value decomposition.
+    // The nearest rotation matrix is U Vᵀ, from the singular value decomposition.
     let svd = axes.svd(true, true);
     let (Some(u), Some(vt)) = (svd.u, svd.v_t) else {
         return Err("a pose's rotation is no rotation".into());
@@ -229,8 +233,8 @@ fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3
     Ok(Isometry3::from_parts(Translation3::from(-(cam_from_world * center)), cam_from_world))
 }
 
-/// A camera's right, down and forward axes in the world, as columns, and its centre: the inverse of
-/// [`pose_from_axes`].
+/// Returns a camera's right, down and forward axes in the world, as the columns of a matrix, and the camera's centre.
+/// This is the inverse of [`pose_from_axes`].
 fn axes_and_center(camera: &Camera) -> (Matrix3<f64>, Vector3<f64>) {
     let world_from_cam = camera.cam_from_world.rotation.inverse().to_rotation_matrix();
     (world_from_cam.into_inner(), camera.center().coords)

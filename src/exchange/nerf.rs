@@ -1,6 +1,6 @@
 //! NeRF's `transforms.json`, as instant-ngp and nerfstudio read it. Each frame has a world-from-camera matrix with
-//! OpenGL's axes (x right, y up, z back). The lens is given once for all frames or per frame. A frame's `time` is in
-//! seconds.
+//! OpenGL's camera axes (x right, y up, z back). The lens is given once for all frames, or for each frame. A frame's
+//! `time` is in seconds.
 
 use super::{ExchangeError, NamedCamera, axes_and_center, check_count, checked, content};
 use super::{opencv_model, pose_from_axes, seconds_in_ns, whole_size, write};
@@ -13,16 +13,17 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The contents of the file: its frames, and a lens for all.
+/// The list of frames at the top level of the file. The lens at the top level is read separately, as a [`FrameEntry`].
 #[derive(Debug, Deserialize)]
 struct TransformsFile {
     #[serde(deserialize_with = "bounded")]
     frames: Vec<FrameEntry>,
 }
 
-/// The fields of a frame, and those of the top level that hold the lens for all frames. Other fields are skipped.
+/// The fields of a frame. The top level of the file may have the same fields: they describe the lens of the frames that
+/// lack these fields. Other fields are skipped.
 ///
-/// Serde's `flatten` is avoided, because it would hold the skipped fields in memory, at 16 times their length in the
+/// Serde's `flatten` is not used, because it would keep the skipped fields in memory, at 16 times their length in the
 /// file.
 #[derive(Debug, Deserialize)]
 struct FrameEntry {
@@ -45,7 +46,7 @@ struct FrameEntry {
     p2: Option<f64>,
 }
 
-/// A frame for writing, with its own lens.
+/// A frame as it is written to the file, with its own lens.
 #[derive(Debug, Serialize)]
 struct WrittenFrame<'a> {
     file_path: &'a str,
@@ -63,7 +64,7 @@ struct WrittenFrame<'a> {
     distortion: BTreeMap<&'static str, f64>,
 }
 
-/// Deserializes a list. An error for more than [`MAX_ENTRIES`] entries.
+/// Deserializes a list of frames. More than `MAX_ENTRIES` entries are an error.
 fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>, D::Error> {
     struct EntryList;
     impl<'de> Visitor<'de> for EntryList {
@@ -85,8 +86,8 @@ fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>
     deserializer.deserialize_seq(EntryList)
 }
 
-/// Image size (width, height, pixels) and lens of a frame. Fields that the frame lacks are taken from the top level
-/// (`all`). The error is the reason, without the file's name.
+/// Returns the image size (width, height; pixels) and the lens of a frame. Fields that the frame lacks are taken from
+/// `all`, the top level of the file. The caller adds the file's name to the error message.
 fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel), String> {
     let either = |field: fn(&FrameEntry) -> Option<f64>| field(frame).or(field(all));
     let (Some(w), Some(h)) = (either(|f| f.w), either(|f| f.h)) else {
@@ -112,7 +113,8 @@ fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel
     Ok((size, model))
 }
 
-/// The format's name and coefficients of a lens; `None` if the format can't represent the lens.
+/// Returns a lens's model name and distortion coefficients in this format; `None` if the format can't represent the
+/// lens.
 fn name_and_distortion(model: &CameraModel) -> Option<(&'static str, BTreeMap<&'static str, f64>)> {
     let brown = |k1, k2, p1, p2| {
         Some(("OPENCV", BTreeMap::from([("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)])))
@@ -141,8 +143,8 @@ fn name_and_distortion(model: &CameraModel) -> Option<(&'static str, BTreeMap<&'
     }
 }
 
-/// Reads the frames in the order of the file, named by their image paths. An error if there are none, or for an
-/// invalid pose or lens.
+/// Reads the frames in the order of the file, and names them by their image paths. A file without frames, an invalid
+/// pose and an invalid lens are errors.
 pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let text = read_text(path, json::MAX_BYTES)
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
@@ -171,7 +173,8 @@ fn camera(frame: FrameEntry, all: &FrameEntry) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, time_ns, camera: checked(size, &model, &pose)? })
 }
 
-/// Writes the cameras as frames, each with its own lens. An error for `FULL_OPENCV`, which the format can't represent.
+/// Writes the cameras as frames, each with its own lens. A lens that the format can't represent, such as `FULL_OPENCV`,
+/// is an error.
 pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let mut frames = Vec::new();
     for NamedCamera { name, time_ns, camera } in cameras {

@@ -1,5 +1,5 @@
-//! Pairs the cameras of a calibration with recordings (videos or folders of images): by a table, by name, or by the
-//! numbers in the names.
+//! Pairing of the cameras of a calibration with recordings (videos or folders of images): by a table, by name, or by
+//! the numbers in the names.
 
 use super::csv::read_columns;
 use super::{ExchangeError, NamedCamera, checked, content};
@@ -9,8 +9,8 @@ use nalgebra::Isometry3;
 use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
-/// Largest difference between the poses of a camera's images, metres and radians. Above it, the camera counts as
-/// moving.
+/// Largest difference between the poses of a static camera's images, in metres and in radians. Above this difference,
+/// the camera counts as moving.
 const MAX_MOTION: f64 = 1e-6;
 
 /// File extensions of videos.
@@ -19,28 +19,30 @@ const VIDEOS: [&str; 20] = [
     "3g2", "ogv", "wmv", "flv", "y4m", "nut", "ivf",
 ];
 
-/// Cameras, named by their ids, each with the folder or the video of its frames.
+/// Cameras, named by their ids, and for each camera the folder or the video of its frames.
 pub(super) struct Pairs {
     pub cameras: Vec<NamedCamera>,
     pub recordings: Vec<PathBuf>,
-    /// Sentences for the user: how cameras and recordings were paired, unless by name, and which are left over.
+    /// Sentences for the user. They say how cameras and recordings were paired by number, and which cameras or
+    /// recordings have no partner and are therefore not imported.
     pub notes: Vec<String>,
 }
 
-/// A recording: a folder of images or a video, with its name without extension.
+/// A recording, which is a folder of images or a video. Its name has no extension.
 struct NamedRecording {
     name: String,
     path: PathBuf,
 }
 
-/// Pairs the cameras of a calibration with the recordings in `images`: its sub-folders and videos. If no camera has a
-/// recording of its name, they are paired by the numbers in the names. If the calibration has only row numbers, the
-/// recordings' names become the ids.
+/// Pairs the cameras of a calibration with the recordings in the folder `images`, which are its sub-folders and videos.
+/// A camera is paired with the recording of the same name. If no camera has such a recording, cameras and recordings
+/// are paired by the numbers in their names. If the calibration has only row numbers, the names of the recordings
+/// become the ids.
 ///
 /// # Errors
 /// A camera that moves; a name that can't be an id; a camera with two recordings; some cameras with a recording of
-/// their name, and some without. If they are paired by number: unequal counts of cameras and recordings, or names that
-/// differ in more than numbers.
+/// their name, and some without. For pairing by number: unequal numbers of cameras and recordings, or names that differ
+/// in more than numbers.
 pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, ExchangeError> {
     let is_nameless = is_nameless(cameras);
     let cameras = one_each(cameras).map_err(|reason| content(images, reason))?;
@@ -74,11 +76,11 @@ pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, Exch
     Ok(Pairs { cameras, recordings: paths, notes })
 }
 
-/// A camera for each recording of a folder, named by it, with placeholders for lens and pose. They are in the order of the
-/// numbers in their names, or of the names.
+/// Returns a camera for each recording in a folder. A camera has the name of its recording, and placeholders for lens
+/// and pose. Cameras are sorted by the numbers in their names. If this order is ambiguous, they are sorted by name.
 ///
 /// # Errors
-/// Less than two recordings, a name that can't be an id, two recordings of one name.
+/// Fewer than two recordings, a name that can't be an id, or two recordings with the same name.
 pub(super) fn uncalibrated(images: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let recordings = recordings(images)?.into_iter().filter(|r| is_footage(&r.path));
     let mut names: Vec<String> = recordings.map(|r| r.name).collect();
@@ -104,9 +106,9 @@ pub(super) fn uncalibrated(images: &Path) -> Result<Vec<NamedCamera>, ExchangeEr
     names.iter().enumerate().map(named).collect()
 }
 
-/// Pairs cameras with recordings by a CSV table with the columns `camera` and `frames`. A camera is given by its name.
-/// If the calibration has no names, it is given by its row number from 0, and the recordings' names become the ids.
-/// `frames` is a folder or a video in `images`.
+/// Pairs cameras with recordings by a CSV table with the columns `camera` and `frames`. `camera` is the name of a
+/// camera. If the calibration has no names, `camera` is a row number from 0, and the name of the recording becomes the
+/// id. `frames` is a folder or a video in `images`.
 ///
 /// # Errors
 /// A camera that is unknown or listed twice, or a recording that is missing.
@@ -150,12 +152,12 @@ pub(super) fn pair_by_table(
     Ok(pairs)
 }
 
-/// Whether the calibration has no names, so that cameras are named by their row numbers.
+/// Returns whether the calibration has no names, so that cameras are named by their row numbers.
 fn is_nameless(cameras: &[NamedCamera]) -> bool {
     cameras.iter().enumerate().all(|(row, c)| c.name == row.to_string())
 }
 
-/// Sub-folders and videos of a folder, sorted by name.
+/// Returns the sub-folders and videos of a folder, sorted by name.
 fn recordings(images: &Path) -> Result<Vec<NamedRecording>, ExchangeError> {
     let mut paths = entries(images)?;
     paths.sort();
@@ -172,12 +174,12 @@ fn recordings(images: &Path) -> Result<Vec<NamedRecording>, ExchangeError> {
     Ok(paths.into_iter().filter_map(recording).collect())
 }
 
-/// Whether a path is a file with a video's extension.
+/// Returns whether a path is a file with the extension of a video.
 fn is_video(path: &Path) -> bool {
     extension(path).is_some_and(|e| VIDEOS.contains(&e.as_str())) && path.is_file()
 }
 
-/// Whether a path is a recording: a video, or a folder with images.
+/// Returns whether a path is a recording: a video, or a folder that contains images.
 fn is_footage(path: &Path) -> bool {
     is_video(path) || entries(path).is_ok_and(|files| files.iter().any(|file| is_image(file)))
 }
@@ -228,8 +230,8 @@ fn pair_by_number(
     Ok(Pairs { cameras, recordings, notes: vec![note] })
 }
 
-/// Merges all images of a camera into one entry, named by the camera's id. Cameras are in the order of their first
-/// images. The error is the reason, without the file's name.
+/// Merges all images of a camera into one entry, named by the camera's id. The cameras have the order of their first
+/// images. A camera that moves is an error. The caller adds the file's name to the error message.
 pub(super) fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     let mut distinct: Vec<NamedCamera> = Vec::new();
     for NamedCamera { name, camera, .. } in cameras {
@@ -245,7 +247,7 @@ pub(super) fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, Stri
     Ok(distinct)
 }
 
-/// Whether two images are by one static camera: pose, size and lens are equal.
+/// Returns whether two images are from the same static camera, that is, whether poses, sizes and lenses are equal.
 pub(super) fn is_same(a: &Camera, b: &Camera) -> bool {
     let (from, to) = (&a.cam_from_world, &b.cam_from_world);
     let moved = (from.translation.vector - to.translation.vector).norm();
@@ -255,7 +257,7 @@ pub(super) fn is_same(a: &Camera, b: &Camera) -> bool {
         && [a.width, a.height] == [b.width, b.height]
 }
 
-/// The camera id in an image name: `cam0` in `cam0/0000.png`, `images/cam0.png` and `cam0.png`.
+/// Returns the camera id in an image name: `cam0` for `cam0/0000.png`, `images/cam0.png` and `cam0.png`.
 pub(super) fn id_of(name: &str) -> Result<String, String> {
     let mut parts: Vec<&str> = name.split('/').filter(|p| !matches!(*p, "" | ".")).collect();
     if parts.len() > 1 && parts[0] == "images" {
@@ -277,8 +279,8 @@ fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The indices that sort names by their numbers, so that `cam2` is before `cam10`. `None` if two names differ in more
-/// than numbers, or have the same numbers.
+/// Returns the indices that sort names by their numbers, so that `cam2` is before `cam10`. Returns `None` if two names
+/// differ in more than their numbers, or have the same numbers.
 pub(super) fn numbered_order(names: &[String]) -> Option<Vec<usize>> {
     let text = |name: &str| {
         let mark = |c: char| if c.is_ascii_digit() { '0' } else { c };
@@ -295,21 +297,21 @@ pub(super) fn numbered_order(names: &[String]) -> Option<Vec<usize>> {
     (!is_open).then_some(order)
 }
 
-/// The numbers in a name, in a form that is ordered by value: for each, the count of its digits and the digits,
-/// without leading zeros. Numbers of any length can thus be compared.
+/// Returns the numbers in a name. Each number is a pair: how many digits it has, and the digits themselves, without
+/// leading zeros. In this form, numbers of any length sort by their values.
 pub(super) fn numbers(name: &str) -> Vec<(usize, &str)> {
     let digits = name.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty());
     digits.map(|digits| digits.trim_start_matches('0')).map(|d| (d.len(), d)).collect()
 }
 
-/// All entries of a folder, hidden ones included.
+/// Returns all entries of a folder, including hidden ones.
 pub(super) fn all_entries(folder: &Path) -> Result<Vec<DirEntry>, ExchangeError> {
     std::fs::read_dir(folder)
         .and_then(Iterator::collect)
         .map_err(|source| ExchangeError::Read { path: folder.to_owned(), source })
 }
 
-/// Paths of a folder's entries, except hidden ones.
+/// Returns the paths of a folder's entries, except hidden ones.
 pub(super) fn entries(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let mut entries = all_entries(folder)?;
     entries.retain(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."));
@@ -319,12 +321,12 @@ pub(super) fn entries(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
 /// File extensions of images.
 const IMAGES: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
 
-/// Whether a path has an image's extension.
+/// Returns whether a path has the extension of an image.
 pub(super) fn is_image(path: &Path) -> bool {
     extension(path).is_some_and(|e| IMAGES.contains(&e.as_str()))
 }
 
-/// The extension of a path, in lower case.
+/// Returns the extension of a path in lower case; `None` if the path has no extension.
 pub(super) fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }

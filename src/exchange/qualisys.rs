@@ -1,8 +1,9 @@
-//! Qualisys' `.qca.txt`, an XML file.
+//! Qualisys' `.qca.txt`, which is an XML file.
 //!
-//! Lengths are millimetres. Focal lengths and centres are in 1/64 pixel, with the centre of the sensor's first pixel
-//! at 0, so that half a pixel is added to centres. The rows of `transform` are the camera's axes right, up and back in
-//! the world. `fov_video` is the recorded part of the sensor. Distortion coefficients are OpenCV's.
+//! Lengths are in millimetres. Focal lengths and principal points are in units of 1/64 pixel. The centre of the
+//! sensor's first pixel is at 0, so half a pixel is added to principal points. The rows of `transform` are the camera's
+//! right, up and back axes in the world. `fov_video` is the recorded part of the sensor. Distortion coefficients are
+//! those of OpenCV.
 
 use super::{
     ExchangeError, NamedCamera, checked, content, opencv_model, pose_from_axes, whole_size,
@@ -12,13 +13,13 @@ use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 use std::path::Path;
 
-/// Size limit of the file, bytes: enough for two thousand cameras.
+/// Size limit of the file, in bytes. It is large enough for two thousand cameras.
 const MAX_BYTES: u64 = 4 << 20;
-/// The file's unit of image coordinates is 1/64 pixel.
+/// Number of units of image coordinates per pixel. The unit in the file is 1/64 pixel.
 const PARTS: f64 = 64.0;
 const MM_PER_M: f64 = 1000.0;
 
-/// Reads the active cameras in the order of the file, named by their serial numbers.
+/// Reads the active cameras in the order of the file, and names them by their serial numbers.
 ///
 /// Errors: no camera, a field that is missing or isn't a number, an invalid pose or lens.
 pub fn read_qualisys(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
@@ -86,7 +87,7 @@ fn camera(node: Node) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, time_ns: None, camera: checked(size, &model, &pose)? })
 }
 
-/// The value of a numeric attribute. The error is the reason, without the file's name.
+/// Returns the value of a numeric attribute. The caller adds the file's name to the error message.
 fn number(node: Node, name: &str) -> Result<f64, String> {
     let text = node.attribute(name).ok_or_else(|| format!("{name} is missing"))?;
     let wrong = || format!("{name} can't be '{}'", crate::text::short(text));

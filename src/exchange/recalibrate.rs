@@ -1,4 +1,4 @@
-//! Imports recordings without a calibration, and gives a capture's frames a new calibration.
+//! Import of recordings without a calibration, and new calibrations for the frames of a capture.
 
 use super::import::{NewCapture, import, link, name_of};
 use super::pairing::{extension, uncalibrated};
@@ -10,25 +10,25 @@ use crate::host::temporary::Temporary;
 use crate::json;
 use std::path::{Path, PathBuf};
 
-/// Name of the capture inside its temporary folder.
+/// Name of the draft's folder inside its temporary folder.
 const DRAFT: &str = "draft";
 
-/// A temporary capture that is still to be calibrated: its lenses and poses are placeholders. Its folder is removed
-/// when the value is dropped.
+/// A temporary capture that is not calibrated yet: its lenses and poses are placeholders. Its folder is removed when
+/// the value is dropped.
 pub struct Draft {
-    /// The capture's folder.
+    /// Folder of the temporary capture.
     pub folder: PathBuf,
-    /// Sentences for the user: the recordings that were found, and how they are read.
+    /// Sentences for the user. They say which recordings were found, and how they are interpreted.
     pub notes: Vec<String>,
     _temporary: Temporary,
 }
 
 impl Draft {
-    /// Imports a folder's videos and sub-folders of images into a draft beside `target`, the capture that it will
-    /// become.
-    /// `times` is a table of all frames' times. A camera's id is its recording's name.
+    /// Imports the videos and the sub-folders of images in the folder `images` into a draft. The draft is in a
+    /// temporary folder beside `target`, the path of the later capture. `times` is a table with the times of all
+    /// frames. The id of a camera is the name of its recording.
     ///
-    /// Errors: as [`import`], and less than two recordings.
+    /// Errors: the errors of [`import`], and fewer than two recordings.
     pub fn import(
         images: &Path,
         times: Option<&Path>,
@@ -55,20 +55,23 @@ impl Draft {
     }
 }
 
-/// A calibration that was estimated.
+/// A calibration that was estimated for the cameras of a capture.
 pub struct NewCalibration {
-    /// In the capture's order.
+    /// Lens and pose of each camera, in the order of the capture's cameras.
     pub cameras: Vec<CameraFormat>,
-    /// Its joint covariance, if it is known.
+    /// Joint covariance of all cameras' calibration; `None` if it is unknown.
     pub covariance: Option<CalibrationCovarianceFormat>,
 }
 
-/// Makes the capture `target` of the frames and clocks of `capture`, with another calibration. Frames are linked, or
-/// copied where the file system can't link them. The target appears only once it is complete and can be opened.
+/// Makes the capture `target` from the frames and clocks of `capture`, with another calibration. Frames are
+/// hard-linked, or copied where the file system can't link them. The target appears only when it is complete and can be
+/// opened.
 ///
-/// Truth, offsets and COLMAP's model are not copied, because they belong to the earlier calibration.
+/// The ground truth, the offsets and the COLMAP model of `capture` are not copied, because they belong to the earlier
+/// calibration.
 ///
-/// Errors: a target that is not empty, another number of cameras, a camera of another size than its frames.
+/// Errors: a target that is not empty, another number of cameras, a camera whose size differs from the size of its
+/// frames.
 pub fn recalibrate(
     capture: &Capture,
     calibration: NewCalibration,

@@ -1,34 +1,36 @@
-//! Requests of an [import](super::import()): recordings, and options of the import.
+//! The request of an [import](super::import()): the recordings, and the options of the import.
 
 use std::path::Path;
 
 /// The clock of the imported cameras. Values that the user leaves out are read from the recordings.
 #[derive(Clone, Copy, Debug)]
 pub struct ImportClock {
-    /// Frame rate, hertz; `None` if the frames' times come from a file or the videos.
+    /// Frame rate, in hertz; `None` if the times of the frames come from a file or from the videos.
     pub rate_hz: Option<f64>,
-    /// Time of the first frame on each camera's own clock, seconds. It is also added to the times of videos.
+    /// Time of the first frame on each camera's own clock, in seconds. If a video's own time stamps are used, this time
+    /// is added to them.
     pub first_s: f64,
-    /// Whether all cameras share one clock.
+    /// True if all cameras share one clock.
     pub shared: bool,
-    /// Readout time of the cameras' rolling shutters, seconds; `None` if it is unknown or they have none.
+    /// Readout time of the cameras' rolling shutters, in seconds; `None` if it is unknown or the shutters are global.
     pub readout_s: Option<f64>,
 }
 
-/// Recordings to import, and how.
+/// The recordings to import, and the options of the import.
 #[derive(Clone, Copy, Debug)]
 pub struct ImportRequest<'a> {
-    /// The folder with a sub-folder of images or a video for each camera.
+    /// Folder that has a sub-folder of images or a video for each camera.
     pub images: &'a Path,
-    /// A CSV table of cameras and their recordings. `None` pairs them by name or number.
+    /// CSV table of cameras and their recordings. If it is `None`, cameras and recordings are paired by name or number.
     pub table: Option<&'a Path>,
-    /// A CSV table of all frames' times.
+    /// CSV table with the times of all frames; `None` if no such table is given.
     pub times: Option<&'a Path>,
     pub clock: ImportClock,
-    /// Whether images smaller than the calibration's are cropped from its top left corner. Otherwise images of another
-    /// aspect ratio are an error; those of the same aspect ratio are the whole image at another resolution.
+    /// True if images that are smaller than the calibrated image, and of another aspect ratio, are its top left part.
+    /// If false, such images are an error. Images of the same aspect ratio are always the whole image at another
+    /// resolution.
     pub is_cropped: bool,
-    /// Whether the cameras' lenses and poses are placeholders, as of a [`Draft`](super::Draft): the lens becomes a
-    /// guess at the images' size.
+    /// True if the lenses and poses of the cameras are placeholders, as in a [`Draft`](super::Draft). The lenses are
+    /// then guessed from the size of the images.
     pub is_uncalibrated: bool,
 }

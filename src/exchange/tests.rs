@@ -2,8 +2,8 @@ use super::*;
 use crate::camera::tests::pinhole_at;
 use nalgebra::{Point2, Point3, UnitQuaternion};
 
-/// A camera 1 m right of, 2 m below and 3 m behind the origin. It is rotated by 90° about its own x axis and looks up:
-/// right = +x, down = +z, forward = −y of the world.
+/// Returns a camera at (1, 2, 3) in the world, in metres. It is rotated by 90° about its own x axis and looks up: its
+/// axes in the world are right = +x, down = +z, forward = −y.
 fn looking_up() -> NamedCamera {
     let axes = Matrix3::from_columns(&[Vector3::x(), Vector3::z(), -Vector3::y()]);
     let pose = pose_from_axes(&axes, Vector3::new(1.0, 2.0, 3.0)).unwrap();
@@ -12,7 +12,7 @@ fn looking_up() -> NamedCamera {
     NamedCamera { name: "cam0".into(), time_ns: None, camera }
 }
 
-/// A camera of every known model, with poses without symmetry.
+/// Returns a camera of every known model. The poses have no symmetry.
 fn one_of_each() -> Vec<NamedCamera> {
     CameraModel::KNOWN
         .iter()
@@ -52,7 +52,7 @@ fn colmap_models_round_trip() {
     assert_same(&read_colmap(&folder.path().join("binary")).unwrap(), &cameras);
 }
 
-/// Numbers are written as C and Python write them.
+/// Numbers in a COLMAP text file have the format of C and Python.
 #[test]
 fn colmap_text_is_this_text() {
     let mut camera = CameraFormat::from(&looking_up().camera);
@@ -79,8 +79,8 @@ fn colmap_points_are_skipped() {
     assert_eq!(cameras[1].camera.model.name(), "SIMPLE_RADIAL");
 }
 
-/// LLFF's row, computed by hand: columns down (0, 0, 1), right (1, 0, 0), back (0, 1, 0), centre, and height, width,
-/// focal length.
+/// The expected row of the LLFF file is computed by hand. Its columns are the axes down (0, 0, 1), right (1, 0, 0) and
+/// back (0, 1, 0), the centre, and (height, width, focal length).
 #[test]
 fn llff_is_down_right_back() {
     let folder = tempfile::tempdir().unwrap();
@@ -113,7 +113,8 @@ fn llff_refuses_lenses_that_it_cannot_describe() {
     }
 }
 
-/// OpenGL's axes, computed by hand: columns right (1, 0, 0), up (0, 0, −1), back (0, 1, 0), centre.
+/// The expected matrix is computed by hand. Its columns are right (1, 0, 0), up (0, 0, −1), back (0, 1, 0) and the
+/// centre, as in OpenGL.
 #[test]
 fn transforms_have_opengls_axes() {
     let folder = tempfile::tempdir().unwrap();
@@ -146,7 +147,8 @@ fn transforms_round_trip_with_distortion() {
     assert_same(&read_nerf(&path).unwrap(), &cameras);
 }
 
-/// NeRF's synthetic scenes give one field of view for all frames: 2 atan(320/700) spans 640 pixels at f = 700.
+/// NeRF's synthetic scenes give one horizontal field of view for all frames. With a focal length of 700 pixels, an
+/// image of 640 pixels has a field of view of 2 atan(320/700).
 #[test]
 fn a_lens_for_all_frames_is_read() {
     let folder = tempfile::tempdir().unwrap();
@@ -160,7 +162,7 @@ fn a_lens_for_all_frames_is_read() {
     std::fs::write(&path, text).unwrap();
     let camera = &read_nerf(&path).unwrap()[0].camera;
     assert!((camera.focal_px() - 700.0).abs() < 1e-9);
-    // The camera stands on +z and looks to −z; world +x is right, world +y is up.
+    // The camera is on the +z axis and looks along −z. World +x is right, and world +y is up.
     let pixel = camera.project(&Point3::new(0.2, 0.1, 0.0)).unwrap();
     assert!((pixel - Point2::new(390.0, 205.0)).norm() < 1e-9, "{pixel}");
 }
@@ -176,7 +178,7 @@ fn damaged_files_are_one_sentence() {
         let message = read_colmap(dir).unwrap_err().to_string();
         assert!(message.contains("images.bin: ") && !message.contains('\n'), "{end}: {message}");
     }
-    // A count of points that would exhaust the memory.
+    // This number of points would exhaust the memory if memory were allocated for it.
     let mut huge = images.clone();
     let name = images.windows(10).position(|w| w == b"/0000.png\0").unwrap() + 10;
     huge[name..name + 8].fill(0xff);
@@ -233,7 +235,7 @@ fn a_model_and_sequences_become_a_capture() {
     assert_eq!(capture.cameras.len(), 2);
     assert!((capture.cameras[1].camera.center() - Point3::new(0.1, 0.0, 0.0)).norm() < 1e-12);
     assert_eq!(capture.cameras[1].frames.len(), 3);
-    // The order is f8, f9, f10: by number, not alphabetical.
+    // The order of the frames is f8, f9, f10. It is by number, not alphabetical.
     assert_eq!(capture.read_frame(0, 2).unwrap().pixel(0, 0), [1.0; 3]);
     assert_eq!(capture.times_in_file_s(0), [2.0, 2.04, 2.08]);
     let again = import_by(&cameras, &images, clock, &target).unwrap_err().to_string();
@@ -244,7 +246,7 @@ fn a_model_and_sequences_become_a_capture() {
     assert!(moving.to_string().contains("must not move"), "{moving}");
 }
 
-/// A camera, and a folder of its images with the given numbers.
+/// Writes images with the given numbers into the folder `a`, and returns their camera.
 fn sequence_of(folder: &Path, numbers: &[&str]) -> NamedCamera {
     for number in numbers {
         let shade = crate::raster::Image::filled(8, 6, 1, 0.5);
@@ -307,7 +309,7 @@ fn an_import_is_whole_or_not_there() {
     let folder = tempfile::tempdir().unwrap();
     let images = folder.path().join("images");
     let camera = std::slice::from_ref(&sequence_of(&images, &["7", "8"])).to_vec();
-    // The folder of the originals, and other folders that aren't empty, are refused as targets.
+    // The folder of the original images and other folders that aren't empty are refused as targets.
     let before = std::fs::read(images.join("a/7.png")).unwrap();
     for target in [&images, &images.join("a"), &images.join("a/7.png")] {
         assert!(import_by(&camera, &images, CLOCK, target).is_err());
@@ -341,7 +343,7 @@ fn names_that_lead_elsewhere_are_refused() {
     }
 }
 
-/// Ten styles of names for cameras and folders; each maps an index to a name.
+/// Ten styles of names for cameras and folders. Each function maps an index to a name.
 const STYLES: [fn(usize) -> String; 10] = [
     |k| format!("cam{k}"),
     |k| format!("cam{k:03}"),

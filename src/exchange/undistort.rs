@@ -1,22 +1,23 @@
-//! Undistortion: images of a distorted lens, resampled for a pinhole camera.
+//! Undistortion: images of a distorted lens are resampled for a pinhole camera.
 
 use crate::camera::{Camera, CameraModel};
 use crate::raster::Image;
 use nalgebra::{Point2, Point3};
 
-/// Resampling map from a distorted camera's image to that of a pinhole camera with the same pose.
+/// Resampling map from a distorted camera's image to the image of a pinhole camera with the same pose.
 pub struct Undistortion {
-    /// The pinhole camera. Its size is that of the distorted camera.
+    /// The pinhole camera. It has the image size of the distorted camera.
     pub camera: Camera,
-    /// Pixel position in the distorted image for each pixel of the pinhole camera, row by row; `None` outside of the
-    /// image. Empty if the camera isn't distorted.
+    /// Position in the distorted image of each pixel of the pinhole camera, in pixels and row by row; `None` outside
+    /// the distorted image. Empty if the images of both cameras are equal.
     sources: Vec<Option<Point2<f64>>>,
     is_identity: bool,
 }
 
 impl Undistortion {
-    /// The map to the pinhole camera with the same focal lengths and principal point. If `is_centered`, the pinhole
-    /// has the mean focal length, and the principal point in the image's middle.
+    /// Creates the map to a pinhole camera with the same focal lengths and principal point. If `is_centered`, both
+    /// focal lengths of the pinhole camera are the mean focal length, and its principal point is in the middle of the
+    /// image.
     pub fn new(camera: &Camera, is_centered: bool) -> Self {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let (width, height) = (camera.width, camera.height);
@@ -37,7 +38,8 @@ impl Undistortion {
         Self { camera: pinhole, sources, is_identity }
     }
 
-    /// Resamples an image of the distorted camera by bicubic interpolation. Pixels outside of it are black.
+    /// Resamples an image of the distorted camera by bicubic interpolation. Pixels whose position is outside the image
+    /// are black.
     pub fn apply(&self, image: &Image) -> Image {
         if self.is_identity {
             return image.clone();
@@ -56,7 +58,8 @@ impl Undistortion {
     }
 }
 
-/// Position in the distorted image of the centre of the pinhole's pixel (x, y); `None` outside of the image.
+/// Returns the position in the distorted image of the centre of the pinhole camera's pixel (x, y); `None` outside the
+/// distorted image.
 fn source(camera: &Camera, pinhole: &Camera, [x, y]: [usize; 2]) -> Option<Point2<f64>> {
     let ray = pinhole.ray(&Point2::new(x as f64 + 0.5, y as f64 + 0.5))?;
     camera.project_cam(&Point3::from(ray)).filter(|pixel| camera.contains(pixel))
@@ -71,7 +74,7 @@ mod tests {
         Camera { width: 64, height: 48, model, cam_from_world: Isometry3::identity() }
     }
 
-    /// A smooth test image, the same function of the plane z = 1 for every camera.
+    /// Returns a smooth test image. Every camera sees the same pattern on the plane z = 1.
     fn picture(camera: &Camera) -> Image {
         let value = |k: usize| {
             let pixel = Point2::new((k % 64) as f64 + 0.5, (k / 64) as f64 + 0.5);

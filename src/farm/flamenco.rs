@@ -1,4 +1,5 @@
-//! A job type for Flamenco, Blender's render farm: a script for the folder `scripts` of Flamenco's manager.
+//! Writes the job type for Flamenco, Blender's render farm manager. A job type is a script, which the user copies into
+//! the folder `scripts` of Flamenco Manager.
 
 use super::{FarmChunks, FarmJob};
 use serde_json::json;
@@ -28,7 +29,7 @@ pub(super) fn job_type(job: &FarmJob) -> String {
     constants.concat() + SCRIPT
 }
 
-/// Name of the job's setting for the chunk size.
+/// Returns the name of the Flamenco job setting for the number of parts in a chunk.
 fn setting(chunks: &FarmChunks) -> String {
     format!("{}_chunk", chunks.kind)
 }

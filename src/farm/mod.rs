@@ -1,7 +1,8 @@
-//! Jobs for render farms: the work on captures as steps for Open Job Description, Slurm and Flamenco. All engines run
-//! the same commands. Every command may be run again; it then continues, or writes the same files.
+//! Jobs for render farms. A job consists of steps, each a command of `stlfr`: filming, rendering and so on. A job is
+//! written for three engines (Open Job Description, Slurm and Flamenco), which all run the same commands. Every command
+//! may be run again: it then continues its work, or writes the same files.
 //!
-//! Known limits: all machines must see the program, the captures and the job's folder at the same paths.
+//! Known limit: all machines must see the program, the captures and the job's folder at the same paths.
 
 mod flamenco;
 mod openjd;
@@ -10,43 +11,46 @@ mod slurm;
 use crate::host::write_atomically;
 use std::path::Path;
 
-/// A job: its steps, in an order in which they can be run.
+/// A render farm job: a list of steps, in which every step comes after the steps that it depends on.
 #[derive(Clone, Debug)]
 pub struct FarmJob {
-    /// The job's name for people.
+    /// Name of the job, as users of the farm see it.
     pub name: String,
-    /// Path of the program `stlfr`. Users of the engines may replace it.
+    /// Path of the program `stlfr` on the farm's machines. It is a default, which users can replace when they submit
+    /// the job.
     pub program: String,
     pub steps: Vec<FarmStep>,
 }
 
-/// A step: one command, run once, or once for every chunk of its parts. Chunks may be run in any order.
+/// A step of a render farm job: one command. The command is run once, or once for every chunk of its work. Chunks may
+/// be run in any order.
 #[derive(Clone, Debug)]
 pub struct FarmStep {
-    /// The step's name: lower-case letters, digits and `-`.
+    /// Name of the step: lower-case letters, digits and `-`.
     pub name: String,
-    /// Arguments of the command.
+    /// Arguments of the command `stlfr`, without `--part`.
     pub arguments: Vec<String>,
-    /// Names of earlier steps that must have succeeded.
+    /// Names of earlier steps that must succeed before this step starts.
     pub after: Vec<String>,
-    /// The chunks; each run then gets the argument `--part FIRST-LAST/COUNT`. `None` for a command that is run once.
+    /// Division of the step's work into chunks. The command is run once per chunk, with the additional argument
+    /// `--part FIRST-LAST/COUNT`. `None` for a command that is run once.
     pub chunks: Option<FarmChunks>,
     pub needs: FarmNeeds,
 }
 
-/// Division of a step's work into parts, and of the parts into chunks. All steps of one `kind` have the same chunk
-/// size, which users of the engines can set.
+/// Division of a step's work into parts, and of the parts into chunks. All steps with the same `kind` have the same
+/// number of parts in a chunk. Users can change this number when they submit the job.
 #[derive(Clone, Debug)]
 pub struct FarmChunks {
-    /// Kind of the work, a lower-case word.
+    /// Kind of the work, such as `film`: a lower-case word. The name of the setting for the chunk size contains it.
     pub kind: &'static str,
-    /// Number of parts.
+    /// Number of parts into which the work is divided.
     pub count: u32,
-    /// Default number of parts in a chunk, which is one task.
+    /// Default number of parts in a chunk. A task of the farm does one chunk.
     pub size: u32,
 }
 
-/// The cores and the memory that a machine needs for a task.
+/// Processor cores and memory that a machine needs to run a task.
 #[derive(Clone, Copy, Debug)]
 pub struct FarmNeeds {
     pub cores: u32,
@@ -54,7 +58,7 @@ pub struct FarmNeeds {
 }
 
 impl FarmJob {
-    /// The files of the job, as pairs of name and text.
+    /// Returns the job's files for all three engines, as pairs of file name and contents.
     pub fn files(&self) -> Vec<(String, String)> {
         let mut files = vec![
             ("openjd.json".to_owned(), openjd::template(self)),
@@ -64,13 +68,13 @@ impl FarmJob {
         files
     }
 
-    /// Writes the files of the job into a folder.
+    /// Writes the job's files for all three engines into a folder.
     pub fn write(&self, folder: &Path) -> std::io::Result<()> {
         let mut files = self.files().into_iter();
         files.try_for_each(|(name, text)| write_atomically(&folder.join(name), text.as_bytes()))
     }
 
-    /// One [`FarmChunks`] of each kind of work, the first of the job's steps.
+    /// Returns one [`FarmChunks`] for each kind of work: the first in the order of the steps.
     fn kinds(&self) -> Vec<&FarmChunks> {
         let mut kinds: Vec<&FarmChunks> = Vec::new();
         for chunks in self.steps.iter().filter_map(|step| step.chunks.as_ref()) {
@@ -86,7 +90,7 @@ impl FarmJob {
 mod tests {
     use super::*;
 
-    /// A name with characters that are special in shells and in string literals.
+    /// An argument with characters that are special in shells and in string literals.
     const NAME: &str = "it's a \"$HOME\" `x` \\";
 
     fn job() -> FarmJob {
@@ -114,7 +118,7 @@ mod tests {
         job().files().into_iter().find(|(n, _)| n == name).unwrap().1
     }
 
-    /// The scripts are run without Slurm, with the variables that Slurm sets.
+    /// Runs the scripts without Slurm, with the environment variables that Slurm would set.
     #[test]
     fn slurm_scripts_give_the_arguments_as_they_are() {
         let folder = tempfile::tempdir().unwrap();

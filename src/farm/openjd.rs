@@ -1,5 +1,5 @@
-//! The template of an Open Job Description, version 2023-09 with the extension `TASK_CHUNKING`. AWS Deadline Cloud
-//! runs it; the program `openjd` runs it on one machine.
+//! Writes the job template for Open Job Description, version 2023-09 with the extension `TASK_CHUNKING`. AWS Deadline
+//! Cloud runs such templates; the program `openjd` runs them on one machine.
 
 use super::{FarmChunks, FarmJob, FarmStep};
 use serde_json::{Value, json};
@@ -25,7 +25,7 @@ pub(super) fn template(job: &FarmJob) -> String {
     format!("{template:#}\n")
 }
 
-/// Name of the job's parameter for the chunk size.
+/// Returns the name of the template's parameter for the number of parts in a chunk.
 fn parameter(chunks: &FarmChunks) -> String {
     let (initial, rest) = chunks.kind.split_at(1);
     format!("{}{rest}Chunk", initial.to_uppercase())

@@ -1,4 +1,5 @@
-//! Scripts for Slurm: one for every step, and `submit.sh`, which submits them.
+//! Writes shell scripts for the cluster scheduler Slurm: a batch script for every step, and `submit.sh`, which submits
+//! all batch scripts.
 
 use super::{FarmChunks, FarmJob, FarmStep};
 use std::fmt::Write;
@@ -12,17 +13,17 @@ fn file(step: &FarmStep) -> String {
     format!("{}.sh", step.name)
 }
 
-/// Name of the environment variable for the chunk size.
+/// Returns the name of the environment variable for the number of parts in a chunk.
 fn variable(chunks: &FarmChunks) -> String {
     format!("{}_CHUNK", chunks.kind.to_uppercase())
 }
 
-/// A word in quotes, so that the shell takes it literally.
+/// Returns a word in single quotes, escaped so that the shell takes it literally.
 fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-/// The batch script of a step. Slurm requeues it on another node if its node fails.
+/// Returns the batch script of a step. If the node that runs a task fails, Slurm runs the task again on another node.
 fn script(job: &FarmJob, step: &FarmStep) -> String {
     let words: Vec<String> = step.arguments.iter().map(|word| quoted(word)).collect();
     let mut command = format!("\"$program\" {}", words.join(" "));
@@ -91,7 +92,7 @@ fn submit(job: &FarmJob) -> String {
     text
 }
 
-/// Name of the shell variable that holds the Slurm job id of a step.
+/// Returns the name of the shell variable that holds the Slurm job id of a step.
 fn id(step: &str) -> String {
     step.replace('-', "_")
 }

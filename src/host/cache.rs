@@ -1,4 +1,4 @@
-//! Bounded caches in memory. The least recently used values are dropped first.
+//! Bounded caches in memory, which drop the least recently used values first.
 
 use super::machine::lock;
 use serde::Serialize;
@@ -7,10 +7,10 @@ use std::collections::HashMap;
 use std::hash::Hash;
 use std::sync::{Arc, Mutex};
 
-/// A cache that threads share. The costs of its values sum to at most a bound; the value that was inserted last is
-/// always cached, even if it exceeds the bound.
+/// A cache that threads can share, with a bound on the total cost of its values. If the bound is exceeded, the least
+/// recently used values are dropped. The last inserted value is always kept, even if its cost alone exceeds the bound.
 ///
-/// A value must be determined by its key. The bound then changes the time of a computation and never its result.
+/// Equal keys must have equal values. The bound then affects how long a computation takes, but never its result.
 pub struct BoundedCache<K, V> {
     max_cost: usize,
     entries: Mutex<CacheEntries<K, V>>,
@@ -19,7 +19,7 @@ pub struct BoundedCache<K, V> {
 struct CacheEntries<K, V> {
     by_key: HashMap<K, CacheEntry<V>>,
     cost: usize,
-    /// Number of uses so far, a logical clock for the order of use.
+    /// Number of uses of the cache so far. It serves as a logical clock for the order of uses.
     clock: u64,
 }
 
@@ -30,13 +30,13 @@ struct CacheEntry<V> {
 }
 
 impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
-    /// An empty cache. `max_cost` bounds the sum of the costs that are given to [`Self::insert`].
+    /// Creates an empty cache. `max_cost` bounds the sum of the costs that are given to [`Self::insert`].
     pub fn new(max_cost: usize) -> Self {
         let entries = CacheEntries { by_key: HashMap::new(), cost: 0, clock: 0 };
         Self { max_cost, entries: Mutex::new(entries) }
     }
 
-    /// The value of a key, if it is cached. It becomes the most recently used.
+    /// Returns the value of a key, and makes it the most recently used. `None` if the key isn't cached.
     pub fn get(&self, key: &K) -> Option<V> {
         let mut entries = lock(&self.entries);
         entries.clock += 1;
@@ -46,7 +46,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         Some(entry.value.clone())
     }
 
-    /// Inserts a value, then drops the least recently used values until the bound holds.
+    /// Inserts a value. Then drops the least recently used values until the total cost is within the bound.
     pub fn insert(&self, key: K, value: V, cost: usize) {
         let mut entries = lock(&self.entries);
         entries.clock += 1;
@@ -64,49 +64,49 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         }
     }
 
-    /// Drops the values whose keys fail the test.
+    /// Drops the values for whose keys `passes` returns false.
     pub fn retain(&self, passes: impl Fn(&K) -> bool) {
         let mut entries = lock(&self.entries);
         entries.by_key.retain(|key, _| passes(key));
         entries.cost = entries.by_key.values().map(|entry| entry.cost).sum();
     }
 
-    /// The sum of the costs of all cached values.
+    /// Returns the sum of the costs of all cached values.
     pub fn cost(&self) -> usize {
         lock(&self.entries).cost
     }
 }
 
-/// A cache of results of stages. Costs are the results' sizes in bytes.
+/// A cache in memory for the results of pipeline stages. The cost of a result is its size in bytes.
 ///
-/// The key is a hash of a stage's serialized inputs. Inputs that are constant while the memo exists (the capture, its
-/// clocks) may be left out.
+/// The key of a result is a hash of the stage's name and its serialized inputs. Inputs that are constant while the memo
+/// exists, such as the capture, may be left out.
 ///
-/// Threads that request the same result at once may all compute it, with equal results. No thread waits for another,
-/// because this could deadlock: inside a parallel loop, a computing thread may run the very task that would wait for
-/// it.
+/// If several threads request the same missing result at once, each thread computes it, and their results are equal. No
+/// thread waits for the result of another thread, because this could deadlock: while a thread computes a result in a
+/// parallel loop, rayon may run another task on this thread, and this task could wait for the same result.
 pub struct Memo(BoundedCache<MemoKey, Arc<dyn Any + Send + Sync>>);
 
-/// A stage's name, and the BLAKE3 hash of the name and the serialized inputs.
+/// Key of a cached result: the stage's name, and the BLAKE3 hash of the name and the serialized inputs.
 type MemoKey = (&'static str, [u8; blake3::OUT_LEN]);
 
 impl Memo {
-    /// An empty memo. All results together take at most `max_bytes`.
+    /// Creates an empty memo. All cached results together take at most `max_bytes`.
     pub fn new(max_bytes: usize) -> Self {
         Self(BoundedCache::new(max_bytes))
     }
 
-    /// Largest size of all cached results together, bytes.
+    /// Returns the maximum size of all cached results together, bytes.
     pub fn max_bytes(&self) -> usize {
         self.0.max_cost
     }
 
-    /// Size of all cached results together, bytes.
+    /// Returns the current size of all cached results together, bytes.
     pub fn bytes(&self) -> usize {
         self.0.cost()
     }
 
-    /// The cached result of a stage for these inputs; `None` if it isn't cached.
+    /// Returns the cached result of a stage for these inputs. `None` if it isn't cached.
     pub fn get<T: Any + Send + Sync>(
         &self,
         stage: &'static str,
@@ -115,7 +115,7 @@ impl Memo {
         self.0.get(&memo_key(stage, inputs))?.downcast().ok()
     }
 
-    /// Caches the result of a stage for these inputs, and returns it. `bytes` is its size.
+    /// Caches the result of a stage for these inputs, and returns the result. `bytes` is its size.
     pub fn insert<T: Any + Send + Sync>(
         &self,
         stage: &'static str,
@@ -127,7 +127,7 @@ impl Memo {
         value
     }
 
-    /// Drops the results of the stages for whose names the test is true.
+    /// Drops the results of all stages for whose names `passes` returns true.
     pub fn forget(&self, passes: impl Fn(&str) -> bool) {
         self.0.retain(|(stage, _)| !passes(stage));
     }

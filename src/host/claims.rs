@@ -1,8 +1,9 @@
 //! Work items that several processes divide among themselves, so that each item is done once. The processes may run on
-//! several machines that share a folder with file locks.
+//! several machines, if they share a folder on a file system with file locks.
 //!
-//! A process locks the file of an item while it works on the item. The file of a finished item contains a mark. If a
-//! process ends before it has finished its item, its lock ends, and the item is free again.
+//! Every item has a file in this folder. A process locks the file while it works on the item, and writes a mark into
+//! the file when the item is finished. If the process ends earlier, its lock ends too, and another process can take the
+//! item.
 //!
 //! Known limit: on file systems whose locks don't hold between machines, several machines do the same items.
 
@@ -12,22 +13,23 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Result, Write};
 use std::path::{Path, PathBuf};
 
-/// Contents of the file of a finished item.
+/// Contents of the file of a finished item. The file of an unfinished item is empty.
 const DONE: &str = "done\n";
 
-/// A folder with the files of the shared work items.
+/// A folder with one file for each work item. Several processes may share it.
 #[derive(Clone, Debug)]
 pub struct Claims {
     folder: PathBuf,
 }
 
-/// An item that this process has taken. If it is dropped without [`Self::finish`], the item is free again.
+/// A work item that this process has taken. If the claim is dropped without [`Self::finish`], other processes can take
+/// the item.
 #[derive(Debug)]
 pub struct Claim {
     file: File,
 }
 
-/// The result of an attempt to take an item.
+/// Result of an attempt to take a work item.
 #[derive(Debug)]
 pub enum Taken {
     /// The item was free, and this process has taken it.
@@ -45,13 +47,13 @@ impl Claims {
         Ok(Self { folder: folder.to_owned() })
     }
 
-    /// Takes an item, if it is free.
+    /// Takes an item, if it is free. Otherwise, returns whether it is finished or taken by another process.
     pub fn take(&self, item: usize) -> Result<Taken> {
         let path = self.folder.join(item.to_string());
         let opened =
             OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);
         let file = match opened {
-            // The folder is missing if another process has found all items done and removed it.
+            // The folder is missing if another process has found that all items are done, and has removed the folder.
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Taken::Done),
             opened => opened?,
         };
@@ -64,11 +66,12 @@ impl Claims {
         Ok(if is_done { Taken::Done } else { Taken::Mine(Claim { file }) })
     }
 
-    /// Removes the folder if no item is done, and no process works on one. To be called after work has failed.
+    /// Removes the folder, unless an item is done or a process works on an item. To be called after work has failed.
     pub fn end_unused(&self) -> Result<()> {
         for entry in std::fs::read_dir(&self.folder)? {
             let file = File::open(entry?.path())?;
-            // A process that takes an item later finds no folder, and does the item without sharing it.
+            // After the removal, other processes get [`Taken::Done`] for every item. They do the items whose results
+            // are missing without sharing them.
             if file.metadata()?.len() > 0 || file.try_lock().is_err() {
                 return Ok(());
             }
@@ -76,14 +79,15 @@ impl Claims {
         self.end()
     }
 
-    /// Removes the folder, and what killed processes left beside it. To be called after all items are done.
+    /// Removes the folder, and the temporary files that killed processes left beside it. To be called after all items
+    /// are done.
     pub fn end(&self) -> Result<()> {
         let gone = self.folder.with_extension(format!("{}.tmp", std::process::id()));
         debug_assert!(gone.file_name().is_some_and(is_temporary));
-        // Renamed first: another process then sees either all items done, or no folder.
+        // The folder is renamed before it is removed. Other processes then see either all items done, or no folder.
         ignore_absent(std::fs::rename(&self.folder, &gone))?;
         ignore_absent(std::fs::remove_dir_all(&gone))?;
-        // A process that was killed meanwhile may have left unfinished files beside it.
+        // A process that was killed may have left temporary files beside the folder.
         let beside = self.folder.parent().filter(|parent| !parent.as_os_str().is_empty());
         remove_abandoned(beside.unwrap_or(Path::new(".")));
         Ok(())
@@ -91,7 +95,7 @@ impl Claims {
 }
 
 impl Claim {
-    /// Marks the item as done.
+    /// Marks the item as finished.
     pub fn finish(mut self) -> Result<()> {
         self.file.write_all(DONE.as_bytes())?;
         self.file.sync_all()

@@ -1,17 +1,18 @@
-//! A capture's cache on disk, in `CAPTURE/.stlfr/cache/`: results that take long to compute.
+//! A capture's cache on disk, in `CAPTURE/.stlfr/cache/`, for results that take long to compute.
 //!
-//! An entry is a file `KIND/KEY`. KEY is a BLAKE3 hash of the program's version, the kind and its version, the
-//! capture's content, and the serialized inputs of the computation. The file starts with a checksum, keyed with KEY;
-//! the bytes of the result follow. It is written to a temporary file and renamed. A damaged file is noted, and treated
-//! as absent.
+//! A cached result, called *entry*, is a file `KIND/KEY`. KEY is a BLAKE3 hash of the program's version, the kind's
+//! name and version, the capture's content, and the serialized inputs of the computation. The file starts with a
+//! checksum of the result, which also depends on KEY. The bytes of the result follow. The file is written under a
+//! temporary name and then renamed. A damaged file is reported in a note, and treated as absent.
 //!
-//! Files that belong to an entry, such as the frames of a decoded video, lie beside it in the folder `KIND/KEY.files`.
+//! Additional files of an entry, such as the frames of a decoded video, are in the folder `KIND/KEY.files`.
 //!
-//! All entries together take at most [`MAX_BYTES`]; the least recently used are removed first. The cache is never
-//! accessed through a link inside of the capture. It may be deleted at any time.
+//! All entries together take at most [`MAX_BYTES`]; the least recently used entries are removed first. If a folder on
+//! the path from the capture to the entries is a symbolic link, the cache is not used. The cache may be deleted at any
+//! time.
 //!
-//! Known limits: the checksum detects damage, but no forgery. Entries that were used within [`RECENT`] are not
-//! removed, so that the cache may temporarily exceed its bound.
+//! Known limits: the checksum detects damage, but no forgery. Entries that were used within the last [`RECENT`] are not
+//! removed, so that the cache may temporarily exceed its maximum size.
 
 use super::files::{ignore_absent, link_within, read_bytes, remove_special};
 use super::machine::lock;
@@ -25,46 +26,49 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
-/// The cache's folder inside a capture.
+/// Path of the cache's folder, relative to the capture's folder.
 const FOLDER: &str = ".stlfr/cache";
 
-/// Largest size of all entries of a capture, bytes, decoded videos included.
+/// Maximum size of all entries of a capture's cache together, bytes. Decoded videos are included.
 const MAX_BYTES: u64 = 32 << 30;
 
-/// Size limit of an entry that is read, bytes.
+/// Maximum size of a cache entry's file that is read, bytes.
 const MAX_ENTRY_BYTES: u64 = 64 << 20;
 
-/// Size of an entry's file minus the size of its content, bytes: the checksum.
+/// Size of the checksum at the start of a cache entry's file, bytes.
 pub(crate) const ENTRY_OVERHEAD_BYTES: u64 = blake3::OUT_LEN as u64;
 
-/// An entry that was used within this time is not removed. The time of use is recorded with this precision.
+/// Time for which a cache entry is not removed after its last use. Times of use are recorded with this precision.
 const RECENT: Duration = Duration::from_secs(3600);
 
-/// Number of hexadecimal digits of KEY in file names.
+/// Number of hexadecimal digits of a cache entry's key that its file name contains.
 const KEY_DIGITS: usize = 32;
 
-/// Extension of the folder with the files of an entry.
+/// Extension of the folder for the additional files of a cache entry, such as the frames of a decoded video.
 const FILES_EXTENSION: &str = "files";
 
-/// A kind of cached results, listed and deleted together.
+/// A kind of cached results, such as plans. The entries of one kind are listed and deleted together.
 #[derive(Clone, Copy, Debug)]
 pub struct CacheKind {
-    /// Name of the kind's folder.
+    /// Name of the kind, and of the folder with its entries.
     pub name: &'static str,
-    /// Version, a part of the key. It is incremented when equal inputs give other results, or when the results' format
-    /// changes.
+    /// Version of this kind of results. It is part of every entry's key. It must be incremented when equal inputs give
+    /// other results, or when the format of the results changes.
     pub version: u32,
 }
 
-/// Number of a kind's entries, and their size on disk.
+/// Number of cached entries of one kind, and their size on disk.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct CacheUse {
+    /// Name of the kind.
     pub kind: String,
+    /// Number of entries.
     pub entries: usize,
+    /// Size of all entries with their additional files, bytes.
     pub bytes: u64,
 }
 
-/// The disk cache of one capture. Clones share their state.
+/// The disk cache of one capture. Clones of this value share the cache's state.
 #[derive(Clone)]
 pub struct DiskCache {
     capture: PathBuf,
@@ -72,7 +76,7 @@ pub struct DiskCache {
     shared: Arc<Shared>,
 }
 
-/// State that all clones of a cache share.
+/// State that all clones of a [`DiskCache`] share.
 struct Shared {
     max_bytes: u64,
     note: Box<dyn Fn(&str) + Send + Sync>,
@@ -81,19 +85,19 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    /// Kinds whose folders were cleared of the temporary files of killed processes.
+    /// Kinds from whose folders this process has removed the temporary files of killed processes.
     cleared: BTreeSet<&'static str>,
-    /// Damaged entries that were noted already.
+    /// Paths of damaged cache entries that have already been reported in a note.
     noted: BTreeSet<PathBuf>,
-    /// Entries whose files this process uses. They are not removed.
+    /// Paths of cache entries that this process uses, and therefore does not remove.
     pinned: BTreeSet<PathBuf>,
-    /// Size of all entries, bytes; `None` before they are counted.
+    /// Size of all cache entries together, bytes. `None` if they have not been counted yet.
     bytes: Option<u64>,
-    /// Size of all entries, bytes, above which entries are removed.
+    /// Limit of the size of all cache entries together, bytes. If it is exceeded, entries are removed.
     limit: u64,
 }
 
-/// An entry on disk, with its files.
+/// A cache entry found on disk. Its size includes its additional files.
 struct Found {
     path: PathBuf,
     bytes: u64,
@@ -101,8 +105,8 @@ struct Found {
 }
 
 impl DiskCache {
-    /// Opens the disk cache of the capture in a folder. Keys don't depend on the capture's content; for this, see
-    /// [`Self::for_content`]. `note` receives a sentence for each damaged entry.
+    /// Opens the disk cache of the capture in the folder `capture`. Keys of entries don't depend on the capture's
+    /// content, unless [`Self::for_content`] is called. `note` receives a sentence for each damaged entry.
     pub fn new(capture: &Path, note: impl Fn(&str) + Send + Sync + 'static) -> Self {
         Self::bounded(capture, MAX_BYTES, note)
     }
@@ -117,12 +121,12 @@ impl DiskCache {
         Self { capture: capture.to_owned(), content: String::new(), shared }
     }
 
-    /// The same cache, with keys that depend on the capture's content. `content` is the content's hash.
+    /// Returns the same cache with keys that depend on the capture's content. `content` is a hash of this content.
     pub fn for_content(&self, content: &str) -> Self {
         Self { content: content.to_owned(), ..self.clone() }
     }
 
-    /// The key of an entry, from its kind and inputs.
+    /// Returns the key of a cache entry, from its kind and inputs.
     ///
     /// # Errors
     /// If the inputs can't be serialized as JSON.
@@ -137,13 +141,14 @@ impl DiskCache {
         self.capture.join(FOLDER)
     }
 
-    /// The symbolic link on the way to a kind's entries, inside of the capture; `None` if there is none. The cache is
-    /// not accessed through it.
+    /// Returns the innermost symbolic link on the path from the capture's folder to the folder of a kind. `None` if
+    /// there is no link. If there is one, the cache of this kind is not used.
     pub fn link(&self, kind: CacheKind) -> Option<PathBuf> {
         link_within(&self.capture, &self.folder().join(kind.name))
     }
 
-    /// The path and the key of an entry.
+    /// Returns the path and the key of a cache entry. The first call for a kind removes the temporary files of killed
+    /// processes.
     fn entry(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<(PathBuf, blake3::Hash)> {
         if let Some(link) = self.link(kind) {
             return Err(Error::other(format!("{} is a link", link.display())));
@@ -156,32 +161,32 @@ impl DiskCache {
         Ok((folder.join(&key.to_hex()[..KEY_DIGITS]), key))
     }
 
-    /// The path of an entry's file.
+    /// Returns the path of a cache entry's file.
     ///
     /// # Errors
-    /// If a link is on the path to the cache.
+    /// If a folder on the path from the capture to the entry is a symbolic link.
     pub fn path(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<PathBuf> {
         Ok(self.entry(kind, inputs)?.0)
     }
 
-    /// The folder for the files of an entry. The caller creates it before it saves the entry, and checks the files in
-    /// it.
+    /// Returns the path of the folder for the additional files of a cache entry. The caller must create this folder
+    /// before it saves the entry. The caller must also check these files, because the cache doesn't.
     ///
     /// # Errors
-    /// As [`Self::path`].
+    /// The errors of [`Self::path`].
     pub fn files(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<PathBuf> {
         Ok(self.path(kind, inputs)?.with_extension(FILES_EXTENSION))
     }
 
-    /// Removes an entry and its files, if they exist.
+    /// Removes a cache entry and its additional files, if they exist.
     ///
     /// # Errors
-    /// If they can't be removed, or a link is on the path to the cache.
+    /// If they can't be removed, or if a folder on the path from the capture to the entry is a symbolic link.
     pub fn remove(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<()> {
         remove(&self.path(kind, inputs)?)
     }
 
-    /// The bytes of an entry; `None` if it is absent or damaged.
+    /// Returns the bytes of a cache entry. `None` if the entry is absent or damaged.
     pub fn load(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Vec<u8>> {
         let (path, key) = self.entry(kind, inputs).ok()?;
         let found = path.symlink_metadata().ok()?;
@@ -193,10 +198,10 @@ impl DiskCache {
         content
     }
 
-    /// Writes the bytes of an entry; returns the file's size.
+    /// Writes the bytes of a cache entry. Returns the size of the entry's file in bytes.
     ///
     /// # Errors
-    /// If the entry can't be written. Callers continue without it, because a capture may be read-only.
+    /// If the entry can't be written. Callers continue without the cache, because a capture may be read-only.
     pub fn save(&self, kind: CacheKind, inputs: &impl Serialize, content: &[u8]) -> Result<u64> {
         let (path, key) = self.entry(kind, inputs)?;
         let bytes = [checksum(&key, content).as_bytes(), content].concat();
@@ -207,7 +212,7 @@ impl DiskCache {
         Ok(size)
     }
 
-    /// The value of an entry that was saved as JSON; `None` if it is absent or damaged.
+    /// Returns the value of a cache entry that was saved as JSON. `None` if the entry is absent or damaged.
     pub fn load_json<T: DeserializeOwned>(
         &self,
         kind: CacheKind,
@@ -220,10 +225,10 @@ impl DiskCache {
         value
     }
 
-    /// Writes a value as indented JSON; returns the file's size.
+    /// Writes a value as indented JSON into a cache entry. Returns the size of the entry's file in bytes.
     ///
     /// # Errors
-    /// As [`Self::save`].
+    /// The errors of [`Self::save`].
     pub fn save_json(
         &self,
         kind: CacheKind,
@@ -235,7 +240,7 @@ impl DiskCache {
         self.save(kind, inputs, &content)
     }
 
-    /// Notes once that an entry is damaged.
+    /// Reports in a note that a cache entry is damaged, once for each path.
     pub fn note_damage(&self, path: &Path) {
         if lock(&self.shared.state).noted.insert(path.to_owned()) {
             let path = path.display();
@@ -245,12 +250,14 @@ impl DiskCache {
         }
     }
 
-    /// Marks an entry as in use, so that this process doesn't remove it.
+    /// Marks a cache entry as used by this process, so that this process doesn't remove it. `path` is the path of its
+    /// file.
     pub fn pin(&self, path: &Path) {
         lock(&self.shared.state).pinned.insert(path.to_owned());
     }
 
-    /// Records the time of use, as modification time of the entry's file.
+    /// Records the current time as the time of a cache entry's last use: sets the modification time of its file. A
+    /// recorded time within the last [`RECENT`] is left unchanged.
     fn mark_used(&self, path: &Path, found: &Metadata) {
         let now = SystemTime::now();
         let is_recent = |t| now.duration_since(t).is_ok_and(|age| age < RECENT);
@@ -260,22 +267,24 @@ impl DiskCache {
         }
     }
 
-    /// Adds to the total size. If the total exceeds the limit, removes entries.
+    /// Adds the size of a new cache entry to the total size. If the total exceeds the limit, removes entries.
     fn add(&self, bytes: u64) {
         let mut state = lock(&self.shared.state);
         let all = || self.found().values().flatten().map(|entry| entry.bytes).sum();
         let mut total = state.bytes.map_or_else(all, |total| total + bytes);
         if total > state.limit {
             total = self.shrink(&state.pinned);
-            // Entries in use can't be removed. The next removal waits until the total has grown enough to make another
-            // search worthwhile.
+            // Entries in use are not removed, so that the total may still be too large. The limit is then raised,
+            // because another search is worthwhile only after the total has grown.
             let max_bytes = self.shared.max_bytes;
             state.limit = max_bytes.max(total + max_bytes / 16);
         }
         state.bytes = Some(total);
     }
 
-    /// Removes the least recently used entries until the bound holds; returns the size of the remaining ones, bytes.
+    /// Removes the least recently used cache entries until the remaining ones fit into the maximum size. Entries that
+    /// were used within the last [`RECENT`] are kept, as are those with the paths `pinned`. Returns the size of the
+    /// remaining entries, bytes.
     fn shrink(&self, pinned: &BTreeSet<PathBuf>) -> u64 {
         let mut entries: Vec<Found> = self.found().into_values().flatten().collect();
         entries.sort_by_key(|entry| entry.used);
@@ -293,12 +302,12 @@ impl DiskCache {
         left
     }
 
-    /// Whether the folder of a kind exists, so that there may be entries.
+    /// Returns whether the folder of a kind exists. Without it, there are no entries of this kind.
     pub fn has(&self, kind: CacheKind) -> bool {
         self.link(kind).is_none() && self.folder().join(kind.name).is_dir()
     }
 
-    /// All entries by kind.
+    /// Returns all cache entries on disk, grouped by the names of their kinds.
     fn found(&self) -> BTreeMap<String, Vec<Found>> {
         let folder = self.folder();
         if link_within(&self.capture, &folder).is_some() {
@@ -314,7 +323,7 @@ impl DiskCache {
         kinds.filter_map(of_kind).collect()
     }
 
-    /// Number and size of the entries, by kind.
+    /// Returns the number and the size of the cache entries of each kind.
     pub fn listing(&self) -> Vec<CacheUse> {
         let of_kind = |(kind, found): (String, Vec<Found>)| CacheUse {
             kind,
@@ -324,10 +333,12 @@ impl DiskCache {
         self.found().into_iter().map(of_kind).collect()
     }
 
-    /// Deletes the entries of one kind, or of all kinds; returns their number and size.
+    /// Deletes the cache entries of one kind; of all kinds if `kind` is `None`. Returns the number and the size of the
+    /// deleted entries.
     ///
     /// # Errors
-    /// If they can't be deleted, or a link is on the path to them.
+    /// If the entries can't be deleted, if `kind` is no folder name, or if a folder on the path from the capture to the
+    /// entries is a symbolic link.
     pub fn delete(&self, kind: Option<&str>) -> Result<CacheUse> {
         let folder = kind.map_or(self.folder(), |kind| self.folder().join(kind));
         if kind.is_some_and(|kind| !is_name(kind)) {
@@ -357,14 +368,15 @@ fn checksum(key: &blake3::Hash, content: &[u8]) -> blake3::Hash {
     blake3::keyed_hash(key.as_bytes(), content)
 }
 
-/// Reads an entry's file, and returns the content; `None` if its checksum doesn't match the key.
+/// Reads a cache entry's file, and returns the bytes after the checksum. `None` if the file can't be read, or if its
+/// checksum is wrong for the key and these bytes.
 fn unsealed(path: &Path, key: &blake3::Hash) -> Option<Vec<u8>> {
     let mut bytes = read_bytes(path, MAX_ENTRY_BYTES).ok()?;
     let (found, content) = bytes.split_first_chunk::<{ blake3::OUT_LEN }>()?;
     (*found == *checksum(key, content).as_bytes()).then(|| bytes.split_off(blake3::OUT_LEN))
 }
 
-/// Whether a text is a file name without a path.
+/// Returns whether a text is a file name without a path.
 fn is_name(text: &str) -> bool {
     matches!(Path::new(text).components().collect::<Vec<_>>()[..], [Component::Normal(name)] if name == text)
 }
@@ -374,7 +386,8 @@ fn folder_bytes(folder: &Path) -> u64 {
     files.filter_map(|file| file.metadata().ok()).map(|found| found.len()).sum()
 }
 
-/// The entries in a kind's folder, each with its files. Files without an entry are listed too.
+/// Returns the cache entries in the folder of a kind. A folder of additional files without an entry's file counts as an
+/// entry.
 fn entries(folder: &Path) -> Vec<Found> {
     let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
     for item in std::fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -397,7 +410,7 @@ fn entries(folder: &Path) -> Vec<Found> {
     found.into_values().collect()
 }
 
-/// Removes an entry's file, and then the folder of its files.
+/// Removes a cache entry: its file, and then the folder of its additional files. `path` is the path of the file.
 fn remove(path: &Path) -> Result<()> {
     ignore_absent(std::fs::remove_file(path))?;
     let files = path.with_extension(FILES_EXTENSION);

@@ -1,4 +1,4 @@
-//! Hashes of files. They are cached on disk; files are hashed again only after one has changed.
+//! Hashes of sets of files. They are cached on disk, and computed again only after a file of the set has changed.
 
 use super::disk_cache::{CacheKind, DiskCache};
 use super::files::{FileRead, FileState, open_file};
@@ -10,11 +10,12 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 const HASHES: CacheKind = CacheKind { name: "hashes", version: 2 };
 
-/// Minimum age of a file whose times are reliable. A younger file may change again without a change of its times,
-/// whose resolution is 2 s on FAT.
+/// Minimum time since a file's last change for which the file's recorded times are reliable. A younger file may change
+/// again without a change of its times, whose resolution is 2 s on the file system FAT.
 const SETTLED: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 3000 });
 
-/// Whether the file is old enough ([`SETTLED`]) that every later change will change its state.
+/// Returns whether a file has been unchanged for longer than [`SETTLED`]. If so, every later change of the file also
+/// changes the file's state.
 fn is_settled(state: &FileState) -> bool {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let latest = now.as_nanos() as i128 - SETTLED.as_nanos() as i128;
@@ -22,7 +23,8 @@ fn is_settled(state: &FileState) -> bool {
     1_000_000_000 * i128::from(s) + i128::from(ns) < latest
 }
 
-/// Hashes all bytes of an open file. The state is `None` if the file changed while it was read.
+/// Returns the hash of all bytes of an open file, and the file's state. The state is `None` if the file changed while
+/// it was read.
 fn hash_open(mut file: &File) -> Result<(blake3::Hash, Option<FileState>)> {
     file.rewind()?;
     let before = FileState::of(&file.metadata()?);
@@ -32,19 +34,20 @@ fn hash_open(mut file: &File) -> Result<(blake3::Hash, Option<FileState>)> {
     Ok((hasher.finalize(), Some(after).filter(|after| *after == before)))
 }
 
-/// The hash of a file's bytes.
+/// Returns the hash of a file's bytes.
 pub(crate) fn file_hash(path: &Path) -> Result<blake3::Hash> {
     Ok(hash_open(&open_file(path)?)?.0)
 }
 
-/// A file that another program reads, and that must not change meanwhile.
+/// A file that this process holds open while another program reads it. The file must not change until the other program
+/// has read it, which [`Self::is_unchanged`] checks.
 pub(crate) struct HeldFile {
     pub file: File,
     read: FileRead,
 }
 
 impl HeldFile {
-    /// Opens and hashes a file; `None` if its bytes don't have this hash.
+    /// Opens and hashes a file. `None` if its hash differs from `hash`, or if the file changed while it was read.
     pub fn open(path: &Path, hash: blake3::Hash) -> Result<Option<Self>> {
         let file = open_file(path)?;
         let (found, state) = hash_open(&file)?;
@@ -52,17 +55,18 @@ impl HeldFile {
         Ok(state.and_then(is_same).map(|read| Self { file, read }))
     }
 
-    /// Whether the file has not changed at any time since it was opened.
+    /// Hashes the file again, and returns whether the file has not changed since it was opened.
     pub fn is_unchanged(&self) -> Result<bool> {
         let (hash, state) = hash_open(&self.file)?;
         Ok(hash == self.read.hash && state == Some(self.read.state))
     }
 }
 
-/// The hash and the state of every file. Hashes come from the cache if no file has changed since they were stored.
+/// Returns the hash and the state of every file. The hashes come from the cache if no file has changed since they were
+/// cached.
 ///
 /// # Errors
-/// The first error in the order of `files`, with the file's index.
+/// The error of the first file that can't be read, in the order of `files`, with the file's index.
 pub(crate) fn file_hashes(
     cache: &DiskCache,
     files: &[&Path],
@@ -88,7 +92,7 @@ pub(crate) fn file_hashes(
         });
         read.map_err(|error| (k, error))
     };
-    // In the order of the files, so that the first error is that of the first file.
+    // The results are in the order of the files, so that the returned error is that of the first file that failed.
     let found: Vec<_> = files.par_iter().enumerate().map(hash).collect();
     let found = found.into_iter().collect::<std::result::Result<Vec<_>, _>>()?;
     let (found, unchanged): (Vec<FileRead>, Vec<Option<FileState>>) = found.into_iter().unzip();
@@ -123,7 +127,8 @@ mod tests {
         let wait = || std::thread::sleep(2 * SETTLED);
         assert_eq!(found().unwrap_err().0, 0);
         files.iter().for_each(|file| write(file, "1"));
-        // Just written, the files may change again within the resolution of their times. They are not cached.
+        // The files were just written. They may change again within the resolution of their times, and are therefore
+        // not cached.
         assert!(found().unwrap() == hashes(["1", "1"]) && cached() == 0);
         wait();
         for _ in 0..2 {
@@ -138,7 +143,7 @@ mod tests {
         assert_eq!(found().unwrap(), said);
         cache.save(HASHES, &states, &bytes[1..]).unwrap();
         assert_eq!(found().unwrap(), hashes(["1", "1"]), "too few");
-        // The same size, and the old modification time restored.
+        // The file gets new bytes of the same size, and its old modification time.
         let before = files[1].metadata().unwrap().modified().unwrap();
         write(&files[1], "2");
         let file = File::options().write(true).open(&files[1]).unwrap();

@@ -1,5 +1,5 @@
-//! Files at untrusted paths. Only regular files up to a size limit are read, so that a device, a pipe or a huge file
-//! neither blocks nor exhausts the memory. Outputs replace only regular files.
+//! Access to files at untrusted paths. Only regular files up to a size limit are read, because a device or a pipe could
+//! block, and a huge file could exhaust the memory. Output files replace only regular files.
 
 use serde::Serialize;
 use std::fs::{File, FileType, Metadata, OpenOptions};
@@ -7,8 +7,11 @@ use std::io::{Error, ErrorKind, Read, Result};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
-/// Opens a regular file for reading. Links are followed. For anything else, the error names its kind. Opening never
-/// blocks.
+/// Opens a regular file for reading. Symbolic links are followed. Opening never blocks.
+///
+/// # Errors
+/// If the file can't be opened, or if it is not a regular file. The error then says what it is, such as a folder or a
+/// pipe.
 pub fn open_file(path: &Path) -> Result<File> {
     must_be_regular(&std::fs::metadata(path)?)?;
     // After this check, the file may be replaced by a pipe. Opening a pipe without `O_NONBLOCK` waits for a writer.
@@ -18,14 +21,14 @@ pub fn open_file(path: &Path) -> Result<File> {
     Ok(file)
 }
 
-/// Opens a regular file of at most `max_bytes`; returns the file and its length.
+/// Opens a regular file of at most `max_bytes`. Returns the open file and its length in bytes.
 pub fn open_bounded(path: &Path, max_bytes: u64) -> Result<(File, u64)> {
     let file = open_file(path)?;
     let bytes = file.metadata()?.len();
     if bytes > max_bytes { Err(too_large(max_bytes)) } else { Ok((file, bytes)) }
 }
 
-/// Reads a regular file of at most `max_bytes`. The size is checked before any byte is read.
+/// Reads the bytes of a regular file. A file of more than `max_bytes` is an error, and is not read.
 pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
     let (mut file, length) = open_bounded(path, max_bytes)?;
     read_open(&mut file, length, max_bytes)
@@ -38,9 +41,10 @@ fn read_open(file: &mut File, length: u64, max_bytes: u64) -> Result<Vec<u8>> {
     if bytes.len() as u64 > max_bytes { Err(too_large(max_bytes)) } else { Ok(bytes) }
 }
 
-/// State of a file, by which a change is detected, as in Git's index: device, inode, size, and the times of the last
-/// change of content (mtime) and of metadata (ctime). Every change of content changes the state, unless it is within
-/// the resolution of the times.
+/// State of a file, by which a change of its content is detected. As in Git's index, the state consists of device,
+/// inode and size, the time of the last change of content (mtime), and the time of the last change of metadata (ctime).
+/// Times are seconds and nanoseconds. Two changes of content within the resolution of these times may give equal
+/// states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct FileState([u64; 3], [i64; 2], [i64; 2]);
 
@@ -50,26 +54,26 @@ impl FileState {
         Self(identity, [found.mtime(), found.mtime_nsec()], [found.ctime(), found.ctime_nsec()])
     }
 
-    /// Whether size and modification time are equal. Permissions and inode may differ; some network file systems
-    /// change inode numbers.
+    /// Returns whether both states have the same size and modification time. The inode is not compared, because some
+    /// network file systems change inode numbers. The permissions are not compared either.
     pub fn has_content_of(&self, other: &Self) -> bool {
         (self.0[2], self.1) == (other.0[2], other.1)
     }
 
-    /// The later of the modification time and the change time of metadata: seconds and nanoseconds.
+    /// Returns the later of the two times of change, of content and of metadata, as seconds and nanoseconds.
     pub fn changed(&self) -> [i64; 2] {
         self.1.max(self.2)
     }
 }
 
-/// The hash of a file's bytes, and the file's state after they were read.
+/// Hash of a file's bytes, and the file's state after they were read.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FileRead {
     pub hash: blake3::Hash,
     pub state: FileState,
 }
 
-/// Reads a regular file of at most `max_bytes`; returns its bytes, with their hash and the file's state.
+/// Reads a regular file of at most `max_bytes`. Returns its bytes, with their hash and the file's state.
 pub(crate) fn read_hashed(path: &Path, max_bytes: u64) -> Result<(Vec<u8>, FileRead)> {
     let (mut file, length) = open_bounded(path, max_bytes)?;
     let bytes = read_open(&mut file, length, max_bytes)?;
@@ -77,7 +81,7 @@ pub(crate) fn read_hashed(path: &Path, max_bytes: u64) -> Result<(Vec<u8>, FileR
     Ok((bytes, read))
 }
 
-/// Reads a regular file of at most `max_bytes` as UTF-8.
+/// Reads a regular file of at most `max_bytes` as UTF-8 text.
 pub fn read_text(path: &Path, max_bytes: u64) -> Result<String> {
     String::from_utf8(read_bytes(path, max_bytes)?)
         .map_err(|_| Error::new(ErrorKind::InvalidData, "is no text in UTF-8"))
@@ -108,15 +112,15 @@ fn too_large(max_bytes: u64) -> Error {
     Error::new(ErrorKind::InvalidData, format!("is larger than {limit}, the maximum"))
 }
 
-/// Why no file can be written at a path: something that isn't a regular file exists there. `None` if writing is
-/// possible.
+/// Returns the reason why no file can be written at a path, such as `is a pipe`: something other than a regular file is
+/// there. `None` if a file can be written.
 pub fn obstacle(path: &Path) -> Option<String> {
     let found = path.symlink_metadata().ok()?.file_type();
     let reason = if found.is_dir() { "" } else { ", which is not written over" };
     (!found.is_file()).then(|| format!("is {}{reason}", file_kind(found)))
 }
 
-/// The kind of a file that isn't regular, with its article: `a pipe`.
+/// Returns the kind of a file that isn't regular, with an article, such as `a pipe`.
 fn file_kind(found: FileType) -> &'static str {
     if found.is_symlink() {
         "a link"
@@ -131,7 +135,8 @@ fn file_kind(found: FileType) -> &'static str {
     }
 }
 
-/// Removes a link, a pipe, a socket or a device. Links are not followed. Regular files and folders are not removed.
+/// Removes a symbolic link, a pipe, a socket or a device. The target of a link is not removed. Regular files and
+/// folders are not removed.
 pub(crate) fn remove_special(path: &Path) -> Result<()> {
     match path.symlink_metadata() {
         Ok(found) if !found.is_file() && !found.is_dir() => std::fs::remove_file(path),
@@ -139,7 +144,7 @@ pub(crate) fn remove_special(path: &Path) -> Result<()> {
     }
 }
 
-/// The result of removing a file; a file that doesn't exist counts as removed.
+/// Returns the result of removing a file, with success in place of the error that the file doesn't exist.
 pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
     match removal {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
@@ -147,15 +152,18 @@ pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
     }
 }
 
-/// The innermost symbolic link among `path` and its parent folders inside of `root`; `None` if there is none. Files
-/// outside of `root` would be reached through it.
+/// Returns the innermost symbolic link among `path` and its parent folders inside of `root`. `None` if there is no
+/// link. A link may lead to files outside of `root`.
 pub(crate) fn link_within(root: &Path, path: &Path) -> Option<PathBuf> {
     let is_link = |path: &&Path| path.symlink_metadata().is_ok_and(|m| m.is_symlink());
     path.ancestors().take_while(|p| *p != root).find(is_link).map(Path::to_owned)
 }
 
-/// The path of a file in an output folder. An error if the file, or a folder between it and `root`, is a link, which
-/// leads to files elsewhere. The output folder `root` itself may be a link.
+/// Returns the path of the file `name` in the output folder `root`.
+///
+/// # Errors
+/// If the file, or a folder between the file and `root`, is a symbolic link. Links may lead to files elsewhere. `root`
+/// itself may be a link.
 pub(crate) fn beneath(root: &Path, name: &str) -> Result<PathBuf> {
     let path = root.join(name);
     match link_within(root, &path) {
@@ -202,7 +210,7 @@ mod tests {
                 format!("is larger than {words}, the maximum")
             );
         }
-        // A file that states a length of 0.
+        // A file whose stated length is 0.
         assert!(read_bytes(Path::new("/proc/self/status"), 16).is_err());
         assert!(!read_bytes(Path::new("/proc/self/status"), 1 << 20).unwrap().is_empty());
         std::fs::write(&file, [0xff]).unwrap();

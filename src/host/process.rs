@@ -1,5 +1,5 @@
-//! Child processes. Each has its own process group. The group is ended by SIGTERM, and after a grace period by
-//! SIGKILL, when its [`Process`] is dropped or when a signal ends the program.
+//! Child processes. Each child has its own process group. When its [`Process`] is dropped, or when a signal ends the
+//! program, the group is ended: by SIGTERM, and after a grace period by SIGKILL.
 
 use super::machine::lock;
 use std::collections::BTreeSet;
@@ -10,32 +10,32 @@ use std::sync::Mutex;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Time between SIGTERM and SIGKILL.
+/// Time between SIGTERM and SIGKILL when a process group is ended.
 const GRACE: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 5 });
 
-/// Ids of the running children, which are also the ids of their groups.
+/// Process ids of the running children. They are also the ids of the children's process groups.
 static RUNNING: Mutex<BTreeSet<i32>> = Mutex::new(BTreeSet::new());
 
-/// A running child process. Dropping it ends the child's group and waits for the end. If this process is killed, the
-/// child receives SIGTERM too (Linux only).
+/// A running child process. Dropping this value ends the child's process group, and waits until the child has ended. On
+/// Linux, the child also receives SIGTERM if this process is killed.
 pub(crate) struct Process {
     child: Child,
     id: i32,
     stderr: Option<JoinHandle<String>>,
 }
 
-/// Exit status of a child, and its error output.
+/// Exit status and error output of a child process that has ended.
 pub(crate) struct Ended {
     pub status: ExitStatus,
     pub stderr: String,
 }
 
 impl Process {
-    /// Starts a command. Its stdout is piped to this process; its stderr is collected.
+    /// Starts a command in a new process group. Its stdout is piped to this process. Its stderr is collected.
     pub fn start(command: &mut Command, stdin: Stdio) -> Result<Self> {
         end_with_parent(command);
         command.process_group(0).stdin(stdin).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // The mutex is held, so that a signal handler finds no child that isn't listed.
+        // The mutex is locked until the child is in the list, so that a signal handler knows every running child.
         let mut running = lock(&RUNNING);
         let mut child = command.spawn()?;
         let id = child.id().cast_signed();
@@ -52,12 +52,12 @@ impl Process {
         Ok(Self { child, id, stderr })
     }
 
-    /// The child's standard input, if it was piped and not taken before.
+    /// Takes the child's standard input. `None` if it was not piped, or if it was taken before.
     pub fn take_stdin(&mut self) -> Option<ChildStdin> {
         self.child.stdin.take()
     }
 
-    /// Waits until the child has ended.
+    /// Waits until the child has ended. Returns its exit status and its stderr.
     pub fn wait(mut self) -> Result<Ended> {
         let status = self.child.wait()?;
         let stderr = self.stderr.take().and_then(|t| t.join().ok()).unwrap_or_default();
@@ -76,14 +76,16 @@ impl Drop for Process {
     }
 }
 
-/// Ends all children of this process, and lets no new one start. The caller then ends the process.
+/// Ends all children of this process, and prevents new children from starting. The caller must end this process
+/// afterwards.
 pub(super) fn end_all() {
     let running = lock(&RUNNING);
     end_groups(running.iter().copied());
     std::mem::forget(running);
 }
 
-/// Ends the groups of children that haven't been waited for, first by SIGTERM, then by SIGKILL.
+/// Ends process groups. Sends SIGTERM, waits until the children have ended, but no longer than [`GRACE`], and then
+/// sends SIGKILL to end the rest of each group. `ids` are the ids of children for which this process hasn't waited yet.
 fn end_groups(ids: impl IntoIterator<Item = i32> + Clone) {
     let signal = |id: i32, signal| {
         // SAFETY: the arguments are plain numbers. A group that doesn't exist is an error without effect.
@@ -97,17 +99,18 @@ fn end_groups(ids: impl IntoIterator<Item = i32> + Clone) {
     ids.into_iter().for_each(|id| signal(id, libc::SIGKILL));
 }
 
-/// Whether a child of this process is running. Its exit status remains available to `wait`.
+/// Returns whether a child of this process is running. The child's exit status remains available to `wait`.
 fn is_running(id: i32) -> bool {
     let flags = libc::WEXITED | libc::WNOHANG | libc::WNOWAIT;
-    // SAFETY: a structure of zeros is valid, and the call fills it in.
+    // SAFETY: the structure is valid when all of its bytes are 0, and the call fills it in.
     unsafe {
         let mut state: libc::siginfo_t = std::mem::zeroed();
         libc::waitid(libc::P_PID, id.cast_unsigned(), &mut state, flags) == 0 && state.si_pid() == 0
     }
 }
 
-/// Runs a command to its end, with an empty stdin. `on_line` is called with every line of its stdout.
+/// Runs a command to its end, with an empty stdin. Calls `on_line` with every line of the command's stdout. Returns the
+/// exit status and the stderr.
 pub(crate) fn run(command: &mut Command, mut on_line: impl FnMut(&str)) -> Result<Ended> {
     let mut process = Process::start(command, Stdio::null())?;
     if let Some(stdout) = process.child.stdout.take() {
@@ -121,8 +124,8 @@ pub(crate) fn run(command: &mut Command, mut on_line: impl FnMut(&str)) -> Resul
     process.wait()
 }
 
-/// Asks the kernel to end the child when the thread that starts it ends. All callers wait for the child on this
-/// thread.
+/// Makes the kernel send SIGTERM to the child when the thread that started the child ends. As long as this process
+/// runs, that thread outlives the child, because all callers wait on it until the child has ended.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
     // SAFETY: between fork and exec only async-signal-safe functions may run; prctl is one.

@@ -1,10 +1,11 @@
-//! Atomic writing of files and folders: they are written into a temporary folder beside their target, then renamed.
+//! Atomic writing of files and folders: they are written into a temporary folder beside their target, and then renamed.
 //!
-//! A process holds a lock on each of its temporary folders. The lock of a killed process ends, on whatever container
-//! or machine it ran. The next process that writes into the same folder removes the unlocked temporary folders. If a
-//! signal ends the program, the program removes its own first ([`remove_unfinished_on_signals`]).
+//! A process holds a lock on each of its temporary folders. If the process is killed, its locks end, even if it ran in
+//! another container or on another machine. The next process that writes into the same parent folder removes the
+//! temporary folders without a lock. If a signal ends the program, the program first removes its own temporary folders
+//! ([`remove_unfinished_on_signals`]).
 //!
-//! Known limit: on file systems without locks, the folders of killed processes remain.
+//! Known limit: on file systems without locks, the temporary folders of killed processes remain.
 
 use super::files::obstacle;
 use super::machine::lock;
@@ -24,31 +25,33 @@ use std::sync::Mutex;
 const PREFIX: &str = ".stlfr-";
 const SUFFIX: &str = ".tmp";
 
-/// Maximum number of attempts to remove a folder into which a child process still writes.
+/// Maximum number of attempts to remove a folder while a child process still writes into it.
 const REMOVALS: usize = 100;
 
-/// The temporary folders of this process.
+/// Temporary folders that this process has created.
 struct Begun {
     folders: BTreeSet<PathBuf>,
-    /// Number of folders created so far. It makes their names unique.
+    /// Number of temporary folders created so far. It makes their names unique.
     count: u64,
-    /// Folders from which the temporary folders of killed processes were removed.
+    /// Parent folders from which this process has removed the temporary folders of killed processes.
     cleared: BTreeSet<PathBuf>,
 }
 
 static BEGUN: Mutex<Begun> =
     Mutex::new(Begun { folders: BTreeSet::new(), count: 0, cleared: BTreeSet::new() });
 
-/// A temporary folder. It is removed with its contents when it is dropped, or when a signal ends the program.
+/// A temporary folder. It is removed with its contents when this value is dropped, or when a signal ends the program.
 pub(crate) struct Temporary {
     path: PathBuf,
-    /// The open folder, which holds the lock.
+    /// Open handle of the folder, which holds the lock on it.
     _lock: File,
 }
 
 impl Temporary {
-    /// Creates a temporary folder beside `target`, on the same disk. Missing parent folders are created. An error if
-    /// `target` exists and isn't a regular file.
+    /// Creates a temporary folder beside `target`, on the same disk. Missing parent folders are created.
+    ///
+    /// # Errors
+    /// If `target` exists and isn't a regular file, or if the folder can't be created.
     pub fn for_file(target: &Path) -> Result<Self> {
         if let Some(obstacle) = obstacle(target) {
             return Err(Error::new(ErrorKind::InvalidInput, obstacle));
@@ -60,7 +63,7 @@ impl Temporary {
         Self::inside(parent.unwrap_or(Path::new(".")))
     }
 
-    /// Creates a temporary folder inside `folder`, which is created if it is missing.
+    /// Creates a temporary folder inside `folder`. Creates `folder` too if it is missing.
     pub fn inside(folder: &Path) -> Result<Self> {
         std::fs::create_dir_all(folder)?;
         // The path is absolute, so that the removal after a signal doesn't depend on the working directory.
@@ -68,14 +71,14 @@ impl Temporary {
         if lock(&BEGUN).cleared.insert(folder.clone()) {
             remove_abandoned(&folder);
         }
-        // The mutex is held, so that a signal handler finds no folder that isn't listed.
+        // The mutex is locked until the folder is in the list, so that a signal handler knows every temporary folder.
         let mut begun = lock(&BEGUN);
         loop {
             let name = format!("{PREFIX}{}-{}{SUFFIX}", std::process::id(), begun.count);
             begun.count += 1;
             let path = folder.join(name);
             match std::fs::create_dir(&path) {
-                // The name is that of a process with the same id in another container, or of a killed one.
+                // A folder with this name exists. Its process has the same id in another container, or was killed.
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
                 created => created?,
             }
@@ -84,7 +87,7 @@ impl Temporary {
                     begun.folders.insert(path.clone());
                     return Ok(Self { path, _lock: lock });
                 }
-                // Before this process had locked the new folder, another one took it for abandoned.
+                // Another process took the new folder for abandoned before this process had locked it.
                 Ok(None) => {}
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
                 Err(error) => {
@@ -99,8 +102,8 @@ impl Temporary {
         &self.path
     }
 
-    /// Flushes a file or folder of the temporary folder to the disk, and moves it to `target`. A file may replace a
-    /// file, and a folder an empty folder.
+    /// Flushes a file or folder in the temporary folder to the disk, and moves it to `target`. A file may replace a
+    /// file, and a folder may replace an empty folder.
     pub fn place(&self, name: &str, target: &Path) -> Result<()> {
         let whole = self.path.join(name);
         File::open(&whole)?.sync_all()?;
@@ -116,7 +119,8 @@ impl Drop for Temporary {
     }
 }
 
-/// Locks a new folder. `None` if another process has locked or replaced it before.
+/// Locks a new folder. Returns its open handle, which holds the lock. `None` if another process has locked or replaced
+/// the folder before.
 fn locked(path: &Path) -> Result<Option<File>> {
     let folder = File::open(path)?;
     if matches!(folder.try_lock(), Err(TryLockError::WouldBlock)) {
@@ -126,24 +130,25 @@ fn locked(path: &Path) -> Result<Option<File>> {
     Ok(is_own.then_some(folder))
 }
 
-/// Removes a folder with its contents. It tries again if a child process writes into it meanwhile.
+/// Removes a folder with its contents. Tries again, up to [`REMOVALS`] times, if a child process writes into the folder
+/// meanwhile.
 fn remove(path: &Path) {
     for _ in 0..REMOVALS {
         match std::fs::remove_dir_all(path) {
             Err(error) if error.kind() == ErrorKind::DirectoryNotEmpty => {}
-            // The folder is gone or can't be accessed. In the latter case, a later process removes it.
+            // The folder is removed, or can't be accessed. In the latter case, a later process removes it.
             _ => return,
         }
     }
 }
 
-/// Whether a file name has the form of a temporary folder's name.
+/// Returns whether a file name has the form of a temporary folder's name.
 pub(crate) fn is_temporary(name: &OsStr) -> bool {
     let name = name.as_encoded_bytes();
     name.starts_with(PREFIX.as_bytes()) && name.ends_with(SUFFIX.as_bytes())
 }
 
-/// Removes the temporary folders in `folder` whose processes were killed.
+/// Removes the temporary folders in `folder` on which no process holds a lock: those of killed processes.
 pub(crate) fn remove_abandoned(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten().filter(|e| is_temporary(&e.file_name())) {
@@ -157,8 +162,8 @@ pub(crate) fn remove_abandoned(folder: &Path) {
     }
 }
 
-/// Installs a handler for Ctrl-C, SIGTERM and SIGHUP: it ends child processes and removes unfinished files before the
-/// signal ends the program. Signals that were ignored at the start of the process remain ignored.
+/// Installs a handler for Ctrl-C, SIGTERM and SIGHUP. The handler ends child processes and removes unfinished files
+/// before the signal ends the program. Signals that were ignored at the start of the process remain ignored.
 ///
 /// For the main function of programs, not for libraries.
 pub fn remove_unfinished_on_signals() -> Result<()> {
@@ -166,7 +171,7 @@ pub fn remove_unfinished_on_signals() -> Result<()> {
     let mut signals = Signals::new(handled)?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         if let Some(signal) = signals.forever().next() {
-            // Children end first, because they write into the folders.
+            // Child processes are ended first, because they write into the temporary folders.
             process::end_all();
             // While the mutex is locked, no temporary folder is created or removed.
             let begun = lock(&BEGUN);
@@ -178,10 +183,11 @@ pub fn remove_unfinished_on_signals() -> Result<()> {
     Ok(())
 }
 
-/// Whether a signal was ignored at the start of the process, as under `nohup`.
+/// Returns whether a signal was ignored at the start of the process, as SIGHUP is under `nohup`.
 fn is_ignored(signal: i32) -> bool {
     let mut action = std::mem::MaybeUninit::<libc::sigaction>::uninit();
-    // SAFETY: without a new action, the call writes the current one; all of it, if it returns 0.
+    // SAFETY: without a new action, the call only writes the current action. If the call returns 0, the structure is
+    // complete.
     unsafe {
         libc::sigaction(signal, std::ptr::null(), action.as_mut_ptr()) == 0
             && action.assume_init().sa_sigaction == libc::SIG_IGN
@@ -190,8 +196,10 @@ fn is_ignored(signal: i32) -> bool {
 
 const FILE: &str = "file";
 
-/// Writes a file atomically, and creates missing parent folders. Only a regular file is replaced; a link, a folder or
-/// a device at `path` is an error.
+/// Writes a file atomically, and creates missing parent folders. An existing regular file is replaced.
+///
+/// # Errors
+/// If the file can't be written, or if a link, a folder or a device exists at `path`.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     let temporary = Temporary::for_file(path)?;
     std::fs::write(temporary.path().join(FILE), bytes)?;
@@ -205,7 +213,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     write_atomically(path, text.as_bytes())
 }
 
-/// Creates a folder if it is missing, and tests by writing that files can be created in it.
+/// Creates a folder if it is missing, and tests whether files can be created in it.
 pub fn try_folder(folder: &Path) -> Result<()> {
     Temporary::inside(folder).map(drop)
 }

@@ -6,15 +6,17 @@ use crate::raster::Image;
 /// Side of a block, pixels.
 const BLOCK: usize = 8;
 
-/// Minimum ratio of a changed block's difference to the noise, which is the lower quartile of all blocks'
-/// differences. (Noise varies by 2 to 4 times between light and dark, flat and textured parts.)
+/// Minimum ratio of a changed block's mean difference to the noise. The noise is the lower quartile of all blocks'
+/// mean differences. (Noise varies by a factor of 2 to 4 between light and dark parts, and between flat and
+/// textured parts.)
 const MIN_NOISE_RATIO: f32 = 6.0;
 
-/// Minimum mean absolute difference of a changed block, for pixel values of 0 to 1: 1.5 steps of 8 bits.
+/// Minimum mean absolute difference of a changed block, for pixel values of 0 to 1. It is 1.5 steps of 8-bit
+/// values.
 const MIN_CHANGE: f32 = 1.5 / 255.0;
 
-/// The largest mean absolute difference of a block of 8×8 pixels between two images, for pixel values of 0 to 1.
-/// Blocks at the right and the bottom border may be narrower.
+/// Returns the mean absolute difference between two images in the block of 8×8 pixels in which it is largest. Pixel
+/// values are 0 to 1. Blocks at the right and the bottom border may be smaller.
 ///
 /// # Panics
 /// If the images differ in size or in channels.
@@ -22,8 +24,8 @@ pub fn largest_change(a: &Image, b: &Image) -> f32 {
     block_means(a, b).into_iter().flatten().fold(0.0, f32::max)
 }
 
-/// The fraction, 0..=1, of blocks that change by more than noise; blocks that the image's border cuts are
-/// left out. 0 if no whole block fits.
+/// Returns the fraction, 0..=1, of 8×8 blocks that change by more than noise. Blocks that the image's border cuts
+/// are left out. Returns 0 if no whole block fits into the image.
 ///
 /// # Panics
 /// If the images differ in size or in channels.
@@ -34,8 +36,8 @@ pub(crate) fn changed_fraction(a: &Image, b: &Image) -> f64 {
     if count == 0 { 0.0 } else { count as f64 / all as f64 }
 }
 
-/// For each pixel, row by row: whether the block that it lies in changes by more than noise. `false` in blocks that
-/// the image's border cuts.
+/// Returns, for each pixel, row by row, whether its 8×8 block changes by more than noise. The value is `false` in
+/// blocks that the image's border cuts.
 ///
 /// # Panics
 /// If the images differ in size or in channels.
@@ -46,7 +48,7 @@ pub(crate) fn changed_pixels(a: &Image, b: &Image) -> Vec<bool> {
     (0..w * a.height()).map(|k| block(k).is_some_and(|changed| *changed)).collect()
 }
 
-/// The mean absolute difference of every block: one vector for each row of blocks.
+/// Returns the mean absolute difference of every block, as one vector for each row of blocks.
 fn block_means(a: &Image, b: &Image) -> Vec<Vec<f32>> {
     let shape = |i: &Image| (i.width(), i.height(), i.channels());
     assert_eq!(shape(a), shape(b), "width, height and channels of both images");
@@ -63,7 +65,8 @@ fn block_means(a: &Image, b: &Image) -> Vec<Vec<f32>> {
     difference(a, b).chunks(BLOCK * w).map(means_of).collect()
 }
 
-/// For each whole block, whether its luma changes by more than noise: one vector for each row of blocks.
+/// Returns, for each whole block, whether its luma changes by more than noise, as one vector for each row of
+/// blocks.
 fn changed_blocks(a: &Image, b: &Image) -> Vec<Vec<bool>> {
     let (across, down) = (a.width() / BLOCK, a.height() / BLOCK);
     let mut means = block_means(&a.to_gray(), &b.to_gray());

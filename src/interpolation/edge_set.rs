@@ -1,5 +1,5 @@
-//! §5.2: the edge set. Real edges are split where they cross; a constrained Delaunay triangulation adds the
-//! virtual edges.
+//! §5.2: the edge set. Real edges are split where they cross. A constrained Delaunay triangulation adds the virtual
+//! edges.
 
 use super::edges::{EdgeFeature, NearSegments, RealEdge, Segment};
 use nalgebra::{Point2, Vector2};
@@ -7,21 +7,21 @@ use spade::handles::FixedVertexHandle;
 use spade::{ConstrainedDelaunayTriangulation, HasPosition, Triangulation};
 use std::collections::{HashMap, HashSet};
 
-/// An edge of the edge set (§5.2), by which the morph warps.
+/// An edge of the edge set (§5.2). The motions of the edges determine the warp of the morph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
     pub ends: [EdgeFeature; 2],
-    /// f̄ of a real edge, eq. (8); `None` for a virtual edge.
+    /// Mean fitness f̄ of a real edge, eq. (8), in image values (0..=1) per pixel. `None` for a virtual edge.
     pub mean_fitness: Option<f64>,
 }
 
-/// The edge set (§5.2) of a frame of `width`×`height` pixels: the pieces of the real edges between their
-/// crossings, then the virtual edges, which are the other edges of the constrained Delaunay triangulation in
-/// the source frame.
+/// Returns the edge set (§5.2) of a frame of `width`×`height` pixels. The first edges are the pieces of the real
+/// edges between their crossings. The virtual edges follow. They are the other edges of the constrained Delaunay
+/// triangulation in the source frame.
 ///
-/// The triangulation's vertices are all features (in the paper, only the ends of real edges), the crossings
-/// and the image's corners. Of coincident features only the first is a vertex. Without features the edges are
-/// the image's border and a diagonal.
+/// The triangulation's vertices are all features (in the paper, only the ends of real edges), the crossings and the
+/// corners of the image. Of features at the same position, only the first is a vertex. Without features, the edges
+/// are the border of the image and a diagonal.
 pub fn edge_set(
     features: &[EdgeFeature],
     real: &[RealEdge],
@@ -49,7 +49,7 @@ pub fn edge_set(
     edges
 }
 
-/// The Delaunay triangles of these positions; each triangle is three indices into `positions`.
+/// Returns the Delaunay triangles of these positions. Each triangle is three indices into `positions`.
 pub(super) fn delaunay(positions: &[Point2<f64>]) -> Vec<[usize; 3]> {
     let mesh = triangulation(positions, std::iter::empty());
     mesh.inner_faces().map(|f| f.vertices().map(|v| v.data().index)).collect()
@@ -69,14 +69,14 @@ impl HasPosition for Site {
     }
 }
 
-/// The Delaunay triangulation of the finite positions, constrained to contain the segments of `constraints`, which
-/// are pairs of indices.
+/// Returns the Delaunay triangulation of those positions that are finite. The triangulation is constrained to
+/// contain the segments of `constraints`, which are pairs of indices into `positions`.
 fn triangulation(
     positions: &[Point2<f64>],
     constraints: impl Iterator<Item = [usize; 2]>,
 ) -> ConstrainedDelaunayTriangulation<Site> {
     let position = |k: usize| [positions[k].x, positions[k].y].map(accepted);
-    // Coincident vertices are merged into the first.
+    // Of positions that coincide, only the first becomes a vertex.
     let mut seen = HashSet::with_capacity(positions.len());
     let is_vertex = |k: &usize| {
         let position = position(*k);
@@ -94,21 +94,21 @@ fn triangulation(
         if let (Some(a), Some(b)) = (a, b)
             && a != b
         {
-            // A constraint that still crosses another, by rounding, is not added. Its edge takes part in the
-            // morph nevertheless.
+            // A constraint that crosses another constraint because of rounding is not added. The morph uses its
+            // edge nevertheless.
             let _ = cdt.try_add_constraint(*a, *b);
         }
     }
     cdt
 }
 
-/// Rounds a coordinate to 0 if its magnitude is below 2⁻¹⁴², since spade refuses such values.
+/// Rounds a coordinate to 0 if its magnitude is below 1e-30, since spade refuses magnitudes below 2⁻¹⁴².
 fn accepted(v: f64) -> f64 {
     if v.abs() < 1e-30 { 0.0 } else { v }
 }
 
 /// Splits real edges where they cross (§5.2), and returns the pieces. Each crossing becomes a vertex that is
-/// appended to `vertices`. In both frames and at the instant, this vertex lies on the edge of larger fitness,
+/// appended to `vertices`. In both frames and at the instant, the vertex is on the edge of larger mean fitness,
 /// which therefore stays straight.
 fn without_crossings(vertices: &mut Vec<EdgeFeature>, real: &[RealEdge]) -> Vec<RealEdge> {
     let mut order: Vec<usize> = (0..real.len()).collect();
@@ -116,7 +116,7 @@ fn without_crossings(vertices: &mut Vec<EdgeFeature>, real: &[RealEdge]) -> Vec<
     let segments: Vec<Segment> =
         order.iter().map(|&k| real[k].ends.map(|v| vertices[v].source)).collect();
     let near = NearSegments::new(&segments);
-    // For each edge its splits: the fraction along the edge, and the vertex there.
+    // For each edge, its splits: the fraction along the edge, and the index of the vertex at the crossing.
     let mut splits: Vec<Vec<(f64, usize)>> = vec![Vec::new(); order.len()];
     for k in 0..order.len() {
         for fitter in near.before(k, 0.0) {
@@ -145,13 +145,13 @@ fn without_crossings(vertices: &mut Vec<EdgeFeature>, real: &[RealEdge]) -> Vec<
     pieces
 }
 
-/// The crossing of two segments, as fractions along each; `None` if they are parallel, do not cross, or
-/// touch at an end.
+/// Returns the crossing of two segments, as the fractions (0 to 1) along each segment. Returns `None` if the
+/// segments are parallel, do not cross, or touch at an end.
 fn crossing([a, b]: Segment, [c, d]: Segment) -> Option<(f64, f64)> {
     let (u, v) = (b - a, d - c);
     let cross = |p: Vector2<f64>, q: Vector2<f64>| p.x * q.y - p.y * q.x;
     let determinant = cross(u, v);
-    // Parallel: the sine of their angle is below 1e-9.
+    // The segments are parallel if the sine of their angle is below 1e-9.
     if !(determinant.abs() > 1e-9 * u.norm() * v.norm()) {
         return None;
     }

@@ -1,39 +1,41 @@
-//! §5.1: real edges, which are segments between two features that follow an image edge in both frames.
+//! §5.1: real edges. A real edge is a segment between two features that follows an image edge in both frames.
 
 use crate::registration::{Neighbors, PyramidLevel};
 use nalgebra::{Point2, Vector2, center};
 use rayon::prelude::*;
 
-/// β of eq. (6): weight of the alignment of the gradient with the edge's normal, in image values (0..=1) per
-/// pixel.
+/// β of eq. (6): weight of the alignment between the image gradient and the edge's normal, in image values (0..=1)
+/// per pixel.
 const BETA: f64 = 0.05;
 /// Minimum fitness of a real edge, eq. (6), in image values per pixel.
 const MIN_FITNESS: f64 = 0.08;
 /// Distance between the samples s_k of eq. (6), pixels.
 const SAMPLE_STEP_PX: f64 = 2.0;
-/// Maximum change of an edge's length between the frames, as a fraction of the length; [`MAX_LENGTH_CHANGE_PX`] is
-/// added.
+/// Proportional term of the maximum change of an edge's length between the two frames, as a fraction of the length.
+/// [`MAX_LENGTH_CHANGE_PX`] is added.
 const MAX_LENGTH_CHANGE_FRACTION: f64 = 0.05;
-/// Part of the maximum change of an edge's length that does not depend on the length, pixels.
+/// Constant term, in pixels, of the maximum change of an edge's length between the two frames. The maximum is this
+/// value plus [`MAX_LENGTH_CHANGE_FRACTION`] times the length.
 const MAX_LENGTH_CHANGE_PX: f64 = 0.5;
-/// Maximum angle between duplicate edges, degrees.
+/// Maximum angle between an edge and a longer edge that it duplicates, degrees.
 const DUPLICATE_ANGLE_DEG: f64 = 10.0;
-/// Maximum distance of a duplicate's ends from the longer edge, pixels.
+/// Maximum distance of an edge's ends from a longer edge that it duplicates, pixels.
 const DUPLICATE_DISTANCE_PX: f64 = 2.0;
 
-/// A feature's positions in the two frames and at the instant, pixels: an end of the morph's edges.
+/// A feature's positions in the two frames and at the instant, in pixels. The morph's edges connect such features.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeFeature {
-    /// Position in the frame that is warped.
+    /// Position in the source frame, which is the frame that is warped, in pixels.
     pub source: Point2<f64>,
-    /// Position in the other frame.
+    /// Position in the other frame of the pair, in pixels.
     pub other: Point2<f64>,
-    /// Position at the instant.
+    /// Position at the instant, in pixels.
     pub target: Point2<f64>,
 }
 
 impl EdgeFeature {
-    /// Linear interpolation to another feature's positions by `fraction`, 0..=1, in all three images.
+    /// Interpolates linearly from this feature's positions to another feature's, in both frames and at the instant.
+    /// `fraction` is 0 at this feature and 1 at the other feature.
     pub fn lerp(&self, to: &Self, fraction: f64) -> Self {
         let interpolate = |a: Point2<f64>, b: Point2<f64>| a + (b - a) * fraction;
         Self {
@@ -44,21 +46,22 @@ impl EdgeFeature {
     }
 }
 
-/// A segment between two features that follows an image edge (§5.1).
+/// A real edge (§5.1): a segment between two features that follows an image edge in both frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RealEdge {
-    /// Indices of the two features.
+    /// Indices of the two features at the ends.
     pub ends: [usize; 2],
-    /// f̄ of eq. (8): the mean fitness of its samples in the source frame, in image values (0..=1) per pixel.
+    /// f̄ of eq. (8): the mean fitness of the edge's samples in the source frame, in image values (0..=1) per
+    /// pixel.
     pub mean_fitness: f64,
 }
 
-/// The real edges among features (§5.1): segments of at most `max_length_px` whose fitness, eq. (6), exceeds
-/// a threshold in both frames, and whose length hardly changes between them. Of near-parallel edges on one
-/// image edge only the longest is returned (§5.2).
+/// Finds the real edges among features (§5.1). A real edge is a segment of at most `max_length_px` whose fitness,
+/// eq. (6), exceeds a threshold in both frames. Its length is almost equal in both frames. Of near-parallel
+/// segments on the same image edge, only the longest is returned (§5.2).
 ///
-/// `source` and `other` are the full-sized pyramid levels of the two frames. The order does not depend on the
-/// number of threads. Features at the same position make no edge.
+/// `source` and `other` are the full-sized pyramid levels of the two frames. The order of the result does not
+/// depend on the number of threads. Features at the same position make no edge.
 pub fn real_edges(
     features: &[EdgeFeature],
     source: &PyramidLevel,
@@ -98,8 +101,9 @@ fn real_edge(
     Some(RealEdge { ends, mean_fitness })
 }
 
-/// f̄, the mean of the samples of eq. (6) along the segment from `a` to `b`. `None` if some sample is at most
-/// [`MIN_FITNESS`], and for segments shorter than a pixel, whose direction is noise.
+/// Returns f̄, the mean of the samples of eq. (6) along the segment from `a` to `b`, in image values (0..=1) per
+/// pixel. Returns `None` if a sample is at most [`MIN_FITNESS`]. Also returns `None` if the segment is shorter than
+/// a pixel, since its direction is noise.
 fn mean_fitness(level: &PyramidLevel, a: Point2<f64>, b: Point2<f64>) -> Option<f64> {
     let along = b - a;
     let length = along.norm();
@@ -115,7 +119,7 @@ fn mean_fitness(level: &PyramidLevel, a: Point2<f64>, b: Point2<f64>) -> Option<
         let (gx, gy) = level.gradient(clamp(p.x, level.width), clamp(p.y, level.height));
         let gradient = Vector2::new(f64::from(gx), f64::from(gy));
         let magnitude = gradient.norm();
-        // Where the gradient is 0, its direction is undefined: the second term is 0.
+        // Where the gradient is 0, its direction is undefined, and the alignment term is set to 0.
         let agreement =
             if magnitude > 0.0 { (gradient.dot(&normal) / magnitude).abs() } else { 0.0 };
         let f = magnitude + BETA * agreement;
@@ -127,7 +131,7 @@ fn mean_fitness(level: &PyramidLevel, a: Point2<f64>, b: Point2<f64>) -> Option<
     Some(sum / (steps + 1) as f64)
 }
 
-/// Removes edges that are near-parallel to a longer edge and close to it (§5.2, Fig. 8).
+/// Removes each edge that is near-parallel and close to a longer edge (§5.2, Fig. 8).
 fn without_duplicates(mut edges: Vec<RealEdge>, features: &[EdgeFeature]) -> Vec<RealEdge> {
     let ends = |e: &RealEdge| e.ends.map(|k| features[k].source);
     let length = |e: &RealEdge| {
@@ -162,7 +166,7 @@ fn without_duplicates(mut edges: Vec<RealEdge>, features: &[EdgeFeature]) -> Vec
 /// The two ends of a segment, pixels.
 pub(super) type Segment = [Point2<f64>; 2];
 
-/// Spatial index of segments, by their midpoints.
+/// Spatial index of segments by their midpoints.
 pub(super) struct NearSegments<'a> {
     segments: &'a [Segment],
     midpoints: Neighbors,
@@ -170,15 +174,16 @@ pub(super) struct NearSegments<'a> {
 }
 
 impl<'a> NearSegments<'a> {
-    /// Indexes segments, whose ends must be finite.
+    /// Indexes segments. Their ends must be finite.
     pub fn new(segments: &'a [Segment]) -> Self {
         let midpoints = Neighbors::new(segments.iter().map(|[a, b]| center(a, b)));
         let longest_px = segments.iter().map(|[a, b]| (b - a).norm()).fold(0.0, f64::max);
         Self { segments, midpoints, longest_px }
     }
 
-    /// The indices, ascending, of segments before segment `k` that may lie within `distance_px` of it. All
-    /// that do are included; some of those returned may be farther.
+    /// Returns the indices, in ascending order, of the segments that precede segment `k` and may lie within
+    /// `distance_px` of it. All segments within this distance are returned. Some of the returned segments may be
+    /// farther away.
     pub fn before(&self, k: usize, distance_px: f64) -> Vec<usize> {
         let [a, b] = &self.segments[k];
         let reach = 0.5 * ((b - a).norm() + self.longest_px) + distance_px;
@@ -199,7 +204,7 @@ mod tests {
     use crate::raster::Image;
     use crate::registration::Pyramid;
 
-    /// A step edge: dark left of x = 30, bright right of it.
+    /// Renders a step edge: dark to the left of x = 30, bright to the right.
     fn step() -> Pyramid {
         let data = (0..60 * 50).map(|k| if k % 60 < 30 { 0.2 } else { 0.9 }).collect();
         Pyramid::new(&Image::from_data(60, 50, 1, data), 1, 4)

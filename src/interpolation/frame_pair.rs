@@ -1,4 +1,4 @@
-//! The image of a camera at an instant between two of its frames, by any [`PairMethod`].
+//! Interpolates the image of a camera at an instant between two of its frames, by any [`PairMethod`].
 
 use super::InterpolationOptions;
 use super::edge_set::edge_set;
@@ -11,50 +11,54 @@ use super::warp::{Warp, cross_dissolve, cross_fade_rows, difference, warped};
 use crate::raster::{Image, Tiles, box_filter, max_filter};
 use crate::registration::Frame;
 
-/// Half-width of the neighbourhood of an outline, pixels: outlines may be wrong by this much, so that a pixel
-/// may show any surface within it.
+/// Half-width, in pixels, of the neighbourhood over which the interpolation error is maximized. Outlines may be
+/// wrong by this distance, so that a pixel may show any surface within the neighbourhood.
 const OUTLINE_PX: usize = 4;
-/// Interpolation error, pixels, that is added per unit of the warped frames' difference above [`MIN_DISAGREEMENT`].
+/// Interpolation error, in pixels, that a difference of 1 between the two warped frames adds. Pixel values are 0 to 1.
+/// Only the part of the difference above [`MIN_DISAGREEMENT`] counts. For refined images, the cost (the last of the
+/// [`MOTION_CHANNELS`]) takes the place of this difference.
 const DISAGREEMENT_PX: f32 = 200.0;
-/// Mean absolute difference of the warped frames up to which they agree, for pixel values of 0 to 1.
+/// Mean absolute difference of the two warped frames up to which they count as equal, for pixel values of 0 to 1.
 const MIN_DISAGREEMENT: f32 = 0.03;
-/// Half-width of the window over which the warped frames' difference is averaged, pixels. The refined method
-/// uses [`InterpolationOptions::window_radius_px`] instead.
+/// Half-width of the window over which the difference of the two warped frames is averaged, in pixels. The refined
+/// method uses [`InterpolationOptions::window_radius_px`] instead.
 const DISAGREEMENT_RADIUS_PX: usize = 2;
-/// Weight of the motion's change per frame in the interpolation error, relative to that of the motion. Bodies
-/// that rotate or bounce deviate from the interpolated trajectory.
+/// Weight of the change of a pixel's motion from one frame interval to the next, in the interpolation error. The weight
+/// of the motion itself is 1. The change weighs more, because bodies that rotate or bounce deviate from the
+/// interpolated trajectory.
 const CHANGE_WEIGHT: f32 = 4.0;
 
-/// A camera's image at an instant between its frames.
+/// A camera's image at an instant, and its expected error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Synchronized {
-    /// The image.
+    /// Image at the instant.
     pub image: Image,
-    /// Expected error of each pixel's position due to interpolation, pixels, row by row. `None` for images
-    /// that are not interpolated along motion, and if [`FramePair::with_interpolation_error`] is false.
+    /// Expected error of each pixel's position due to interpolation, in pixels, row by row. `None` for images that
+    /// are not interpolated along motion, and if [`FramePair::with_interpolation_error`] is false.
     ///
-    /// The error is 4s(1 − s)(m + 4c + d), with s the instant's fraction of the interval, m the motion
-    /// between the two frames, c its change per frame, and d a term for disagreement of the warped frames;
-    /// then the maximum over a neighbourhood.
+    /// The error is 4s(1 − s)(m + 4c + d). s is the position of the instant in the frame interval, from 0 to 1. m is
+    /// the length of the pixel's motion between the two frames, and c is the change of this motion from one frame
+    /// interval to the next. d is 0 where the two frames, moved to the instant, agree. It grows with their difference.
+    /// All three are in pixels. Each pixel gets the maximum of this error over a neighbourhood.
     pub interpolation_error_px: Option<Vec<f32>>,
 }
 
 impl Synchronized {
-    /// An image without interpolation along motion, and so without an error: a frame as filmed, or a
-    /// cross-fade of two.
+    /// Creates an image that is not interpolated along motion, and therefore has no interpolation error. It is a
+    /// frame as filmed or a cross-fade of two frames.
     pub fn filmed(image: Image) -> Self {
         Self { image, interpolation_error_px: None }
     }
 }
 
-/// A method of interpolation, with those inputs that are the same at all instants between two frames.
+/// A method of interpolation, with the inputs that are the same for all instants between two frames.
 #[derive(Clone, Copy)]
 pub enum PairMethod<'a> {
     /// The frame nearest in time.
     Nearest,
     /// The cross-fade of the two frames.
     Crossfade,
-    /// Direct triangulation (Fig. 10 (b)), by the triangles of the pair's tracks.
+    /// Direct triangulation (Fig. 10 (b)) with the triangles between the pair's tracks.
     Triangulation(&'a Triangles),
     /// The morph of §5.3. If `boosted`, real edges have the weights of eq. (8).
     Morph { boosted: bool },
@@ -62,30 +66,31 @@ pub enum PairMethod<'a> {
     Refined {
         triangles: &'a Triangles,
         costs: &'a PairCosts,
-        /// The frame before the earlier one and the frame after the later one, if they exist.
+        /// The frame before the pair's earlier frame, and the frame after the pair's later frame. `None` if a frame
+        /// does not exist.
         around: [Option<&'a Frame>; 2],
     },
 }
 
-/// Two consecutive frames of one camera. All images have the same size and channels.
+/// Two consecutive frames of one camera, with the tracks between them. All images have the same size and channels.
 pub struct FramePair<'a> {
-    /// The frame at t.
+    /// The pair's earlier frame, at the time t.
     pub earlier: &'a Frame,
-    /// The frame at t + Δt.
+    /// The pair's later frame, at the time t + Δt.
     pub later: &'a Frame,
-    /// The tracks between the two.
+    /// Tracks between the two frames.
     pub tracked: TrackedPair<'a>,
-    /// The tiles of the image that are needed; `None` for all. The others may be black.
+    /// Tiles of the image that are needed; `None` for the whole image. Pixels outside these tiles may be black.
     pub parts: Option<&'a Tiles>,
-    /// Whether [`Synchronized::interpolation_error_px`] is wanted. Computing it takes as long as a warp, except for
+    /// Whether [`Synchronized::interpolation_error_px`] is computed. This takes as long as a warp, except for
     /// refined images.
     pub with_interpolation_error: bool,
 }
 
 impl FramePair<'_> {
-    /// The camera's image at `time_s`, seconds, clamped to the interval between the two frames. At a frame's
-    /// time it is the frame, up to resampling. Values are clamped to 0..=1, except by [`PairMethod::Nearest`]
-    /// and [`PairMethod::Crossfade`].
+    /// Returns the camera's image at `time_s`, in seconds. The time is clamped to the interval between the two
+    /// frames. At a frame's time, the image is this frame, up to resampling. Values are clamped to 0..=1, except by
+    /// [`PairMethod::Nearest`] and [`PairMethod::Crossfade`].
     ///
     /// # Panics
     /// If [`TrackedPair::times`] has no entry for the later frame.
@@ -126,7 +131,8 @@ impl FramePair<'_> {
             let interpolation_error_px = self.with_interpolation_error.then(error_px);
             return Synchronized { image, interpolation_error_px };
         };
-        // The error is a maximum within OUTLINE_PX, so that it needs pixels around the needed tiles.
+        // The error is a maximum over a neighbourhood of OUTLINE_PX. It therefore also needs pixels around the
+        // needed tiles.
         let grown =
             self.parts.filter(|_| self.with_interpolation_error).map(|p| p.grown(OUTLINE_PX));
         let frames = FourFrames {
@@ -144,8 +150,9 @@ impl FramePair<'_> {
         Synchronized { image, interpolation_error_px }
     }
 
-    /// The warps of the earlier and the later frame to an instant. `warp(n, features, size)` computes the
-    /// warp of frame `n`, 0 earlier or 1 later, from its features and its width and height.
+    /// Returns the warps of the earlier and of the later frame to an instant. `warp(n, features, size)` computes
+    /// the warp of one frame: `n` is 0 for the earlier and 1 for the later frame, `features` are the features of
+    /// this frame, and `size` is its width and height.
     fn warps(
         &self,
         time_s: f64,
@@ -157,8 +164,9 @@ impl FramePair<'_> {
     }
 }
 
-/// The motion of each pixel between the two frames, by their warps, as [`warp_motions`]. The cost is the
-/// local mean difference of the warped frames.
+/// Returns, for each pixel, its motion between the two frames according to the two warps. The image has the
+/// [`MOTION_CHANNELS`] channels of [`warp_motions`]. The last one, the cost, is the mean difference of the two warped
+/// frames over a window around the pixel.
 fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     let (w, h) = (warps[0].width, warps[0].height);
     let differences =
@@ -166,7 +174,8 @@ fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     warp_motions(warps, &box_filter(&differences, w, h, DISAGREEMENT_RADIUS_PX))
 }
 
-/// [`Synchronized::interpolation_error_px`] from the pixels' motions ([`MOTION_CHANNELS`]).
+/// Returns [`Synchronized::interpolation_error_px`]. `motions` is an image with [`MOTION_CHANNELS`] channels, which
+/// holds each pixel's motion, change of motion and cost.
 fn error_px(motions: &Image, fractions: RowFractions) -> Vec<f32> {
     let of_pixel = |weight: f32, &[motion_px, change_px, cost]: &[f32; MOTION_CHANNELS]| {
         let unknown = DISAGREEMENT_PX * (cost - MIN_DISAGREEMENT).max(0.0);

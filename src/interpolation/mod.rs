@@ -1,4 +1,4 @@
-//! §5: temporal interpolation. A camera's image at an instant between two of its frames.
+//! §5: temporal interpolation, which synthesizes a camera's image at an instant between two of its frames.
 //!
 //! | paper | here |
 //! |---|---|
@@ -7,22 +7,22 @@
 //! | 5.3 the morph, eqs. (7), (8) | [`morph_warp`] |
 //! | 5.3 cross dissolve, eq. (9) | [`cross_dissolve`] |
 //! | Fig. 10 (b), direct triangulation | [`triangulation_warp`] |
-//! | beyond: motion and visibility at outlines | [`PairMethod::Refined`] |
+//! | beyond the paper: motion and visibility at moving outlines | [`PairMethod::Refined`] |
 //! | every method | [`FramePair::interpolate`] |
 //!
-//! The methods are those of [`SyncMethod`]. `crossfade` has no warp. `triangulation`, `morph` and
-//! `edge-morph` differ only in the warp; `morph` is `edge-morph` with equal weights of all edges. `refined`
-//! starts from the warps of `triangulation` (starting from `edge-morph` is slower and differs by 0.02 dB on
-//! ten recordings). `all-cameras` starts from `refined` and is in [`crate::light_field`], where the other
-//! cameras are known.
+//! [`SyncMethod`] lists the methods. `crossfade` has no warp. `triangulation`, `morph` and `edge-morph` differ only
+//! in the warp. `morph` is `edge-morph` with equal weights of all edges. `refined` starts from the warps of
+//! `triangulation`. (The warps of `edge-morph` are slower, and the result differs by 0.02 dB on ten recordings.)
+//! `all-cameras` starts from `refined`. It is in [`crate::light_field`], because it needs the images of the other
+//! cameras.
 //!
-//! Known limits: in the paper's methods, a surface that only one frame shows is cross-faded with what the
-//! other frame shows there. Motion blur stays as filmed.
+//! Known limits: in the paper's methods, a surface that is visible in only one of the two frames is cross-faded
+//! with the content of the other frame. Motion blur of the frames remains.
 //!
-//! With a rolling shutter, every tracked position has the time of its row, so that the image at an instant shows all
-//! rows at that instant. Where nothing is tracked, and for `nearest` and `crossfade`, the frames stay as filmed. The two
-//! frames are those around the instant in the middle row; near the first and the last row, motion is extrapolated by
-//! up to half the readout.
+//! With a rolling shutter, every tracked position has the time at which its row was exposed. The interpolated image
+//! therefore shows all rows at the same instant. The distortion by the rolling shutter remains where no feature is
+//! tracked, and with the methods `nearest` and `crossfade`. The two frames are those before and after the instant
+//! at their middle rows. Near the first and the last row, motion is extrapolated by up to half the readout time.
 
 mod block_change;
 mod edge_set;

@@ -4,7 +4,7 @@ use crate::method::methods;
 use crate::option::options;
 use serde::{Deserialize, Serialize};
 
-/// How a camera's image between two of its frames is made, cheapest method first.
+/// The method by which a camera's image between two of its frames is synthesized. The cheapest method is first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SyncMethod {
@@ -18,10 +18,11 @@ pub enum SyncMethod {
     Morph,
     /// The paper's method: the morph of §5.3, with real edges boosted by eq. (8).
     EdgeMorph,
-    /// Beyond the paper: `triangulation`, with motion and visibility per pixel at moving outlines.
+    /// Beyond the paper: `triangulation`, with motion and visibility estimated per pixel at moving outlines.
     #[default]
     Refined,
-    /// Beyond the paper: `refined`, blended by `depth` with images of cameras that filmed nearer to the instant.
+    /// Beyond the paper: `refined`, blended with the images of other cameras that filmed nearer to the instant.
+    /// These images are warped by depth per pixel.
     AllCameras,
 }
 
@@ -36,12 +37,13 @@ methods!(SyncMethod {
 });
 
 impl SyncMethod {
-    /// The single-camera method that this method starts from: `Refined` for `AllCameras`; every other method itself.
+    /// Returns the single-camera method from which this method starts: `Refined` for `AllCameras`, and the method
+    /// itself for all others.
     pub fn of_one_camera(self) -> Self {
         if self == Self::AllCameras { Self::Refined } else { self }
     }
 
-    /// Whether the method needs the frames' tracks.
+    /// Returns whether the method needs tracks between the frames.
     pub fn needs_tracks(self) -> bool {
         !matches!(self, Self::Nearest | Self::Crossfade)
     }
@@ -52,28 +54,30 @@ options! {
     pub struct InterpolationOptions {
         /// Whether features move on curves through up to four frames, or on straight lines as in eq. (2).
         curved: bool = true,
-        /// Largest mean difference of an 8×8 block in a static frame pair, which is cross-faded without
-        /// registration. 0: identical frames only.
+        /// Maximum mean difference of any 8×8 block between two frames that count as static. A static frame pair is
+        /// cross-faded without registration. With 0, only identical frames count as static.
         still_change: f32 [0.0..=1.0, "of the value range"] = 0.0,
         /// Maximum length of a real edge, L_max of §5.1. The time grows with its square.
         max_edge_length_px: f64 [0.0..=200.0, "px"] = 24.0,
-        /// Distance of the grid nodes at which the morph is evaluated; 1 is exact.
+        /// Distance between the grid nodes at which the morph is evaluated. With 1, it is evaluated at every pixel.
         grid_px: usize [1..=256, "px"] = 4,
-        /// Half-width of the window over which refinement compares frames, in images of 320 pixels; larger
-        /// images scale it.
+        /// Half-width of the window over which refinement compares frames, for images whose longer side is 320 pixels.
+        /// It is scaled up for larger images.
         window_radius_px: usize [0..=16, "px"] = 2,
-        /// Distance up to which tracks are candidate motions of a block, in images of 320 pixels; larger
-        /// images scale it.
+        /// Maximum distance of a block from the tracks whose motions are tried in the block, for images whose longer
+        /// side is 320 pixels. It is scaled up for larger images.
         search_radius_px: f64 [0.0..=200.0, "px"] = 28.0,
     }
 }
 
-/// The longer side, pixels, of the images that lengths of the refinement are given for. (On a moving
-/// magazine at 640×480, a window radius of 2 gives 29.1 dB and one of 4 30.0 dB; at 320×240, 2 is best.)
+/// Longer side, in pixels, of the images to which `window_radius_px` and `search_radius_px` apply unscaled. For larger
+/// images, both are scaled up. (On a moving magazine at 640×480, a window radius of 2 gives 29.1 dB and a radius of 4
+/// gives 30.0 dB. At 320×240, a radius of 2 is best.)
 const REFERENCE_SIZE_PX: f64 = 320.0;
 
 impl InterpolationOptions {
-    /// These options with the refinement's lengths scaled to an image of this width and height.
+    /// Returns these options with `window_radius_px` and `search_radius_px` scaled up to an image of this width and
+    /// height.
     pub(super) fn scaled_to(&self, [width, height]: [usize; 2]) -> Self {
         let scale = (width.max(height) as f64 / REFERENCE_SIZE_PX).max(1.0);
         Self {

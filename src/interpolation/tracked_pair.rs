@@ -1,4 +1,4 @@
-//! Tracks between two frames of a camera, as the methods of interpolation use them.
+//! The tracks between two frames of a camera, in the forms that the interpolation methods need.
 
 use super::edges::EdgeFeature;
 use crate::capture::{FrameTimes, RowTimes};
@@ -8,22 +8,22 @@ use nalgebra::{Matrix2, Point2, Vector2};
 /// The tracks between two consecutive frames of a camera.
 #[derive(Clone, Copy)]
 pub struct TrackedPair<'a> {
-    /// The pair's tracks. If there are none, interpolation is a cross-fade.
+    /// Tracks between the two frames. If there are none, interpolation is a cross-fade.
     pub tracks: &'a [Track],
-    /// The times of all frames of the camera.
+    /// Times of all frames of the camera.
     pub times: FrameTimes<'a>,
-    /// Index of the earlier frame; the later frame is the next.
+    /// Index of the earlier frame. The later frame has the next index.
     pub index: usize,
 }
 
-/// The tracks of the forward flow, or with `forward` false those of the backward flow.
+/// Returns the tracks of the forward flow if `forward` is true, else the tracks of the backward flow.
 pub(super) fn flow_tracks(tracks: &[Track], forward: bool) -> impl Iterator<Item = &Track> {
     tracks.iter().filter(move |t| if forward { t.in_forward_set() } else { t.in_backward_set() })
 }
 
 impl TrackedPair<'_> {
-    /// (t' − t)/Δt of the instant t': 0 at the earlier frame and 1 at the later one, clamped to 0..=1. With a rolling
-    /// shutter, it is that of the frames' middle rows.
+    /// Returns the fraction (t' − t)/Δt of the instant t': 0 at the earlier frame and 1 at the later frame, clamped
+    /// to 0..=1. With a rolling shutter, the frames' times are those of their middle rows.
     ///
     /// # Panics
     /// If `times` has no entry for the later frame.
@@ -32,7 +32,7 @@ impl TrackedPair<'_> {
         ((time_s - start) / (end - start)).clamp(0.0, 1.0)
     }
 
-    /// [`Self::fraction`] of every row.
+    /// Returns [`Self::fraction`] for every image row.
     pub(super) fn row_fractions(&self, time_s: f64) -> RowFractions {
         let [start, end] = self.interval_s();
         RowFractions {
@@ -46,7 +46,8 @@ impl TrackedPair<'_> {
         [self.times.times_s[self.index], self.times.times_s[self.index + 1]]
     }
 
-    /// The track's trajectory: a curve if `curved`, else the straight line of eq. (2).
+    /// Returns the trajectory of a track: a curve if `curved`, else the straight line of eq. (2). Returns `None` if
+    /// the times do not strictly ascend.
     fn trajectory(&self, track: &Track, curved: bool) -> Option<Trajectory> {
         if curved {
             track.trajectory(self.times, self.index)
@@ -56,7 +57,8 @@ impl TrackedPair<'_> {
         }
     }
 
-    /// The features of the tracks of the forward or the backward flow, with their positions at an instant.
+    /// Returns the features of the forward or of the backward flow, with their positions in the two frames and at
+    /// an instant.
     pub(super) fn features(&self, time_s: f64, forward: bool, curved: bool) -> Vec<EdgeFeature> {
         let feature = |t: &Track| {
             let (source, other) = if forward { (t.earlier, t.later) } else { (t.later, t.earlier) };
@@ -67,9 +69,9 @@ impl TrackedPair<'_> {
         flow_tracks(self.tracks, forward).map(feature).collect()
     }
 
-    /// The displacements of all tracks to four frames: the one before the pair, the pair's earlier and later
-    /// frame, and the one after the pair. `at` gives the position from which a track's displacements are
-    /// measured.
+    /// Returns the displacements of all tracks to four frames: the frame before the pair, the earlier and the later
+    /// frame of the pair, and the frame after the pair. `at` gives the position of a track from which its
+    /// displacements are measured.
     pub(super) fn motions(
         &self,
         curved: bool,
@@ -81,7 +83,7 @@ impl TrackedPair<'_> {
         let motion = |track: &Track| {
             let trajectory = self.trajectory(track, curved)?;
             let at = at(&trajectory, track);
-            // The trajectory extrapolates a track that was not extended to a frame.
+            // If a track was not extended to a frame, its trajectory is extrapolated.
             let displacement = |tracked: Option<Point2<f64>>, frame: Option<usize>| {
                 let position = tracked.or_else(|| Some(self.in_frame(&trajectory, frame?)));
                 position.map_or(Vector2::zeros(), |p| p - at)
@@ -97,41 +99,43 @@ impl TrackedPair<'_> {
         self.tracks.iter().filter_map(motion).collect()
     }
 
-    /// Where a frame shows a point of this trajectory, pixels.
+    /// Returns the position, in pixels, at which a frame shows a point that moves on this trajectory.
     fn in_frame(&self, trajectory: &Trajectory, frame: usize) -> Point2<f64> {
         let at_middle = trajectory.at(self.times.times_s[frame]);
         if self.times.rows.are_global() {
             return at_middle;
         }
-        // The row depends on the time, and the time on the row. A point that moves by a tenth of the image's height
-        // during a readout is a tenth of its error nearer after each correction.
+        // The time depends on the row of the position, and the position depends on the time. Two fixed-point
+        // iterations solve this. If the point moves by a tenth of the image's height during a readout, each
+        // iteration reduces the error to a tenth.
         let corrected = trajectory.at(self.times.at(frame, &at_middle));
         trajectory.at(self.times.at(frame, &corrected))
     }
 }
 
-/// The instant's place between two frames, by row: rows of a rolling shutter have times of their own.
+/// The position of an instant between two frames, as a fraction of the frame interval for each image row. With a
+/// rolling shutter, each row has its own times.
 #[derive(Clone, Copy, Debug)]
 pub struct RowFractions {
-    /// Of the middle row, 0 to 1.
+    /// Fraction of the middle row, 0 to 1.
     middle: f64,
     rows: RowTimes,
     interval_s: f64,
 }
 
 impl RowFractions {
-    /// The same fraction in all rows.
+    /// Returns the same fraction for all rows.
     pub fn constant(fraction: f64) -> Self {
         Self { middle: fraction, rows: RowTimes::default(), interval_s: 1.0 }
     }
 
-    /// Whether all rows have the same fraction.
+    /// Returns whether all rows have the same fraction.
     pub fn are_constant(&self) -> bool {
         self.rows.are_global()
     }
 
-    /// The fraction at a vertical position, pixels: 0 where the earlier frame has the instant or a later time, 1 where
-    /// the later frame has the instant or an earlier time.
+    /// Returns the fraction at a vertical position in pixels. It is 0 if the earlier frame exposes this row at the
+    /// instant or later, and 1 if the later frame exposes this row at the instant or earlier.
     pub fn at(&self, y_px: f64) -> f64 {
         if self.are_constant() {
             return self.middle;
@@ -140,23 +144,25 @@ impl RowFractions {
     }
 }
 
-/// A track's position at an instant, pixels, and its displacements from there to the two frames before and
-/// the two frames after the instant, pixels.
+/// A track's position, and its displacements from this position to the four frames around an instant. All are in
+/// pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TrackMotion {
-    /// Position at the instant.
+    /// Position from which the displacements are measured, in pixels. It is at the instant, or in one of the pair's
+    /// frames.
     pub at: Point2<f64>,
-    /// Displacements to the frame before the pair, the pair's earlier and later frame, and the frame after
-    /// the pair; 0 to a frame that does not exist.
+    /// Displacements to the frame before the pair, the earlier and the later frame of the pair, and the frame after
+    /// the pair, in pixels. The displacement to a frame that does not exist is 0.
     pub to: [Vector2<f64>; 4],
-    /// Linear part of the motion from the earlier to the later frame: the identity for a translation.
+    /// Linear part (2×2 matrix) of the affine motion from the earlier to the later frame. It is the identity for a
+    /// translation.
     pub deformation: Matrix2<f64>,
 }
 
 impl TrackMotion {
-    /// Difference between two tracks' motions from the earlier to the later frame, pixels. One motion is
-    /// extrapolated affinely to the other track's position; of the two ways to do this, the smaller
-    /// difference is returned.
+    /// Returns the difference between two tracks' motions from the earlier to the later frame, in pixels. One of
+    /// the two motions is extrapolated affinely to the position of the other track. The smaller of the two possible
+    /// differences is returned.
     pub fn difference_px(&self, other: &Self) -> f64 {
         let [own, other] = [self, other].map(|m| Moved {
             at: m.at + m.to[1],

@@ -1,4 +1,4 @@
-//! Direct triangulation (Fig. 10 (b)): piecewise affine warps over Delaunay triangles of the features.
+//! Direct triangulation (Fig. 10 (b)): piecewise affine warps by Delaunay triangles of the features.
 
 use super::Warp;
 use super::edge_set::delaunay;
@@ -7,14 +7,15 @@ use super::tracked_pair::flow_tracks;
 use crate::registration::Track;
 use nalgebra::{Matrix3, Point2, RowVector3, Vector2};
 
-/// The Delaunay triangles of a pair's tracks in the earlier and in the later frame; they are the same at all
-/// instants. A triangle is three vertex indices. Vertices are the tracks of one flow in their order, then the
-/// image's corners row by row.
+/// The Delaunay triangles of a frame pair's tracks, first in the earlier frame, then in the later frame. They are
+/// the same for all instants. A triangle is three vertex indices. In the earlier frame, the vertices are the tracks
+/// of the forward flow, in order, followed by the corners of the image, row by row. In the later frame, they are
+/// the tracks of the backward flow, followed by the same corners.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Triangles(pub [Vec<[usize; 3]>; 2]);
 
 impl Triangles {
-    /// Triangulates the tracks of a frame pair of this size in pixels.
+    /// Triangulates the tracks of a frame pair. The frames have `width`×`height` pixels.
     pub fn new(tracks: &[Track], width: usize, height: usize) -> Self {
         Self([true, false].map(|forward| {
             let source = |t: &Track| if forward { t.earlier } else { t.later };
@@ -23,8 +24,8 @@ impl Triangles {
     }
 }
 
-/// The Delaunay triangles of these positions and the image's four corners. Each is three indices; the corners
-/// come after the positions.
+/// Returns the Delaunay triangles of these positions and the four corners of the image. Each triangle is three
+/// indices. The corners have the indices after those of the positions.
 pub fn triangulated(
     positions: impl Iterator<Item = Point2<f64>>,
     width: usize,
@@ -33,11 +34,11 @@ pub fn triangulated(
     delaunay(&positions.chain(corners(width, height)).collect::<Vec<_>>())
 }
 
-/// The piecewise affine warp that takes triangles of the features and of the image's corners from a source
-/// frame of `width`×`height` pixels to the instant.
+/// Returns the piecewise affine backward warp from the instant to a source frame of `width`×`height` pixels. The
+/// triangles connect features and the corners of the image.
 ///
-/// Triangles that flip between the frame and the instant, or have no area, are skipped. The warp is the identity at
-/// pixels that no triangle covers.
+/// Triangles that flip between the source frame and the instant, or have no area, are skipped. The warp is the
+/// identity at pixels that no triangle covers.
 pub fn triangulation_warp(
     triangles: &[[usize; 3]],
     features: &[EdgeFeature],
@@ -57,27 +58,29 @@ fn corners(width: usize, height: usize) -> [Point2<f64>; 4] {
     [(0, 0), (width, 0), (0, height), (width, height)].map(|(x, y)| Point2::new(x as f64, y as f64))
 }
 
-/// Barycentric tolerance of a pixel's centre outside a triangle, so that rounding leaves no gaps.
+/// Tolerance, in barycentric coordinates, by which a pixel's centre may be outside a triangle. It prevents gaps due
+/// to rounding.
 const OUTSIDE: f64 = 1e-9;
 
-/// Sets the warp at the pixels of one triangle, by scanlines.
+/// Sets the warp at the pixels of one triangle, row by row.
 fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
     let target = Matrix3::from_columns(&corners.map(|f| f.target.to_homogeneous()));
     let source_area =
         (corners[1].source - corners[0].source).perp(&(corners[2].source - corners[0].source));
-    // Twice the area, square pixels. A triangle below a thousandth covers no pixel's centre.
+    // Twice the triangle's area, in square pixels. A triangle with a value below a thousandth covers no pixel's
+    // centre.
     let area = target.determinant();
     if area.abs() < 1e-3 || area.signum() != source_area.signum() {
         return;
     }
     let Some(barycentric) = target.try_inverse() else { return };
-    // Rows of the affine map from (x, y, 1) at the instant to a source coordinate.
+    // Each of the two row vectors maps (x, y, 1) at the instant to one coordinate in the source frame.
     let [to_x, to_y] = [0, 1].map(|axis| {
         RowVector3::from_iterator(corners.iter().map(|f| f.source[axis])) * barycentric
     });
     let [a, b, c] = corners.map(|f| f.target);
     let (low, high) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
-    // The range of pixels along an axis whose centres are inside the bounding box.
+    // The range of pixels along an axis whose centres are inside the bounding box of the triangle.
     let bounds = |axis: usize, size: usize| {
         let first = (low[axis] - 0.5).ceil().max(0.0) as usize;
         let end = ((high[axis] - 0.5).floor() + 1.0).max(0.0) as usize;
@@ -102,8 +105,8 @@ fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
     }
 }
 
-/// The interval of x that is inside a triangle at height `y`, pixels. `barycentric` maps (x, y, 1) to
-/// barycentric coordinates. `None` if the row misses the triangle.
+/// Returns the interval of x, in pixels, in which the horizontal line at height `y` (pixels) is inside a triangle.
+/// `barycentric` maps (x, y, 1) to barycentric coordinates. Returns `None` if the line misses the triangle.
 fn span(barycentric: &Matrix3<f64>, y: f64) -> Option<[f64; 2]> {
     let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
     for corner in barycentric.row_iter() {

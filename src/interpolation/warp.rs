@@ -4,19 +4,20 @@ use super::tracked_pair::RowFractions;
 use crate::raster::{Image, Tiles, sample_all};
 use rayon::prelude::*;
 
-/// A backward warp: the source position of every pixel of an image.
+/// A backward warp: for every pixel of an image, a position in a source frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Warp {
     /// Width of the image, pixels.
     pub width: usize,
     /// Height of the image, pixels.
     pub height: usize,
-    /// Positions `[x, y]` in the source frame, row by row, pixels. Outside the frame its border is repeated.
+    /// Positions `[x, y]` in the source frame, in pixels, one per pixel of the image, row by row. Outside the
+    /// frame, its border pixels are repeated.
     pub source: Vec<[f32; 2]>,
 }
 
 impl Warp {
-    /// The identity warp: each pixel's source position is its own centre.
+    /// Returns the identity warp: each pixel's source position is the pixel's own centre.
     pub fn identity(width: usize, height: usize) -> Self {
         let source = (0..width * height)
             .map(|k| [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5])
@@ -25,8 +26,8 @@ impl Warp {
     }
 }
 
-/// Warps a frame by cubic convolution; values may leave 0..=1. Pixels outside the tiles `parts`, if given,
-/// are black.
+/// Warps a frame, which is sampled by cubic convolution. Values may be outside 0..=1. If the tiles `parts` are
+/// given, pixels outside them are black.
 pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image {
     let channels = image.channels();
     let mut data = vec![0.0; warp.source.len() * channels];
@@ -45,8 +46,9 @@ pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image
     Image::from_data(warp.width, warp.height, channels, data)
 }
 
-/// The cross dissolve of two warped frames, eq. (9), clamped to 0..=1. `fractions` are (t' − t)/Δt of the rows, 0 at
-/// the earlier frame. Pixels outside the tiles `parts`, if given, are black.
+/// Returns the cross dissolve of two warped frames, eq. (9), clamped to 0..=1. `fractions` are the fractions (t' −
+/// t)/Δt of the rows, which are 0 at the earlier frame. If the tiles `parts` are given, pixels outside them are
+/// black.
 ///
 /// Both frames must have the same channels, and both warps the same size.
 pub fn cross_dissolve(
@@ -62,13 +64,13 @@ pub fn cross_dissolve(
     image
 }
 
-/// The cross-fade of two images of the same shape: `a` at a fraction of 0, `b` at 1.
+/// Returns the cross-fade of two images of the same shape: `a` at fraction 0, `b` at fraction 1.
 pub(super) fn cross_fade(a: &Image, b: &Image, fraction: f32) -> Image {
     let data = (a.data().iter().zip(b.data())).map(|(a, b)| a + (b - a) * fraction).collect();
     Image::from_data(a.width(), a.height(), a.channels(), data)
 }
 
-/// The cross-fade of two images of the same shape, row by row.
+/// Returns the cross-fade of two images of the same shape, with a fraction for each row.
 pub(super) fn cross_fade_rows(a: &Image, b: &Image, fractions: RowFractions) -> Image {
     if fractions.are_constant() {
         return cross_fade(a, b, fractions.at(0.0) as f32);
@@ -82,8 +84,8 @@ pub(super) fn cross_fade_rows(a: &Image, b: &Image, fractions: RowFractions) -> 
     Image::from_data(a.width(), a.height(), a.channels(), data.collect())
 }
 
-/// The absolute difference of two images of the same shape, averaged over the channels; one value per pixel,
-/// row by row.
+/// Returns the absolute difference of two images of the same shape, averaged over the channels. The result has one
+/// value per pixel, row by row.
 pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
     #[inline(always)]
     fn of_pixel(a: &[f32], b: &[f32]) -> f32 {
@@ -91,7 +93,7 @@ pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
     }
     let (a_data, b_data) = (a.data(), b.data());
     match a.channels() {
-        // With the number of channels known at compile time, the loop vectorizes.
+        // If the number of channels is known at compile time, the loop is vectorized.
         3 => (a_data.as_chunks::<3>().0.iter().zip(b_data.as_chunks::<3>().0))
             .map(|(a, b)| of_pixel(a, b))
             .collect(),

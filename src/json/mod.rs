@@ -1,4 +1,4 @@
-//! Reading of JSON files. An error is one sentence that names the wrong field.
+//! Reads JSON files. An error is one sentence, which names the invalid field.
 
 mod objects;
 
@@ -8,32 +8,34 @@ use serde::de::DeserializeOwned;
 use serde_path_to_error::Segment;
 use std::path::Path;
 
-/// Default size limit of a file, bytes: the time stamps of a hundred cameras over twenty minutes. Parsing such a file
-/// takes up to a gigabyte of memory.
+/// Default size limit of a JSON file, bytes. It suffices for the time stamps of a hundred cameras over twenty minutes.
+/// Parsing such a file takes up to a gigabyte of memory.
 pub const MAX_BYTES: u64 = 64 << 20;
 
-/// Why a file can't be read as JSON. The caller's message adds the file's name.
+/// Reason why a file can't be read as JSON. The caller adds the file's name to the message.
 #[derive(Debug, thiserror::Error)]
 pub enum JsonError {
     #[error(transparent)]
     Read(#[from] std::io::Error),
-    /// The contents are wrong. The sentence starts with the field, if it is known.
+    /// The contents are invalid. The sentence starts with the field, if the field is known.
     #[error("{0}")]
     Content(String),
 }
 
-/// Reads a value from a regular file of at most [`MAX_BYTES`].
+/// Reads a value from a JSON file: a regular file of at most [`MAX_BYTES`].
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, JsonError> {
     read_within(path, MAX_BYTES)
 }
 
-/// Reads a value from a regular file of at most `max_bytes`.
+/// Reads a value from a JSON file: a regular file of at most `max_bytes`.
 pub fn read_within<T: DeserializeOwned>(path: &Path, max_bytes: u64) -> Result<T, JsonError> {
     parse(&read_text(path, max_bytes)?).map_err(JsonError::Content)
 }
 
-/// Parses a value. The error is a sentence that starts with the field. A list in place of a struct's object is an
-/// error.
+/// Parses a value from JSON. A list in place of a struct's object is an error.
+///
+/// # Errors
+/// A sentence that starts with the invalid field, if the field is known.
 pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let value = serde_path_to_error::deserialize(Objects(&mut deserializer));
@@ -42,7 +44,7 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     Ok(value)
 }
 
-/// Names of Rust's number types in the parser's messages, and their words.
+/// Words of the parser's messages that name Rust's number types, and the plain words that replace them.
 const NUMBERS: [(&str, &str); 5] = [
     ("expected usize", "expected a whole number"),
     ("expected u64", "expected a whole number"),
@@ -51,7 +53,7 @@ const NUMBERS: [(&str, &str); 5] = [
     ("expected f32", "expected a number"),
 ];
 
-/// The sentence of an error. A text that isn't JSON from its first character on is called so.
+/// Returns the sentence of a parsing error. A syntax error outside of all fields starts with "is no JSON".
 fn refusal(error: &serde_path_to_error::Error<serde_json::Error>) -> String {
     let sentence = error.to_string();
     let is_syntax = error.inner().is_syntax() || error.inner().is_eof();

@@ -1,14 +1,14 @@
-//! A deserializer that rejects lists in place of structs. Serde accepts a list of a struct's values in the order of
-//! its fields, which no schema allows.
+//! A deserializer that accepts only JSON objects for structs. Serde also accepts a list of a struct's values in the
+//! order of its fields, which no JSON Schema allows.
 
 use serde::de::{DeserializeSeed, Deserializer, EnumAccess, MapAccess, SeqAccess};
 use serde::de::{VariantAccess, Visitor};
 use std::fmt;
 
-/// Wraps a deserializer, and recursively the deserializers that it passes on. Structs must be JSON objects.
+/// Wraps a deserializer, and recursively the deserializers of its values, so that structs must be JSON objects.
 pub(super) struct Objects<T>(pub T);
 
-/// Wraps the visitor of a struct, and rejects lists.
+/// Wraps serde's visitor of a struct, so that a list in place of a JSON object is an error.
 struct StructVisitor<V>(V);
 
 impl<'de, V: Visitor<'de>> Visitor<'de> for StructVisitor<V> {
@@ -59,7 +59,7 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for Objects<D> {
         deserialize_ignored_any() Objects;
     }
 
-    // The program's files have no fields of these types.
+    // The program's JSON files have no fields of these types.
     serde::forward_to_deserialize_any! {
         i8 i16 i32 i128 u8 u16 u128 char bytes byte_buf unit unit_struct tuple_struct
     }

@@ -1,8 +1,8 @@
-//! Beyond the paper: a camera's image at an instant, blended from its own frames and from other cameras' images, which
-//! are warped to its viewpoint by depth per pixel.
+//! Beyond the paper: a camera's image at an instant is blended from its own frames and from other cameras' images. The
+//! other images are warped to the camera's viewpoint by depth per pixel.
 //!
-//! This recovers motion that a camera misses: a body that bounces between two of its frames is filmed by another camera
-//! nearer to the instant.
+//! This recovers motion that a camera misses. For example, a ball bounces between two frames of a camera, and another
+//! camera has a frame nearer to this instant.
 
 use super::camera_image::images_of;
 use super::geometry::geometry;
@@ -12,13 +12,14 @@ use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
 use crate::lumigraph::BlendMethod;
 use crate::options::{ProxyMethod, RenderOptions};
 
-/// Factor on [`crate::lumigraph::BlendOptions::error_angle_rad`] when a camera's own image is among the
-/// blended images. It is below 1 because that image has no depth error. Smaller: the camera's own
-/// interpolated image dominates. Larger: other cameras' images do.
+/// Factor on [`crate::lumigraph::BlendOptions::error_angle_rad`], the penalty per pixel of interpolation error. It
+/// applies when a camera's image is blended from all cameras' images, including its own interpolated image. It is below
+/// 1 because the camera's own image has no depth error. With a smaller factor, the camera's own image dominates; with a
+/// larger factor, other cameras' images do.
 const OWN_FRACTION: f64 = 0.25;
 
 impl LightField {
-    /// A camera's image between two of its frames, blended from all cameras' images with the options `all`.
+    /// Computes a camera's image between two of its frames, blended from all cameras' images with the options `all`.
     /// Pixels that the blend doesn't cover are interpolated from the camera's own frames.
     pub(super) fn image_from_all_cameras(
         &self,

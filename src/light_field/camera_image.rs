@@ -1,4 +1,4 @@
-//! §5: a camera's image at an instant between its frames.
+//! Temporal interpolation (§5): a camera's image at an instant between its frames.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, Stage};
@@ -94,8 +94,8 @@ impl RefinementCosts<'_> {
     }
 }
 
-/// Computes a camera's image at an instant, exposed as by the camera at this instant. If the tiles `parts` are given, pixels outside them may be wrong
-/// or black.
+/// Computes a camera's image at an instant, with the camera's exposure at this instant. If tiles are given as `parts`,
+/// pixels outside these tiles may be wrong or black.
 pub(super) fn image_in(
     field: &LightField,
     image: &CameraImage,
@@ -111,12 +111,11 @@ pub(super) fn image_in(
     }
     let own_s = field.own_time_s(camera, time_s);
     let exposed_now = |index: usize| frames.get_exposed_at(camera, index, own_s);
-    let earlier_frame = exposed_now(frame)?;
     let interpolation = method.interpolation.clone().unwrap_or_default();
     if let Some(options) = &method.all_cameras {
         return field.image_from_all_cameras(image, &interpolation, options, context);
     }
-    let later_frame = exposed_now(later)?;
+    let (earlier_frame, later_frame) = (exposed_now(frame)?, exposed_now(later)?);
     let pair_tracks = PairTracks { camera, frame, registration };
     let follows_motion = method.interpolation.is_some()
         && !is_still(field, pair_tracks, interpolation.still_change)?;
@@ -159,12 +158,12 @@ pub(super) fn image_in(
 }
 
 impl LightField {
-    /// A camera's synchronized image at a time, seconds from the capture's start: its own frame if one has
-    /// exactly this time, else interpolated.
+    /// Returns a camera's synchronized image at `time_s`, seconds from the capture's start. It is the camera's own
+    /// frame if a frame has exactly this time. Otherwise, it is interpolated.
     ///
     /// # Errors
-    /// [`RenderError::CameraTime`] outside the camera's frames, [`RenderError::CameraClock`] if its clock is
-    /// unknown, [`RenderError::Capture`] if a frame can't be read.
+    /// [`RenderError::CameraTime`] if the time is outside the camera's frames, [`RenderError::CameraClock`] if the
+    /// camera's clock is unknown, and [`RenderError::Capture`] if a frame can't be read.
     pub fn synchronized(
         &self,
         camera: usize,
@@ -176,8 +175,8 @@ impl LightField {
         on_workers(|| image.get(self, &Context::unattended()))
     }
 
-    /// A camera's synchronized image at a time, seconds from the capture's start, converted to the exposure of the
-    /// camera's first frame, which is that of the truth; `None` if it is the same.
+    /// Converts a camera's synchronized image at `time_s`, seconds from the capture's start, to the exposure of the
+    /// camera's first frame, which is the exposure of the truth. Returns `None` if the exposures are the same.
     pub(crate) fn exposed_first(
         &self,
         camera: usize,
@@ -191,11 +190,12 @@ impl LightField {
         Some(with_image(image, gains.exposed_at(camera, [own_s, first_s], &image.image)?))
     }
 
-    /// The synchronized images of all cameras at a time, seconds from the capture's start, in the capture's
-    /// order; `None` for cameras that can't give one.
+    /// Returns the synchronized images of all cameras at `time_s`, seconds from the capture's start. They are in the
+    /// capture's order. `None`: the camera has no image at this time.
     ///
     /// # Errors
-    /// [`RenderError::Capture`] if a frame can't be read, [`RenderError::Stopped`].
+    /// [`RenderError::Capture`] if a frame can't be read, and [`RenderError::Stopped`] if `context` stops the
+    /// computation.
     pub fn synchronized_all(
         &self,
         time_s: f64,
@@ -209,11 +209,11 @@ impl LightField {
         on_workers(|| side_by_side(self, &usable, method.all_cameras.is_some(), context, get))
     }
 
-    /// [`Self::synchronized_all`], with images gain-corrected to the reference camera's exposure.
+    /// Returns the images of [`Self::synchronized_all`], gain-corrected to the reference camera's exposure.
     ///
     /// # Errors
-    /// Those of [`Self::synchronized_all`], and the error of [`super::render()`] if no camera has an image at
-    /// that time.
+    /// The errors of [`Self::synchronized_all`], and the error of [`super::render()`] if no camera has an image at
+    /// `time_s`.
     pub fn corrected_all(
         &self,
         time_s: f64,
@@ -225,15 +225,16 @@ impl LightField {
         }
         let source = ImageSource::new(Images::By(options.sync), options);
         let (usable, instant) = (self.usable(time_s), Instant::new(time_s, options));
-        // Requested twice: frames of the last cameras may have evicted images of the first ones from the
-        // memo.
+        // The images are requested twice, so that the memo holds all of them at the end. During the first request,
+        // frames of the last cameras may evict images of the first cameras.
         on_workers(|| images_of(self, &source, &usable, instant, context))?;
         let images = on_workers(|| images_of(self, &source, &usable, instant, context))?;
         Ok(GivenImages::corrected(images))
     }
 
-    /// The result of [`Self::corrected_all`] if the synchronized images of all usable cameras are cached,
-    /// else `None`.
+    /// Returns the result of [`Self::corrected_all`] if the synchronized images of all usable cameras are cached. A
+    /// camera is usable if it can give an image at `time_s`, seconds from the capture's start. `None` if an image isn't
+    /// cached, or if no camera is usable.
     pub(crate) fn cached_instant(
         &self,
         time_s: f64,
@@ -250,7 +251,8 @@ impl LightField {
     }
 }
 
-/// The images of `cameras` at an instant, gain-corrected to the reference camera's exposure.
+/// Returns the images of `cameras`, given by index, at an instant. They are gain-corrected to the reference camera's
+/// exposure. The result has one element per camera of the capture: `None` for cameras that weren't requested.
 pub(super) fn images_of(
     field: &LightField,
     source: &ImageSource,
@@ -276,8 +278,9 @@ pub(super) fn images_of(
     }
 }
 
-/// Calls `get` for these cameras in parallel. If `share_inputs`, the first image is computed alone, so that
-/// inputs that all images share are computed once.
+/// Computes the images of the given cameras in parallel, by `get`. If `share_inputs` is true, the first image is
+/// computed alone, so that inputs that all images share are computed only once. The result has one element per camera
+/// of the capture: `None` for cameras that aren't given.
 fn side_by_side(
     field: &LightField,
     cameras: &[usize],

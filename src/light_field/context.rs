@@ -2,7 +2,7 @@
 
 use super::RenderError;
 
-/// The progress callback of rendering, which can also stop it.
+/// Progress callback of rendering, which can also stop the rendering.
 #[derive(Clone, Copy)]
 pub struct Context<'a> {
     proceed: &'a (dyn Fn(usize, usize) -> bool + Sync),
@@ -11,19 +11,19 @@ pub struct Context<'a> {
 }
 
 impl<'a> Context<'a> {
-    /// A context with the callback `proceed(done, total)`, which is called before every step with the number of
-    /// finished instants and of all instants. If it returns false, rendering ends with [`RenderError::Stopped`]. It may
-    /// be called from several threads.
+    /// Creates a context with the callback `proceed(done, total)`. It is called before every step with the number of
+    /// finished instants and the number of all instants. If the callback returns false, rendering ends with
+    /// [`RenderError::Stopped`]. The callback may be called from several threads.
     pub fn new(proceed: &'a (dyn Fn(usize, usize) -> bool + Sync)) -> Self {
         Self { proceed, done: 0, total: 1 }
     }
 
-    /// A context without progress reports, which never stops rendering.
+    /// Creates a context that reports no progress and never stops rendering.
     pub fn unattended() -> Self {
         Self::new(&|_, _| true)
     }
 
-    /// The context for the instant after `done` of `total` instants.
+    /// Returns the context for the next instant, after `done` of `total` instants are finished.
     pub(super) fn at(self, done: usize, total: usize) -> Self {
         Self { done, total, ..self }
     }

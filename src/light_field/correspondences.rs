@@ -1,5 +1,5 @@
-//! §6: spatial correspondences, which are features of several cameras that show the same point. They are
-//! computed once for all instants between the same frames.
+//! Spatial correspondences (§6): features of several cameras that show the same point. They are computed once for all
+//! instants at which each camera has the same nearer and the same farther frame.
 
 use super::RenderError;
 use super::frame_pair::is_still;
@@ -11,25 +11,29 @@ use crate::registration::{Frame, Match, Trajectory, flow};
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 
-/// Maximum motion to the other frame that is predicted from a disparity, pixels; longer ones are due to a
-/// wrong disparity.
+/// Maximum length of a feature's predicted motion between two frames of another camera, pixels. The prediction is
+/// extrapolated from two positions: the one found in the frame nearer in time, and the one expected at the instant, by
+/// the feature's disparity. A longer motion is due to a wrong disparity, and is not used.
 const MAX_PREDICTED_MOTION_PX: f64 = 30.0;
 
-/// Minimum distance in time of the instant from a frame, as a fraction of the frame interval, for motion to
-/// be predicted from the disparity. The prediction divides the disparity's error by this fraction.
+/// Minimum time between the instant and the nearer frame for predicting a feature's motion, as a fraction of the time
+/// between the two frames. For shorter times, the extrapolation would amplify the error of the feature's disparity too
+/// much.
 const MIN_PREDICTED_FRACTION: f64 = 0.25;
 
-/// Largest distance of a match from its epipolar line at the instant, pixels.
+/// Maximum distance between a feature's match in another camera and the feature's epipolar line at the rendered
+/// instant, pixels.
 const MAX_EPIPOLAR_PX: f64 = 1.0;
 
-/// A feature's positions in another camera's nearer and farther frame (in time), pixels.
+/// Positions of a feature in another camera's two frames around an instant, pixels: in the frame nearer in time, and in
+/// the farther frame.
 type Matched = [Point2<f64>; 2];
 
-/// A feature of a camera's nearer frame, with its trajectory.
+/// A feature of a camera, found in the nearer of the two frames around an instant, with its trajectory.
 #[derive(Clone, Copy, Debug)]
 struct Feature {
     in_frame: Point2<f64>,
-    /// `None` if the two frames show no motion.
+    /// Motion of the feature through the two frames around the instant. `None` if nothing moves between these frames.
     trajectory: Option<Trajectory>,
 }
 
@@ -39,22 +43,25 @@ impl Feature {
     }
 }
 
-/// The features of a camera's nearer frame, and their matches in its partner cameras.
+/// The features of a camera, and their matches in its partner cameras. The features are found in the camera's frame
+/// that is nearer in time to the instant.
 pub(super) struct MatchedFeatures {
     own: FramesAround,
     features: Vec<Feature>,
-    /// Each partner's frames, and for each feature its match there; `None` if it isn't found.
+    /// For each partner camera, its frames around the instant, and the match of each feature in them; `None` if a
+    /// feature isn't found.
     partners: Vec<(FramesAround, Vec<Option<Matched>>)>,
 }
 
-/// The cameras that see a point, each with the point's position in its image, pixels.
+/// Cameras that see a point, each with the point's position in the camera's image, pixels.
 pub(super) type Observations<'a> = Vec<(&'a Camera, Point2<f64>)>;
 
-/// Features of a frame that are to be found in another camera's frames.
+/// Features of one camera's frame that are searched in another camera's frames.
 struct Query<'a> {
     frame: &'a Frame,
     features: &'a [Feature],
-    /// The features' expected displacements from this camera to the other, pixels; 0 where unknown.
+    /// Expected displacement of each feature from this camera's image to the other camera's image, pixels; 0 where
+    /// unknown.
     disparities: &'a [Vector2<f64>],
     time_s: f64,
 }
@@ -103,8 +110,8 @@ impl Correspondences<'_> {
     }
 }
 
-/// For each feature its observations at `time_s`, seconds. The first is the camera's own; those of partners
-/// that see the feature follow.
+/// Returns the observations of each feature at `time_s`, seconds from the capture's start: the cameras that see the
+/// feature, with its position in each. The feature's own camera comes first, and partner cameras follow.
 pub(super) fn observations<'a>(
     field: &'a LightField,
     matched: &MatchedFeatures,
@@ -119,8 +126,8 @@ pub(super) fn observations<'a>(
     seen
 }
 
-/// Adds a partner's observations at `time_s`, except those farther than [`MAX_EPIPOLAR_PX`] from their
-/// epipolar lines.
+/// Adds the observations of one partner camera at `time_s`, seconds from the capture's start, to `seen`. Observations
+/// farther than [`MAX_EPIPOLAR_PX`] from their epipolar lines are left out.
 fn observe<'a>(
     field: &'a LightField,
     around: FramesAround,
@@ -137,8 +144,8 @@ fn observe<'a>(
             return 0.0;
         }
         let near_s = times.at(around.near, near);
-        // Rows of two frames have the same time only if a point crosses the whole image between them. It is then
-        // infinitely far off its epipolar line.
+        // The divisor is 0 only if a rolling shutter exposes the point in both frames at the same time, so that the
+        // point crosses the whole image between them. The position is then infinitely far from the epipolar line.
         (time_s - near_s) / (times.at(around.far, far) - near_s)
     };
     for (seen, matched) in seen.iter_mut().zip(matched) {
@@ -154,8 +161,9 @@ fn observe<'a>(
     }
 }
 
-/// The middle of the time interval, seconds, in which `around` holds for every camera. 0 if no camera has
-/// motion.
+/// Returns the instant for which the correspondences between the frames `around` are computed, seconds from the
+/// capture's start. It is the middle of the time interval in which every camera's frame `near` is nearer than its frame
+/// `far`. Cameras without motion don't count. Returns 0 if no camera sees motion.
 fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     let moving = around.iter().filter(|a| a.near != a.far);
     let span = moving.map(|a| {
@@ -167,8 +175,8 @@ fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     both.map_or(0.0, |[from, to]| 0.5 * (from + to))
 }
 
-/// The frames of a camera around an instant, the nearer and the farther in time. If nothing moves between
-/// them, both are the nearer.
+/// Returns the two frames of a camera around an instant, the nearer and the farther in time. If nothing moves between
+/// them, the nearer frame is used for both.
 pub(super) fn frames_around(
     field: &LightField,
     camera: usize,
@@ -185,7 +193,7 @@ pub(super) fn frames_around(
 }
 
 impl Correspondences<'_> {
-    /// The features of the first camera's nearer frame.
+    /// Returns the frame `near` of the first camera in `self.around`, and the features of that frame.
     fn features(&self, field: &LightField) -> Result<(Arc<Frame>, Vec<Feature>), RenderError> {
         let FramesAround { camera, near, far } = self.around[0];
         let frame = field.frames(self.registration).get(camera, near)?;
@@ -212,8 +220,8 @@ impl Correspondences<'_> {
         Ok((frame, features))
     }
 
-    /// Finds the query's features in a camera's nearer frame, and tracks them from there to its farther
-    /// frame.
+    /// Finds the query's features in another camera's frame `near`, and tracks them from there to that camera's frame
+    /// `far`. Returns each feature's positions in both frames; `None` if a feature isn't found.
     fn matched(
         &self,
         field: &LightField,
@@ -240,7 +248,8 @@ impl Correspondences<'_> {
         let found: Vec<(usize, Point2<f64>)> = (matches.iter().enumerate())
             .filter_map(|(n, m)| Some((n, m.as_ref().map(target)?)))
             .collect();
-        // The feature's motion to the farther frame is predicted from its motion in the query's camera.
+        // The motion to the farther frame is extrapolated from the feature's motion between the nearer frame and its
+        // expected position at the instant.
         let starts: Vec<_> = found
             .iter()
             .map(|&(n, p)| {

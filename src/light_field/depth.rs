@@ -1,4 +1,4 @@
-//! Depth per pixel of the cameras at an instant, by stereo matching of their images.
+//! Estimation of the cameras' depth per pixel at an instant, by stereo matching of their images.
 
 use super::camera_image::images_of;
 use super::graph::{LightField, Stage};
@@ -13,27 +13,28 @@ use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Fraction of the range of inverse depths that is added at both ends, for surfaces nearer or farther than
-/// all features.
+/// Margin at both ends of the searched range of inverse depths, as a fraction of the range of the scene points' inverse
+/// depths. Surfaces may be nearer or farther than all scene points.
 const RANGE_MARGIN: f64 = 0.1;
-/// Step between the sampled pixels of the mesh's depth map, from which the range of depths is computed.
+/// Spacing of the pixels at which the depth map of the scene's mesh proxy is sampled, pixels. The samples give the
+/// scene's range of depths.
 const RANGE_STEP_PX: usize = 8;
-/// Lower bound of the inverse depths that are searched, 1/m.
+/// Smallest inverse depth that stereo matching searches, 1/m.
 const MIN_INVERSE_DEPTH: f64 = 1e-5;
-/// Memory of a matcher, bytes per pixel of its cameras' images.
+/// Memory that a stereo matcher needs, bytes per pixel of its cameras' images.
 const MATCHER_BYTES: usize = 16;
 
-/// A stereo matcher with its prepared images, and the search range of each camera.
+/// A stereo matcher with its prepared images, and each camera's search range of inverse depths.
 pub(super) struct PreparedStereo {
     matcher: Matcher,
-    /// For each of the stereo's cameras, the minimum and maximum inverse depth, 1/m; `None` if no scene point
-    /// is in front of it.
+    /// For each camera whose image is matched, the minimum and maximum inverse depth to be searched, 1/m. `None` if no
+    /// scene point is in front of the camera.
     ranges: Vec<Option<[f64; 2]>>,
     bytes: usize,
 }
 
 impl Stage for Stereo<'_> {
-    /// `None` if the range of the scene's depths is unknown.
+    /// The prepared stereo matcher. `None` if the range of the scene's depths is unknown.
     type Output = Option<PreparedStereo>;
     const NAME: &'static str = "stereo";
 
@@ -85,8 +86,8 @@ impl Stereo<'_> {
         Ok(Some(PreparedStereo { matcher, ranges, bytes: MATCHER_BYTES * pixels }))
     }
 
-    /// Estimates the depths of `cameras`, a subset of the stereo's cameras. Cameras whose depths can't be
-    /// estimated are left out.
+    /// Estimates the depths of all pixels of `cameras`. These must be among the cameras whose images are matched,
+    /// [`Self::cameras`]. Cameras whose depths can't be estimated are left out.
     pub fn surfaces(
         &self,
         field: &LightField,
@@ -105,11 +106,12 @@ impl Stereo<'_> {
     }
 }
 
-/// A camera's index, and its estimated depths; `None` if they can't be estimated.
+/// Index of a camera, and the inverse depths of its pixels. `None` if the depths can't be estimated.
 pub(super) type EstimatedDepth = (usize, Arc<Option<InverseDepths>>);
 
 impl Stage for CameraDepth<'_> {
-    /// `None` if all cameras stand at one place, or if the range of depths is unknown.
+    /// Inverse depths of the camera's pixels. `None` if all cameras stand at one place, or if the range of the scene's
+    /// depths is unknown.
     type Output = Option<InverseDepths>;
     const NAME: &'static str = "depth";
 
@@ -139,8 +141,7 @@ impl CameraDepth<'_> {
 }
 
 impl Stage for OcclusionDepths<'_> {
-    /// One depth map for each camera, in the capture's order; `None` for cameras that don't take part in the
-    /// stereo.
+    /// One depth map per camera, in the capture's order. `None` for cameras whose images aren't matched by stereo.
     type Output = Vec<Option<Arc<DepthMap>>>;
     const NAME: &'static str = "occlusion depths";
 
@@ -173,7 +174,7 @@ impl OcclusionDepths<'_> {
     }
 }
 
-/// The estimated depths of some cameras, as surfaces to be fused.
+/// Converts the estimated depths of several cameras to surfaces for [`fuse`]. Cameras without depths are left out.
 pub(super) fn surfaces<'a>(
     field: &'a LightField,
     depths: &'a [EstimatedDepth],
@@ -185,8 +186,8 @@ pub(super) fn surfaces<'a>(
     depths.iter().filter_map(surface).collect()
 }
 
-/// Points of the scene at an instant, world, metres: samples of the mesh as the camera `middle` sees it.
-/// `None` without features.
+/// Returns points of the scene at an instant, in world coordinates, metres. They are samples of the mesh proxy in the
+/// view of the camera `middle`. `None` if no feature points are in front of this camera.
 pub(super) fn scene_points(
     field: &LightField,
     middle: &Camera,
@@ -206,7 +207,8 @@ pub(super) fn scene_points(
     }
 }
 
-/// The points of a depth map at every [`RANGE_STEP_PX`]-th pixel, world, metres.
+/// Returns the points that a depth map shows at every [`RANGE_STEP_PX`]-th pixel of every [`RANGE_STEP_PX`]-th row, in
+/// world coordinates, metres.
 fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
     let mut points = Vec::new();
     for y in (0..camera.height).step_by(RANGE_STEP_PX) {
@@ -221,8 +223,8 @@ fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
     points
 }
 
-/// Minimum and maximum inverse depth of the points in a camera, 1/m, with a margin. `None` if none is in
-/// front of it.
+/// Returns the minimum and the maximum inverse depth of the points in a camera, 1/m, widened by a margin. `None` if no
+/// point is in front of the camera.
 pub(super) fn range(points: &[Point3<f64>], camera: &Camera) -> Option<[f64; 2]> {
     let depths = points.iter().map(|p| (camera.cam_from_world * p).z).filter(|z| *z > 0.0);
     let [low, high] = depths

@@ -1,8 +1,8 @@
-//! The errors of rendering.
+//! Errors of rendering.
 
 use crate::capture::CaptureError;
 
-/// Why an image can't be rendered. Every message is one sentence.
+/// Reason why an image can't be rendered. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
     #[error(transparent)]
@@ -30,11 +30,11 @@ pub enum RenderError {
     Stopped,
 }
 
-/// Decimals of seconds in messages.
+/// Number of decimals with which messages show seconds.
 const DECIMALS: usize = 4;
 
-/// Formats a time outside a span, as in `0.2 s: they cover 0 to 0.15 s`; with more decimals if rounding would
-/// put the time inside the span.
+/// Formats a time and the span that it lies outside, all in seconds. With `they cover` as `covered`, an example is
+/// `0.2 s: they cover 0 to 0.15 s`. More decimals are shown if rounding would put the time inside the span.
 fn outside(time_s: f64, first_s: f64, last_s: f64, covered: &str) -> String {
     let rounded = |t: f64, decimals: usize| format!("{t:.decimals$}").parse().unwrap_or(t);
     let is_within = |decimals: &usize| {
@@ -50,7 +50,7 @@ fn outside(time_s: f64, first_s: f64, last_s: f64, covered: &str) -> String {
 }
 
 impl RenderError {
-    /// Whether rendering may succeed at another instant.
+    /// Returns whether rendering may succeed at another instant after this error.
     pub(super) fn may_succeed_at_another_time(&self) -> bool {
         matches!(
             self,

@@ -10,25 +10,26 @@ use crate::camera::Camera;
 use crate::options::RenderOptions;
 use std::collections::BTreeSet;
 
-/// Maximum number of cameras from whose frames a view is blended.
+/// Maximum number of cameras from whose frames a view by scene flow is blended.
 const MAX_CAMERAS: usize = 8;
 
 impl LightField {
-    /// The frames, as (camera, index), from which a view by scene flow is blended: of each of the nearest
-    /// cameras the frame nearest in time. `time_s` is seconds from the capture's start.
+    /// Returns the frames, as (camera index, frame index), from which a view by scene flow is blended. For each of the
+    /// cameras nearest to `target`, the list contains the frame nearest in time to `time_s`, seconds from the capture's
+    /// start.
     pub fn frames_of_view(&self, target: &Camera, time_s: f64) -> Vec<(usize, usize)> {
         let mut cameras = nearest(self.capture(), &self.usable(time_s), target.center());
         cameras.truncate(MAX_CAMERAS);
         let frame = |c: usize| self.nearest_frame(c, time_s).map(|k| (c, k));
         let mut frames: Vec<FrameId> = cameras.into_iter().filter_map(frame).collect();
-        // Sorted, so that views from other places with the same frames share cached results.
+        // The frames are sorted, so that views from other places with the same frames share cached results.
         frames.sort_unstable();
         frames
     }
 
-    /// The frames, as (camera, index), that views by scene flow use within a span of time, seconds from the
-    /// capture's start: of every camera the frames that are nearest to some instant of the span. Ordered by
-    /// time.
+    /// Returns the frames, as (camera index, frame index), that views by scene flow use within a span of time. The span
+    /// is the first and the last instant, seconds from the capture's start. For every camera, the result contains the
+    /// frames that are nearest to any instant of the span. The frames are ordered by time.
     pub fn frames_within(&self, (first_s, last_s): (f64, f64)) -> Vec<(usize, usize)> {
         let of = |camera: usize| {
             let ends = [first_s, last_s].map(|t| self.nearest_frame(camera, t));
@@ -41,13 +42,12 @@ impl LightField {
         frames
     }
 
-    /// Stores depth and motion of these frames on disk, as [`Self::prepare`] does for all frames. Frames are
-    /// estimated in groups, so that others may be stored too. `progress` is called with the number of stored
-    /// frames, which may exceed the length of the list.
+    /// Stores depth and motion of the given frames on disk, as [`Self::prepare`] does for all frames. A frame is
+    /// (camera index, frame index). Frames are estimated in groups, so that other frames may be stored too. `progress`
+    /// is called with the number of stored frames, which may exceed the length of the list.
     ///
     /// # Errors
-    /// [`RenderError::NoPoints`] if the range of the scene's depths is unknown, else those of
-    /// [`Self::prepare`].
+    /// [`RenderError::NoPoints`] if the range of the scene's depths is unknown, and the errors of [`Self::prepare`].
     pub fn prepare_frames(
         &self,
         frames: &[(usize, usize)],
@@ -68,7 +68,8 @@ impl LightField {
         Ok(())
     }
 
-    /// These frames with their depth and motion, from memory or disk, else computed.
+    /// Returns the given frames with their depth and motion, which come from memory or disk or else are computed. A
+    /// frame is (camera index, frame index).
     ///
     /// # Errors
     /// [`RenderError::NoPoints`] if the range of the scene's depths is unknown, and [`RenderError::Capture`]

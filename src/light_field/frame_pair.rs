@@ -1,4 +1,4 @@
-//! §4: change and tracks between two successive frames of a camera.
+//! Change and feature tracks between two successive frames of a camera (§4).
 
 use super::RenderError;
 use super::graph::{LightField, Stage, StoredStage};
@@ -84,8 +84,8 @@ impl PairTriangles<'_> {
 }
 
 impl LightField {
-    /// The tracks between the frames `frame` and `frame + 1` of a camera, without those that fail the
-    /// epipolar test.
+    /// Returns the feature tracks between the frames `frame` and `frame + 1` of a camera. Tracks that contradict the
+    /// epipolar geometry with other cameras are left out, if the options ask for this test.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.
@@ -98,8 +98,8 @@ impl LightField {
         PairTracks { camera, frame, registration }.get(self)
     }
 
-    /// Registers, in every camera, the pair of frames around a time, seconds from the capture's start, and
-    /// caches the tracks. Cameras without such frames are skipped.
+    /// Tracks features, in every camera, between the two frames around `time_s`, seconds from the capture's start. The
+    /// tracks are cached. Cameras without such frames are skipped.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.
@@ -115,8 +115,9 @@ impl LightField {
     }
 }
 
-/// Whether the pair of `frame` and `frame + 1` is static and needs no registration: no block changes by more
-/// than `still_change` ([`crate::interpolation::InterpolationOptions`]).
+/// Returns whether a pair of successive frames is static and needs no registration. This is the case if the mean
+/// absolute difference of every 8×8 block of pixels is at most `still_change`
+/// ([`crate::interpolation::InterpolationOptions`]).
 pub(super) fn is_still(
     field: &LightField,
     tracks: PairTracks,

@@ -1,5 +1,5 @@
-//! The scene's geometry at an instant for one view: the view's depth map, and for occlusion those of the
-//! cameras from which it is blended.
+//! Geometry of the scene at an instant for one view: the depth map of the view, and the depth maps of the cameras from
+//! which the view is blended. The latter show which points are occluded in a camera.
 
 use super::depth::surfaces;
 use super::graph::LightField;
@@ -13,17 +13,18 @@ use crate::options::{ProxyMethod, RenderOptions};
 use crate::stereo::{FURTHER_CAMERAS, fuse};
 use std::sync::Arc;
 
-/// The depth maps of a view and of the cameras from which it is blended.
+/// Depth maps of a view, and of the cameras from which the view is blended.
 #[derive(Clone, Debug)]
 pub struct Geometry {
-    /// The view's depth map.
+    /// Depth map of the view.
     pub view: DepthMap,
-    /// Every camera's depth map, in the capture's order. `None`: no point counts as occluded in that camera.
+    /// Depth map of each camera, in the capture's order. `None`: no point counts as occluded in that camera.
     pub sources: Vec<Option<Arc<DepthMap>>>,
 }
 
-/// The cameras nearest to a view, ordered by distance, whose images determine the view's depths or its
-/// space-time weights. Empty if the proxy is built from features, and the weights don't depend on time.
+/// Returns the indices of the cameras nearest to a view, ordered by distance. From their images, the view's depth per
+/// pixel is estimated; with [`BlendMethod::SpaceTime`], the view is also blended from them alone. The result is empty
+/// if the proxy is built from features and the view is blended by another method.
 pub(super) fn nearest_cameras(
     field: &LightField,
     target: &Camera,
@@ -38,12 +39,12 @@ pub(super) fn nearest_cameras(
     cameras
 }
 
-/// Whether depths are estimated per pixel, and not taken from features.
+/// Returns whether depths are estimated per pixel, and not taken from features.
 fn has_pixel_depths(options: &RenderOptions) -> bool {
     matches!(options.proxy.method, ProxyMethod::Depth | ProxyMethod::SceneFlow)
 }
 
-/// The geometry of a view from the camera `target`.
+/// Computes the geometry of the view of the camera `target` at the request's time.
 pub(super) fn geometry(
     field: &LightField,
     target: &Camera,
@@ -66,8 +67,8 @@ pub(super) fn geometry(
     Ok(Geometry { view: proxy.depth_map(target), sources: vec![None; cameras] })
 }
 
-/// The geometry by stereo: depth per pixel of the cameras nearest to the view. `None` with fewer than two
-/// cameras, or if no camera's depths can be estimated.
+/// Computes a view's geometry by stereo matching: the depths per pixel of the cameras nearest to the view, fused into
+/// the view. `None` with fewer than two cameras, or if no camera's depths can be estimated.
 fn by_stereo(
     field: &LightField,
     target: &Camera,
@@ -94,8 +95,8 @@ fn by_stereo(
     Ok(Some(Geometry { view, sources: sources.to_vec() }))
 }
 
-/// The cameras of a view's stereo, and the subset whose depths are estimated, both ascending. `None` with
-/// fewer than two cameras.
+/// Returns the indices of the cameras whose images are matched for a view's depths, and the indices of those among them
+/// whose depths are estimated. Both are ascending. `None` with fewer than two cameras.
 fn stereo_cameras(
     field: &LightField,
     target: &Camera,
@@ -110,15 +111,15 @@ fn stereo_cameras(
     }
     let mut estimated = cameras.clone();
     estimated.truncate(options.proxy.depth.cameras.max(1));
-    // Sorted, so that all views with the same nearest cameras share the cached depths.
+    // The indices are sorted, so that all views with the same nearest cameras share the cached depths.
     cameras.sort_unstable();
     estimated.sort_unstable();
     Some([cameras, estimated])
 }
 
 impl LightField {
-    /// Whether a view's geometry needs no stereo matching: its proxy is built from features, or its depths
-    /// are cached.
+    /// Returns whether a view's geometry can be computed without stereo matching: its proxy is built from features, its
+    /// depths are cached, or there are too few cameras to match. Returns false for scene flow.
     pub(crate) fn has_cached_geometry(&self, target: &Camera, request: &Request) -> bool {
         let &Request { time_s, options, shape, .. } = request;
         match options.proxy.method {

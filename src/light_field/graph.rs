@@ -1,4 +1,4 @@
-//! The graph of stages: a capture with its clocks, and the results that are computed from it.
+//! Graph of the stages that render views: a capture with its clocks, and the cached results of stages.
 
 use super::error::RenderError;
 use crate::capture::{Capture, Stored};
@@ -11,14 +11,14 @@ use serde::de::DeserializeOwned;
 use std::any::Any;
 use std::sync::Arc;
 
-/// The inputs of a stage of the graph, which are the key of its result. A stage's function `get`, in the file of
-/// its algorithm, looks for the result in memory, else computes and inserts it.
+/// Inputs of a stage of the graph. The inputs are the key of the stage's result in the cache. Each stage has a function
+/// `get`, in the file of its algorithm. The function returns the result from memory, or computes and inserts it.
 pub(super) trait Stage: Serialize {
     type Output: Any + Send + Sync;
-    /// The stage's name, by which the cache separates its results from those of other stages.
+    /// Name of the stage, by which the cache separates its results from the results of other stages.
     const NAME: &'static str;
 
-    /// The size of a result, bytes.
+    /// Returns the size of a result in memory, bytes.
     fn bytes(output: &Self::Output) -> usize;
 }
 
@@ -29,27 +29,27 @@ pub(super) trait StoredStage: Stage<Output: Serialize + DeserializeOwned> {
 
 /// A capture with known clocks, from which views are rendered.
 ///
-/// It is immutable, and may be used by several threads. Results of stages are cached in memory of bounded
-/// size; no result depends on the views rendered before.
+/// A light field is immutable, and may be used by several threads. Results of stages are cached in memory of bounded
+/// size. No result depends on the views rendered before.
 ///
-/// Times are seconds on the reference camera's clock, from the capture's start ([`Capture::time_origin_s`]).
+/// Times are seconds on the reference camera's clock, counted from the capture's start ([`Capture::time_origin_s`]).
 pub struct LightField {
     capture: Arc<Capture>,
     offsets: Offsets,
-    /// Every camera's frame times, seconds on the reference camera's clock from the capture's start; `None`
-    /// if its clock is unknown.
+    /// Frame times of every camera, seconds on the reference camera's clock from the capture's start. `None` if the
+    /// camera's clock is unknown.
     pub(super) all_times_s: Vec<Option<Vec<f64>>>,
     times_hash: String,
     pub(super) memo: Arc<Memo>,
 }
 
 impl LightField {
-    /// The light field of a capture with these offsets.
+    /// Creates the light field of a capture. `offsets` are the temporal offsets of its cameras.
     pub fn new(capture: Arc<Capture>, offsets: Offsets) -> Self {
         Self::with_frames(&FrameStore::new(capture, &RegistrationOptions::default()), offsets)
     }
 
-    /// The light field of a frame store's capture. It shares the store's cached frames.
+    /// Creates the light field of a frame store's capture. The light field shares the store's cached frames.
     pub fn with_frames(frames: &FrameStore, offsets: Offsets) -> Self {
         let capture = frames.capture().clone();
         let all_times_s = offsets.common_times_s(&capture);
@@ -69,22 +69,22 @@ impl LightField {
         &self.offsets
     }
 
-    /// The store of decoded frames, prepared for registration with these options.
+    /// Returns the store of decoded frames, which are prepared for registration with the given options.
     pub fn frames(&self, registration: &RegistrationOptions) -> FrameStore {
         FrameStore::with_memo(self.capture.clone(), registration, self.memo.clone())
     }
 
-    /// The exposure gains of the cameras relative to the reference camera.
+    /// Returns the exposure gains of the cameras relative to the reference camera.
     pub fn gains(&self, registration: &RegistrationOptions) -> Arc<Gains> {
         self.frames(registration).gains()
     }
 
-    /// The result of a stage if it is in memory.
+    /// Returns the result of a stage if it is in memory, else `None`.
     pub(super) fn cached<S: Stage>(&self, stage: &S) -> Option<Arc<S::Output>> {
         self.memo.get(S::NAME, stage)
     }
 
-    /// The result of a stage from memory, else from disk. `None` if it is in neither.
+    /// Returns the result of a stage from memory or else from disk. `None` if the result is in neither.
     pub(super) fn found<S: StoredStage>(&self, stage: &S) -> Option<Arc<S::Output>> {
         self.cached(stage).or_else(|| {
             let stored: S::Output =
@@ -104,12 +104,12 @@ impl LightField {
         self.memo.insert(S::NAME, stage, result, bytes)
     }
 
-    /// The entry of a stage's result on disk; `None` if there is none.
+    /// Looks up a stage's result on disk, without reading it. `None` if the result isn't there.
     pub(super) fn stored<S: StoredStage>(&self, stage: &S) -> Option<Stored> {
         self.capture.stored(S::KIND, &self.stored_inputs(stage))
     }
 
-    /// Stores the result of a stage on disk.
+    /// Stores the result of a stage on disk. Returns its size there, and whether it was there already.
     pub(super) fn store<S: StoredStage>(
         &self,
         stage: &S,
@@ -118,14 +118,14 @@ impl LightField {
         Ok(self.capture.store(S::KIND, &self.stored_inputs(stage), result)?)
     }
 
-    /// The key of a stage's result on disk: the stage's inputs and a hash of the clocks. A capture's cache
-    /// may hold results for several estimates of the offsets.
+    /// Returns the key of a stage's result on disk: the stage's inputs, and a hash of the frame times. A capture's
+    /// cache may hold results for several estimates of the temporal offsets, which the hash distinguishes.
     fn stored_inputs<'a, S: StoredStage>(&'a self, stage: &'a S) -> (&'a S, &'a str) {
         (stage, &self.times_hash)
     }
 
-    /// The median distance between a camera and its nearest neighbour, metres. Cameras at the same place are
-    /// not neighbours; 0 without neighbours.
+    /// Returns the median distance between a camera and its nearest neighbour, metres. Cameras at the same place don't
+    /// count as neighbours. Returns 0 if no camera has a neighbour.
     pub(crate) fn spacing_m(&self) -> f64 {
         let centers: Vec<_> = self.capture.cameras.iter().map(|c| c.camera.center()).collect();
         let nearest = |a: &Point3<f64>| {

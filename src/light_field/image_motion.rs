@@ -1,42 +1,43 @@
-//! Motion of a view's pixels from the previous picture of a sequence, and to the next one: that of the surfaces, and
-//! that of the view itself.
+//! Motion of a view's pixels to the previous and to the next picture of a sequence. It results from the motion of the
+//! surfaces and from the motion of the view's camera.
 
 use super::graph::LightField;
 use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
 use crate::scene_flow::{MotionMap, Projection, distorted, undistorted};
 
-/// A view's depth map, and the motion of its surfaces if that is known.
+/// Depth map of a view, and the motion of the view's surfaces if the motion is known.
 #[derive(Debug)]
 pub struct Layers {
     pub depths: DepthMap,
     pub surfaces: Option<MotionMap>,
 }
 
-/// A camera at an instant, seconds from the capture's start.
+/// A camera, and an instant in seconds from the capture's start.
 pub type CameraAt<'a> = (&'a Camera, f64);
 
-/// The way from a view to the previous or the next one of a sequence.
+/// Step from a view to the previous or to the next view of a sequence.
 struct Step {
     camera: Camera,
     projection: Projection,
-    /// Duration in frames of the reference camera, negative for an earlier instant.
+    /// Time from the view to its neighbour, in frame intervals of the reference camera; negative for the previous view.
     dt: f32,
 }
 
-/// Where the points that a view shows are in the views before and after it. Points move straight and evenly, with the
-/// velocity that they have at the view's instant.
+/// Positions of a view's points in the previous and in the next view of a sequence. Each point moves in a straight
+/// line, with the constant velocity that it has at the view's instant.
 pub struct ImageMotion {
     view: Camera,
     surfaces: Option<MotionMap>,
-    /// To the previous and to the next view; `None` if there is none.
+    /// Steps to the previous and to the next view; `None` if there is no such view.
     steps: [Option<Step>; 2],
 }
 
 impl ImageMotion {
-    /// The motion from a view to `neighbors`, the previous and the next one.
+    /// Prepares the motion from a view to its `neighbors`: the previous and the next view, each with its instant.
+    /// `surfaces` is the motion of the view's surfaces, if known.
     ///
-    /// `None` if it is unknown: surfaces have no motion, and time passes between the views.
+    /// `None` if the motion is unknown: time passes between the views, and `surfaces` is `None`.
     pub fn new(
         field: &LightField,
         surfaces: Option<MotionMap>,
@@ -54,9 +55,10 @@ impl ImageMotion {
         is_known.then(|| Self { view: view.clone(), surfaces, steps })
     }
 
-    /// The displacements, pixels right and down, of the point at pixel `k`, which has this depth: to its positions in the
-    /// previous and in the next view. Without one of these views, the displacement to it is the opposite of the other.
-    /// 0 for a point without depth, and for one that isn't in front of the other view.
+    /// Returns two displacements of the point at pixel `k`, whose depth is `depth_m`: to its position in the previous
+    /// view, and to its position in the next view. Each is in pixels, right and down. If one of the two views doesn't
+    /// exist, its displacement is the opposite of the other view's. A displacement is 0 if the point has no depth, or
+    /// if the point isn't in front of the neighbouring view.
     pub fn displacements(&self, k: usize, depth_m: f32) -> [[f32; 2]; 2] {
         let width = self.view.width;
         let at = [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5];
@@ -82,5 +84,6 @@ impl ImageMotion {
     }
 }
 
-/// [`Projection::project`] gives points behind a camera a position left of this one.
+/// Horizontal position, pixels, that is left of every valid point. [`Projection::project`] places points behind a
+/// camera at or left of this position.
 const NOWHERE_PX: f32 = -1e8;

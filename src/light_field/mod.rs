@@ -1,35 +1,36 @@
-//! A capture's light field, continuous in space and time (Fig. 2): the graph of stages from frames to views.
+//! Light field of a capture, continuous in space and time (the paper's Fig. 2). A graph of stages computes views from
+//! the recorded frames.
 //!
 //! ```text
 //! frames ── tracks of a frame pair ── a camera's image at an instant ── geometry at an instant ── view
 //! §4             §4                            §5                            §6                  §6
 //! ```
 //!
-//! [`render`] is the only entry point. It requests results of stages, and stages request results of earlier
-//! stages. A result depends only on the stage's inputs (`stages.rs`) and on the capture's frames and clocks.
-//! One cache in memory, the memo, holds results by their serialized inputs. So views of one instant share all
-//! results that don't depend on the viewpoint.
+//! [`render`] is the only entry point. It requests results of stages, and stages request results of earlier stages. A
+//! result depends only on the stage's inputs (`stages.rs`) and on the capture's frames and clocks. One cache in memory,
+//! the memo, holds all results. Its keys are the serialized inputs. Views of one instant therefore share all results
+//! that don't depend on the viewpoint.
 //!
 //! | file | what |
 //! |---|---|
 //! | `graph.rs` | the capture, its clocks, and results by stage |
 //! | `stages.rs` | the inputs of every stage |
 //! | `timeline.rs` | which frames lie around an instant |
-//! | `frame_pair.rs` | §4: change and tracks between two frames |
+//! | `frame_pair.rs` | §4: change and feature tracks between two frames |
 //! | `camera_image.rs` | §5: a camera's image at an instant |
 //! | `correspondences.rs` | §6: features that show the same point |
 //! | `points.rs` | §6: points of the scene, and the proxy through them |
-//! | `depth.rs` | depth per pixel of the cameras |
-//! | `geometry.rs` | the depths of a view, and occlusion in the cameras |
+//! | `depth.rs` | depth per pixel of the cameras, by stereo matching |
+//! | `geometry.rs` | the depth map of a view, and the cameras' depth maps for occlusion |
 //! | `view.rs` | §6: the blended view |
-//! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, estimated together, and views from them |
-//! | `wide.rs`, `still_content.rs` | cameras around the scene; what stands still before them |
+//! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, estimated for groups of frames, and views from them |
+//! | `wide.rs`, `still_content.rs` | arrays of cameras around the scene; the static background of a camera |
 //! | `flow_frames.rs` | frames with depth and motion, for callers that render views by themselves |
-//! | `all_cameras.rs` | a camera's image, blended from all cameras |
-//! | `image_motion.rs` | motion of a view's pixels to the neighbouring pictures |
+//! | `all_cameras.rs` | a camera's image at an instant, blended from the images of all cameras |
+//! | `image_motion.rs` | motion of a view's pixels to the previous and the next picture of a sequence |
 //! | `request.rs` | the request of a view |
-//! | `render.rs`, `trail.rs` | a view, and Fig. 1: temporal integration |
-//! | `prepare.rs` | tracks and gains, stored on disk for later views |
+//! | `render.rs`, `trail.rs` | rendering of a view; temporal integration (Fig. 1) |
+//! | `prepare.rs` | tracks and exposure gains, stored on disk for later views |
 
 mod all_cameras;
 mod camera_image;

@@ -1,5 +1,5 @@
-//! §6: points of the scene at one instant, triangulated from spatial correspondences that are "interpolated
-//! to the same instant", and the proxy through them.
+//! Points of the scene at one instant (§6), and the geometry proxy through them. The points are triangulated from
+//! spatial correspondences that are "interpolated to the same instant".
 
 use super::RenderError;
 use super::correspondences::{frames_around, observations};
@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Maximum root mean square reprojection error of a point, pixels.
+/// Maximum root mean square reprojection error of a triangulated point, pixels.
 const MAX_ERROR_PX: f64 = 0.7;
 
 impl Stage for CameraPoints<'_> {
@@ -48,8 +48,8 @@ impl CameraPoints<'_> {
 }
 
 impl LightField {
-    /// Points of the scene at `time_s`, seconds from the capture's start, triangulated from the cameras
-    /// nearest to the view; world, metres.
+    /// Returns points of the scene at `time_s`, seconds from the capture's start, in world coordinates, metres. They
+    /// are triangulated from the cameras nearest to the view `target`.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.
@@ -72,12 +72,12 @@ impl LightField {
         Ok(all.iter().flat_map(|points| points.iter().copied()).collect())
     }
 
-    /// The proxy of a view at `time_s`, seconds from the capture's start. For the methods with depth per
-    /// pixel it is the mesh.
+    /// Returns the geometry proxy of a view at `time_s`, seconds from the capture's start. For the methods with depth
+    /// per pixel, the proxy is the mesh through the scene's points.
     ///
     /// # Errors
-    /// [`RenderError::NoPoints`] if there are no points around the view, [`RenderError::NothingSeen`] if all
-    /// points are outside the view.
+    /// [`RenderError::NoPoints`] if no points can be triangulated, [`RenderError::NothingSeen`] if all points are
+    /// behind the view's camera, and [`RenderError::Capture`] if a frame can't be read.
     pub fn proxy(
         &self,
         target: &Camera,
@@ -97,8 +97,8 @@ impl LightField {
                 Mesh::build(points, target, options.proxy.depth_edges).map(Proxy::Mesh)
             }
         };
-        // If the view shows no features, such as a view of a textureless wall, its proxy is a plane at the
-        // median depth of the points around it.
+        // If the view shows no features, as for a textureless wall, its proxy is a plane at the median depth of all
+        // points in front of the camera.
         let around = || Plane::amid(points, target).map(Proxy::Plane);
         let is_seen = |p| target.project(p).is_some_and(|pixel| target.contains(&pixel));
         proxy.or_else(around).ok_or_else(|| {
@@ -111,8 +111,8 @@ impl LightField {
     }
 }
 
-/// Decodes the frames that these stages need, in parallel and each once. Does nothing if the cache can't hold
-/// all of them together.
+/// Decodes the frames that the given stages need, in parallel and each frame once. Does nothing if the cache can't hold
+/// all of these frames together.
 fn load_frames<'a>(
     field: &LightField,
     stages: impl Iterator<Item = &'a CameraPoints<'a>>,
@@ -139,8 +139,8 @@ fn load_frames<'a>(
     })
 }
 
-/// The cameras nearest to a view, each with its partners, which are the cameras in which its features are
-/// searched.
+/// Returns the indices of the cameras nearest to a view, each with the indices of its partners. The partners are the
+/// cameras in which the camera's features are searched.
 fn with_partners(
     field: &LightField,
     target: &Camera,
@@ -158,7 +158,8 @@ fn with_partners(
     nearest(capture, &usable, target.center()).into_iter().take(options.cameras).map(with).collect()
 }
 
-/// The cameras `among`, ordered by the distance of their centres from a point of the world; ties by index.
+/// Returns the indices of the cameras `among`, ordered by the distance of their centres from the point `from` of the
+/// world. Equal distances are ordered by index.
 pub(super) fn nearest(capture: &Capture, among: &[usize], from: Point3<f64>) -> Vec<usize> {
     let mut order = among.to_vec();
     let distance = |c: usize| (capture.cameras[c].camera.center() - from).norm();

@@ -1,6 +1,6 @@
-//! Preparation: results that depend only on frames are computed beforehand, and stored on disk for later
-//! views. These are the tracks of all frame pairs and the cameras' gains; for views by scene flow, also depth
-//! and motion of all frames.
+//! Preparation of a light field: results that depend only on frames are computed beforehand, and stored on disk for
+//! later views. These results are the feature tracks of all pairs of successive frames, and the cameras' exposure
+//! gains. For views by scene flow, they include depth and motion of all frames.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, StoredStage};
@@ -14,30 +14,30 @@ use crate::scene_flow::FlowMap;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
-/// Upper bound on the overhead of a stored result, bytes.
+/// Upper bound on the overhead of a stored result on disk, bytes.
 const ENTRY_BYTES: usize = 64;
 
-/// The kinds of entries in a capture's cache that [`LightField::prepare`] stores.
+/// Kinds of entries that [`LightField::prepare`] stores in a capture's cache on disk.
 pub const PREPARED: [&str; 3] = [PairTracks::KIND.name, Gains::KIND.name, FrameFlow::KIND.name];
 
-/// Result of [`LightField::prepare`].
+/// Counts and total size of the results that [`LightField::prepare`] has stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Preparation {
-    /// Number of frame pairs with motion.
+    /// Number of pairs of successive frames with motion. The tracks of all of them are stored.
     pub pairs: usize,
-    /// Number of these pairs whose tracks were on disk already.
+    /// Number of the frame pairs in `pairs` whose tracks were on disk before the preparation.
     pub found: usize,
-    /// Number of frames whose depth and motion are stored; 0 unless the options render by scene flow.
+    /// Number of frames whose depth and motion are stored; 0 unless the options choose scene flow.
     pub maps: usize,
-    /// Number of these frames whose depth and motion were on disk already.
+    /// Number of the frames in `maps` whose depth and motion were on disk before the preparation.
     pub maps_found: usize,
-    /// Size of all stored results, bytes.
+    /// Total size of all stored results on disk, bytes.
     pub bytes: u64,
 }
 
 impl LightField {
-    /// The number of results that [`Self::prepare`] stores, frame pairs plus frames with depth and motion,
-    /// and an upper bound on their size on disk, bytes.
+    /// Returns the number of steps of [`Self::prepare`], and an upper bound on the size of its results on disk, bytes.
+    /// Each pair of successive frames is a step. If the options choose scene flow, each frame is a further step.
     pub fn preparation_size(&self, options: &RenderOptions) -> (usize, u64) {
         let cameras = self.capture().cameras.len();
         let pairs: usize = (0..cameras).map(|c| self.times_s(c).len().saturating_sub(1)).sum();
@@ -55,9 +55,9 @@ impl LightField {
         (steps, bytes as u64)
     }
 
-    /// Registers all frame pairs with motion, and stores their tracks on disk; if the options render by scene
-    /// flow, also depth and motion of all frames. Results that are on disk already are not computed again.
-    /// `progress` is called with the number of finished pairs and frames.
+    /// Tracks features in all pairs of successive frames with motion, and stores the tracks on disk. If the options
+    /// choose scene flow, depth and motion of all frames are stored too. Results that are on disk already are not
+    /// computed again. `progress` is called with the number of finished steps: frame pairs, and then also frames.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read or a result can't be written.
@@ -73,7 +73,7 @@ impl LightField {
         let frames = (0..cameras).map(|c| times(c).len()).max().unwrap_or(0);
         let (done, found) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let (pairs, bytes) = (AtomicUsize::new(0), AtomicU64::new(gains_bytes));
-        // In order of time, so that successive pairs share a decoded frame.
+        // Pairs are processed in order of time, so that successive pairs share a decoded frame.
         for frame in 0..frames.saturating_sub(1) {
             (0..cameras).into_par_iter().try_for_each(|camera| {
                 if frame + 1 >= times(camera).len() {
@@ -102,7 +102,8 @@ impl LightField {
         Ok(prepared)
     }
 
-    /// Whether [`Self::prepare`] has stored depth and motion of the frames in the middle of the recording.
+    /// Returns whether [`Self::prepare`] has probably stored depth and motion of all frames. Only frames from the
+    /// middle of the recording are looked up on disk.
     pub fn has_prepared_maps(&self, options: &RenderOptions) -> bool {
         let (slots, options) = (Slots::new(self), FlowOptions::new(options));
         let all = slots.all();
@@ -113,7 +114,8 @@ impl LightField {
             .all(|&frame| self.stored(&FrameFlow { frame, options }).is_some())
     }
 
-    /// Stores depth and motion of all frames. `progress` is called with the number of finished frames.
+    /// Stores depth and motion of all frames on disk, and counts them in `prepared`. `progress` is called with the
+    /// number of finished frames.
     fn prepare_maps(
         &self,
         options: &RenderOptions,

@@ -1,4 +1,4 @@
-//! Renders a view, with or without a motion trail: the entry point of the module.
+//! Rendering of a view, with or without a motion trail. This is the entry point of the module.
 
 use super::graph::LightField;
 use super::image_motion::Layers;
@@ -12,17 +12,17 @@ use crate::host::on_workers;
 use crate::lumigraph::Rendered;
 use crate::options::RenderOptions;
 
-/// Renders a view, or a filming camera's image. If the options ask for a motion trail, the views at its
+/// Renders a view, or a recording camera's image. If the options ask for a motion trail, the views at the trail's
 /// instants are overlaid.
 ///
-/// An instant of a trail is skipped if it is before the recording's start, if no camera sees anything then,
-/// or if the proxy can't be triangulated. The request's own instant is never skipped: its error is returned.
-/// A pixel integrates over the instants that cover it, and is covered if any of them does.
+/// An instant of a trail is skipped if it is before the recording's start, if no camera sees anything then, or if the
+/// proxy can't be triangulated. The request's own instant is never skipped; if it fails, its error is returned. A pixel
+/// of a trail integrates over the instants whose views cover the pixel. It is covered if any of these views covers it.
 ///
 /// # Errors
-/// [`RenderError::Time`], [`RenderError::CameraTime`] or [`RenderError::NoClock`] if there is no image at
-/// that time, those of [`LightField::proxy`], [`RenderError::NothingSeen`] if no pixel is covered, and
-/// [`RenderError::Stopped`].
+/// [`RenderError::Time`], [`RenderError::CameraTime`] or [`RenderError::NoClock`] if there is no image at the request's
+/// time, the errors of [`LightField::proxy`], [`RenderError::NothingSeen`] if no pixel is covered, and
+/// [`RenderError::Stopped`] if `context` stops rendering.
 pub fn render(
     field: &LightField,
     request: &Request,
@@ -49,10 +49,11 @@ pub fn render(
     overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
 }
 
-/// Renders a view, the depth map of its camera at the request's time, and the motion of its surfaces.
+/// Renders a view. Returns the view with the depth map of its camera at the request's time, and with the motion of its
+/// surfaces if the motion is known.
 ///
 /// # Errors
-/// Those of [`render`].
+/// The errors of [`render`].
 pub fn render_with_layers(
     field: &LightField,
     request: &Request,
@@ -96,10 +97,11 @@ fn instant(
 }
 
 impl LightField {
-    /// The view of any camera at `time_s`, seconds from the capture's start: [`render`] without a trail.
+    /// Renders the view of any camera at `time_s`, seconds from the capture's start, as [`render`] does without a
+    /// motion trail.
     ///
     /// # Errors
-    /// Those of [`render`].
+    /// The errors of [`render`].
     pub fn view(
         &self,
         target: &Camera,
@@ -110,19 +112,19 @@ impl LightField {
         on_workers(|| view(self, target, &request, &Context::unattended()))
     }
 
-    /// The geometry of a view.
+    /// Returns the geometry of a view: its depth map, and the depth maps of the cameras from which it is blended.
     ///
     /// # Errors
-    /// Those of [`Self::proxy`].
+    /// The errors of [`Self::proxy`].
     pub fn geometry(&self, target: &Camera, request: &Request) -> Result<Geometry, RenderError> {
         on_workers(|| super::geometry::geometry(self, target, request, &Context::unattended()))
     }
 
-    /// Depths of the scene in a view along the camera's axis, metres: near, middle and far, which are the
-    /// 5th, 50th and 95th percentile of its pixels.
+    /// Returns the near, the middle and the far depth of the scene in a view along the camera's axis, metres. They are
+    /// the 5th, 50th and 95th percentile of the depths of the view's pixels.
     ///
     /// # Errors
-    /// Those of [`Self::proxy`]; [`RenderError::NoPoints`] if no pixel has a finite depth.
+    /// The errors of [`Self::proxy`], and [`RenderError::NoPoints`] if no pixel has a finite depth.
     pub fn depth_range_m(
         &self,
         target: &Camera,

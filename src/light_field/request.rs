@@ -6,31 +6,31 @@ use super::stages::Images;
 use crate::camera::Camera;
 use crate::options::{ProxyMethod, RenderOptions};
 
-/// The viewpoint of a request.
+/// Viewpoint of a requested view.
 #[derive(Clone, Copy, Debug)]
 pub enum Viewpoint<'a> {
-    /// Any camera, including one of a place from which nothing was filmed.
+    /// Any camera, even at a place from which nothing was filmed.
     View(&'a Camera),
-    /// A filming camera, by its index: the result is its own image at the instant.
+    /// A recording camera, by its index. The result is this camera's own image at the instant.
     Like(usize),
 }
 
-/// A view to render.
+/// Request to render a view.
 #[derive(Clone, Copy, Debug)]
 pub struct Request<'a> {
     pub from: Viewpoint<'a>,
-    /// Seconds on the reference camera's clock, from the capture's start.
+    /// Time of the view, seconds on the reference camera's clock from the capture's start.
     pub time_s: f64,
-    /// Options of all stages; every `auto` is already replaced by a method.
+    /// Options of all stages. Methods must be concrete: every `auto` is already replaced.
     pub options: &'a RenderOptions,
-    /// The images from which the view is blended.
+    /// Images from which the view is blended.
     pub images: Images<'a>,
-    /// The images from which depth per pixel is estimated.
+    /// Images from which depth per pixel is estimated.
     pub shape: Images<'a>,
 }
 
 impl<'a> Request<'a> {
-    /// A request in which all images are synchronized by the options' method.
+    /// Creates a request in which all images are synchronized by the options' method.
     pub fn new(from: Viewpoint<'a>, time_s: f64, options: &'a RenderOptions) -> Self {
         let images = Images::By(options.sync);
         Self { from, time_s, options, images, shape: images }
@@ -38,8 +38,9 @@ impl<'a> Request<'a> {
 }
 
 impl Request<'_> {
-    /// Whether the view is rendered by scene flow, from the frames' depth and motion. This needs the options'
-    /// own images: given images, or those of another method, are blended by estimated depths instead.
+    /// Returns whether the view is rendered by scene flow, from the depth and motion of frames. This requires that the
+    /// options choose scene flow, and that all images are synchronized by the options' method. Given images, or images
+    /// by another method, are blended by depths that are estimated from the images.
     pub(super) fn uses_scene_flow(&self) -> bool {
         self.options.proxy.method == ProxyMethod::SceneFlow
             && [self.images, self.shape]
@@ -49,10 +50,11 @@ impl Request<'_> {
 }
 
 impl LightField {
-    /// Checks that images exist at all of these times, seconds from the capture's start.
+    /// Checks that images exist at all the times `times_s`, seconds from the capture's start.
     ///
     /// # Errors
-    /// The error of [`super::render()`] for the first of the times that lies outside the recordings.
+    /// If any of the times lies outside the recordings. The error is that of [`super::render()`] at the first of these
+    /// times in the list.
     pub fn check_times(&self, from: Viewpoint, times_s: &[f64]) -> Result<(), RenderError> {
         times_s.iter().try_for_each(|&time_s| match from {
             Viewpoint::Like(camera) => self.bracket(camera, time_s).map(drop),

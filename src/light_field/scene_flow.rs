@@ -1,5 +1,5 @@
-//! Beyond the paper: views by scene flow, from the depth and motion of frames that were filmed at different
-//! times.
+//! Beyond the paper: views by scene flow. They are rendered from the depth and motion of frames that were filmed at
+//! different times.
 
 use super::depth::{range, scene_points};
 use super::graph::{LightField, Stage, StoredStage};
@@ -20,11 +20,12 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Maximum number of other cameras that a frame is matched with.
+/// Maximum number of other cameras whose frames are matched with a frame to estimate its depth and motion.
 const MAX_PARTNERS: usize = 7;
-/// Maximum motion per frame in the search, as a fraction of the image's longer side.
+/// Maximum motion that is searched for, per frame interval, as a fraction of the image's longer side.
 const MAX_SPEED: f64 = 0.125;
-/// Factor by which the search range extends beyond the features' inverse depths, at both ends.
+/// Factor by which the searched range of inverse depths is widened at both ends: the minimum is divided by it, and the
+/// maximum is multiplied by it.
 const DEPTH_MARGIN: f64 = 1.5;
 
 impl Stage for Undistorted<'_> {
@@ -58,10 +59,11 @@ impl Undistorted<'_> {
     }
 }
 
-/// The maps of a slot's frames.
+/// The frames of a slot, each with its map of depth and motion.
 type SlotMaps = Vec<(FrameId, Arc<FlowMap>)>;
 
-/// The maps of a slot's frames, estimated together. `None` if the range of the scene's depths is unknown.
+/// Estimates the maps of depth and motion of all frames of a slot together. `None` if the range of the scene's depths
+/// is unknown.
 fn slot_maps(
     slots: &Slots,
     slot: Slot,
@@ -115,7 +117,7 @@ impl StoredStage for FrameFlow<'_> {
 }
 
 impl Stage for FlowConfidences<'_> {
-    /// For each frame the confidences of its pixels, 1 to 255, row by row.
+    /// For each frame, the confidences in the depth and motion of its pixels: 1 to 255, row by row.
     type Output = Vec<Vec<u8>>;
     const NAME: &'static str = "confidences";
 
@@ -134,8 +136,9 @@ impl FlowConfidences<'_> {
     }
 }
 
-/// Stores the maps of a slot's frames on disk, unless they are there. Empty if the range of the scene's
-/// depths is unknown.
+/// Stores the maps of depth and motion of a slot's frames on disk, unless they are there already. Returns, for each
+/// frame, the size of its map on disk, and whether it was there already. The result is empty if the range of the
+/// scene's depths is unknown.
 pub(super) fn store_slot(
     slots: &Slots,
     slot: Slot,
@@ -157,7 +160,7 @@ pub(super) fn store_slot(
             let estimate = || load(field, &[frame], options, context);
             let map = match field.cached(&flow(frame)) {
                 Some(map) => map,
-                // The map was evicted from memory: its slot is estimated again.
+                // The map was evicted from memory. All maps of its slot are estimated again.
                 None => estimate()?.and_then(|mut all| all.pop()).ok_or(RenderError::NoPoints)?.map,
             };
             field.store(&flow(frame), &map)
@@ -166,7 +169,7 @@ pub(super) fn store_slot(
     frames.into_par_iter().map(store).collect()
 }
 
-/// A frame and its map of depth and motion.
+/// A frame of the capture, with its map of depth and motion.
 pub struct LoadedFrame {
     pub frame: Arc<FlowFrame>,
     pub map: Arc<FlowMap>,
@@ -178,8 +181,8 @@ impl LoadedFrame {
     }
 }
 
-/// Frames with their maps of depth and motion, from memory or disk, else computed. `None` if the range of the scene's depths is
-/// unknown.
+/// Returns the frames `frames` with their maps of depth and motion. A map comes from memory or disk, or else is
+/// computed. `None` if the range of the scene's depths is unknown.
 pub(super) fn load(
     field: &LightField,
     frames: &[FrameId],
@@ -202,7 +205,7 @@ pub(super) fn load(
         }
         all.extend(stored.or_else(|| computed.get(&id).cloned()).map(|map| (id, map)));
     }
-    // Inserted after all slots are computed, since each slot evicts much of the cache.
+    // The maps are inserted after all slots are computed, since computing a slot evicts much of the cache.
     for (frame, map) in computed {
         field.insert(&FrameFlow { frame, options }, map);
     }
@@ -213,8 +216,10 @@ pub(super) fn load(
     Ok(Some(all.into_par_iter().map(load).collect::<Result<_, RenderError>>()?))
 }
 
-/// The search range for these frames, from features at the time of the frame in their middle. `None` without
-/// features, or if all cameras stand at one place.
+/// Computes the search range of depth and motion for frames. The range of depths comes from feature points at the time
+/// of the frame in the middle of the list. If the cameras stand around the scene, it comes from the volume that most of
+/// them see. `None` if the range of depths is unknown, because there are no such points or all cameras stand at one
+/// place.
 fn limits(
     field: &LightField,
     frames: &[FrameId],
@@ -245,8 +250,8 @@ fn limits(
         max_speed,
     }))
 }
-/// The frames with which a frame is matched: the previous and the next frame of its own camera, and one frame
-/// of each of the nearest other cameras, the nearest in time.
+/// Returns the frames with which a given frame is matched: the previous and the next frame of its own camera, and one
+/// frame of each of the nearest other cameras. Of another camera, it is the frame nearest in time to the given frame.
 fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     let count = field.times_s(camera).len();
     let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];
@@ -264,8 +269,9 @@ fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     matched
 }
 
-/// The view of the camera `target`, blended by scene flow ([`LightField::frames_of_view`]). `None` if the
-/// range of the scene's depths is unknown. `with_motion` says whether it has the motion of its surfaces.
+/// Renders the view of the camera `target` by scene flow, from the frames of [`LightField::frames_of_view`]. With
+/// `with_motion`, the motion of the view's surfaces is returned too. `None` if the range of the scene's depths is
+/// unknown.
 pub(super) fn flow_view(
     field: &LightField,
     target: &Camera,
@@ -285,9 +291,9 @@ pub(super) fn flow_view(
     Ok(Some(blend(&mapped, &confidences, target, time, with_motion)))
 }
 
-/// A filming camera's image: its own frame if one has exactly this time, else the view by scene flow from its
-/// place. Pixels that the view doesn't cover are taken from its nearest frame. `None` if the range of the
-/// scene's depths is unknown.
+/// Computes the image of a recording camera at the request's time. If the camera has a frame at exactly this time, the
+/// result is this frame. Otherwise, it is the view by scene flow from the camera's place, and pixels without coverage
+/// are taken from the camera's nearest frame. `None` if the range of the scene's depths is unknown.
 pub(super) fn flow_image(
     field: &LightField,
     camera: usize,
@@ -323,7 +329,7 @@ pub(super) fn flow_image(
     Ok(Some(image))
 }
 
-/// The depth map of [`flow_view`].
+/// Computes the depth map of the view that [`flow_view`] renders. `None` if the range of the scene's depths is unknown.
 pub(super) fn flow_depths(
     field: &LightField,
     target: &Camera,

@@ -2,28 +2,28 @@
 
 use super::LightField;
 
-/// A frame of the capture: index of the camera, index of the frame.
+/// Identifies a frame of the capture: the index of the camera, and the index of the frame in the camera's recording.
 pub(super) type FrameId = (usize, usize);
 
-/// Maximum number of cameras in a group.
+/// Maximum number of cameras in a group whose frames are estimated together.
 const MAX_GROUP: usize = 12;
 
-/// A slot: the frames of a group of neighbouring cameras within one interval of time. Every frame is in
-/// exactly one slot.
+/// A slot: the frames of a group of neighbouring cameras within one interval of time. Depth and motion of all frames of
+/// a slot are estimated together. Every frame is in exactly one slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Slot {
-    /// Number of the interval, counted from the capture's start.
+    /// Index of the time interval. Interval 0 begins at the capture's start.
     interval: i64,
     group: usize,
 }
 
-/// The division of a light field's frames into slots.
+/// Division of a light field's frames into slots ([`Slot`]).
 pub(super) struct Slots<'a> {
     pub field: &'a LightField,
-    /// Length of the intervals: the median of the cameras' frame intervals. Infinite for a static light
-    /// field, so that all frames of a group are in one slot.
+    /// Length of a slot's time interval, seconds: the median of the cameras' frame intervals. Infinite for a static
+    /// light field, so that all frames of a group are in one slot.
     interval_s: f64,
-    /// For each camera, the number of its group.
+    /// For each camera, the index of the group that it belongs to.
     groups: Vec<usize>,
 }
 
@@ -37,20 +37,20 @@ impl<'a> Slots<'a> {
         Self { field, interval_s, groups: groups(field) }
     }
 
-    /// The slot of a frame, whose camera's clock must be known.
+    /// Returns the slot of a frame. The clock of the frame's camera must be known.
     pub fn of(&self, (camera, frame): FrameId) -> Slot {
         let interval = self.interval(self.field.times_s(camera)[frame]);
         Slot { interval, group: self.groups[camera] }
     }
 
-    /// The frames of a slot, ascending.
+    /// Returns the frames of a slot, in ascending order of camera and frame index.
     pub fn frames(&self, slot: Slot) -> Vec<FrameId> {
         let mut frames = self.all_frames();
         frames.retain(|id| self.of(*id) == slot);
         frames
     }
 
-    /// All slots, in order of time.
+    /// Returns all slots, in order of time.
     pub fn all(&self) -> Vec<Slot> {
         let mut slots: Vec<Slot> = self.all_frames().into_iter().map(|id| self.of(id)).collect();
         slots.sort_unstable();
@@ -68,8 +68,9 @@ impl<'a> Slots<'a> {
     }
 }
 
-/// For each camera, the number of its group. There are as few groups as [`MAX_GROUP`] allows, of about equal
-/// size. They are formed greedily: the first camera without a group, with the nearest cameras without one.
+/// Divides the cameras into groups, and returns the index of each camera's group. There are as few groups as
+/// [`MAX_GROUP`] allows, of about equal size. The groups are formed greedily: the first camera without a group is
+/// joined by the nearest cameras without a group.
 fn groups(field: &LightField) -> Vec<usize> {
     let cameras = &field.capture().cameras;
     let size = cameras.len().div_ceil(cameras.len().div_ceil(MAX_GROUP).max(1)).max(1);

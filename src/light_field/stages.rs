@@ -1,5 +1,6 @@
-//! The inputs of every stage. A stage's result depends only on its inputs and on the capture's frames and
-//! clocks. The keys of the memo, the cache in memory, are the serialized inputs.
+//! Inputs of every stage of the graph that renders views. A stage computes one kind of result, which depends only on
+//! the stage's inputs and on the capture's frames and clocks. The serialized inputs are the keys of the memo, the cache
+//! of results in memory.
 
 use super::graph::{LightField, Stage};
 use super::slots::FrameId;
@@ -12,8 +13,8 @@ use crate::scene_flow::MappedFrame;
 use serde::{Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
 
-/// The tracks between the frames `frame` and `frame + 1` of a camera, without those that fail the epipolar
-/// test.
+/// Inputs of the stage that tracks features between the frames `frame` and `frame + 1` of a camera. Tracks that
+/// contradict the epipolar geometry with other cameras are left out, if the options ask for this test.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct PairTracks<'a> {
     pub camera: usize,
@@ -21,23 +22,24 @@ pub(super) struct PairTracks<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// The largest mean absolute difference of any 8×8 block between the two frames of a pair, for pixel values of 0 to
-/// 1.
+/// Inputs of the stage that measures the change between two successive frames. The change is the largest mean absolute
+/// difference of any 8×8 block, for pixel values of 0 to 1.
 #[derive(Serialize)]
 pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 
-/// The triangulation of a pair's tracks.
+/// Inputs of the stage that computes the Delaunay triangulation of a frame pair's tracked features.
 #[derive(Serialize)]
 pub(super) struct PairTriangles<'a>(pub PairTracks<'a>);
 
-/// The costs of refinement that depend only on a frame pair, not on the instant.
+/// Inputs of the stage that computes the photometric costs by which tracked motion is refined. The costs depend only on
+/// a frame pair, not on the instant.
 #[derive(Serialize)]
 pub(super) struct RefinementCosts<'a> {
     pub tracks: PairTracks<'a>,
     pub interpolation: &'a InterpolationOptions,
 }
 
-/// A camera's image at an instant.
+/// Inputs of the stage that computes a camera's image at an instant.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct CameraImage<'a> {
     pub camera: usize,
@@ -45,34 +47,35 @@ pub(super) struct CameraImage<'a> {
     pub method: &'a ImageMethod,
 }
 
-/// A camera's image at an instant, gain-corrected to the reference camera's exposure.
+/// Inputs of the stage that computes a camera's image at an instant, gain-corrected to the reference camera's exposure.
 #[derive(Serialize)]
 pub(super) struct CorrectedImage<'a> {
     pub image: CameraImage<'a>,
     pub registration: &'a RegistrationOptions,
 }
 
-/// The options that a camera's image at an instant depends on.
+/// The options that determine a camera's image at an instant.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct ImageMethod {
     pub sync: SyncMethod,
     pub registration: RegistrationOptions,
-    /// `None` for the methods without motion.
+    /// Options of temporal interpolation. `None` for methods that don't use motion.
     pub interpolation: Option<InterpolationOptions>,
-    /// Whether the interpolation error is computed too.
+    /// Whether the expected interpolation error of each pixel is computed too.
     pub with_error: bool,
-    /// Options of [`SyncMethod::AllCameras`]; `None` for other methods.
+    /// Options of the method [`SyncMethod::AllCameras`]; `None` for other methods.
     pub all_cameras: Option<AllCamerasOptions>,
 }
 
-/// Options of the views that [`SyncMethod::AllCameras`] blends a camera's image with.
+/// Options with which [`SyncMethod::AllCameras`] blends a camera's image from all cameras.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct AllCamerasOptions {
     pub proxy: ProxyOptions,
     pub blend: BlendOptions,
 }
 
-/// An instant, with the options by which the frames around it are registered or recognized as static.
+/// An instant, with the options that decide how the frames around it are registered and when a frame pair counts as
+/// static.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Instant<'a> {
     pub time_s: f64,
@@ -102,20 +105,20 @@ impl ImageMethod {
     }
 }
 
-/// The source of the cameras' images at an instant.
+/// Origin of the cameras' images at an instant.
 #[derive(Clone, Copy, Debug)]
 pub enum Images<'a> {
-    /// Synchronized by this method from the capture's frames.
+    /// The cameras' images are synchronized from the capture's frames by this method.
     By(SyncMethod),
-    /// Given images, such as true ones.
+    /// The cameras' images are given by the caller, such as true images.
     Given(&'a GivenImages),
 }
 
-/// One image for each camera, in the capture's order; `None` if the camera has none.
+/// One image per camera, in the capture's order; `None` if the camera has no image.
 pub(super) type CameraImages = Vec<Option<Arc<Synchronized>>>;
 
-/// Images of the cameras that are given by the caller and not synchronized from the capture, such as true
-/// images.
+/// Images of the cameras at an instant that are given by the caller, such as true images. They are not synchronized
+/// from the capture.
 #[derive(Debug)]
 pub struct GivenImages {
     images: CameraImages,
@@ -125,20 +128,21 @@ pub struct GivenImages {
 }
 
 impl GivenImages {
-    /// Images with each camera's own exposure, that of its first frame: one for each camera, in the capture's order;
-    /// `None` if the camera has none.
+    /// Wraps images that have each camera's own exposure, that of its first frame. `images` has one element per camera,
+    /// in the capture's order; `None` if the camera has no image.
     pub fn filmed(images: Vec<Option<Arc<Synchronized>>>) -> Self {
         Self { images, are_corrected: false, hash: OnceLock::new() }
     }
 
-    /// Images that are gain-corrected to the reference camera's exposure: one for each camera, in the
-    /// capture's order.
+    /// Wraps images that are gain-corrected to the reference camera's exposure. `images` has one element per camera, in
+    /// the capture's order; `None` if the camera has no image.
     pub fn corrected(images: Vec<Option<Arc<Synchronized>>>) -> Self {
         Self { images, are_corrected: true, hash: OnceLock::new() }
     }
 
-    /// Replaces each camera's image by a uniform colour: RGB of 0 to 1, in the capture's order. Interpolation errors
-    /// stay. A view of the result shows the blending weights: a pixel is the weighted mean of the cameras' colours.
+    /// Replaces each camera's image by a uniform colour. `colors` are RGB of 0 to 1, in the capture's order. The
+    /// interpolation errors are kept. A view of the result shows the blending weights: each pixel is the weighted mean
+    /// of the cameras' colours.
     ///
     /// # Panics
     /// If there are fewer colours than cameras.
@@ -153,13 +157,13 @@ impl GivenImages {
         Self::corrected(self.images.iter().zip(colors).map(tinted).collect())
     }
 
-    /// One image for each camera, in the capture's order.
+    /// Returns one image per camera, in the capture's order; `None` if the camera has no image.
     pub fn all(&self) -> &[Option<Arc<Synchronized>>] {
         &self.images
     }
 
-    /// A camera's image, gain-corrected to the reference camera's exposure. `first_s` is the time of the camera's first
-    /// frame on its own clock, seconds.
+    /// Returns a camera's image, gain-corrected to the reference camera's exposure. `None` if the camera has no image.
+    /// `first_s` is the time of the camera's first frame, seconds on its own clock.
     pub(super) fn corrected_of(
         &self,
         camera: usize,
@@ -191,12 +195,12 @@ impl Serialize for GivenImages {
     }
 }
 
-/// `image` with the interpolation errors of `of`.
+/// Returns `image` with the interpolation errors of `of`.
 pub(super) fn with_image(of: &Synchronized, image: Image) -> Synchronized {
     Synchronized { image, interpolation_error_px: of.interpolation_error_px.clone() }
 }
 
-/// The source of the cameras' images, with the options that the images depend on.
+/// Origin of the cameras' images, with the options that determine the images.
 #[derive(Clone, Debug, Serialize)]
 pub(super) enum ImageSource<'a> {
     Synchronized(Box<ImageMethod>),
@@ -212,25 +216,27 @@ impl<'a> ImageSource<'a> {
     }
 }
 
-/// A camera's frames around an instant.
+/// A camera and its two frames around an instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct FramesAround {
     pub camera: usize,
-    /// The frame nearer to the instant.
+    /// Index of the frame that is nearer in time to the instant.
     pub near: usize,
-    /// The frame at the other end of the interval between frames that contains the instant; equal to `near` if
-    /// nothing moves between the two.
+    /// Index of the frame that is farther in time from the instant. It is equal to `near` if nothing moves between the
+    /// two frames.
     pub far: usize,
 }
 
-/// Features of the first camera, matched in the others. They hold for all instants between the same frames.
+/// Inputs of the stage that matches one camera's features in other cameras. The camera is the first in `around`. The
+/// matches hold for all instants at which each camera has the same frames `near` and `far`.
 #[derive(Serialize)]
 pub(super) struct Correspondences<'a> {
     pub around: Vec<FramesAround>,
     pub registration: &'a RegistrationOptions,
 }
 
-/// Points of the scene at an instant, seen by a camera and its partners.
+/// Inputs of the stage that triangulates points of the scene at an instant, from a camera and its partners. The
+/// partners are the cameras in which the camera's features are searched.
 #[derive(Serialize)]
 pub(super) struct CameraPoints<'a> {
     pub camera: usize,
@@ -238,33 +244,34 @@ pub(super) struct CameraPoints<'a> {
     pub instant: Instant<'a>,
 }
 
-/// A stereo matcher for the images of some cameras at an instant, with their search ranges.
+/// Inputs of the stage that prepares a stereo matcher for the images of several cameras at an instant.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Stereo<'a> {
-    /// Camera indices, ascending.
+    /// Indices of the cameras whose images are matched, ascending.
     pub cameras: &'a [usize],
     pub instant: Instant<'a>,
     pub images: &'a ImageSource<'a>,
     pub proxy: &'a ProxyOptions,
 }
 
-/// A camera's depth per pixel at an instant.
+/// Inputs of the stage that estimates a camera's depth per pixel at an instant.
 #[derive(Serialize)]
 pub(super) struct CameraDepth<'a> {
     pub stereo: Stereo<'a>,
     pub camera: usize,
 }
 
-/// Depth maps of all cameras of a stereo, for occlusion. The depths of the cameras `estimated` come from matching;
-/// those of the other cameras are fused from the estimated depths.
+/// Inputs of the stage that computes depth maps of the matched cameras, by which occlusion is found. The depths of the
+/// cameras `estimated` come from stereo matching. The depths of the other cameras are fused from the estimated depths.
 #[derive(Serialize)]
 pub(super) struct OcclusionDepths<'a> {
     pub stereo: Stereo<'a>,
-    /// The cameras whose depths are estimated, ascending.
+    /// Indices of the cameras whose depths are estimated by stereo matching, ascending.
     pub estimated: &'a [usize],
 }
 
-/// A frame resampled without lens distortion, and gain-corrected to the reference camera's exposure.
+/// Inputs of the stage that resamples a frame without lens distortion, gain-corrected to the reference camera's
+/// exposure.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Undistorted<'a> {
     pub camera: usize,
@@ -272,32 +279,33 @@ pub(super) struct Undistorted<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// What stands still before a camera over the whole recording.
+/// Inputs of the stage that finds the static background of a camera over the whole recording.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct StillContent<'a> {
     pub camera: usize,
     pub registration: &'a RegistrationOptions,
 }
 
-/// Depth and motion of one frame. It is estimated together with the other frames of its slot.
+/// Inputs of the stage that estimates the depth and motion of one frame. All frames of a slot ([`super::slots::Slot`])
+/// are estimated together.
 #[derive(Serialize)]
 pub(super) struct FrameFlow<'a> {
     pub frame: FrameId,
     pub options: FlowOptions<'a>,
 }
 
-/// The confidences of the maps from which a view is blended.
+/// Inputs of the stage that computes the confidences of the depth and motion maps from which a view is blended.
 #[derive(Serialize)]
 pub(super) struct FlowConfidences<'a> {
-    /// The frames as (camera, index), ascending.
+    /// The frames from which the view is blended, as (camera index, frame index), ascending.
     pub frames: &'a [FrameId],
     pub options: FlowOptions<'a>,
-    /// `frames`, each with its map of depth and motion.
+    /// The elements of `frames`, each with its map of depth and motion.
     #[serde(skip)]
     pub mapped: &'a [MappedFrame<'a>],
 }
 
-/// The options that the depth and motion of frames depend on.
+/// The options that determine the depth and motion of frames.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct FlowOptions<'a> {
     pub registration: &'a RegistrationOptions,
@@ -312,7 +320,7 @@ impl<'a> FlowOptions<'a> {
     }
 }
 
-/// The names of stages whose results belong to an instant.
+/// Names of the stages whose results belong to one instant.
 const OF_INSTANTS: [&str; 7] = [
     Correspondences::NAME,
     CameraPoints::NAME,
@@ -324,8 +332,8 @@ const OF_INSTANTS: [&str; 7] = [
 ];
 
 impl LightField {
-    /// Evicts the results of all instants from memory. The next view then takes as long as the first view at
-    /// a new instant between registered frames.
+    /// Evicts the results of all instants from memory. The next view then takes as long as the first view at a new
+    /// instant between frames whose tracks are known.
     pub(crate) fn forget_instants(&self) {
         self.memo.forget(|stage| OF_INSTANTS.contains(&stage));
     }

@@ -1,4 +1,4 @@
-//! What stands still before a camera, from frames of its whole recording.
+//! Static background of a camera: what stands still in frames of its whole recording.
 
 use super::RenderError;
 use super::graph::{LightField, Stage};
@@ -7,9 +7,10 @@ use crate::scene_flow::{CompactImage, FlowFrame, StillImage};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Maximum number of frames that are compared, spread evenly over the recording.
+/// Maximum number of frames that are compared to find a camera's static background. They are spread evenly over the
+/// recording.
 const MAX_FRAMES: usize = 15;
-/// Memory of a colour that may be unknown, bytes.
+/// Memory per pixel of a static background, bytes: its colour, or the mark that the colour is unknown.
 const PIXEL_BYTES: usize = 4;
 
 impl Stage for StillContent<'_> {
@@ -35,7 +36,7 @@ impl StillContent<'_> {
             let image = field.capture().read_frame(camera, frame)?;
             let own_s = filmed.clock.times_s[frame];
             let image = gains.corrected(camera, own_s, &image).unwrap_or(image);
-            // Without lens distortion, as the frames that it is compared with.
+            // Lens distortion is removed, as in the frames that the background is compared with.
             Ok(CompactImage::new(&FlowFrame::new(&filmed.camera, &image, 0.0).image))
         };
         let frames: Vec<CompactImage> =

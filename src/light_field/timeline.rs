@@ -1,16 +1,16 @@
-//! The cameras' frame times on one clock: the frames around an instant, and the instants at which there are
+//! Frame times of the cameras on one clock, the frames around an instant, and the instants at which cameras have
 //! images.
 
 use super::{LightField, RenderError};
 use crate::capture::{Capture, FrameTimes};
 use crate::offset::clocks;
 
-/// Checks times, seconds from the capture's start, before the offsets are known, since their estimation may
-/// take long.
+/// Checks that the times `times_s`, seconds from the capture's start, can lie within the recordings. The check is made
+/// before the cameras' temporal offsets are known, since estimating offsets may take long.
 ///
 /// # Errors
-/// For the first time that is outside the recording of `camera`, or with `None` outside those of all cameras,
-/// for any offsets.
+/// If any of the times is outside the recording of `camera` with every possible offset. If `camera` is `None`: if any
+/// of the times is outside the recordings of all cameras. The error names the first of these times in the list.
 pub fn check_times_before_offsets(
     capture: &Capture,
     camera: Option<usize>,
@@ -34,18 +34,20 @@ pub fn check_times_before_offsets(
 }
 
 impl LightField {
-    /// The camera's frame times, seconds from the capture's start; empty if they are unknown.
+    /// Returns the camera's frame times, seconds from the capture's start. They are empty if the camera's clock is
+    /// unknown.
     pub(super) fn times_s(&self, camera: usize) -> &[f64] {
         self.all_times_s[camera].as_deref().unwrap_or_default()
     }
 
-    /// The times of the camera's frames and of the positions in them, seconds from the capture's start.
+    /// Returns the capture times of the camera's frames, seconds from the capture's start. With a rolling shutter, they
+    /// also tell when each row of a frame was captured.
     pub(super) fn frame_times(&self, camera: usize) -> FrameTimes<'_> {
         self.capture().cameras[camera].frame_times(self.times_s(camera))
     }
 
-    /// Converts an instant, seconds from the capture's start, to a time on a camera's own clock, between those of its
-    /// first and its last frame. If its clock is unknown, it is assumed to have no offset.
+    /// Converts an instant, seconds from the capture's start, to a time on a camera's own clock. The result is within
+    /// the times of the camera's frames. If the clock is unknown, its offset is taken as 0.
     pub(crate) fn own_time_s(&self, camera: usize, time_s: f64) -> f64 {
         let own_s = &self.capture().cameras[camera].clock.times_s;
         let Some(times_s) = self.all_times_s[camera].as_deref() else { return time_s };
@@ -61,16 +63,17 @@ impl LightField {
         }
     }
 
-    /// Converts a time in seconds to frames of the reference camera. All times of a static light field are 0.
+    /// Converts a time in seconds to frame intervals of the reference camera. All times of a static light field become
+    /// 0.
     pub(crate) fn in_frames(&self, time_s: f64) -> f64 {
         let frame_s = self.capture().frame_s();
-        // A reference with one frame has no frame interval: 1 s stands for it.
+        // A reference camera with one frame has no frame interval. 1 s is used instead.
         let frame_s = if frame_s > 0.0 { frame_s } else { 1.0 };
         if self.capture().is_static() { 0.0 } else { time_s / frame_s }
     }
 
-    /// The time nearest to `time_s` at which all cameras with a known clock have images; `time_s` itself if
-    /// there is none.
+    /// Returns the time nearest to `time_s` at which all cameras with a known clock have images, seconds from the
+    /// capture's start. Returns `time_s` itself if there is no such time.
     pub(super) fn while_all_film(&self, time_s: f64) -> f64 {
         let spans = || self.all_times_s.iter().flatten().filter_map(|t| t.first().zip(t.last()));
         let first_s = spans().map(|span| *span.0).fold(f64::NEG_INFINITY, f64::max);
@@ -78,28 +81,30 @@ impl LightField {
         if first_s <= last_s { time_s.clamp(first_s, last_s) } else { time_s }
     }
 
-    /// The camera's frame nearest to a time; of two equally near frames the earlier. `None` if its clock is
-    /// unknown.
+    /// Returns the index of the camera's frame nearest to `time_s`, seconds from the capture's start. Of two equally
+    /// near frames, the earlier is returned. `None` if the camera's clock is unknown.
     pub(super) fn nearest_frame(&self, camera: usize, time_s: f64) -> Option<usize> {
         let times_s = self.times_s(camera);
         let distance = |k: &usize| (times_s[*k] - time_s).abs();
         (0..times_s.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
 
-    /// The cameras that can give an image at a time, by index, ascending.
+    /// Returns the indices of the cameras that can give an image at `time_s`, seconds from the capture's start, in
+    /// ascending order.
     pub fn usable(&self, time_s: f64) -> Vec<usize> {
         let is_usable = |&c: &usize| self.bracket(c, time_s).is_ok();
         (0..self.capture().cameras.len()).filter(is_usable).collect()
     }
 
-    /// The first and the last time at which a camera can give an image, seconds; `None` if its clock is unknown.
+    /// Returns the first and the last time at which a camera can give an image, seconds from the capture's start.
+    /// `None` if the camera's clock is unknown.
     pub fn span_s(&self, camera: usize) -> Option<(f64, f64)> {
         let times_s = self.times_s(camera);
         Some((*times_s.first()?, *times_s.last()?))
     }
 
-    /// The first and the last time at which all cameras with a known clock can give an image, seconds; `None`
-    /// if there is no such time.
+    /// Returns the first and the last time at which all cameras with a known clock can give an image, seconds from the
+    /// capture's start. `None` if there is no such time.
     pub fn common_span_s(&self) -> Option<(f64, f64)> {
         let first = self.spans_s().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
         let last = self.spans_s().map(|s| s.1).fold(f64::INFINITY, f64::min);
@@ -110,8 +115,8 @@ impl LightField {
         (0..self.capture().cameras.len()).filter_map(|c| self.span_s(c))
     }
 
-    /// The number of cameras in which a time is between two frames, and at least `fraction` of the frame
-    /// interval away from both.
+    /// Returns the number of cameras for which `time_s`, seconds from the capture's start, is between two frames, and
+    /// at least `fraction` of the time between them away from both.
     pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
         let is_between = |&camera: &usize| {
             let times = self.times_s(camera);
@@ -123,9 +128,10 @@ impl LightField {
         (0..self.capture().cameras.len()).filter(is_between).count()
     }
 
-    /// The indices of the frames before and after a time; both are the same if a frame has exactly this time, and all
-    /// its rows have. At the time of a rolling shutter's frame, it is one of two successive frames. In a static light
-    /// field, every camera's only frame is valid at any time, whatever its clock.
+    /// Returns the indices of a camera's frames before and after `time_s`, seconds from the capture's start. Both are
+    /// the same if all rows of a frame have exactly this time. With a rolling shutter, they are always two successive
+    /// frames of the recording. In a static light field, both are 0 at any time, even if the camera's clock is unknown.
+    /// Otherwise, an unknown clock is an error, and so is a time outside the camera's frames.
     pub(super) fn bracket(
         &self,
         camera: usize,
@@ -153,7 +159,7 @@ impl LightField {
         })
     }
 
-    /// The error of a time at which no camera has an image.
+    /// Returns the error for a time at which no camera has an image.
     pub(super) fn no_camera_at(&self, time_s: f64) -> RenderError {
         let first_s = self.spans_s().map(|s| s.0).fold(f64::INFINITY, f64::min);
         let last_s = self.spans_s().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);

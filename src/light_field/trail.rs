@@ -1,20 +1,20 @@
-//! Temporal integration (Fig. 1): a motion trail, which shows the paths of moving objects in one picture.
+//! Temporal integration (Fig. 1): a motion trail shows the paths of moving objects in one picture.
 //!
-//! The paper overlays the images of every camera's sequence and then blends the overlays. Here the finished
-//! views at the instants are overlaid, each rendered with the proxy of its own instant. With a static plane
-//! as proxy the results are equal. With a proxy that changes over time, only this order is correct.
+//! The paper overlays the images of every camera's sequence, and then blends the overlays. Here, a view is rendered at
+//! each instant with the proxy of that instant, and the views are overlaid. With a static plane as proxy, the results
+//! are equal. With a proxy that changes over time, only the order used here is correct.
 
 use crate::lumigraph::Rendered;
 use crate::options::TrailMode;
 use crate::raster::{Image, encoded_from_linear, linear_from_encoded};
 
-/// Accumulates the views at the instants of a trail.
+/// Accumulator that overlays the views at the instants of a motion trail.
 pub(super) struct Overlay {
     mode: TrailMode,
     size: (usize, usize, usize),
     /// For each pixel and channel, the sum of linear light or the largest display-encoded value, depending on the mode.
     values: Vec<f64>,
-    /// The number of instants that cover each pixel.
+    /// For each pixel, the number of instants whose views cover the pixel.
     counts: Vec<u32>,
 }
 
@@ -29,7 +29,7 @@ impl Overlay {
         }
     }
 
-    /// Adds the view at one instant. All views must have the same size and channels.
+    /// Adds the view at one instant. All views must have the same size and number of channels.
     pub fn add(&mut self, rendered: &Rendered) {
         let channels = self.size.2;
         let pixels = rendered.image.data().chunks_exact(channels);
@@ -75,7 +75,8 @@ mod tests {
         overlay.finish()
     }
 
-    /// Alternating black and white has the mean of half the light, which is 0.735 in sRGB, not 0.5.
+    /// The mean of a black and a white view has half of white's linear light. In sRGB, this is the value 0.735, not
+    /// 0.5.
     #[test]
     fn the_mean_is_of_light() {
         let all = [rendered(&[0.0, 0.25], &[true; 2]), rendered(&[1.0, 0.25], &[true; 2])];

@@ -1,4 +1,4 @@
-//! A view (Fig. 2): the images from which it is blended, the scene's geometry, the blend.
+//! Rendering of a view (the paper's Fig. 2): computes the scene's geometry and the cameras' images, and blends them.
 
 use super::camera_image::{image_in, images_of};
 use super::geometry::{Geometry, geometry, nearest_cameras};
@@ -16,7 +16,7 @@ use crate::scene_flow::FlowView;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// The view from a camera at an instant.
+/// Renders the view of the camera `target` at the request's time.
 pub(super) fn view(
     field: &LightField,
     target: &Camera,
@@ -26,7 +26,8 @@ pub(super) fn view(
     view_with_layers(field, target, request, context, false).map(|(rendered, _)| rendered)
 }
 
-/// A [`view()`] with its depth map, and `with_motion` with the motion of its surfaces where that is known.
+/// Renders a view as [`view()`] does, and returns it with its depth map. With `with_motion`, the motion of the view's
+/// surfaces is returned too; only scene flow knows this motion.
 pub(super) fn view_with_layers(
     field: &LightField,
     target: &Camera,
@@ -57,7 +58,7 @@ pub(super) fn view_with_layers(
     if is_seen { Ok((rendered, layers)) } else { Err(RenderError::NothingSeen) }
 }
 
-/// The depth map of a view, and the motion of its surfaces where that is known.
+/// Computes the depth map of a view, and the motion of its surfaces if the view is rendered by scene flow.
 pub(super) fn layers(
     field: &LightField,
     target: &Camera,
@@ -72,7 +73,8 @@ pub(super) fn layers(
     Ok(Layers { depths: geometry(field, target, request, context)?.view, surfaces: None })
 }
 
-/// The images from which a view is blended, gain-corrected to the reference camera's exposure.
+/// Computes the images from which a view is blended, gain-corrected to the reference camera's exposure. The result has
+/// one element per camera: `None` if the view doesn't need the camera's image.
 fn images(
     field: &LightField,
     target: &Camera,
@@ -97,8 +99,8 @@ fn images(
             return images_of(field, &source, &candidates, instant, context);
         }
     };
-    // The nearest cameras' whole images are needed, and cached images cost nothing. Of other cameras, only
-    // the tiles that contribute are computed.
+    // The whole images of the nearest cameras are needed, and cached images cost nothing. For other cameras, only the
+    // tiles that contribute are computed.
     let mut whole = near;
     let is_cached = |&c: &usize| field.cached(&CameraImage { camera: c, time_s, method }).is_some();
     whole.extend(candidates.iter().copied().filter(is_cached));
@@ -132,8 +134,8 @@ fn images(
     Ok(all)
 }
 
-/// The cameras that contribute to a view, with the contributing tiles of their images. In a large rig, most
-/// cameras have no weight anywhere.
+/// Returns the indices of the cameras that contribute to a view, each with the contributing tiles of its image. In a
+/// large rig, most cameras have no weight anywhere.
 fn needed(
     field: &LightField,
     images: &CameraImages,
@@ -148,8 +150,8 @@ fn needed(
 }
 
 impl LightField {
-    /// Blends a view from one image per camera, in the capture's order, gain-corrected to the reference
-    /// camera's exposure. `None`: the camera has no image.
+    /// Blends a view from one image per camera, in the capture's order. The images must be gain-corrected to the
+    /// reference camera's exposure. `None`: the camera has no image.
     pub fn blend(
         &self,
         images: &[Option<Arc<Synchronized>>],
@@ -161,13 +163,13 @@ impl LightField {
     }
 }
 
-/// A black image with a camera's size and channels.
+/// Returns a black image with a camera's size and number of channels.
 fn blank(filmed: &FilmedCamera) -> Image {
     let channels = if filmed.color == Color::Gray { 1 } else { 3 };
     Image::filled(filmed.camera.width, filmed.camera.height, channels, 0.0)
 }
 
-/// The sources of a blend: all cameras with an image. Interpolation errors are passed on only for
+/// Returns the inputs of a blend: all cameras that have an image. Interpolation errors are included only for
 /// [`BlendMethod::SpaceTime`].
 fn sources<'a>(
     field: &'a LightField,

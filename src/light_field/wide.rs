@@ -1,36 +1,41 @@
 //! Wide arrays: cameras that stand around the scene, many degrees apart, and look at a common place.
 //!
-//! Features can hardly be matched between such cameras, so that the range of the scene's depths comes from the
-//! volume that most cameras see, and not from points.
+//! Features can hardly be matched between such cameras. The range of the scene's depths therefore doesn't come from
+//! triangulated points, but from the volume that at least half of the cameras see.
 
 use super::graph::LightField;
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
-/// Minimum angle between neighbouring cameras of a wide array, as seen from the place that all look at, radians. The
-/// largest at which features of neighbours are still matched reliably.
+/// Minimum angle between neighbouring cameras of a wide array, seen from the place that all cameras look at, radians.
+/// It is the largest angle at which features of neighbouring cameras are still matched reliably.
 const MIN_ANGLE_RAD: f64 = 0.12;
-/// Baseline to which disparities of a wide array refer, as an angle at the common place, radians.
+/// Maximum of the baseline with which scene flow converts inverse depths of a wide array to disparities. It is divided
+/// by the distance to the place that all cameras look at, which gives an angle in radians.
 const MATCHING_ANGLE_RAD: f64 = 0.2;
-/// Minimum fraction of the other cameras that see a point of the common volume.
+/// Minimum fraction of the other cameras that must see a point. Only such points count for a camera's range of depths.
 const MIN_SEEING: f64 = 0.5;
-/// Number of rows and of columns of pixels along whose rays the common volume is searched.
+/// Number of rows and number of columns of a grid of pixels. Points on the rays of these pixels are tested to find a
+/// camera's range of depths.
 const RAYS: usize = 9;
-/// Searched inverse depths, as multiples of the inverse distance to the common place: the smallest, and the largest.
+/// Smallest and largest inverse depth that is tested to find a camera's range of depths, as multiples of the inverse
+/// distance to the place that all cameras look at.
 const SEARCHED: [f64; 2] = [0.2, 8.0];
-/// Number of searched inverse depths along a ray; they ascend by a constant factor.
+/// Number of inverse depths that are tested along a ray to find a camera's range of depths. They ascend by a constant
+/// factor.
 const STEPS: usize = 64;
 
-/// The place that the cameras of a wide array look at.
+/// The place that all cameras of a wide array look at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CommonPlace {
-    /// Median distance of the cameras' centres from it, metres.
+    /// Median distance between the cameras' centres and the place, metres.
     pub distance_m: f64,
 }
 
 impl CommonPlace {
-    /// The place that all cameras look at, if the array is wide. `None` for cameras that look in parallel or away from
-    /// each other, and for neighbours, `spacing_m` apart, that are close together.
+    /// Finds the place that all cameras look at, if the array is wide. `None` if there is no such place, because the
+    /// cameras look in parallel or away from each other. Also `None` if the angle between neighbours is at most
+    /// [`MIN_ANGLE_RAD`]. `spacing_m` is the distance between neighbours, metres.
     fn of(cameras: &[&Camera], spacing_m: f64) -> Option<Self> {
         let place = nearest_to_axes(cameras)?;
         let mut distances: Vec<f64> = cameras.iter().map(|c| (c.center() - place).norm()).collect();
@@ -41,8 +46,8 @@ impl CommonPlace {
         is_wide.then_some(Self { distance_m })
     }
 
-    /// Minimum and maximum inverse depth, 1/m, in the camera `own` of the points that at least half of the other cameras
-    /// see. `None` if there are none.
+    /// Returns the minimum and the maximum inverse depth, 1/m, in the camera with index `own`, of the points that at
+    /// least half of the other cameras see. `None` if there are no such points.
     fn range(&self, cameras: &[&Camera], own: usize) -> Option<[f64; 2]> {
         let min_seeing = (MIN_SEEING * (cameras.len() - 1) as f64).ceil() as usize;
         let ratio = (SEARCHED[1] / SEARCHED[0]).powf(1.0 / (STEPS - 1) as f64);
@@ -72,26 +77,29 @@ impl LightField {
         self.capture().cameras.iter().map(|c| &c.camera).collect()
     }
 
-    /// The place that all cameras look at, if the array is wide ([`CommonPlace::of`]).
+    /// Returns the place that all cameras look at. `None` if the array isn't wide ([`CommonPlace::of`]).
     pub(super) fn common_place(&self) -> Option<CommonPlace> {
         CommonPlace::of(&self.filming(), self.spacing_m())
     }
 
-    /// Baseline to which disparities refer, metres: twice the distance of neighbouring cameras. In a wide array it is
-    /// shorter, since surfaces can't be matched as finely there as pixels can be told apart.
+    /// Returns the baseline, metres, with which scene flow converts inverse depths to disparities in pixels: twice the
+    /// distance between neighbouring cameras. In a wide array, the baseline is at most [`MATCHING_ANGLE_RAD`] times the
+    /// distance to the common place, since surfaces of a wide array are matched less precisely.
     pub(super) fn matching_baseline_m(&self) -> f64 {
         let baseline_m = 2.0 * self.spacing_m();
         let longest_m = self.common_place().map(|p| MATCHING_ANGLE_RAD * p.distance_m);
         longest_m.map_or(baseline_m, |longest_m| baseline_m.min(longest_m))
     }
 
-    /// Minimum and maximum inverse depth in a camera of what most cameras see ([`CommonPlace::range`]).
+    /// Returns the minimum and the maximum inverse depth, 1/m, in a camera, of the points that at least half of the
+    /// other cameras see ([`CommonPlace::range`]).
     pub(super) fn common_range(&self, place: CommonPlace, camera: usize) -> Option<[f64; 2]> {
         place.range(&self.filming(), camera)
     }
 }
 
-/// The point nearest to the cameras' optical axes, by least squares; world, metres. `None` for parallel axes.
+/// Returns the point of the world, metres, that is nearest to the cameras' optical axes in the least-squares sense.
+/// `None` for parallel axes.
 fn nearest_to_axes(cameras: &[&Camera]) -> Option<Point3<f64>> {
     let (mut normal, mut right) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
     for camera in cameras {
@@ -109,7 +117,8 @@ mod tests {
     use crate::camera::CameraModel;
     use nalgebra::Isometry3;
 
-    /// Cameras on a circle of 2 m around the origin, `step_deg` apart, that look at it.
+    /// Returns cameras on a circle with a radius of 2 m around the origin, `step_deg` degrees apart. All look at the
+    /// origin.
     fn ring(count: usize, step_deg: f64) -> Vec<Camera> {
         let camera = |k: usize| {
             let angle = (k as f64 - 0.5 * (count - 1) as f64) * step_deg.to_radians();
@@ -133,14 +142,14 @@ mod tests {
     fn cameras_around_a_place_are_wide_and_others_are_not() {
         let found = place(&ring(6, 17.0), 0.59).unwrap();
         assert!((found.distance_m - 2.0).abs() < 1e-9, "{found:?}");
-        // 2 degrees apart, as `arc8`.
+        // The cameras are 2 degrees apart, as in the simulated rig `arc8`.
         assert_eq!(place(&ring(8, 2.0), 0.07), None);
         let mut parallel = ring(3, 17.0);
         for (k, camera) in parallel.iter_mut().enumerate() {
             camera.cam_from_world = Isometry3::translation(k as f64, 0.0, 0.0);
         }
         assert_eq!(place(&parallel, 1.0), None);
-        // Outwards: the axes meet behind the cameras.
+        // The cameras look outwards, and their axes meet behind them.
         let mut outward = ring(4, 17.0);
         let turn = Isometry3::rotation(Vector3::y() * std::f64::consts::PI);
         outward.iter_mut().for_each(|c| c.cam_from_world = turn * c.cam_from_world);
@@ -153,7 +162,8 @@ mod tests {
         let all: Vec<&Camera> = cameras.iter().collect();
         let [min, max] = place(&cameras, 1.0).unwrap().range(&all, 1).unwrap();
         assert!(min < 1.0 / 2.5 && max > 1.0 / 1.6, "{min} {max}");
-        // A neighbour 30 degrees aside sees nothing of the middle camera's rays before 0.4 m. Far ends at 10 m.
+        // A camera 30 degrees to the side sees no point nearer than 0.4 m on the middle camera's rays. The tested
+        // depths end at 10 m.
         assert!(max < 1.0 / 0.4 && min >= 0.1 - 1e-9, "{min} {max}");
     }
 }

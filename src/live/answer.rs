@@ -1,4 +1,4 @@
-//! HTTP responses, all with the same headers.
+//! Builds HTTP responses. All responses have the same security headers.
 
 use super::{LiveError, Picture};
 use crate::light_field::RenderError;
@@ -9,11 +9,12 @@ use hyper::{Response, StatusCode};
 
 pub(super) type Reply = Response<Full<Bytes>>;
 
-/// Content security policy: no other origins, no inline scripts or styles, no framing.
+/// Content security policy of the page: nothing from other origins, no inline scripts or styles, and no embedding in
+/// other pages.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; \
                       require-trusted-types-for 'script'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// The headers of every response.
+/// HTTP headers that every response has, beside its content type.
 const HEADERS: [(header::HeaderName, &str); 8] = [
     (header::CONTENT_SECURITY_POLICY, POLICY),
     (header::CACHE_CONTROL, "no-store"),
@@ -29,7 +30,7 @@ const HEADERS: [(header::HeaderName, &str); 8] = [
     ),
 ];
 
-/// Name of the header that states the methods by which a picture was rendered.
+/// Name of the HTTP header that states the methods by which a picture was rendered.
 const MADE_BY: header::HeaderName = header::HeaderName::from_static("x-made-by");
 
 pub(super) fn respond(media_type: &'static str, body: impl Into<Bytes>) -> Reply {
@@ -42,7 +43,7 @@ pub(super) fn respond(media_type: &'static str, body: impl Into<Bytes>) -> Reply
     response
 }
 
-/// A response with the error's sentence.
+/// Returns the response for an error: the error's sentence as plain text, with an HTTP status.
 pub(super) fn failed(error: &LiveError) -> Reply {
     let mut response = respond("text/plain; charset=utf-8", error.to_string());
     *response.status_mut() = match error {
@@ -58,7 +59,7 @@ pub(super) fn failed(error: &LiveError) -> Reply {
     response
 }
 
-/// Name of the header with the depths that the first and the last colour of a depth picture stand for,
+/// Name of the HTTP header of a depth picture. Its value is the depths of the first and the last colour of the scale,
 /// metres.
 const DEPTHS: header::HeaderName = header::HeaderName::from_static("x-depths");
 
@@ -67,7 +68,7 @@ pub(super) fn picture(Picture { bytes, made_by, depths_m }: Picture) -> Reply {
     if let Ok(made_by) = HeaderValue::from_str(&made_by) {
         response.headers_mut().insert(MADE_BY, made_by);
     }
-    // In the form that JavaScript parses as a number.
+    // The number is written in a form that JavaScript can parse. Rust writes infinity as `inf`.
     let depth = |m: f32| if m.is_finite() { m.to_string() } else { "Infinity".to_owned() };
     let depths = depths_m.map(|m| HeaderValue::from_str(&m.map(depth).join(",")));
     if let Some(Ok(depths)) = depths {

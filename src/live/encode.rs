@@ -1,16 +1,16 @@
-//! Encodes pictures as files, and assigns colours to cameras.
+//! Encodes rendered pictures as PNG files, and assigns colours to cameras.
 
 use crate::lumigraph::Rendered;
 use crate::raster::{BitDepth, encode_png, encode_png_8};
 use image::codecs::png::CompressionType;
 
-/// Grey value of pixels that no camera sees, in 0..=1.
+/// Grey value of pixels that no camera sees, from 0 to 1.
 const UNKNOWN: f32 = 0.11;
 
-/// Encodes a view as an 8-bit PNG with the fastest compression. Pixels that no camera sees are dark grey.
+/// Encodes a view as an 8-bit PNG with the fastest compression. Pixels that no camera sees become dark grey.
 ///
-/// PNG takes an eighth of JPEG's encoding time (`cargo bench --bench view`). The error is a sentence with the
-/// reason.
+/// PNG is used because its encoding takes an eighth of the time of JPEG (`cargo bench --bench view`). The error is a
+/// sentence with the reason.
 pub(super) fn encode(view: &Rendered) -> Result<Vec<u8>, String> {
     let mut image = view.image.to_rgb();
     let pixels = image.data_mut().chunks_exact_mut(3);
@@ -24,26 +24,27 @@ fn failed(error: image::ImageError) -> String {
     format!("the picture can't be encoded ({error})")
 }
 
-/// Encodes a view as `stlfr render` writes it.
+/// Encodes a view as the PNG file that `stlfr render` writes: pixels that no camera sees are transparent.
 pub(super) fn encode_saved(view: &Rendered, depth: BitDepth) -> Result<Vec<u8>, String> {
     let coverage = Some(view.coverage.as_slice()).filter(|c| c.contains(&false));
     encode_png(&view.image, coverage, depth).map_err(failed)
 }
 
-/// The colours that stand for cameras, RGB in 0..=1. Neighbouring cameras have clearly different colours.
+/// Colours that stand for the cameras in pictures: RGB from 0 to 1, by camera index. Neighbouring cameras have clearly
+/// different colours.
 pub(super) struct Colors(Vec<[f32; 3]>);
 
-/// Difference in hue between successive cameras, as a fraction of the colour circle. It is the golden
+/// Difference in hue between the colours of successive cameras, as a fraction of the colour circle. It is the golden
 /// section, so that no two cameras have the same hue.
 const HUE_STEP: f64 = 0.381_966;
-/// Hue of the first camera's colour, as a fraction of the colour circle.
+/// Hue of the leftmost camera's colour, as a fraction of the colour circle.
 const FIRST_HUE: f64 = 0.58;
-/// Lightness of the cameras' colours, 0 to 1. The entries are used cyclically.
+/// Lightness of the cameras' colours, from 0 to 1. Successive cameras take the three values in turn.
 const LIGHTNESS: [f64; 3] = [0.5, 0.66, 0.38];
 
 impl Colors {
-    /// The colours of cameras, assigned in order from left to right. `places` are the cameras' positions in
-    /// the rig's axes.
+    /// Assigns colours to cameras, in order from left to right. `places` are the cameras' positions in the rig's axes
+    /// (right, up, ahead).
     pub fn of(places: &[[f64; 3]]) -> Self {
         let mut order: Vec<usize> = (0..places.len()).collect();
         order.sort_by(|&a, &b| {
@@ -61,17 +62,17 @@ impl Colors {
         &self.0
     }
 
-    /// A camera's colour as `#rrggbb`.
+    /// Returns a camera's colour as the text `#rrggbb`.
     pub fn hex(&self, camera: usize) -> String {
         let [r, g, b] = self.0[camera].map(|v| (v * 255.0).round() as u8);
         format!("#{r:02x}{g:02x}{b:02x}")
     }
 }
 
-/// Saturation of the colours, in 0..=1.
+/// Saturation of the cameras' colours, from 0 to 1.
 const SATURATION: f64 = 0.75;
 
-/// The saturated colour, RGB, of a hue in 0..=1.
+/// Converts a hue and a lightness, each from 0 to 1, to RGB from 0 to 1. The saturation is [`SATURATION`].
 fn vivid(hue: f64, lightness: f64) -> [f32; 3] {
     let chroma = SATURATION * (1.0 - (2.0 * lightness - 1.0).abs());
     [0.0, 2.0 / 3.0, 1.0 / 3.0].map(|shift| {

@@ -1,4 +1,4 @@
-//! Access control: whether a request may be answered.
+//! Access control: decides whether a request may be answered.
 
 use super::LiveError;
 use hyper::http::request::Parts;
@@ -6,26 +6,26 @@ use hyper::{Method, StatusCode, header};
 use std::fs::File;
 use std::io::Read;
 
-/// Length of the random token in the page's address, bytes.
+/// Number of random bytes in the token of the page's address.
 const TOKEN_BYTES: usize = 24;
 
-/// Maximum length of an accepted address, bytes.
+/// Maximum length of a requested address, bytes. Longer addresses are refused.
 const MAX_ADDRESS: usize = 1024;
 
-/// The host names and the token that a request must contain.
+/// Host names and token that a request must contain to be answered.
 pub(super) struct Guard {
-    /// Random bytes in hexadecimal digits.
+    /// Secret token in the page's address: random bytes in hexadecimal digits.
     token: String,
-    /// `127.0.0.1:PORT` and `localhost:PORT`. For HTTP's default port also the names without port, as
-    /// browsers send them.
+    /// Accepted values of the header `Host`: `127.0.0.1:PORT` and `localhost:PORT`. For HTTP's default port also the
+    /// names without port, which browsers then send.
     hosts: Vec<String>,
 }
 
-/// HTTP's default port, which browsers leave out of `Host`.
+/// HTTP's default port, which browsers leave out of the header `Host`.
 const HTTP_PORT: u16 = 80;
 
 impl Guard {
-    /// A guard with a new token, from the operating system's random generator.
+    /// Creates a guard with a new token from the operating system's random generator.
     pub fn new(port: u16) -> std::io::Result<Self> {
         let mut bytes = [0; TOKEN_BYTES];
         File::open("/dev/urandom")?.read_exact(&mut bytes)?;
@@ -38,18 +38,23 @@ impl Guard {
         Ok(Self { token, hosts })
     }
 
-    /// The page's address, including the token.
+    /// Returns the page's address, including the token.
     pub fn address(&self) -> String {
         format!("http://{}/{}/", self.hosts[0], self.token)
     }
 
-    /// Compares a string with the token in constant time.
+    /// Returns whether a string is the token. The comparison takes constant time, so that its duration doesn't reveal
+    /// the token.
     fn is_token(&self, given: &str) -> bool {
         let pairs = self.token.bytes().zip(given.bytes());
         given.len() == self.token.len() && pairs.fold(0, |wrong, (a, b)| wrong | (a ^ b)) == 0
     }
 
-    /// Checks a request, and returns the part of its path after the token: `""` for the page.
+    /// Checks whether a request may be answered. Returns the part of its path after the token, which is empty for the
+    /// page.
+    ///
+    /// # Errors
+    /// If the request is refused.
     pub fn admit<'a>(&self, request: &'a Parts) -> Result<&'a str, LiveError> {
         let refused = |status, reason| Err(LiveError::Refused(status, reason));
         let field = |name: header::HeaderName| -> Result<Option<&str>, LiveError> {
@@ -94,7 +99,7 @@ impl Guard {
     }
 }
 
-/// The refusal for wrong tokens and unknown paths alike, so that an answer does not reveal which is wrong.
+/// Error for a wrong token, and equally for an unknown path. The answer thus doesn't reveal which of them is wrong.
 pub(super) const NOT_FOUND: LiveError =
     LiveError::Refused(StatusCode::NOT_FOUND, "there is nothing at this address");
 
@@ -116,7 +121,7 @@ mod tests {
         }
     }
 
-    /// Whether the page is served to a request with this `Host` and `Origin`.
+    /// Returns whether the page is served to a request with these headers `Host` and `Origin`.
     fn is_admitted(guard: &Guard, host: &str, origin: Option<&str>) -> bool {
         let mut request = hyper::Request::get(format!("/{}/", guard.token)).header("host", host);
         if let Some(origin) = origin {

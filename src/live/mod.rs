@@ -1,19 +1,20 @@
-//! A light field in a browser: one page for looking around in space and time, served only to this machine.
+//! Shows a light field in a browser. A server, which only programs on this machine can reach, serves one page for
+//! looking around in space and time.
 //!
 //! ```text
 //! browser ── server ── queue ── workers ── Studio ── LightField
-//! (HTTP)   (latest)  (threads)  (pictures)
+//!            (HTTP)   (latest)  (threads)  (pictures)
 //! ```
 //!
 //! | file | what |
 //! |---|---|
 //! | `mod.rs` | the parts of the server, and its errors |
 //! | `rig_frame.rs` | viewpoints, and the rig's own axes |
-//! | `request.rs` | the picture that an address requests |
-//! | `studio.rs` | pictures of the light field and of traditional LFR |
-//! | `true_views.rs` | pictures of the truth |
+//! | `request.rs` | parsing of an address to the picture that it requests |
+//! | `studio.rs` | pictures of the light field, and of traditional light field rendering |
+//! | `true_views.rs` | pictures of the ground truth |
 //! | `overlays.rs` | pictures of the cameras that pixels come from, and of depths |
-//! | `encode.rs` | pictures as files |
+//! | `encode.rs` | encoding of pictures as files |
 //! | `queue.rs`, `workers.rs` | each viewer's latest request, and the threads that answer it |
 //! | `scene.rs` | the description of the capture for the page |
 //! | `guard.rs` | access control |
@@ -22,13 +23,12 @@
 //!
 //! # Access
 //!
-//! The server listens on 127.0.0.1. An address contains a random token, without which every path is "not
-//! found". `Host` and `Origin` must be the server's own, so that neither another page nor another name for
-//! this machine gets an answer. Only `GET` is answered, and only the page and pictures of this capture are
-//! served.
+//! The server listens on 127.0.0.1. The page's address contains a random token; without this token, every path is "not
+//! found". The headers `Host` and `Origin` must be the server's own, so that no other page, and no other host name of
+//! this machine, gets an answer. The server answers only `GET`, and serves only the page and pictures of this capture.
 //!
-//! Known limit: anyone who has the address gets the pictures. Another user of this machine may find it among
-//! the arguments of the program that opens the browser. With `--no-open`, it is only printed in the terminal.
+//! Known limit: anyone who has the address gets the pictures. Another user of this machine may find the address among
+//! the arguments of the program that opens the browser. With `--no-open`, the address is only printed in the terminal.
 
 mod answer;
 mod encode;
@@ -54,26 +54,26 @@ use request::{Level, PictureMethod, PictureRequest, Place, ViewDirection};
 use rig_frame::RigFrame;
 use studio::Picture;
 
-/// Why a picture can't be served: one sentence, which the page shows.
+/// Reason why a picture can't be served: one sentence, which the page shows.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
-    /// The address is invalid.
+    /// The requested address is invalid. The field is a sentence with the reason.
     #[error("{0}")]
     Request(String),
     #[error(transparent)]
     Render(#[from] RenderError),
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
-    /// A newer request of the same viewer has replaced this one.
+    /// A newer request of the same viewer has replaced this request.
     #[error("a newer request took its place")]
     Superseded,
     /// Too many requests are waiting.
     #[error("too many pictures are asked for at once: close a viewer")]
     Busy,
-    /// The program failed unexpectedly.
+    /// The program panicked while it rendered the picture.
     #[error("rendering failed by an error of the program; its output in the terminal says more")]
     Panicked,
-    /// The request is not allowed: the HTTP status, and the reason.
+    /// The request is not allowed. The fields are the HTTP status and the reason.
     #[error("{1}")]
     Refused(StatusCode, &'static str),
 }

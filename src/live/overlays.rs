@@ -1,23 +1,23 @@
-//! Pictures that explain a view: the cameras that its pixels are blended from, and its depths.
+//! Pictures that explain a view: the cameras from which each pixel is blended, and the depth of each pixel.
 
 use crate::camera::Camera;
 use crate::light_field::{Geometry, GivenImages, LightField};
 use crate::lumigraph::{BlendOptions, DepthMap, Rendered};
 use crate::raster::{Image, luma};
 
-/// Maximum number of cameras whose weights are computed; the nearest to the view are taken.
+/// Maximum number of cameras whose blending weights are computed. The cameras nearest to the view are chosen.
 const MAX_CAMERAS: usize = 24;
-/// Period of the stripes, as a fraction of the picture's width. Larger: the stripes hide the scene. Smaller:
-/// the thin stripes of small weights vanish.
+/// Period of the stripes that show the blending weights, as a fraction of the picture's width. With a larger period,
+/// the stripes hide the scene. With a smaller period, the thin stripes of small weights vanish.
 const PATTERN: f32 = 1.0 / 24.0;
-/// Minimum period of the stripes, pixels.
+/// Minimum period of the stripes that show the blending weights, pixels.
 const MIN_PATTERN_PX: f32 = 8.0;
-/// Opacity of the stripes over the picture, in 0..=1.
+/// Opacity of the stripes that show the blending weights over the grey picture, from 0 to 1.
 const TINT: f32 = 0.6;
-/// Fraction of a picture's depths, at either end, that are outside the range of colours.
+/// Fraction of a view's depths that the colour scale clips at each of its ends.
 const OUTSIDE: f64 = 0.01;
 
-/// Colours of depths from far to near, in equal steps of lightness (matplotlib's viridis).
+/// Colours of the depth scale from far to near, RGB from 0 to 255, in equal steps of lightness (matplotlib's viridis).
 pub(super) const DEPTH_COLORS: [[u8; 3]; 9] = [
     [68, 1, 84],
     [71, 44, 122],
@@ -30,17 +30,17 @@ pub(super) const DEPTH_COLORS: [[u8; 3]; 9] = [
     [253, 231, 37],
 ];
 
-/// The blending weights of cameras at every pixel of a view.
+/// Blending weights of the cameras at every pixel of a view.
 pub(super) struct Weights {
-    /// For each camera, in the capture's order, its weight at every pixel, row by row; `None` for a camera
-    /// without weight.
+    /// Weights of each camera at all pixels, row by row. The cameras are in the capture's order. `None` for a camera
+    /// whose weights were not computed.
     by_camera: Vec<Option<Vec<f32>>>,
-    /// The view converted to grey.
+    /// The view as blended from the cameras' images, in its own colours. [`Self::striped`] converts it to grey.
     gray: Rendered,
 }
 
 impl Weights {
-    /// The weights of a view that is blended from these images.
+    /// Computes the blending weights of a view. The view is blended from `images`, the cameras' images at its instant.
     pub fn new(
         field: &LightField,
         images: &GivenImages,
@@ -69,8 +69,9 @@ impl Weights {
         Self { by_camera, gray: field.blend(images.all(), geometry, target, options) }
     }
 
-    /// The weights as one tall picture, the size of the view for every three cameras: the channels of the
-    /// first part are the weights of the cameras 0, 1 and 2, and so on.
+    /// Returns the weights as one tall picture, a stack of pictures with the size of the view. The channels of the
+    /// first picture are the weights of cameras 0, 1 and 2, those of the second picture are the weights of cameras 3, 4
+    /// and 5, and so on.
     pub fn picture(&self) -> Rendered {
         let (width, height) = (self.gray.image.width(), self.gray.image.height());
         let mut data =
@@ -86,8 +87,8 @@ impl Weights {
         Rendered { image, coverage: vec![true; width * height] }
     }
 
-    /// The grey view, overlaid with diagonal stripes in the cameras' colours. A stripe's width is
-    /// proportional to the camera's weight.
+    /// Returns the view in grey, overlaid with diagonal stripes in the cameras' colours. The width of a camera's stripe
+    /// is proportional to its blending weight.
     pub fn striped(self, colors: &[[f32; 3]]) -> Rendered {
         let Rendered { image, coverage } = self.gray;
         let (width, shown) = (image.width(), image.to_rgb());
@@ -103,7 +104,8 @@ impl Weights {
     }
 }
 
-/// The camera whose stripe contains a phase in 0..1 of the period; `None` if all weights are 0.
+/// Returns the camera whose stripe covers a pixel. `phase` is the pixel's position within the period of the stripes,
+/// from 0 to 1. `None` if all weights are 0 at the pixel.
 fn stripe(by_camera: &[Option<Vec<f32>>], pixel: usize, phase: f32) -> Option<usize> {
     let weights =
         || by_camera.iter().enumerate().filter_map(|(c, w)| Some((c, w.as_ref()?[pixel])));
@@ -115,8 +117,8 @@ fn stripe(by_camera: &[Option<Vec<f32>>], pixel: usize, phase: f32) -> Option<us
     found.map(|(camera, _)| camera)
 }
 
-/// A view's depths as colours, on a scale of inverse depth, and the depths of the first and the last colour,
-/// metres. `None` if no pixel has a depth.
+/// Converts a view's depths to colours, on a scale of inverse depth. Returns the picture, and the depths of the first
+/// and the last colour of the scale, metres. `None` if no pixel has a depth.
 pub(super) fn depth_picture(depths: &DepthMap) -> Option<(Rendered, [f32; 2])> {
     let inverse = |depth: &f32| 1.0 / depth;
     let mut sorted: Vec<f32> = depths.data().iter().map(inverse).filter(|v| !v.is_nan()).collect();
@@ -133,7 +135,8 @@ pub(super) fn depth_picture(depths: &DepthMap) -> Option<(Rendered, [f32; 2])> {
     Some((Rendered { image, coverage }, [inverse(&low), inverse(&high)]))
 }
 
-/// The colour at a fraction, 0 to 1, of the scale [`DEPTH_COLORS`], interpolated.
+/// Returns the interpolated colour at a fraction, from 0 to 1, of the scale [`DEPTH_COLORS`]. The result is RGB from 0
+/// to 1.
 fn depth_color(share: f32) -> [f32; 3] {
     let at = share * (DEPTH_COLORS.len() - 1) as f32;
     let first = (at as usize).min(DEPTH_COLORS.len() - 2);

@@ -1,4 +1,4 @@
-//! The queue of requests. Of each viewer, it holds only the latest.
+//! The queue of picture requests. It holds only the latest request of each viewer.
 
 use super::{Level, LiveError, Picture, PictureRequest};
 use std::collections::VecDeque;
@@ -6,52 +6,54 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, Weak};
 use tokio::sync::oneshot;
 
-/// Maximum number of waiting requests.
+/// Maximum number of requests that wait in the queue.
 const MAX_WAITING: usize = 32;
 
-/// A picture, or why it can't be made.
+/// Answer to a request: a picture, or the reason why the picture can't be rendered.
 pub(super) type Answer = Result<Picture, LiveError>;
 
-/// A request, with flags that tell whether a later request of its viewer has outdated it.
+/// A request for a picture, with flags that are set when a later request of the same viewer replaces it.
 pub(super) struct Asked {
     pub request: PictureRequest,
     is_outdated: AtomicBool,
-    /// Whether its time or method is outdated too, and not only its viewpoint.
+    /// Whether a later request of the same viewer has another time or other methods, and not only another viewpoint.
+    /// False if there is no later request.
     is_instant_outdated: AtomicBool,
 }
 
-/// A request with the channel to which its answer is sent.
+/// A request, and the channel to which its answer is sent.
 pub(super) struct Job {
     pub asked: Arc<Asked>,
     reply: oneshot::Sender<Answer>,
 }
 
 impl Asked {
-    /// Whether the viewer still looks at this instant by this method, from any viewpoint.
+    /// Returns whether the viewer still looks at the time of this request by the same methods, from any viewpoint.
     pub fn is_instant_wanted(&self) -> bool {
         !self.is_instant_outdated.load(Ordering::Relaxed)
     }
 
-    /// Whether another request is for another instant or other methods.
+    /// Returns whether another request has another time or other methods than this one.
     fn differs(&self, other: &PictureRequest) -> bool {
         let of = |r: &PictureRequest| (r.time_s, r.method, r.sync, r.proxy);
         of(&self.request) != of(other)
     }
 
-    /// Whether a later request of `viewer` replaces this one.
+    /// Returns whether a later request of `viewer` replaces this request. A request to save a picture is never
+    /// replaced.
     fn is_replaceable_by(&self, viewer: &str) -> bool {
         self.request.level != Level::Saved && self.request.viewer == viewer
     }
 }
 
 impl Job {
-    /// Whether a viewer still waits for the picture.
+    /// Returns whether the viewer still waits for the picture.
     pub fn is_wanted(&self) -> bool {
         !self.asked.is_outdated.load(Ordering::Relaxed) && !self.reply.is_closed()
     }
 
-    /// Sends the answer. Until the returned value is dropped, the request counts as running, and can become
-    /// outdated.
+    /// Sends the answer, and returns the request. As long as the returned value exists, the request counts as running,
+    /// and a later request can mark it as replaced.
     pub fn answer(self, answer: Answer) -> Arc<Asked> {
         // An error means that the viewer has disconnected.
         let _ = self.reply.send(answer);
@@ -59,7 +61,7 @@ impl Job {
     }
 }
 
-/// The requests that wait, in order of arrival, and those that are running.
+/// Waiting requests in order of arrival, and running requests.
 #[derive(Default)]
 pub(super) struct Queue {
     state: Mutex<QueueState>,
@@ -74,18 +76,20 @@ struct QueueState {
 }
 
 impl Queue {
-    /// Adds a request, which replaces the viewer's earlier one. If that is waiting, its receiver is closed;
-    /// if it is running, it is stopped. A request to save replaces none.
+    /// Adds a request, which replaces the viewer's earlier request. If the earlier request is waiting, its receiver is
+    /// closed. If it is running, it is stopped. A request to save a picture replaces no other request.
+    ///
+    /// Returns the receiver of the answer.
     ///
     /// # Errors
-    /// [`LiveError::Busy`] if too many requests are waiting.
+    /// [`LiveError::Busy`] if [`MAX_WAITING`] requests are waiting.
     pub fn submit(&self, request: PictureRequest) -> Result<oneshot::Receiver<Answer>, LiveError> {
         let (reply, receiver) = oneshot::channel();
         let mut state = self.lock();
         let replaces = request.level != Level::Saved && !request.viewer.is_empty();
         let is_replaced = |asked: &Asked| replaces && asked.is_replaceable_by(&request.viewer);
         state.waiting.retain(Job::is_wanted);
-        // Checked before anything is replaced, so that a refused viewer still gets the picture that is being
+        // This is checked before any request is replaced, so that a refused viewer still gets the picture that is being
         // rendered.
         if state.waiting.iter().filter(|job| !is_replaced(&job.asked)).count() >= MAX_WAITING {
             return Err(LiveError::Busy);
@@ -105,8 +109,8 @@ impl Queue {
         Ok(receiver)
     }
 
-    /// Waits for the next quick request, or with `is_quick` false for the next of full quality. Each kind has
-    /// its own workers, so that quick requests never wait for slow ones. `None` after the queue is closed.
+    /// Waits for the next request: a quick one if `is_quick` is true, otherwise one of full quality. Each kind has its
+    /// own worker threads, so that quick requests never wait for slow ones. `None` after the queue is closed.
     pub fn take(&self, is_quick: bool) -> Option<Job> {
         let mut state = self.lock();
         loop {
@@ -123,8 +127,7 @@ impl Queue {
         }
     }
 
-    /// Whether a request of full quality is waiting that is for another instant or other methods than
-    /// `asked`.
+    /// Returns whether a waiting request of full quality has another time or other methods than `asked`.
     pub fn has_apart(&self, asked: &Asked) -> bool {
         let mut state = self.lock();
         state.waiting.retain(Job::is_wanted);
@@ -132,14 +135,14 @@ impl Queue {
         waiting.any(|other| !other.is_quick() && asked.differs(other))
     }
 
-    /// Ends all workers after their current requests.
+    /// Closes the queue. All workers end after their current requests.
     pub fn close(&self) {
         self.lock().is_closed = true;
         self.changed.notify_all();
     }
 
     fn lock(&self) -> MutexGuard<'_, QueueState> {
-        // A poisoned lock is used: no operation can panic halfway.
+        // A poisoned lock can be used, because no operation on the state can panic halfway.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

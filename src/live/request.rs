@@ -2,101 +2,105 @@
 //!
 //! | name | value |
 //! |---|---|
-//! | `method` | `st`, `lfr`, `truth`, `sources`, `weights`, `depth` |
-//! | `level` | `quick`; `full`: the chosen options; `saved`: the same without loss, as `stlfr render` writes it |
-//! | `t` | seconds on the reference's clock, as in the capture's file |
-//! | `x`, `y`, `z` | to the right, up, ahead, metres: see [`super::RigFrame`] |
-//! | `at` | instead of `x`, `y` and `z`: `cN` for the place of camera N, `tN` for that of the truth's image N |
+//! | `method` | content of the picture: `st`, `lfr`, `truth`, `sources`, `weights`, `depth` ([`PictureMethod`]) |
+//! | `level` | quality of the picture: `quick`, `full`, `saved` ([`Level`]) |
+//! | `t` | seconds on the reference camera's clock, as in the capture's file |
+//! | `x`, `y`, `z` | position in the rig's axes: right, up, ahead, metres ([`super::RigFrame`]) |
+//! | `at` | instead of `x`, `y` and `z`: `cN` for the position of camera N, `tN` for that of true image N |
 //! | `yaw`, `pitch` | rotation to the right and up, degrees |
-//! | `zoom` | focal length as a multiple of the reference's |
-//! | `w`, `h` | pixels |
-//! | `sync`, `proxy` | methods other than the chosen options', by name, except at the level `quick`. Optional |
-//! | `viewer`, `slot` | viewer, and part of the page: a request replaces the last one with the same two. Optional |
+//! | `zoom` | focal length as a multiple of the reference camera's |
+//! | `w`, `h` | width and height of the picture, pixels |
+//! | `sync`, `proxy` | names of methods in place of those of the chosen options. Optional |
+//! | `viewer`, `slot` | viewer, and part of the page: a request replaces the last request with the same two names. Optional |
 //!
-//! Names and values consist of letters, digits and `.+-`, so that nothing is escaped.
+//! Names and values consist of letters, digits and `.+-`, so that no character needs escaping.
 
 use super::LiveError;
 use crate::interpolation::SyncMethod;
 use crate::method::Method;
 use crate::options::ProxyMethod;
 
-/// The source of a picture.
+/// Content of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PictureMethod {
-    /// The light field, with the chosen options.
+    /// Space-time light field rendering with the chosen options.
     SpaceTime,
-    /// Traditional light field rendering, from each camera's nearest frame.
+    /// Traditional light field rendering: each camera's frame nearest in time is blended without synchronization.
     Traditional,
-    /// The true image, if there is one.
+    /// The true image of a simulated scene. The request is an error if there is no true image at this viewpoint and
+    /// time.
     Truth,
-    /// The cameras from which each pixel is blended, as stripes of their colours.
+    /// The cameras from which each pixel is blended, as stripes in the cameras' colours.
     Sources,
     /// The blending weights of the cameras as numbers, encoded by [`super::overlays::Weights::picture`].
     Weights,
-    /// The depths as colours.
+    /// The depth of each pixel, as a colour.
     Depth,
 }
 
-/// The quality of a picture.
+/// Quality of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Level {
-    /// Fast, for a moving viewpoint: the options of `draft`, or the chosen ones if their results are cached.
+    /// Fast, for a moving viewpoint: rendered with the preset `draft`, or with the chosen options if all that they need
+    /// is cached.
     Quick,
-    /// By the chosen options.
+    /// Full quality: rendered with the chosen options.
     Full,
-    /// Like [`Self::Full`], encoded as `stlfr render` writes it.
+    /// Rendered like [`Self::Full`], and encoded as `stlfr render` writes it.
     Saved,
 }
 
-/// A viewpoint.
+/// Viewpoint of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Place {
-    /// A position in the rig's axes, metres.
+    /// Position in the rig's axes: right, up, ahead, metres.
     Free([f64; 3]),
-    /// The viewpoint of a camera, by its index.
+    /// Viewpoint of the camera with this index.
     Camera(usize),
-    /// The viewpoint of a true image, by its index.
+    /// Viewpoint of the true image with this index.
     Truth(usize),
 }
 
-/// Direction, zoom and size of a view.
+/// Direction, zoom and size of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewDirection {
-    /// Rotation to the right and up, degrees.
+    /// Rotation away from the viewpoint's direction, to the right and up, degrees.
     pub turn_deg: [f64; 2],
-    /// Focal length as a multiple of the reference's.
+    /// Focal length as a multiple of the reference camera's focal length.
     pub zoom: f64,
     /// Width and height of the picture, pixels.
     pub size: [u32; 2],
 }
 
-/// A requested picture.
+/// A request for a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureRequest {
     pub method: PictureMethod,
     pub level: Level,
-    /// Seconds on the reference's clock, as in the capture's file.
+    /// Time that the picture shows: seconds on the reference camera's clock, as in the capture's file.
     pub time_s: f64,
     pub place: Place,
     pub view: ViewDirection,
-    /// Sync method in place of that of the chosen options; `None` leaves theirs.
+    /// Synchronization method of this picture. `None`: the method of the chosen options.
     pub sync: Option<SyncMethod>,
+    /// Proxy method of this picture. `None`: the method of the chosen options.
     pub proxy: Option<ProxyMethod>,
-    /// Names the viewer and the part of the page. A request replaces the earlier one with the same name,
-    /// unless the name is empty.
+    /// Name of the viewer and of the part of its page that shows the picture, such as `a1.b`. A request replaces the
+    /// earlier request with the same name, unless the name is empty.
     pub viewer: String,
 }
 
-/// Maximum length of a viewer's name with its slot, bytes.
+/// Maximum length of [`PictureRequest::viewer`], bytes.
 const MAX_VIEWER_LENGTH: usize = 40;
 
 impl PictureRequest {
-    /// Whether the level is [`Level::Quick`].
+    /// Returns whether the quality is [`Level::Quick`].
     pub fn is_quick(&self) -> bool {
         self.level == Level::Quick
     }
 
-    /// Parses the query, the part of an address after `?`. Repeated and unknown names are errors.
+    /// Parses a request from its query, which is the part of the address after `?`. Repeated and unknown names are
+    /// errors.
     pub fn parse(query: &str) -> Result<Self, LiveError> {
         let mut fields = Fields::new(query)?;
         let method = fields.choice(
@@ -137,7 +141,7 @@ impl PictureRequest {
     }
 }
 
-/// Parses a place such as `c3` or `t12`.
+/// Parses a viewpoint: `c3` is the viewpoint of camera 3, `t12` that of true image 12.
 fn named_place(at: &str) -> Result<Place, LiveError> {
     let number = |digits: &str| digits.parse().ok();
     let place = match at.split_at_checked(1) {
@@ -152,7 +156,7 @@ fn wrong(name: &str, reason: &str) -> LiveError {
     LiveError::Request(format!("{name}: {reason}"))
 }
 
-/// The names and values of a query that have not been read yet.
+/// Pairs of name and value of a query that have not been read yet.
 struct Fields<'a>(Vec<(&'a str, &'a str)>);
 
 impl<'a> Fields<'a> {
@@ -177,7 +181,8 @@ impl<'a> Fields<'a> {
         Some(self.0.swap_remove(at).1)
     }
 
-    /// Reads one of several named values; if the name is missing, the first of them.
+    /// Reads a value that must be one of the words in `all`, which are paired with their meanings. If the query lacks
+    /// `name`, the first entry of `all` is chosen.
     fn choice<T: Copy>(&mut self, name: &str, all: &[(&str, T)]) -> Result<T, LiveError> {
         let Some(value) = self.take(name) else { return Ok(all[0].1) };
         let found = all.iter().find(|(n, _)| *n == value);

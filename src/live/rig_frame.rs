@@ -1,5 +1,5 @@
-//! The viewpoints of pictures: those of cameras, those of true images, and positions in the rig's own axes.
-//! These are x to the right, y up, z ahead, in metres from the mean of the cameras' centres.
+//! Viewpoints of pictures: the cameras, the true images, and any positions in the rig's own axes. These axes are x to
+//! the right, y up and z ahead, in metres. Their origin is the mean of the cameras' centres.
 
 use super::{LiveError, PictureRequest, Place, ViewDirection};
 use crate::camera::{Camera, CameraModel};
@@ -7,37 +7,40 @@ use crate::capture::Capture;
 use crate::text::number;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-/// Distance by which viewpoints may be beyond the outermost cameras, as a fraction of the rig's extent.
+/// Maximum distance of viewpoints from the cameras' bounding box, along each axis, as a fraction of the box's longest
+/// side. [`MARGIN_SPACINGS`] applies instead if it gives a longer distance.
 const MARGIN_SHARE: f64 = 0.5;
-/// Minimum distance by which viewpoints may be beyond the outermost cameras, as a multiple of the spacing of
-/// neighbouring cameras.
+/// Maximum distance of viewpoints from the cameras' bounding box, along each axis, as a multiple of the spacing of
+/// neighbouring cameras. [`MARGIN_SHARE`] applies instead if it gives a longer distance.
 const MARGIN_SPACINGS: f64 = 2.0;
-/// Distance by which viewpoints may be away from a single camera, metres.
+/// Maximum distance of viewpoints from a rig's only camera, along each axis, metres.
 const LONE_MARGIN_M: f64 = 0.1;
-/// Distance from a camera at which its viewing direction has half its weight, as a multiple of the spacing of
-/// neighbouring cameras.
+/// Distance from the viewpoint at which a camera's weight has fallen to half, as a multiple of the spacing of
+/// neighbouring cameras. The view's direction is the mean of the cameras' viewing directions with these weights.
 const SOFT_SPACINGS: f64 = 0.5;
-/// Range of zooms: focal lengths as multiples of the reference's.
+/// Allowed zooms: focal lengths as multiples of the reference camera's focal length.
 pub(super) const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
-/// Maximum rotation away from the rig's viewing direction, degrees.
+/// Maximum rotation away from the viewpoint's direction, to each side and up or down, degrees.
 pub(super) const MAX_TURN_DEG: f64 = 20.0;
-/// Minimum width and height of a picture, pixels.
+/// Minimum width and height of a requested picture, pixels.
 const MIN_SIZE_PX: u32 = 16;
 
-/// The axes of a rig, its cameras, and the viewpoints of true images.
+/// Coordinate frame of a rig, with the cameras and the viewpoints of true images.
 #[derive(Clone, Debug)]
 pub struct RigFrame {
-    /// Rotation and translation from the rig's axes, here x right, y down, z ahead, to the world.
+    /// Transform from the rig's axes to the world, metres. In this transform, the rig's axes are x to the right, y down
+    /// and z ahead.
     world_from_rig: Isometry3<f64>,
-    /// The cameras in the capture's order.
+    /// Cameras of the rig, in the capture's order.
     cameras: Vec<Camera>,
     reference: usize,
     truths: Vec<Camera>,
-    /// The median distance of neighbouring cameras, metres; 0 for one camera.
+    /// Median distance between neighbouring cameras, metres. 0 for a single camera.
     pub(super) spacing_m: f64,
 }
 
-/// The weighted sums of the cameras' viewing directions and of their downward axes, in the world.
+/// Returns two weighted sums over the cameras, in world coordinates: of their viewing directions, and of their downward
+/// axes.
 fn axis_sums(cameras: &[Camera], weight: impl Fn(&Camera) -> f64) -> [Vector3<f64>; 2] {
     let mut sums = [Vector3::zeros(); 2];
     for camera in cameras {
@@ -48,8 +51,8 @@ fn axis_sums(cameras: &[Camera], weight: impl Fn(&Camera) -> f64) -> [Vector3<f6
     sums
 }
 
-/// The rotation to the world from axes whose z axis is `ahead`, and whose y axis is as close to `down` as
-/// possible. `None` if the two are parallel or almost 0.
+/// Returns the rotation `world_from_cam` of a camera that looks along `ahead`, with its y axis as close to `down` as
+/// possible. `None` if the two vectors are parallel, or if one is almost 0.
 fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64>> {
     let ahead = ahead.try_normalize(1e-6)?;
     let right = down.cross(&ahead).try_normalize(1e-6)?;
@@ -59,8 +62,8 @@ fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64
 }
 
 impl RigFrame {
-    /// The frame of a capture's cameras. If their mean direction is undefined, it has the reference camera's
-    /// axes.
+    /// Creates the frame of a capture's cameras. It looks in the cameras' mean direction, or in the reference camera's
+    /// direction if the mean is undefined. `truths` are the cameras of the true images.
     pub fn new(capture: &Capture, spacing_m: f64, truths: Vec<Camera>) -> Self {
         let cameras: Vec<Camera> = capture.cameras.iter().map(|c| c.camera.clone()).collect();
         let count = cameras.len() as f64;
@@ -73,17 +76,17 @@ impl RigFrame {
         Self { world_from_rig, cameras, reference, truths, spacing_m }
     }
 
-    /// Maximum width and height of a picture, pixels: those of the reference camera's images.
+    /// Returns the maximum width and height of a picture, pixels: the size of the reference camera's images.
     pub fn largest_size(&self) -> [usize; 2] {
         let reference = &self.cameras[self.reference];
         [reference.width, reference.height]
     }
 
-    /// The camera with which a requested picture is rendered.
+    /// Returns the pinhole camera of a requested picture.
     ///
     /// # Errors
-    /// If the viewpoint or the size is out of bounds, or if there is no camera or true image with the given
-    /// index.
+    /// If the position, the direction, the zoom or the size is out of bounds, or if there is no camera or true image
+    /// with the requested index.
     pub fn camera(&self, request: &PictureRequest) -> Result<Camera, LiveError> {
         let found = |all: &[Camera], index: usize, what: &str| match all.get(index) {
             Some(camera) => self.at_camera(camera, &request.view),
@@ -96,19 +99,19 @@ impl RigFrame {
         }
     }
 
-    /// A point of the world in the rig's axes: right, up, ahead, metres.
+    /// Converts a world point to the rig's axes: right, up, ahead, metres.
     pub fn place(&self, point: &Point3<f64>) -> [f64; 3] {
         let p = self.world_from_rig.inverse_transform_point(point);
         [p.x, -p.y, p.z]
     }
 
-    /// The cameras' places in the rig's axes (right, up, ahead, metres), in the capture's order.
+    /// Returns the cameras' positions in the rig's axes (right, up, ahead, metres), in the capture's order.
     pub fn places(&self) -> Vec<[f64; 3]> {
         self.cameras.iter().map(|c| self.place(&c.center())).collect()
     }
 
-    /// The cameras' places, and then the middles between each camera and its nearest neighbour at another
-    /// place.
+    /// Returns the cameras' positions, followed by the midpoints between each camera and its nearest neighbour at
+    /// another position. Points are in the rig's axes, metres.
     pub fn places_and_middles(&self) -> Vec<[f64; 3]> {
         let own = self.places();
         let distance =
@@ -121,7 +124,7 @@ impl RigFrame {
         own.iter().copied().chain(own.iter().filter_map(middle)).collect()
     }
 
-    /// The minimum and the maximum of viewpoints along each axis, metres.
+    /// Returns the minimum and the maximum coordinates of allowed viewpoints: two points in the rig's axes, metres.
     pub fn bounds(&self) -> [[f64; 3]; 2] {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for place in self.places() {
@@ -136,13 +139,14 @@ impl RigFrame {
         [low.map(|v| v - margin), high.map(|v| v + margin)]
     }
 
-    /// The view from a position in the rig's axes, in the mean direction of the nearby cameras.
+    /// Returns the pinhole camera of a view from a position in the rig's axes. It looks in the mean direction of nearby
+    /// cameras, rotated as `view` requests.
     ///
     /// # Errors
-    /// If the position is out of bounds, or as in [`Self::at_camera`].
+    /// If the position is out of bounds, and the errors of [`Self::at_camera`].
     fn at_place(&self, place: [f64; 3], view: &ViewDirection) -> Result<Camera, LiveError> {
         let [low, high] = self.bounds();
-        // The tolerance allows for rounding of bounds and coordinates by the page.
+        // The tolerance allows for the rounding of bounds and coordinates by the page.
         let is_inside = (0..3).all(|k| {
             let slack = 1e-6 * (high[k] - low[k]);
             (low[k] - slack..=high[k] + slack).contains(&place[k])
@@ -157,15 +161,16 @@ impl RigFrame {
         self.pinhole(center, self.direction(&center), view)
     }
 
-    /// The view from a camera's place, along its axis.
+    /// Returns the pinhole camera of a view from the position of `camera`. It looks in the direction of `camera`,
+    /// rotated as `view` requests.
     ///
     /// # Errors
-    /// If the size, the zoom or the turn is out of bounds.
+    /// If the size, the zoom or the rotation is out of bounds.
     fn at_camera(&self, camera: &Camera, view: &ViewDirection) -> Result<Camera, LiveError> {
         self.pinhole(camera.center(), camera.cam_from_world.rotation.inverse(), view)
     }
 
-    /// The mean viewing direction of the cameras, weighted by their proximity to a point.
+    /// Returns the mean orientation of the cameras, `world_from_cam`. Cameras near to `center` have larger weights.
     fn direction(&self, center: &Point3<f64>) -> UnitQuaternion<f64> {
         let soft_m = (SOFT_SPACINGS * self.spacing_m).max(1e-9);
         let [ahead, down] = axis_sums(&self.cameras, |camera| {
@@ -174,8 +179,9 @@ impl RigFrame {
         looking(ahead, down).unwrap_or(self.world_from_rig.rotation)
     }
 
-    /// A pinhole camera. At zoom 1, the picture is filled by the middle of the reference camera's field of
-    /// view.
+    /// Returns a pinhole camera at `center`, rotated from the orientation `world_from_cam` as `view` requests. At zoom
+    /// 1, its field of view is that of the reference camera's image, cropped symmetrically to the aspect ratio of the
+    /// picture.
     fn pinhole(
         &self,
         center: Point3<f64>,

@@ -1,4 +1,4 @@
-//! The description of a capture for the page.
+//! Describes a capture for the page.
 
 use super::Studio;
 use super::overlays::DEPTH_COLORS;
@@ -9,8 +9,8 @@ use crate::method::Method;
 use crate::options::ProxyMethod;
 use serde_json::{Value, json};
 
-/// The page's `scene.json`. Places are in the rig's axes ([`super::RigFrame`]), metres; times are on the reference's
-/// clock, as in the capture's file.
+/// Returns the page's `scene.json`. Positions are in the rig's axes ([`super::RigFrame`]), metres. Times are seconds on
+/// the reference camera's clock, as in the capture's file.
 pub(super) fn scene(studio: &Studio) -> Value {
     let (field, rig) = (studio.field, &studio.rig);
     let capture = field.capture();
@@ -34,10 +34,10 @@ pub(super) fn scene(studio: &Studio) -> Value {
     json!({
         "name": capture.name,
         "folder": capture.folder.display().to_string(),
-        // The command-line arguments that are equivalent to these options.
+        // Command-line arguments that are equivalent to the chosen options.
         "options": studio.words,
         "cameras": cameras,
-        // The focal length is a fraction of the width.
+        // The focal length is given as a fraction of the width.
         "lens": { "width": width, "height": height, "focal": focal_px / width as f64 },
         "low": low,
         "high": high,
@@ -50,7 +50,8 @@ pub(super) fn scene(studio: &Studio) -> Value {
         "truths": truths.collect::<Vec<_>>(),
         "methods": {
             "sync": choices::<SyncMethod>(|m| m != TRADITIONAL),
-            // Scene flow takes half a minute for each instant that is not prepared.
+            // Scene flow is offered only if it was chosen, because it takes half a minute for each instant that
+            // `stlfr prepare` has not processed.
             "proxy": choices::<ProxyMethod>(|m| m != ProxyMethod::SceneFlow || m == chosen.proxy.method),
         },
         "chosen": { "sync": chosen.sync.name(), "proxy": chosen.proxy.method.name() },
@@ -59,7 +60,7 @@ pub(super) fn scene(studio: &Studio) -> Value {
     })
 }
 
-/// The methods that the page offers, with their help.
+/// Returns the methods that the page offers, each with its name and help.
 fn choices<M: Method>(is_offered: impl Fn(M) -> bool) -> Vec<Value> {
     let offered = M::ALL.iter().copied().filter(|m| is_offered(*m));
     offered.map(|m| json!({ "name": m.name(), "help": m.help() })).collect()

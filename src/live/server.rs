@@ -1,4 +1,4 @@
-//! The HTTP server: connections, and the response to each address.
+//! The HTTP server: accepts connections, and answers the requests.
 
 use super::answer::{Reply, failed, picture, respond};
 use super::guard::{Guard, NOT_FOUND};
@@ -19,17 +19,17 @@ use tokio::net::TcpStream;
 use tokio::sync::Semaphore;
 use tokio_io_timeout::TimeoutStream;
 
-/// Maximum number of open connections; a browser opens six.
+/// Maximum number of open connections. A browser opens six.
 const MAX_CONNECTIONS: usize = 48;
-/// Timeout for the arrival of a request, and of an idle connection.
+/// Maximum time until the headers of a request have arrived. It also limits how long a connection may be idle.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
-/// Timeout of a response that the browser does not read.
+/// Maximum time for which sending a response may stall because the browser doesn't read it.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(20);
-/// Maximum size of a request, bytes.
+/// Maximum size of a request's address and headers, bytes.
 const MAX_REQUEST_BYTES: usize = 16 << 10;
 /// Maximum number of headers of a request.
 const MAX_HEADERS: usize = 64;
-/// Pause after a connection could not be accepted.
+/// Pause after an attempt to accept a connection has failed.
 const RETRY: Duration = Duration::from_millis(50);
 
 const HTML: &str = "text/html; charset=utf-8";
@@ -37,7 +37,7 @@ const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 const JSON: &str = "application/json";
 
-/// The page's files: name, media type, content.
+/// Files of the page: name in the address, media type, contents.
 const PAGE: [(&str, &str, &str); 11] = [
     ("", HTML, include_str!("page/index.html")),
     ("style.css", CSS, include_str!("page/style.css")),
@@ -52,13 +52,13 @@ const PAGE: [(&str, &str, &str); 11] = [
     ("save.js", SCRIPT, include_str!("page/save.js")),
 ];
 
-/// A server that has its port but does not serve a light field yet.
+/// A server that has bound its port, but does not answer requests until [`Self::serve`] is called.
 pub struct Server {
     listener: TcpListener,
     guard: Guard,
 }
 
-/// State that all connections share.
+/// State of the server that all connections share.
 struct ServedSite {
     guard: Guard,
     queue: Arc<Queue>,
@@ -67,17 +67,17 @@ struct ServedSite {
 }
 
 impl Server {
-    /// Binds a port of this machine; for 0, the system chooses a free one.
+    /// Binds a port of this machine. If `port` is 0, the system chooses a free port.
     ///
     /// # Errors
-    /// If another program uses the port, or the system's random generator fails.
+    /// If another program uses the port, or if the system's random generator fails.
     pub fn bind(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
         let guard = Guard::new(listener.local_addr()?.port())?;
         Ok(Self { listener, guard })
     }
 
-    /// The page's address, including the secret token.
+    /// Returns the page's address, including the secret token.
     pub fn address(&self) -> String {
         self.guard.address()
     }
@@ -85,7 +85,7 @@ impl Server {
     /// Serves pictures of a light field until the process ends.
     ///
     /// # Errors
-    /// If a thread can't be started, or the port fails.
+    /// If a thread can't be started, or if the port fails.
     pub fn serve(self, studio: &Studio) -> io::Result<()> {
         let queue = Arc::new(Queue::default());
         let site = ServedSite {
@@ -106,13 +106,13 @@ impl Server {
     }
 }
 
-/// Accepts connections, up to [`MAX_CONNECTIONS`].
+/// Accepts connections. A connection beyond [`MAX_CONNECTIONS`] is closed at once.
 async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let free = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // Either the browser has disconnected already, or too many files are open for now.
+            // Either the browser has disconnected already, or too many files are open at the moment.
             tokio::time::sleep(RETRY).await;
             continue;
         };
@@ -126,9 +126,9 @@ async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> io::Result<()> 
     }
 }
 
-/// Answers the requests of a connection until it ends.
+/// Answers the requests of one connection until it ends.
 async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
-    // Without this, the last part of a picture may be delayed until the browser acknowledges the others.
+    // Without this setting, the last part of a picture may be delayed until the browser acknowledges the earlier parts.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIMEOUT));
@@ -159,7 +159,7 @@ async fn reply(site: &ServedSite, request: Request<Incoming>) -> Result<Reply, L
             // If the browser disconnects, this future is dropped, and the job counts as no longer wanted.
             Ok(picture(answer.await.unwrap_or(Err(LiveError::Superseded))?))
         }
-        // The camera of a picture, as `stlfr render --camera` reads it.
+        // The camera of a picture, in the format that `stlfr render --camera` reads.
         "view.json" => {
             let camera = site.rig.camera(&PictureRequest::parse(query)?)?;
             let text = serde_json::to_string_pretty(&CameraFormat::from(&camera));

@@ -16,54 +16,56 @@ use crate::options::{Preset, ProxyMethod, RenderOptions, TrailOptions};
 use crate::progress::Reporter;
 use std::sync::Arc;
 
-/// Size of the view with which geometry is computed beforehand, pixels. It is small, since only the cameras'
-/// depths are cached.
+/// Width and height of the views for which geometry is computed in advance, pixels. The views are small to save time.
+/// Only the depth maps of the filming cameras are kept for later views, and their size doesn't depend on this size.
 const SMALL_PX: [u32; 2] = [32, 24];
 
-/// Called during rendering; rendering stops if it returns false, as when the viewer has sent a newer request.
+/// Function that is called during rendering. Rendering stops when it returns false, for example because the viewer has
+/// sent a newer request.
 pub(super) type Proceed<'p> = &'p (dyn Fn() -> bool + Sync);
 
-/// An encoded picture.
+/// An encoded picture, with the methods by which it was rendered.
 pub struct Picture {
-    /// A PNG file.
+    /// Contents of a PNG file.
     pub bytes: Vec<u8>,
-    /// The methods by which it was rendered, such as `refined, mesh`; empty for the truth.
+    /// Names of the synchronization method and the proxy method by which the picture was rendered, such as
+    /// `refined, mesh`. Empty for a true image.
     pub made_by: String,
-    /// For a picture of depths: the depths of the first and the last colour, metres.
+    /// Depths of the first and the last colour of a depth picture's scale, metres. `None` for other pictures.
     pub depths_m: Option<[f32; 2]>,
 }
 
-/// A picture before it is encoded.
+/// A rendered picture before it is encoded.
 struct Made {
     rendered: Rendered,
-    /// The methods by which it was rendered; `None` for the truth.
+    /// Synchronization method and proxy method by which the picture was rendered. `None` for a true image.
     by: Option<(SyncMethod, ProxyMethod)>,
     depths_m: Option<[f32; 2]>,
 }
 
-/// The options and images from which a view is rendered.
+/// Options and images from which a view is rendered.
 struct ViewInputs<'a> {
     options: &'a RenderOptions,
-    /// The synchronized images of the instant, if they are cached.
+    /// Synchronized images of all cameras at the view's instant. `None` if they must be computed.
     images: Option<GivenImages>,
 }
 
-/// Renders pictures of a light field and of its truth.
+/// Renders pictures of a light field and of its ground truth.
 pub struct Studio<'a> {
     pub(super) field: &'a LightField,
     pub(super) rig: Arc<RigFrame>,
     pub(super) truth: TrueViews,
     pub(super) colors: Colors,
-    /// The command-line arguments that are equivalent to the options; the page shows them.
+    /// Command-line arguments that are equivalent to the chosen options. The page shows them.
     pub(super) words: Vec<String>,
     full: RenderOptions,
     quick: RenderOptions,
 }
 
 impl<'a> Studio<'a> {
-    /// A studio for a light field. `options` are for pictures at rest; every `auto` in them is already
-    /// replaced by a method, and a motion trail is ignored. `words` are the equivalent command-line
-    /// arguments. If the truth can't be read, a note is shown, and there are no true pictures.
+    /// Creates a studio for a light field. `options` are the options for full quality: every automatic choice in them
+    /// must already be replaced by a method, and a motion trail is ignored. `words` are the equivalent command-line
+    /// arguments. If the ground truth can't be read, a note is shown, and there are no true images.
     pub fn new(
         field: &'a LightField,
         options: &RenderOptions,
@@ -83,12 +85,13 @@ impl<'a> Studio<'a> {
         Self { field, rig: Arc::new(rig), truth, colors, words, full, quick }
     }
 
-    /// The options of full quality.
+    /// Returns the options for pictures of full quality.
     pub(super) fn full(&self) -> &RenderOptions {
         &self.full
     }
 
-    /// The options of full quality, with the methods that the request chooses.
+    /// Returns the options for pictures of full quality, except that methods named in the request replace the methods
+    /// of these options.
     fn chosen(&self, request: &PictureRequest) -> RenderOptions {
         let mut options = self.full.clone();
         options.sync = request.sync.unwrap_or(options.sync);
@@ -96,7 +99,7 @@ impl<'a> Studio<'a> {
         options
     }
 
-    /// The time of a request, converted to seconds from the capture's start.
+    /// Converts the time of a request to seconds from the capture's start.
     fn time_s(&self, request: &PictureRequest) -> f64 {
         request.time_s - self.field.capture().time_origin_s
     }
@@ -104,7 +107,7 @@ impl<'a> Studio<'a> {
     /// Renders and encodes a picture. Stops as soon as `proceed` returns false.
     ///
     /// # Errors
-    /// The errors of [`RigFrame::camera`] and of rendering, and [`LiveError::Superseded`] if it was stopped.
+    /// The errors of [`RigFrame::camera`] and of rendering, and [`LiveError::Superseded`] if `proceed` returned false.
     pub(super) fn picture(
         &self,
         request: &PictureRequest,
@@ -131,8 +134,9 @@ impl<'a> Studio<'a> {
         })
     }
 
-    /// The options and images of a view. A quick picture has the chosen options if they need no further
-    /// estimation, so that it looks the same in motion and at rest.
+    /// Returns the options and images from which a view is rendered. For a quick picture, these are the chosen options
+    /// if all that they need is cached, so that the picture looks the same in motion and at rest. Otherwise they are
+    /// the options of the preset `draft`.
     fn inputs<'o>(
         &'o self,
         request: &PictureRequest,
@@ -149,7 +153,7 @@ impl<'a> Studio<'a> {
         ViewInputs { options: if is_ready { chosen } else { &self.quick }, images }
     }
 
-    /// A picture of the light field.
+    /// Renders a picture of the light field.
     fn rendered(
         &self,
         request: &PictureRequest,
@@ -164,9 +168,9 @@ impl<'a> Studio<'a> {
         let made = |rendered, by| Made { rendered, by, depths_m: None };
         match request.method {
             PictureMethod::Traditional => {
-                // Depth can't be estimated from frames of different instants, so that traditional LFR gets
-                // the depth of ST-LFR. A saved picture is an exception, since it equals that of `stlfr render
-                // --sync nearest`.
+                // Depth can't be estimated from frames of different instants. Traditional light field rendering
+                // therefore gets the depth of space-time light field rendering. A saved picture is an exception,
+                // because it must equal the picture of `stlfr render --sync nearest`.
                 let is_saved = request.level == Level::Saved;
                 let shape = Images::By(if is_saved { TRADITIONAL } else { options.sync });
                 let nearest = RenderOptions { sync: TRADITIONAL, ..options.clone() };
@@ -195,7 +199,8 @@ impl<'a> Studio<'a> {
         }
     }
 
-    /// The cameras' images at the request's instant, and the method by which they are synchronized.
+    /// Returns the cameras' images at the request's instant, and the method by which they are synchronized. For a quick
+    /// picture, each image is the camera's frame nearest in time.
     fn images(
         &self,
         request: &PictureRequest,
@@ -208,7 +213,7 @@ impl<'a> Studio<'a> {
         Ok((self.field.corrected_all(self.time_s(request), &options, context)?, sync))
     }
 
-    /// The cameras from which a view is blended, as stripes or as numbers.
+    /// Renders the blending weights of the cameras in a view, as stripes or as numbers.
     fn explained(
         &self,
         request: &PictureRequest,
@@ -225,9 +230,9 @@ impl<'a> Studio<'a> {
         })
     }
 
-    /// Computes the cameras' images and depths at a picture's instant beforehand, so that views at this
-    /// instant are quick. Stops when `proceed` returns false. Errors are ignored here; they are reported when
-    /// a picture is requested.
+    /// Computes the cameras' images and depth maps at a picture's instant in advance, so that other views at this
+    /// instant are rendered quickly. Stops when `proceed` returns false. Errors are ignored here, because the next
+    /// request for a picture reports them.
     pub(super) fn prepare(&self, request: &PictureRequest, proceed: Proceed) {
         let chosen = self.chosen(request);
         let sync = match request.method {

@@ -1,4 +1,4 @@
-//! Pictures of the truth: its images, rotated and zoomed.
+//! Renders pictures of the ground truth: its images, rotated and zoomed.
 
 use super::{LiveError, PictureRequest, Place};
 use crate::camera::Camera;
@@ -11,28 +11,29 @@ use nalgebra::{Isometry3, Translation3};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Maximum size of the cache of true images, bytes.
+/// Maximum size of all true images in memory, bytes.
 const MAX_BYTES: usize = 64 << 20;
-/// Maximum difference between a requested time and a true image's, seconds. Times in addresses are rounded.
+/// Maximum difference between a requested time and the time of a true image, seconds. It allows for the rounding of
+/// times in addresses.
 const SAME_INSTANT_S: f64 = 1e-6;
 
-/// A true image, read when it is first needed.
+/// A true image. Its file is read when the image is first needed.
 #[derive(Clone, Debug)]
 pub(super) struct LiveTruth {
     pub id: String,
-    /// Seconds on the reference's clock, as in the capture's file.
+    /// Time that the image shows: seconds on the reference camera's clock, as in the capture's file.
     pub time_s: f64,
     pub camera: Camera,
     file: PathBuf,
 }
 
-/// All true images of a capture; empty for a capture without truth.
+/// All true images of a capture. Empty for a capture without ground truth.
 pub(super) struct TrueViews {
     pub views: Vec<LiveTruth>,
     images: Memo,
 }
 
-/// The camera moved to the origin, with its orientation.
+/// Returns a copy of the camera, moved to the world's origin with the same orientation.
 fn at_origin(camera: &Camera) -> Camera {
     let cam_from_world =
         Isometry3::from_parts(Translation3::identity(), camera.cam_from_world.rotation);
@@ -59,7 +60,10 @@ impl TrueViews {
         Ok(Self { views, ..Self::default() })
     }
 
-    /// The true image at the requested viewpoint, resampled with the view's rotation and zoom.
+    /// Returns the true image at the requested viewpoint, resampled with the requested rotation and zoom.
+    ///
+    /// # Errors
+    /// If there is no true image at this viewpoint and time, or if it can't be read.
     pub fn view(&self, request: &PictureRequest, target: &Camera) -> Result<Rendered, LiveError> {
         let Place::Truth(index) = request.place else {
             let there =
@@ -75,7 +79,7 @@ impl TrueViews {
             )));
         }
         let image = self.image(index, view)?;
-        // Views from the same place are related by a homography, independent of depths.
+        // Views from the same position are related by a homography, which doesn't depend on depths.
         let [own, target] = [&view.camera, target].map(at_origin);
         let no_depth = DepthMap::empty(target.width, target.height);
         let options = BlendOptions { cameras: 1, ..BlendOptions::default() };

@@ -1,4 +1,4 @@
-//! The threads that answer requests.
+//! The worker threads, which answer requests.
 
 use super::queue::{Answer, Asked, Job};
 use super::{Level, LiveError, Queue, Studio};
@@ -8,18 +8,19 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::thread::Scope;
 
-/// Number of threads for quick requests.
+/// Number of worker threads for quick requests.
 const QUICK_WORKERS: usize = 2;
-/// Increase of the niceness of threads for full quality, so that quick pictures have priority.
+/// Increase of the niceness of worker threads for full quality. Quick pictures thus have priority.
 const FULL_NICENESS: i32 = 5;
-/// Maximum number of instants that wait to be prepared.
+/// Maximum length of [`Ahead`], the list of requests whose instants are processed in advance.
 const MAX_AHEAD: usize = 8;
 
-/// Requests that are answered, and whose instants are still to be prepared for other viewpoints.
+/// Answered requests, oldest first. For their instants, the cameras' images and depth maps are to be computed in
+/// advance, so that other viewpoints at these instants are rendered quickly.
 type Ahead = VecDeque<Arc<Asked>>;
 
-/// Starts the threads, which end when the queue is closed. Quick and full pictures have separate threads, so
-/// that a quick picture never waits for a full one.
+/// Starts the worker threads, which end when the queue is closed. Quick pictures and pictures of full quality have
+/// separate threads, so that a quick picture never waits for one of full quality.
 ///
 /// # Errors
 /// If a thread can't be started.
@@ -44,7 +45,7 @@ pub(super) fn start<'scope, 'env>(
     Ok(())
 }
 
-/// Lowers the priority of the calling thread.
+/// Lowers the scheduling priority of the calling thread.
 #[cfg(target_os = "linux")]
 fn stand_back() {
     // SAFETY: on Linux, process 0 is the calling thread, and no memory is accessed. If the change is refused,
@@ -76,7 +77,7 @@ fn work(studio: &Studio, queue: &Queue, is_quick: bool, pool: &ThreadPool) {
     }
 }
 
-/// Appends a request; beyond [`MAX_AHEAD`] requests, the oldest is removed.
+/// Appends a request to `ahead`. If there are then more than [`MAX_AHEAD`] requests, removes the oldest.
 fn plan(ahead: &mut Ahead, shown: Arc<Asked>) {
     ahead.push_back(shown);
     if ahead.len() > MAX_AHEAD {
@@ -84,7 +85,8 @@ fn plan(ahead: &mut Ahead, shown: Arc<Asked>) {
     }
 }
 
-/// Prepares the viewers' instants until a full picture of another instant is requested.
+/// Computes the cameras' images and depth maps at the instants of the requests in `ahead`, so that other viewpoints at
+/// these instants are rendered quickly. Stops when a picture of full quality of another instant is requested.
 fn prepare(studio: &Studio, queue: &Queue, ahead: &mut Ahead, pool: &ThreadPool) {
     while let Some(asked) = ahead.pop_front() {
         let is_free = || !queue.has_apart(&asked);
@@ -105,8 +107,8 @@ fn answer(studio: &Studio, job: &Job, pool: &ThreadPool) -> Answer {
     unwound(picture).unwrap_or(Err(LiveError::Panicked))
 }
 
-/// Calls a function; `None` if it panics. Caches hold only complete values, so that a panic can't damage
-/// them.
+/// Calls a function, and returns its result. `None` if the function panics. The caches stay valid after a panic,
+/// because they hold only complete values.
 fn unwound<T>(of: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(of)).ok()
 }

@@ -1,24 +1,27 @@
-//! Unstructured lumigraph rendering (Buehler, Bosse, McMillan, Gortler, Cohen, SIGGRAPH 2001): every pixel of
-//! the view shows a point of the proxy, and is the weighted mean of the cameras' images at that point.
+//! Unstructured lumigraph rendering (Buehler, Bosse, McMillan, Gortler, Cohen, SIGGRAPH 2001). Every pixel of the view
+//! shows a point of the proxy. The pixel's colour is the weighted mean of the cameras' images at that point.
 //!
 //! The penalty of camera i at the pixel's point X, seen from the view's centre C, is
 //!
 //! `p_i = 2 tan(θ_i / 2) · (1 + coarseness_i) / (border_i · visible_i)`
 //!
-//! with θ_i the angle at X between C and the camera's centre C_i, and coarseness_i the loss of resolution.
-//! border_i falls from 1 to 0 at the image's border, and visible_i from 1 to 1e-3 behind the surface that the
-//! camera sees. Buehler et al. add the terms for angle, resolution and field of view. With the product, the
-//! penalty is 0 where the camera stands at the view's centre, so that its image is reproduced exactly; it is
-//! infinite outside the image. [`super::weights`] turns penalties into weights.
+//! Here θ_i is the angle at X between the directions to C and to the camera's centre C_i. The term coarseness_i is the
+//! loss of resolution: the ratio of the camera's pixel footprint to the view's, minus 1, or 0 if that is negative. The
+//! term border_i falls from 1 to 0 at the image's border. The term visible_i falls from 1 to 1e-3 if X is behind the
+//! surface that the camera sees, and is 1/4 beside the outline of a nearer surface.
 //!
-//! With [`BlendMethod::SpaceTime`] the penalty is `√(p_i² + (λ·m_i)²)`, with m_i the expected interpolation
-//! error of the camera's pixel and λ [`BlendOptions::error_angle_rad`]: the errors of the proxy and of
-//! interpolation are independent.
+//! Buehler et al. add the terms for angle, resolution and field of view. Here they are multiplied. The penalty is then
+//! 0 if the camera stands at the view's centre, so that its image is reproduced exactly. The penalty is infinite if X
+//! is outside the camera's image. [`super::weights`] turns penalties into weights.
 //!
-//! If some cameras are grey and others coloured, luminance is blended from all cameras, and chrominance from
-//! the coloured ones with separate weights. Chrominance fades out where no coloured camera sees the point.
+//! With [`BlendMethod::SpaceTime`], the penalty is `√(p_i² + (λ·m_i / (border_i · visible_i))²)`. Here m_i is the
+//! expected interpolation error of the camera's pixel, and λ is [`BlendOptions::error_angle_rad`]. The squares are
+//! added because the errors of the proxy and of interpolation are independent.
 //!
-//! Known limit: without [`Source::depth`], a camera contributes to points that are occluded in it.
+//! If some cameras are grey and others coloured, luminance is blended from all cameras. Chrominance is blended from the
+//! coloured cameras, with separate weights. It fades out where no coloured camera sees the point.
+//!
+//! Known limit: a camera without [`Source::depth`] also contributes to points that are occluded in it.
 
 use super::depth_map::DepthMap;
 use super::inpaint::{PointVisibility, inpaint};
@@ -29,17 +32,17 @@ use crate::camera::Camera;
 use crate::raster::{Image, Tiles};
 use rayon::prelude::*;
 
-/// Number of rows that one task blends.
+/// Number of rows of the view that one parallel task blends.
 const BAND_ROWS: usize = 16;
 
-/// Renders the view `target` from the sources' images, with the depths `depth` of the view's pixels.
+/// Renders the view `target` from the sources' images. `depth` is the depth map of the view.
 ///
-/// To pixels without depth, only cameras at the view's centre contribute. The image has 3 channels if any
-/// source has 3, else 1.
+/// Only cameras at the view's centre contribute to pixels without depth. The image has 3 channels if any source has 3,
+/// else 1.
 ///
 /// # Panics
-/// If the size of the depth map is not the view's, or that of an image or of a source's depths not its
-/// camera's.
+/// If the size of `depth` is not the view's, or if a source's image, depth map or list of errors doesn't have its
+/// camera's size.
 pub fn blend(
     sources: &[Source],
     depth: &DepthMap,
@@ -78,7 +81,7 @@ pub fn blend(
                 }
             },
         );
-    // Without sources' depths, no point counts as occluded.
+    // Without depth maps of the sources, no point counts as occluded.
     if sources.iter().any(|s| s.depth.is_some()) {
         inpaint(&mut image, &visibility, depth, OCCLUSION_FRACTION);
     }
@@ -86,11 +89,11 @@ pub fn blend(
     Rendered { image, coverage }
 }
 
-/// The tiles of each source's image that [`blend`] reads, in the sources' order. Sources without such tiles
-/// still affect the weights of the others.
+/// Returns the tiles of each source's image that [`blend`] reads, in the order of the sources. A source without such
+/// tiles still affects the weights of the other sources.
 ///
 /// # Panics
-/// If a size is wrong, as in [`blend`].
+/// If a size is wrong, as for [`blend`].
 pub fn contributing(
     sources: &[Source],
     depth: &DepthMap,
@@ -119,7 +122,7 @@ pub fn contributing(
     })
 }
 
-/// Panics if the size of a depth map or an image is wrong.
+/// Panics if the view's depth map, or any image, depth map or list of errors of a source, has a wrong size.
 fn check(sources: &[Source], depth: &DepthMap, target: &Camera) {
     let size = (target.width, target.height);
     assert_eq!((depth.width(), depth.height()), size, "size of the view's depths");

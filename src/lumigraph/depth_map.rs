@@ -1,14 +1,14 @@
-//! The scene's geometry in one view: a depth for every pixel.
+//! Depth maps: the scene's geometry as seen in one view.
 
 use crate::raster::Image;
 use std::ops::Deref;
 
-/// Depths at a view's pixel centres along the camera's +z, metres: positive, infinite for the sky, and NaN where
-/// there is no proxy.
+/// Depth map of a view: the depth along the camera's +z axis at each pixel centre, metres. A depth is positive,
+/// infinite for the sky, and NaN where no surface is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap(Image);
 
-/// The depths as a grey image.
+/// Gives access to the depths as an image with one channel.
 impl Deref for DepthMap {
     type Target = Image;
 
@@ -18,7 +18,7 @@ impl Deref for DepthMap {
 }
 
 impl DepthMap {
-    /// A map of these depths, row by row. Depths that aren't positive become NaN.
+    /// Creates a map from the depths `data`, metres, row by row. Depths that are not positive become NaN.
     ///
     /// # Panics
     /// If a dimension is 0, or the number of depths is not `width * height`.
@@ -31,19 +31,19 @@ impl DepthMap {
         Self(Image::from_data(width, height, 1, data))
     }
 
-    /// A map of depths that are known to be positive or NaN.
+    /// Creates a map from the depths `data`, metres, row by row. All depths must be positive or NaN.
     pub(super) fn from_depths(width: usize, height: usize, data: Vec<f32>) -> Self {
         debug_assert!(data.iter().all(|z| !(*z <= 0.0)));
         Self(Image::from_data(width, height, 1, data))
     }
 
-    /// A map without depths.
+    /// Creates a map in which every depth is NaN.
     pub fn empty(width: usize, height: usize) -> Self {
         Self::from_data(width, height, vec![f32::NAN; width * height])
     }
 
-    /// Smallest depth, metres, of the 3×3 pixels around a position, pixels. The position is clamped to the
-    /// image. NaN if none of the pixels has a depth.
+    /// Returns the smallest depth, metres, of the 3×3 pixels around the position (x, y), pixels. The position is
+    /// clamped to the image. NaN if none of these pixels has a depth.
     pub(super) fn nearest_around(&self, x: f32, y: f32) -> f32 {
         let span = |v: f32, size: usize| {
             let at = v.max(0.0).min((size - 1) as f32) as usize;
@@ -59,8 +59,8 @@ impl DepthMap {
         nearest
     }
 
-    /// Largest depth, metres, of the 2×2 pixels around a position, pixels. The position is clamped to the
-    /// image. NaN if any of the pixels has no depth.
+    /// Returns the largest depth, metres, of the 2×2 pixels around the position (x, y), pixels. The position is clamped
+    /// to the image. NaN if any of these pixels has no depth.
     pub(super) fn farthest_around(&self, x: f32, y: f32) -> f32 {
         let cell = |v: f32, size: usize| {
             let floor = (v - 0.5).max(0.0).min((size - 1) as f32) as usize;
@@ -70,7 +70,7 @@ impl DepthMap {
         let (y0, y1) = cell(y, self.height());
         let at = |x: usize, y: usize| self.data()[y * self.width() + x];
         let (a, b, c, d) = (at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1));
-        // The sum is NaN exactly if one of the four depths is, since the others are positive.
+        // All depths are positive or NaN, so the sum is NaN exactly if one of the four depths is NaN.
         if (a + b + c + d).is_nan() { f32::NAN } else { a.max(b).max(c).max(d) }
     }
 }

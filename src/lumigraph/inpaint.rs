@@ -1,34 +1,36 @@
-//! Inpainting of points that are occluded in every camera, with colours of the background around them.
+//! Inpainting of pixels whose points are occluded in every camera. They get colours of the background around them.
 
 use super::depth_map::DepthMap;
 use crate::raster::Image;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
 
-/// Number of directions in which the surroundings are searched.
+/// Number of image directions in which visible pixels are searched around an occluded pixel.
 const DIRECTIONS: usize = 16;
-/// Largest distance of the search, pixels.
+/// Maximum distance from an occluded pixel at which visible pixels are searched, pixels.
 const REACH_PX: usize = 128;
-/// Number of consecutive pixels that are averaged in each direction. At an outline, a single pixel would have
-/// mixed colours.
+/// Number of consecutive visible pixels that are averaged in each search direction. A single pixel at an object's
+/// outline would have mixed colours.
 const AVERAGED_PX: usize = 6;
 
-/// Visibility of a pixel's point in the cameras.
+/// Visibility, in the cameras, of the surface point that a pixel of the view shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum PointVisibility {
-    /// Some camera sees the point.
+    /// At least one camera sees the pixel's surface point.
     Visible,
-    /// A nearer surface occludes the point in all cameras whose image contains it.
+    /// The pixel's surface point lies in the image of at least one camera. In every such image, a nearer surface
+    /// occludes the point.
     Occluded,
-    /// The point is outside all cameras' images.
+    /// The pixel's surface point lies outside the images of all cameras.
     OutOfView,
 }
 
-/// Fills the occluded pixels of an image with the mean of the visible pixels around them, weighted by inverse
+/// Fills the occluded pixels of an image with the mean colour of visible pixels around them, weighted by inverse
 /// distance.
 ///
-/// The search in a direction ends at a surface that is nearer than the occluded point by more than `fraction`
-/// of the point's depth: this is the occluder. Pixels without visible surroundings stay as they are.
+/// The search for visible pixels in one direction stops at a surface that is nearer than the occluded point by more
+/// than `fraction` of the point's depth. Such a surface is the occluder. Pixels without visible surroundings keep their
+/// colour.
 pub(super) fn inpaint(
     image: &mut Image,
     visibility: &[PointVisibility],
@@ -48,7 +50,7 @@ pub(super) fn inpaint(
     }
 }
 
-/// A view, with the visible pixels from which occluded ones are filled.
+/// A view whose occluded pixels are filled from its visible pixels.
 struct Surroundings<'a> {
     image: &'a Image,
     visibility: &'a [PointVisibility],
@@ -57,13 +59,14 @@ struct Surroundings<'a> {
 }
 
 impl Surroundings<'_> {
-    /// The colour of an occluded pixel, from visible pixels around it; `None` if there are none.
+    /// Computes the colour of an occluded pixel, given by its index, from visible pixels around it. `None` if there are
+    /// no such pixels.
     fn color(&self, occluded: usize) -> Option<[f32; 3]> {
         let (mut sum, mut weights) = ([0.0_f32; 3], 0.0_f32);
         for n in 0..DIRECTIONS {
             let angle = TAU * n as f32 / DIRECTIONS as f32;
             if let Some((mean, distance_px)) = self.towards(occluded, [angle.cos(), angle.sin()]) {
-                // The distance is at least 1.
+                // The distance is at least 1, so the weight is finite.
                 let weight = 1.0 / distance_px;
                 sum.iter_mut().zip(mean).for_each(|(sum, v)| *sum += weight * v);
                 weights += weight;
@@ -72,8 +75,8 @@ impl Surroundings<'_> {
         (weights > 0.0).then(|| sum.map(|v| v / weights))
     }
 
-    /// The mean colour of the first visible pixels in a direction, and the distance of the first of them,
-    /// pixels.
+    /// Returns the mean colour of the first visible pixels from an occluded pixel in a direction, and the distance to
+    /// the first of them, pixels. `direction` is a unit vector. `None` if no visible pixel is found.
     fn towards(&self, occluded: usize, direction: [f32; 2]) -> Option<([f32; 3], f32)> {
         let (w, h, channels) = (self.image.width(), self.image.height(), self.image.channels());
         let at = [occluded % w, occluded / w].map(|v| v as f32 + 0.5);
@@ -91,7 +94,8 @@ impl Surroundings<'_> {
                 }
                 continue;
             }
-            // Written so that the search also ends at a NaN: one of the two pixels has no depth.
+            // The negated comparison also ends the search at a NaN, which means that one of the two pixels has no
+            // depth.
             if !(self.depth.data()[k] >= min_depth) {
                 break;
             }
@@ -113,7 +117,8 @@ impl Surroundings<'_> {
 mod tests {
     use super::*;
 
-    /// A body at 1 m in front of a wall at 2 m; right of it, a band of the wall that no camera sees.
+    /// A body at 1 m stands in front of a wall at 2 m. To the right of the body is a strip of the wall that no camera
+    /// sees. It must get the colour of the wall.
     #[test]
     fn what_is_occluded_is_filled_from_behind() {
         let (w, h) = (12, 5);
@@ -150,7 +155,7 @@ mod tests {
         assert_eq!(image.data(), [0.1, 0.5, 0.3]);
     }
 
-    /// A pixel outside all cameras' images is black at any depth.
+    /// A pixel outside all cameras' images is black whatever its depth, and must not be used to fill other pixels.
     #[test]
     fn nothing_comes_from_pixels_that_no_camera_shows() {
         let depth = DepthMap::from_data(4, 1, vec![2.0; 4]);

@@ -2,8 +2,7 @@
 //! oriented so that all the vertices are in the front. Finally, all the vertices (including the four corners
 //! of the plane) are triangulated to create a 3D mesh."
 //!
-//! Beyond the paper: mismatched points are removed, and triangles across depth edges are replaced
-//! ([`DepthEdges`]).
+//! Beyond the paper: mismatched points are removed, and triangles that span a depth edge are replaced ([`DepthEdges`]).
 //!
 //! Known limit: a mesh is built for one view. In other views, it has gaps at depth edges.
 
@@ -16,28 +15,28 @@ use serde::{Deserialize, Serialize};
 use spade::handles::VertexHandle as Handle;
 use spade::{DelaunayTriangulation, HasPosition, Triangulation};
 
-/// A triangle mesh in the world, metres.
+/// A triangle mesh in world coordinates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
-    /// Positions of the vertices, metres.
+    /// Positions of the vertices in the world, metres.
     pub vertices: Vec<Point3<f64>>,
-    /// Indices of three vertices each, in either orientation.
+    /// Three vertex indices per triangle, in either orientation.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// The treatment of a triangle whose vertices lie on two surfaces.
+/// Treatment of mesh triangles whose vertices lie on two surfaces at different depths.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthEdges {
-    /// The triangle stretches from one surface to the other, as in the paper.
+    /// The triangle keeps its vertices, and stretches from one surface to the other, as in the paper.
     Stretch,
-    /// The triangle lies on the surface behind.
+    /// The whole triangle gets the depth of the farther surface.
     Back,
-    /// The triangle lies on the surface in front. Its features lie inside its outline, so that the triangles
-    /// across the outline extend it.
+    /// The whole triangle gets the depth of the nearer surface. Feature points lie inside an object's outline, so that
+    /// such triangles extend the object's surface up to its outline.
     #[default]
     Front,
-    /// The triangle is cut in the middle between the two surfaces.
+    /// The triangle is cut halfway between the two surfaces. Each part gets the depth of its own surface.
     Cut,
 }
 
@@ -48,29 +47,29 @@ methods!(DepthEdges {
     Cut = "cut": "The triangle is cut in the middle between the two surfaces",
 });
 
-/// A triangle spans a depth edge if its vertices' inverse depths differ by more than this fraction of the
-/// largest of them.
+/// Maximum difference between the inverse depths of a triangle's vertices on one surface, as a fraction of the largest
+/// inverse depth of the three. A triangle with a larger difference spans a depth edge.
 const EDGE_FRACTION: f64 = 0.1;
-/// Maximum side of a triangle to which [`DepthEdges`] applies, pixels. In a longer one, the outline may be
-/// anywhere.
+/// Maximum length of a triangle's longest side, pixels, for [`DepthEdges`] to apply. In a larger triangle, the object's
+/// outline may be anywhere.
 const MAX_EDGE_PX: f64 = 24.0;
-/// Maximum difference of the inverse depths of two points that support each other, relative to the larger.
+/// Maximum difference between the inverse depths of a point and of a neighbour that supports it, as a fraction of the
+/// point's inverse depth.
 const SUPPORT_FRACTION: f64 = 0.05;
-/// Minimum number of vertices that must support a point. They are at most two edges of the triangulation
-/// away.
+/// Minimum number of neighbours that must support a point. Neighbours are at most two edges of the triangulation away.
 const MIN_SUPPORT: usize = 2;
-/// Distance of the mesh's corners from the image, outwards, as a fraction of the image's size.
+/// Distance of the mesh's corners outside the field of view, as a fraction of the field of view's width or height.
 const MARGIN: f64 = 0.05;
-/// Side of the square cells in which only the nearest point becomes a vertex, pixels.
+/// Side of the square image cells in each of which only the nearest point becomes a vertex, pixels.
 const CELL_PX: f64 = 0.5;
-/// Weight, in the fit of the back plane, of vertices in front of the plane, relative to vertices behind it.
+/// Weight of a point in front of the back plane in the fit of that plane. A point behind the plane has the weight 1.
 const FRONT_WEIGHT: f64 = 0.02;
-/// Number of corners of the back plane.
+/// Number of corners of the back plane, a rectangle behind all points.
 const CORNERS: usize = 4;
-/// Factor on the back plane's inverse depth that moves the plane slightly behind all vertices.
+/// Factor on the back plane's inverse depth. It moves the plane slightly behind all vertices.
 const BACK_FACTOR: f64 = 0.999;
 
-/// A vertex of the Delaunay triangulation in the view.
+/// A vertex of the Delaunay triangulation of points in the view's image.
 struct MeshSite {
     position: spade::Point2<f64>,
     index: u32,
@@ -86,11 +85,10 @@ impl HasPosition for MeshSite {
 type MeshSites = DelaunayTriangulation<MeshSite>;
 
 impl Mesh {
-    /// Builds a mesh from points of the world, metres, that covers the view of `target`.
+    /// Builds a mesh from points in the world, metres. The mesh covers the whole view of `target`.
     ///
-    /// Points behind the view, outside it, or not finite are ignored, and so are those without support by
-    /// their neighbours. Duplicate and collinear points are allowed. `None` if no point remains, or no ray of
-    /// the view can be computed.
+    /// A point is ignored if it is behind the camera, outside the view, not finite, or not supported by its neighbours.
+    /// Points may be duplicate or collinear. `None` if no point remains, or if no ray of the view can be computed.
     pub fn build(points: &[Point3<f64>], target: &Camera, depth_edges: DepthEdges) -> Option<Self> {
         let bounds = ViewBounds::of(target)?.enlarged(MARGIN);
         let focal = target.focal_px();
@@ -118,8 +116,8 @@ impl Mesh {
     }
 }
 
-/// Projects the points that lie within the bounds, sorted by position. Of several points in a cell, only the
-/// nearest is returned.
+/// Projects world points into the camera `target`, and drops those outside `bounds`. Of several points in one cell of
+/// [`CELL_PX`], only the nearest is returned. The result is sorted by cell. `focal` is the focal length, pixels.
 fn projected(
     points: &[Point3<f64>],
     target: &Camera,
@@ -134,7 +132,7 @@ fn projected(
         .iter()
         .filter_map(|point| {
             let projection = ProjectedPoint::new(point, target, bounds)?;
-            // A point at a corner is dropped: the corner itself is a vertex.
+            // A point exactly at a corner is dropped, since the corner itself is a vertex.
             let is_corner = bounds.corners().contains(&projection.at);
             (!is_corner).then(|| (cell(&projection.at), projection))
         })
@@ -148,11 +146,12 @@ fn projected(
     projections.into_iter().map(|(_, s)| s).collect()
 }
 
-/// The Delaunay triangulation, in pixels, of the points and then the corners. Of several points at one
-/// position, only one is a vertex.
+/// Computes the Delaunay triangulation, in pixels, of the projected points and the mesh's `corners`. In the
+/// triangulation's indices, the corners follow the points. Of several points at one position, only one becomes a
+/// vertex. `focal` is the focal length, pixels.
 fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: f64) -> MeshSites {
-    // spade accepts coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; below a millionth of a pixel they are rounded
-    // to 0.
+    // The library spade accepts only coordinates that are 0 or have a magnitude in [2⁻¹⁴², 2²⁰¹]. Magnitudes below a
+    // millionth of a pixel are rounded to 0.
     let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
     let positions = projections.iter().map(|s| &s.at).chain(corners).enumerate();
     let sites = positions.map(|(index, at)| {
@@ -162,8 +161,8 @@ fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: 
     MeshSites::bulk_load(sites.collect()).unwrap_or_default()
 }
 
-/// Removes points with too few supporting neighbours, also from the triangulation. Removes none if there are
-/// fewer than four points, or if no point has support.
+/// Removes points that have fewer than [`MIN_SUPPORT`] supporting neighbours, from the list and from the triangulation.
+/// Removes nothing if there are fewer than four points, or if no point is supported.
 fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut MeshSites) {
     let count = projections.len();
     if count < 4 {
@@ -175,11 +174,11 @@ fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut MeshSites
     if unsupported.len() == points().count() {
         return;
     }
-    // In descending order: when a site is removed, the last one gets its handle.
+    // Sites are removed in descending order, because a removal gives the removed site's handle to the last site.
     for site in unsupported.into_iter().rev() {
         sites.remove(site);
     }
-    // Of points at one position, only one is in the triangulation; the others are removed too.
+    // Of several points at one position, only one is in the triangulation. The others are removed from the list too.
     let mut is_kept = vec![false; count];
     for site in sites.vertices() {
         if let Some(is_kept) = is_kept.get_mut(site.data().index as usize) {
@@ -187,7 +186,7 @@ fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut MeshSites
         }
     }
     let mut kept = Vec::with_capacity(count);
-    // The corners' indices follow those of the points.
+    // The indices of the corners follow the indices of the points.
     let mut renumbered: Vec<u32> = is_kept
         .iter()
         .zip(&*projections)
@@ -204,17 +203,18 @@ fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut MeshSites
     *projections = kept;
 }
 
-/// The vertices that share an edge with a vertex.
+/// Returns the vertices that share an edge with `site`.
 fn neighbors(site: Handle<MeshSite>) -> impl Iterator<Item = Handle<MeshSite>> {
     site.out_edges().map(|edge| edge.to())
 }
 
-/// Whether enough vertices, at most two edges away, have a similar inverse depth.
+/// Returns whether a vertex is supported: at least [`MIN_SUPPORT`] vertices, at most two edges away, have a similar
+/// inverse depth.
 fn has_support(projections: &[ProjectedPoint], site: &Handle<MeshSite>) -> bool {
     let index = |s: &Handle<MeshSite>| s.data().index as usize;
     let own = projections[index(site)].inverse_depth;
     let agrees = |k: &usize| (own - projections[*k].inverse_depth).abs() <= SUPPORT_FRACTION * own;
-    // Corners have no depth yet.
+    // The corners have no depth yet, and are skipped.
     let around = |s| neighbors(s).filter(|s| index(s) < projections.len());
     let near = around(*site).map(|s| index(&s)).filter(agrees).count();
     if near >= MIN_SUPPORT {
@@ -231,31 +231,33 @@ fn has_support(projections: &[ProjectedPoint], site: &Handle<MeshSite>) -> bool 
     all.len() >= MIN_SUPPORT
 }
 
-/// The back plane as a vector g (see [`super::plane`]): fitted to the farthest points, and behind all points.
-/// `None` without points.
+/// Fits the back plane to the farthest points, and moves it behind all points. Returns the vector g of the plane, with
+/// `1/z = g · (x, y, 1)` (see [`super::plane`]). `None` without points.
 fn back_plane(projections: &[ProjectedPoint], bounds: &ViewBounds) -> Option<Vector3<f64>> {
     let g = fit_plane(projections, PlaneLoss::Behind(FRONT_WEIGHT), bounds)?;
-    // In the whole view the plane's inverse depth is positive, and so is the ratio.
+    // The plane's inverse depth is positive in the whole view, so the ratio is positive too.
     let behind = projections.iter().map(|s| s.inverse_depth / g.dot(&s.ray())).fold(1.0, f64::min);
     Some(g * (behind * BACK_FACTOR))
 }
 
-/// A mesh under construction.
+/// A mesh under construction, with vertices that are projected into the view.
 struct MeshBuilder {
     vertices: Vec<ProjectedPoint>,
     triangles: Vec<[u32; 3]>,
 }
 
 impl MeshBuilder {
-    /// Appends a vertex; returns its index.
+    /// Appends a vertex at the position `at` on the plane z = 1, with an inverse depth in 1/m. Returns the vertex's
+    /// index.
     fn vertex(&mut self, at: Point2<f64>, inverse_depth: f64) -> u32 {
         self.vertices.push(ProjectedPoint { at, inverse_depth });
         (self.vertices.len() - 1) as u32
     }
 
-    /// Adds a triangle. A triangle whose vertices lie on two surfaces is replaced by the method `depth_edges`.
+    /// Adds a triangle, given by three vertex indices. A triangle that spans a depth edge is replaced as `depth_edges`
+    /// says. `focal` is the focal length, pixels.
     fn add(&mut self, triangle: [u32; 3], focal: f64, depth_edges: DepthEdges) {
-        // Nearest first.
+        // The vertices are sorted with the nearest first.
         let mut v = triangle.map(|k| (k, self.vertices[k as usize]));
         v.sort_by(|a, b| b.1.inverse_depth.total_cmp(&a.1.inverse_depth));
         let [a, b, c] = v.map(|(_, s)| s.inverse_depth);
@@ -289,7 +291,8 @@ impl MeshBuilder {
         }
     }
 
-    /// Adds a triangle whose vertices have the same inverse depth, 1/m.
+    /// Adds a triangle with vertices at the positions `at` on the plane z = 1. All three have the same inverse depth,
+    /// 1/m.
     fn flat(&mut self, at: [Point2<f64>; 3], inverse_depth: f64) {
         let triangle = at.map(|at| self.vertex(at, inverse_depth));
         self.triangles.push(triangle);
@@ -340,7 +343,8 @@ mod tests {
         }
         points.push(on_ray(&camera, 500.0, 100.5, 0.4));
         points.push(on_ray(&camera, 100.0, 400.0, 20.0));
-        // Halfway between x = 292, the last vertex in front, and 308, the first behind, 1/z is halfway too.
+        // The vertices at x = 292 are the last on the nearer surface, and those at x = 308 the first on the farther
+        // surface. Halfway between them, a stretched triangle has the mean of their inverse depths.
         let expected = [
             (DepthEdges::Stretch, 1.5, 1.5),
             (DepthEdges::Back, 3.0, 3.0),

@@ -1,5 +1,5 @@
-//! §6, view synthesis: a proxy of the scene's geometry, and unstructured lumigraph rendering of the synchronized
-//! images over it (Buehler et al., SIGGRAPH 2001).
+//! View synthesis (§6 of the paper). A geometry proxy approximates the scene's surfaces. The synchronized images are
+//! projected onto the proxy and blended by unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001).
 //!
 //! ```text
 //! points ── Plane::fit ──┐
@@ -11,10 +11,10 @@
 //! | `triangulate.rs` | 3D points from correspondences at one instant |
 //! | `plane.rs`, `mesh.rs` | the paper's two proxies |
 //! | `proxy.rs`, `rasterize.rs`, `depth_map.rs` | the proxy's depth at every pixel of a view |
-//! | `source.rs` | the images that a view is blended from, and the options |
+//! | `source.rs` | the images that a view is blended from, and the options of blending |
 //! | `penalties.rs` | the penalty of each camera at a pixel |
-//! | `weights.rs`, `weight_grid.rs` | the weight of each camera, from the penalties |
-//! | `blend.rs`, `span.rs` | the view, as weighted means of the cameras' images |
+//! | `weights.rs`, `weight_grid.rs` | the weight of each camera at a pixel, from the penalties |
+//! | `blend.rs`, `span.rs` | the view: weighted means of the cameras' images |
 //! | `inpaint.rs` | colours of points that are occluded in every camera |
 
 mod blend;

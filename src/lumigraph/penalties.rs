@@ -1,9 +1,10 @@
-//! Reprojection of a row of the view into each source, and the penalties of [`super::blend`].
+//! Reprojection of a row of the view into each source camera, and the sources' penalties by the formula of
+//! [`super::blend`].
 //!
-//! A pixel with the ray r = (x, y, 1) and the inverse depth ρ shows the point `r / ρ`. All vectors are
-//! multiplied by ρ, so that they are finite for points at infinity too. Quantities that are constant over the
-//! view are computed in f64. Rows are f32, whose rounding moves positions by less than 1e-3 px in images up
-//! to 4000 px wide.
+//! A pixel with the ray r = (x, y, 1) and the inverse depth ρ shows the point `r / ρ`. All vectors are multiplied by ρ,
+//! so that they are finite for points at infinity too. Quantities that are constant over the view are computed in f64.
+//! Quantities per pixel are computed in f32. Their rounding moves positions by less than 1e-3 px in images up to 4000
+//! px wide.
 
 use super::depth_map::DepthMap;
 use super::rays::ViewBounds;
@@ -15,53 +16,55 @@ use nalgebra::{Matrix3, Point2, Vector3};
 
 /// Width of the zone along an image's border in which a camera's weight falls to 0, pixels.
 const FEATHER_PX: f32 = 4.0;
-/// Minimum distance in depth between an occluded point and the surface in front of it, as a fraction of the
-/// surface's depth.
+/// Minimum depth difference between an occluded point and the surface in front of it, as a fraction of the surface's
+/// depth.
 pub(super) const OCCLUSION_FRACTION: f32 = 0.03;
-/// Cameras whose distance from the view's centre is below this fraction of the farthest camera's count as
-/// standing at the centre.
+/// Maximum distance from the view's centre at which a camera counts as standing at this centre, as a fraction of the
+/// farthest camera's distance from it.
 const SAME_CENTER_FRACTION: f64 = 1e-6;
-/// Factor on the confidence in an occluded point. It is so small that the point contributes only if it is
-/// occluded in all sources.
+/// Factor on a source's confidence in a point that is occluded in the source. The factor is so small that the source
+/// contributes only if the point is occluded in all sources.
 const OCCLUDED_CONFIDENCE: f32 = 1e-3;
-/// Factor on the confidence in a point beside a nearer surface, where pixels are mixtures of both.
+/// Factor on a source's confidence in a point next to the outline of a nearer surface, where pixels mix the colours of
+/// both surfaces.
 const OUTLINE_CONFIDENCE: f32 = 0.25;
-/// Margin around the cone of a camera's border rays, as a fraction of its radius. Points outside count as
-/// outside the image, since the lens polynomial might map them into it.
+/// Margin around the cone of a camera's border rays, as a fraction of the cone's radius. Points beyond the margin count
+/// as outside the image. The lens polynomial is not valid for them, and might map them into the image.
 const CONE_MARGIN: f64 = 0.02;
-/// Factor on a lower bound that allows for f32 rounding.
+/// Factor on the lower bound of a penalty, which allows for f32 rounding.
 const ROUNDING: f32 = 0.999;
-/// Amount that is subtracted from a difference of sines to allow for f32 rounding.
+/// Amount that is subtracted from the lower bound of an angle's sine, to allow for f32 rounding.
 const SINE_ROUNDING: f32 = 1e-6;
 
-/// A range of pixels of a row of the view, in the view's camera frame.
+/// Rays and inverse depths of a range of pixels in one row of the view, in the view's camera frame.
 pub(super) struct TargetRow<'a> {
-    /// The x of the rays (x, y, 1).
+    /// The x components of the rays (x, y, 1).
     pub x: &'a [f32],
-    /// The y of the rays (x, y, 1).
+    /// The y components of the rays (x, y, 1).
     pub y: &'a [f32],
-    /// Lengths of the rays.
+    /// Lengths of the rays (x, y, 1).
     pub length: &'a [f32],
-    /// Inverse depths, 1/m; 0 where there is no proxy.
+    /// Inverse depths of the pixels, 1/m; 0 where there is no proxy.
     pub inverse_depth: &'a [f32],
 }
 
-/// A cone that contains the rays of a range of pixels.
+/// A cone that contains the rays of a range of pixels, and bounds of the rays' lengths and inverse depths.
 pub(super) struct RayCone {
     axis: Vector3<f32>,
-    /// Sine of the largest angle between a ray and the axis.
+    /// Sine of the largest angle between one of the rays and the cone's axis.
     sine: f32,
-    /// Cosine of the largest angle between a ray and the axis.
+    /// Cosine of the largest angle between one of the rays and the cone's axis.
     cosine: f32,
-    /// Length of the longest ray.
+    /// Length of the longest of the rays (x, y, 1) that the cone contains.
     longest: f32,
-    /// Smallest inverse depth of the pixels, 1/m.
+    /// Smallest inverse depth of the pixels whose rays the cone contains, 1/m.
     farthest: f32,
 }
 
 impl RayCone {
-    /// The cone of the rays of at least one pixel, around the ray in the middle. For a pinhole, only the
-    /// first and the last ray are tested: they are the longest and at the largest angle from the middle.
+    /// Returns a cone that contains the rays of all pixels of a row. The cone's axis is the middle pixel's ray. The row
+    /// must not be empty. For a pinhole camera, the opening angle is computed from the first and the last ray alone:
+    /// these two have the largest angles to the axis.
     pub fn around(row: &TargetRow, is_pinhole: bool) -> Self {
         let n = row.x.len();
         let unit = |k: usize| Vector3::new(row.x[k], row.y[k], 1.0) / row.length[k];
@@ -69,7 +72,7 @@ impl RayCone {
         let (mut sine, mut longest) = (0.0_f32, 0.0_f32);
         for k in (0..n).step_by(if is_pinhole { (n - 1).max(1) } else { 1 }) {
             let ray = unit(k);
-            // For angles over 90° there is no bound.
+            // For an angle over 90°, the bound of the sine is 1.
             sine = if ray.dot(&axis) > 0.0 { sine.max(ray.cross(&axis).norm()) } else { 1.0 };
             longest = longest.max(row.length[k]);
         }
@@ -79,8 +82,8 @@ impl RayCone {
 }
 
 multiversion! {
-    /// Computes the positions, penalties and confidences of a row's points in a source. `pixel` projects a
-    /// point of the plane z = 1.
+    /// Computes the positions, penalties and confidences of a row's points in a source. `pixel` projects a point of the
+    /// plane z = 1 to a pixel of the source.
     fn measure_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
         row: &TargetRow,
@@ -109,8 +112,8 @@ fn measure_row_by(
         let q = reprojection.direction(x, y, inverse);
         let (px, py, border) = reprojection.project(q, &pixel);
 
-        // tan(θ/2) = |a × b| / (|a||b| + a · b), with a and b the directions from the view's and the source's
-        // centre. Since b = a + shift, a × b = a × shift, which avoids cancellation.
+        // tan(θ/2) = |a × b| / (|a||b| + a · b), where a and b are the vectors to the point from the view's centre and
+        // from the source's centre. Since b = a + shift, a × b equals a × shift, which avoids cancellation.
         let cross = Vector3::new(y * d.z - d.y, d.x - x * d.z, x * d.y - y * d.x);
         let cross = (cross.x * cross.x + cross.y * cross.y + cross.z * cross.z).sqrt();
         let dot = length * length + inverse * (x * d.x + y * d.y + d.z);
@@ -130,7 +133,7 @@ fn measure_row_by(
 }
 
 multiversion! {
-    /// [`measure_row`] without penalties.
+    /// Computes the positions and confidences of a row's points in a source, as [`measure_row`] does, but no penalties.
     fn place_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
         row: &TargetRow,
@@ -159,28 +162,28 @@ fn place_row_by(
     }
 }
 
-/// One source's pose relative to the view, and its lens.
+/// Projection of the view's points into one source: the source's pose relative to the view, and its lens.
 pub(super) struct Reprojection {
-    /// Rotation from the view's to the source's axes.
+    /// Rotation from the view's axes to the source's axes.
     rotation: Matrix3<f32>,
-    /// The view's centre minus the source's, in the source's axes.
+    /// Vector from the source's centre to the view's centre, in the source's axes, metres.
     shift: Vector3<f32>,
-    /// The view's centre minus the source's, in the view's axes.
+    /// Vector from the source's centre to the view's centre, in the view's axes, metres.
     shift_target: Vector3<f32>,
     model: CameraModel,
     width: f32,
     height: f32,
-    /// Ratio of the view's focal length to the source's.
+    /// Ratio of the view's focal length to the source's focal length.
     focal_ratio: f32,
-    /// Largest squared distance from the optical axis at which a point can be in the image, on the plane z =
-    /// 1.
+    /// Largest squared distance from the optical axis, on the plane z = 1, at which a point can be in the source's
+    /// image.
     max_radius2: f32,
-    /// Penalty angle per pixel of interpolation error; 0 if time has no weight.
+    /// Penalty per pixel of interpolation error, radians. 0 if the method ignores interpolation errors.
     error_angle_rad: f32,
 }
 
 impl Reprojection {
-    /// The reprojections into all sources, in their order.
+    /// Returns the reprojections into all sources, in the order of the sources.
     pub fn of_all(sources: &[Source], target: &Camera, options: &BlendOptions) -> Vec<Self> {
         let center = target.center();
         let extent =
@@ -213,50 +216,53 @@ impl Reprojection {
         }
     }
 
-    /// Whether the source stands at the view's centre. Then the positions of points in the source don't
-    /// depend on depth.
+    /// Returns whether the source stands at the view's centre. The positions of points in such a source don't depend on
+    /// depth.
     pub fn at_center(&self) -> bool {
         self.shift_target == Vector3::zeros()
     }
 
-    /// Whether a source's penalties change smoothly over a surface, so that weights may be interpolated
-    /// between nodes.
+    /// Returns whether the source's penalties change smoothly over a surface. If so, weights may be interpolated
+    /// between the nodes of a grid over the view.
     pub fn is_smooth(&self, source: &Source) -> bool {
         source.depth.is_none()
             && (self.error_angle_rad == 0.0 || source.interpolation_error_px.is_none())
     }
 
-    /// Lower bound of the penalties at the pixels of a cone, from the angle alone. NaN if the cone's axis is
-    /// NaN.
+    /// Returns a lower bound of the source's penalties at the pixels of a cone, computed from the angle alone. NaN if
+    /// the cone's axis is NaN.
     ///
-    /// With r the ray, ρ the inverse depth, d the view's centre minus the source's and q = r + ρd, the
-    /// penalty `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, which increases with
-    /// ρ. The angle between r and d differs from that between the axis and d by at most the cone's angle.
+    /// Let r be a ray, ρ its inverse depth, d the vector from the source's centre to the view's centre, and q = r + ρd.
+    /// The penalty `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`. This bound increases with
+    /// ρ. The angle between r and d differs from the angle between the cone's axis and d by at most the angle between
+    /// the axis and the cone's surface.
     pub fn min_angle(&self, cone: &RayCone) -> f32 {
         let (d, axis) = (self.shift_target, cone.axis);
         let length = d.norm();
         let sine = (axis.cross(&d).norm() * cone.cosine - axis.dot(&d).abs() * cone.sine)
             - SINE_ROUNDING * length;
-        // Lengths of rays are at least 1. `max` would drop a NaN.
+        // The divisor is positive, since a ray's length is at least 1. `max` is not used, since it would turn a NaN
+        // into 0.
         let sine = if sine < 0.0 { 0.0 } else { sine };
         ROUNDING * sine * cone.farthest / (cone.longest + cone.farthest * length)
     }
 
-    /// The projection of points of the plane z = 1 by a pinhole, to pixels.
+    /// Returns the pinhole projection of points of the plane z = 1 to pixels of the source.
     fn pinhole(&self) -> impl Fn(f32, f32) -> (f32, f32) + use<> {
         let (fx, fy, cx, cy) = self.model.intrinsics();
         let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
         move |nx, ny| (fx * nx + cx, fy * ny + cy)
     }
 
-    /// Projects a point of the plane z = 1 by any lens, to pixels.
+    /// Projects a point of the plane z = 1 to a pixel of the source, with any lens model.
     fn distorted(&self, nx: f32, ny: f32) -> (f32, f32) {
         let normalized = Point2::new(f64::from(nx), f64::from(ny));
         let pixel = self.model.pixel_from_normalized(&normalized);
         (pixel.x as f32, pixel.y as f32)
     }
 
-    /// Computes the points' positions in the source, and their confidences without occlusion.
+    /// Computes the positions of a row's points in the source, and the source's confidences in the points, without
+    /// regard to occlusion.
     pub fn place(&self, row: &TargetRow, span: &mut SourceSpan) {
         if self.model.is_pinhole() {
             place_row(self, row, span, self.pinhole());
@@ -265,8 +271,8 @@ impl Reprojection {
         }
     }
 
-    /// Computes the positions, penalties and confidences of a row's points in `source`, to which this
-    /// reprojection belongs. Sets `visible` to true at points that the source sees, and leaves the others
+    /// Computes the positions, penalties and confidences of a row's points in `source`, the source that this
+    /// reprojection was made for. Sets `visible` to true at points that the source sees, and leaves its other elements
     /// unchanged.
     pub fn measure(
         &self,
@@ -293,11 +299,12 @@ impl Reprojection {
         }
     }
 
-    /// Projects a direction in the source's axes to its pixel, x and y, and `border`. `border` is 1 inside
-    /// the image, falls to 0 at its border, and is 0 outside the image and behind the source.
+    /// Projects a direction `q` in the source's axes to the source's image. Returns the pixel's x, its y, and `border`.
+    /// `border` is 1 inside the image, falls to 0 at the image's border, and is 0 outside the image and behind the
+    /// source.
     #[inline(always)]
     fn project(&self, q: Vector3<f32>, pixel: impl Fn(f32, f32) -> (f32, f32)) -> (f32, f32, f32) {
-        // Behind the source q.z is not positive, and the results are discarded below.
+        // Behind the source, q.z is not positive. The pixel is then meaningless, and `border` is 0.
         let inverse_z = 1.0 / q.z;
         let (nx, ny) = (q.x * inverse_z, q.y * inverse_z);
         let (px, py) = pixel(nx, ny);
@@ -308,8 +315,8 @@ impl Reprojection {
         (px, py, if is_visible { border } else { 0.0 })
     }
 
-    /// The vector from the source to the pixel's point, times the point's inverse depth, in the source's
-    /// axes.
+    /// Returns the vector from the source's centre to a point on the view's ray (x, y, 1), multiplied by the point's
+    /// inverse depth. The vector is in the source's axes.
     #[inline(always)]
     fn direction(&self, x: f32, y: f32, inverse_depth: f32) -> Vector3<f32> {
         let (m, s) = (&self.rotation, &self.shift);
@@ -320,8 +327,8 @@ impl Reprojection {
         )
     }
 
-    /// Adds the expected interpolation error to the penalties. It is independent of the proxy's error, so
-    /// that their squares add.
+    /// Adds the expected interpolation error to the penalties. This error is independent of the proxy's error, so that
+    /// the squares of both are added.
     fn add_interpolation_error(&self, source: &Source, count: usize, span: &mut SourceSpan) {
         let Some(error_px) = source.interpolation_error_px else { return };
         let (w, h) = (source.camera.width, source.camera.height);
@@ -335,9 +342,10 @@ impl Reprojection {
         }
     }
 
-    /// Lowers the confidence in points behind the surface that the source sees. With the point's distance
-    /// from the surface, as a fraction of the surface's depth, the confidence falls from 1 at
-    /// [`OCCLUSION_FRACTION`] to [`OCCLUDED_CONFIDENCE`] at twice this fraction.
+    /// Lowers the confidence in points that lie behind the surface that the source sees, and in points beside a nearer
+    /// surface. For a point behind the surface, let the distance be its depth minus the surface's depth, as a fraction
+    /// of the surface's depth. The factor on the confidence falls from 1 at the distance [`OCCLUSION_FRACTION`] to
+    /// [`OCCLUDED_CONFIDENCE`] at twice that distance.
     fn occlude(
         &self,
         row: &TargetRow,
@@ -350,7 +358,7 @@ impl Reprojection {
                 let inverse = row.inverse_depth[k];
                 let depth = self.direction(row.x[k], row.y[k], inverse).z / inverse;
                 let beyond = |surface: f32| (depth / surface - 1.0) / OCCLUSION_FRACTION - 1.0;
-                // If the source has no depth there, this is NaN, and the point is not occluded.
+                // If the source has no depth at this position, `behind` is NaN, and the point counts as not occluded.
                 let behind = beyond(map.farthest_around(span.x[k], span.y[k]));
                 if behind > 0.0 {
                     let factor = (1.0 - behind).max(OCCLUDED_CONFIDENCE);
@@ -377,7 +385,7 @@ mod tests {
     use crate::camera::tests::pinhole_at;
     use nalgebra::UnitQuaternion;
 
-    /// A range of a row's pixels: x and y of the rays, their lengths, and inverse depths.
+    /// For a range of a row's pixels: the x and the y of the rays, the lengths of the rays, and the inverse depths.
     type RowPart = [Vec<f32>; 4];
 
     fn row(part: &RowPart) -> TargetRow<'_> {
@@ -385,7 +393,7 @@ mod tests {
         TargetRow { x, y, length, inverse_depth }
     }
 
-    /// The positions of the points in a source (x and y), their penalties, and their confidences.
+    /// Returns the x and the y of a row's points in a source, their penalties, and their confidences.
     fn measured(
         reprojection: &Reprojection,
         part: &RowPart,
@@ -403,7 +411,8 @@ mod tests {
         camera
     }
 
-    /// Calls `each` with random parts of a view's rows and the reprojection of a random source.
+    /// Calls `each` with random test cases: a view, a random part of one of its rows, and the reprojection into a
+    /// random source.
     fn problems(mut each: impl FnMut(&Camera, &RowPart, &Reprojection)) {
         let mut random = Random::new(51);
         let mut number = |low, high| random.in_range(low, high);

@@ -1,61 +1,62 @@
 //! The plane proxy of §6: the paper's "3D planar proxy in which the plane's depth can be interactively
 //! controlled by the user. Its placement determines which region of the scene is in focus."
 //!
-//! In a view, a plane's inverse depth is linear: `1/z = g · (x, y, 1)` at (x, y) of the plane z = 1, where `g
-//! · p_cam = 1` for the plane's points. Disparity is proportional to inverse depth, so that a least-squares
-//! fit of inverse depths is one of disparities in pixels.
+//! In a view, the inverse depth of a plane is a linear function: `1/z = g · (x, y, 1)` on the ray (x, y, 1). All points
+//! p of the plane, in the camera's frame, satisfy `g · p = 1`. Disparity is proportional to inverse depth. A
+//! least-squares fit of inverse depths therefore minimizes errors of disparity in pixels.
 
 use super::rays::ViewBounds;
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
-/// Margin around the camera's image, as a fraction of its size, within which points are used for the fit.
+/// Margin around the camera's field of view within which points are used for a plane fit, as a fraction of the field of
+/// view's width or height.
 const MARGIN: f64 = 0.5;
-/// Weight of the prior of zero tilt, as a fraction of the points' weights.
+/// Weight of the prior that a fitted plane has no tilt, as a fraction of the points' total weight.
 const TILT_PRIOR: f64 = 1e-6;
-/// Maximum number of reweighting iterations; about ten are needed.
+/// Maximum number of reweighting iterations of a plane fit. About ten are needed.
 const ROUNDS: usize = 20;
-/// Minimum inverse depth of the plane anywhere in the view, as a fraction of its inverse depth at the points' mean
+/// Minimum inverse depth of a fitted plane anywhere in the view, as a fraction of its inverse depth at the points' mean
 /// position.
 const MIN_FRACTION: f64 = 0.1;
 
-/// The plane `normal · x = d` in the world.
+/// A plane in the world. Its points x satisfy `normal · x = d`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
-    /// Unit normal.
+    /// Unit normal of the plane in world coordinates.
     pub normal: Vector3<f64>,
-    /// Signed distance from the world's origin along the normal, metres.
+    /// Signed distance of the plane from the world's origin along the normal, metres.
     pub d: f64,
 }
 
 impl Plane {
-    /// The plane perpendicular to the camera's axis at this depth.
+    /// Returns the plane that is perpendicular to the camera's optical axis at the depth `depth_m`, metres.
     pub fn fronto_parallel(camera: &Camera, depth_m: f64) -> Self {
         let normal = camera.axis();
         Self { normal, d: normal.dot(&camera.center().coords) + depth_m }
     }
 
-    /// Fits a plane to points by robust least squares of inverse depths in a camera.
+    /// Fits a plane to points in the world, by robust least squares of their inverse depths in a camera.
     ///
-    /// Points behind the camera, far outside its image, or not finite are ignored. For one point, or
-    /// collinear points, it is the plane through them that is closest to perpendicular to the axis. Every ray
-    /// of the view meets the plane. `None` if no point remains.
+    /// Points behind the camera, far outside its image, or not finite are ignored. For a single point or collinear
+    /// points, the result is the plane through them that is closest to perpendicular to the optical axis. Every ray of
+    /// the view meets the plane in front of the camera. `None` if no point remains.
     pub fn fit(points: &[Point3<f64>], camera: &Camera) -> Option<Self> {
         let bounds = ViewBounds::of(camera)?;
         let counted = bounds.enlarged(MARGIN);
         let project = |point| ProjectedPoint::new(point, camera, &counted);
         let projections: Vec<ProjectedPoint> = points.iter().filter_map(project).collect();
         let g = fit_plane(&projections, PlaneLoss::Robust, &bounds)?;
-        // From g · (R x + t) = 1. |g| is positive, since the plane's inverse depth in the middle of the view
-        // is.
+        // The normal and d follow from g · (R x + t) = 1. The length of g is positive, because the plane's inverse
+        // depth in the middle of the view is positive.
         let length = g.norm();
         let normal = camera.cam_from_world.rotation.inverse_transform_vector(&g) / length;
         let d = (1.0 - g.dot(&camera.cam_from_world.translation.vector)) / length;
         (normal.iter().all(|v| v.is_finite()) && d.is_finite()).then_some(Self { normal, d })
     }
 
-    /// The fronto-parallel plane at the median inverse depth of all points in front of the camera, including points
-    /// outside its image. `None` if no point is in front.
+    /// Returns the fronto-parallel plane at the median inverse depth of all points in front of the camera, including
+    /// points outside its image. `None` if no point is in front of the camera.
     pub fn amid(points: &[Point3<f64>], camera: &Camera) -> Option<Self> {
         let mut inverse: Vec<f64> =
             points.iter().map(|p| 1.0 / (camera.cam_from_world * p).z).collect();
@@ -64,8 +65,8 @@ impl Plane {
         Some(Self::fronto_parallel(camera, 1.0 / inverse.get(inverse.len() / 2)?))
     }
 
-    /// The plane as the vector g = normal / distance in the camera's axes: its inverse depth at the
-    /// normalized point (x, y) is g · (x, y, 1). `None` if the plane passes through the camera's centre.
+    /// Returns the plane as the vector g, 1/m, in the camera's axes. The inverse depth on the ray (x, y, 1) is g · (x,
+    /// y, 1). `None` if the plane passes through the camera's centre.
     pub(super) fn inverse_depth(&self, camera: &Camera) -> Option<Vector3<f64>> {
         let distance = self.d - self.normal.dot(&camera.center().coords);
         let g = camera.cam_from_world.rotation * self.normal / distance;
@@ -73,17 +74,18 @@ impl Plane {
     }
 }
 
-/// A point, projected into a view.
+/// A 3D point, projected into a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ProjectedPoint {
-    /// Position on the plane z = 1.
+    /// Position of the projected point on the plane z = 1.
     pub at: Point2<f64>,
-    /// Inverse depth, 1/m, positive.
+    /// Inverse depth of the point, 1/m, positive.
     pub inverse_depth: f64,
 }
 
 impl ProjectedPoint {
-    /// Projects a point of the world. `None` if it is behind the camera, outside the bounds, or not finite.
+    /// Projects a point of the world into a camera. `None` if the point is behind the camera, outside `bounds`, or not
+    /// finite.
     pub fn new(point: &Point3<f64>, camera: &Camera, bounds: &ViewBounds) -> Option<Self> {
         let p = camera.cam_from_world * point;
         let at = Point2::new(p.x / p.z, p.y / p.z);
@@ -97,19 +99,18 @@ impl ProjectedPoint {
     }
 }
 
-/// The loss function of a plane fit.
+/// Loss function of a plane fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum PlaneLoss {
-    /// The Cauchy loss at the scale of the median residual: the plane passes through the middle of the
-    /// points.
+    /// Cauchy loss with the median absolute residual as scale. The plane passes through the middle of the points.
     Robust,
-    /// An asymmetric squared loss: points in front of the plane have this weight, and points behind it the weight
-    /// 1.
+    /// Asymmetric squared loss. Points in front of the plane have this weight, and points behind the plane have the
+    /// weight 1.
     Behind(f64),
 }
 
-/// Fits the vector g of a plane to points by iteratively reweighted least squares. The plane lies in front of
-/// the camera in the whole view. `None` without points.
+/// Fits the vector g of a plane ([`Plane::inverse_depth`]) to points by iteratively reweighted least squares. The plane
+/// lies in front of the camera in the whole view, given by `bounds`. `None` without points.
 pub(super) fn fit_plane(
     points: &[ProjectedPoint],
     loss: PlaneLoss,
@@ -137,12 +138,14 @@ pub(super) fn fit_plane(
     Some(flattened(g, points, bounds))
 }
 
-/// Inverse depth of a point minus the plane's on the same ray, 1/m; positive in front of the plane.
+/// Returns a point's inverse depth minus the inverse depth of the plane `g` on the same ray, 1/m. The residual is
+/// positive if the point is in front of the plane.
 fn residual(p: &ProjectedPoint, g: &Vector3<f64>) -> f64 {
     p.inverse_depth - g.dot(&p.ray())
 }
 
-/// The vector g of a plane, by weighted least squares of inverse depths with a prior of zero tilt.
+/// Fits the vector g of a plane by weighted least squares of inverse depths, with a prior of zero tilt. `None` if the
+/// normal equations are singular.
 fn least_squares(
     points: &[ProjectedPoint],
     weight: impl Fn(&ProjectedPoint) -> f64,
@@ -159,12 +162,13 @@ fn least_squares(
     normal.cholesky().map(|c| c.solve(&right))
 }
 
-/// Reduces a plane's tilt about the points' mean until the plane is in front of the camera in the whole view.
+/// Reduces the tilt of the plane `g` about the points' mean position until the plane is in front of the camera in the
+/// whole view. Returns the vector g of the new plane.
 fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) -> Vector3<f64> {
     let mean = |axis: usize| points.iter().map(|p| p.at[axis]).sum::<f64>() / points.len() as f64;
     let ray = Vector3::new(mean(0), mean(1), 1.0);
     let nearest = points.iter().map(|p| p.inverse_depth).fold(f64::INFINITY, f64::min);
-    // A fit to positive inverse depths is positive at their mean, except for rounding.
+    // The fit to positive inverse depths is positive at the mean position, except for rounding.
     let middle = g.dot(&ray).max(nearest);
     let mut fraction: f64 = 1.0;
     for corner in bounds.corners() {
@@ -177,7 +181,7 @@ fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) ->
     Vector3::new(tilt.x, tilt.y, middle - tilt.dot(&ray.xy()))
 }
 
-/// The lower median of `value` over the points. `None` without points.
+/// Returns the lower median of `value` over the points. `None` without points.
 fn median(points: &[ProjectedPoint], value: impl Fn(&ProjectedPoint) -> f64) -> Option<f64> {
     let mut values: Vec<f64> = points.iter().map(value).collect();
     values.sort_by(f64::total_cmp);
@@ -258,7 +262,7 @@ mod tests {
     #[test]
     fn a_plane_too_steep_is_flattened_until_the_view_sees_it_all() {
         let camera = pinhole_at([0.0; 3]);
-        // A floor 0.3 m below the camera: it fills only the lower half of the image.
+        // The points are on a floor 0.3 m below the camera, which fills only the lower half of the image.
         let floor: Vec<_> = (0..50)
             .map(|k| Point3::new(0.1 * f64::from(k % 5), 0.3, 1.0 + 0.1 * f64::from(k)))
             .collect();

@@ -1,4 +1,4 @@
-//! The geometry proxy, and its depths in a view.
+//! The geometry proxy, and its depth map in a view.
 
 use super::depth_map::DepthMap;
 use super::rasterize::rasterize;
@@ -8,19 +8,19 @@ use crate::camera::Camera;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-/// An approximation of the scene's geometry.
+/// Geometry proxy: an approximation of the scene's surfaces.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Proxy {
-    /// A plane in the world.
+    /// The proxy is a plane in the world.
     Plane(Plane),
-    /// A triangle mesh in the world.
+    /// The proxy is a triangle mesh in the world.
     Mesh(Mesh),
 }
 
 impl Proxy {
-    /// The proxy's depth at every pixel's centre of a view.
+    /// Computes the proxy's depth map in the view of the camera `target`.
     ///
-    /// NaN where the ray misses the proxy or can't be computed, and where the proxy lies behind the view.
+    /// A depth is NaN if the pixel's ray misses the proxy or can't be computed, and if the proxy is behind the camera.
     pub fn depth_map(&self, target: &Camera) -> DepthMap {
         match self {
             Self::Plane(plane) => plane_depth(plane, target),
@@ -33,7 +33,7 @@ impl Proxy {
     }
 }
 
-/// The plane's depth at every pixel of a view.
+/// Computes a plane's depth map in the view of the camera `target`.
 fn plane_depth(plane: &Plane, target: &Camera) -> DepthMap {
     let Some(g) = plane.inverse_depth(target) else {
         return DepthMap::empty(target.width, target.height);
@@ -44,8 +44,8 @@ fn plane_depth(plane: &Plane, target: &Camera) -> DepthMap {
         |rays, (row, depths)| {
             rays.set(row);
             for ((depth, &x), &y) in depths.iter_mut().zip(&rays.x).zip(&rays.y) {
-                // Negative behind the view, which `from_data` turns into NaN; ∞ for rays parallel to the
-                // plane.
+                // The depth is negative if the plane is behind the camera; `from_data` turns it into NaN. It is
+                // infinite for a ray parallel to the plane.
                 *depth = (1.0 / (g.x * x + g.y * y + g.z)) as f32;
             }
         },

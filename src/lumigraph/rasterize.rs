@@ -1,12 +1,12 @@
-//! Rasterization of triangles to depths, for every lens model (homogeneous rasterization, Olano and Greer
-//! 1997).
+//! Rasterization of triangles to a depth map, for every lens model (homogeneous rasterization, Olano and Greer 1997).
 //!
-//! A pixel's ray r = (x, y, 1) meets the triangle (a, b, c) of the camera's frame if r · (b × c), r · (c × a)
-//! and r · (a × b) have the same sign. The depth is given by `1/z = g · r`. Nothing is divided by a vertex's
-//! depth, so that vertices behind the camera need no clipping.
+//! The vertices a, b, c of a triangle are vectors in the camera's frame. The ray r = (x, y, 1) of a pixel hits the
+//! triangle if r · (b × c), r · (c × a) and r · (a × b) have the same sign. The depth z at the pixel is given by
+//! `1/z = g · r`, with a vector g that describes the triangle's plane. Nothing is divided by a vertex's depth, so that
+//! vertices behind the camera need no clipping.
 //!
-//! For an edge that two triangles share, the products are equal except for the sign, and a ray through the
-//! edge hits both triangles. So a mesh has no cracks. The nearest triangle wins.
+//! If two triangles share an edge, their products for this edge are equal except for the sign. A ray through the edge
+//! then hits both triangles, so that a mesh has no cracks. Of all triangles that a ray hits, the nearest one counts.
 
 use super::depth_map::DepthMap;
 use super::rays::RayRow;
@@ -16,36 +16,40 @@ use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Number of rows that one task renders.
+/// Number of image rows that one parallel task rasterizes.
 const BAND_ROWS: usize = 16;
-/// Tolerance of the sign test, in units of the products: a ray this far outside an edge still hits. It is
-/// about 1e-8 px.
+/// Tolerance of the test whether a ray r hits a triangle. The products r · (a × b), with unit vectors a and b towards
+/// two vertices, may be negative by this amount. A ray thus still hits if it passes about 1e-8 px outside an edge.
 const ON_EDGE: f64 = 1e-11;
-/// Minimum solid angle of a triangle, sr. Below it, depths are rounding noise.
+/// Minimum triple product of the unit vectors from the camera to a triangle's vertices. It is about twice the
+/// triangle's solid angle in sr. The depths of a smaller triangle would be rounding noise.
 const MIN_VOLUME: f64 = 1e-15;
-/// Depth of the near plane, as a fraction of the depth of a triangle's nearest vertex in front of the camera.
+/// Depth of the near clipping plane, as a fraction of the depth of the triangle's nearest vertex in front of the
+/// camera.
 const NEAR_FRACTION: f64 = 1e-4;
-/// Number of pixels that are tested at once.
+/// Number of neighbouring pixels that are tested against a triangle at once.
 const WORD_PX: usize = 4;
-/// Number of samples along each edge, from which a triangle's bounding box is computed for a distorting lens.
+/// Number of steps in which each edge of a triangle is sampled to find the triangle's bounding box under lens
+/// distortion.
 const BEND_STEPS: usize = 8;
 
-/// A triangle as the camera sees it.
+/// A triangle in a camera's frame, prepared for rasterization.
 struct ProjectedTriangle {
-    /// Normals of the planes through the camera's centre and each edge.
+    /// Normals of the planes through the camera's centre and each edge. The normals point to the inside of the
+    /// triangle.
     edges: [Vector3<f64>; 3],
-    /// The triangle's plane: 1/z = g · r on the ray r.
+    /// Vector g of the triangle's plane: on the ray r = (x, y, 1), the inverse depth is 1/z = g · r, in 1/m.
     g: Vector3<f64>,
-    /// Columns of the bounding box.
+    /// Image columns of the triangle's bounding box.
     columns: Range<usize>,
-    /// Rows of the bounding box.
+    /// Image rows of the triangle's bounding box.
     rows: Range<usize>,
 }
 
-/// The depth, metres, of the nearest triangle at each pixel's centre. `points` are in the camera's frame.
+/// Computes a depth map of triangles: the depth of the nearest triangle at each pixel's centre, metres. `points` are in
+/// the camera's frame, metres. A triangle consists of three indices of points.
 ///
-/// Triangles that are seen edge-on, have no area, or have a vertex that is not finite or not in `points` are
-/// skipped.
+/// A triangle is skipped if it is seen edge-on, has no area, or has a vertex that is not finite or not in `points`.
 pub(super) fn rasterize(
     points: &[Vector3<f64>],
     triangles: &[[u32; 3]],
@@ -72,7 +76,7 @@ pub(super) fn rasterize(
 }
 
 multiversion! {
-    /// Converts inverse depths to depths; 0 becomes NaN.
+    /// Converts inverse depths, 1/m, to depths, metres. An inverse depth of 0 becomes NaN.
     fn invert(inverse: &[f64], depths: &mut [f32]) = invert_by
 }
 
@@ -84,7 +88,8 @@ fn invert_by(inverse: &[f64], depths: &mut [f32]) {
     }
 }
 
-/// Prepares a triangle for drawing. `None` if it is degenerate or outside the image.
+/// Prepares a triangle, given by three indices of `points`, for rasterization. `None` if it is degenerate or outside
+/// the image.
 fn project(
     points: &[Vector3<f64>],
     triangle: &[u32; 3],
@@ -97,12 +102,12 @@ fn project(
             return None;
         }
     }
-    // The hit test uses unit vectors, so that near vertices aren't lost in the rounding of far ones.
+    // The hit test uses unit vectors. Otherwise, the rounding of far vertices would be larger than near vertices.
     let lengths = v.map(|p| p.norm());
     let unit = [v[0] / lengths[0], v[1] / lengths[1], v[2] / lengths[2]];
     let mut edges = [unit[1].cross(&unit[2]), unit[2].cross(&unit[0]), unit[0].cross(&unit[1])];
     let mut volume = unit[0].dot(&edges[0]);
-    // The negation also rejects NaN, from a vertex at the camera's centre.
+    // The negated comparison also rejects NaN, which results from a vertex at the camera's centre.
     if !(volume.abs() > MIN_VOLUME) {
         return None;
     }
@@ -115,11 +120,11 @@ fn project(
     Some(ProjectedTriangle { edges, g, columns, rows })
 }
 
-/// The depth buffer of some neighbouring rows.
+/// Depth buffer of a band of neighbouring image rows.
 struct DepthBand<'a> {
     first_row: usize,
     rays: Vec<RayRow<'a>>,
-    /// Inverse depth of the nearest triangle at each pixel, row by row; 0 without a triangle.
+    /// Inverse depth of the nearest triangle at each pixel, 1/m, row by row; 0 without a triangle.
     nearest: Vec<f64>,
 }
 
@@ -130,7 +135,7 @@ impl<'a> DepthBand<'a> {
         Self { first_row: 0, rays, nearest: vec![0.0; rows * camera.width] }
     }
 
-    /// Moves to the rows from `first_row` on, and clears the buffer.
+    /// Moves the band to the rows that start at `first_row`, computes their rays, and clears the buffer.
     fn set(&mut self, first_row: usize) {
         self.first_row = first_row;
         self.rays.iter_mut().enumerate().for_each(|(k, rays)| rays.set(first_row + k));
@@ -139,7 +144,7 @@ impl<'a> DepthBand<'a> {
 }
 
 multiversion! {
-    /// Draws triangles into the depth buffer.
+    /// Draws triangles into the depth buffer `band`.
     fn draw(triangles: &[&ProjectedTriangle], band: &mut DepthBand) = draw_by
 }
 
@@ -157,14 +162,14 @@ fn draw_by(triangles: &[&ProjectedTriangle], band: &mut DepthBand) {
 }
 
 impl ProjectedTriangle {
-    /// Draws one row of the triangle.
+    /// Draws one image row of the triangle into `nearest`, the row's inverse depths.
     #[inline(always)]
     fn draw_row(&self, rays: &RayRow, nearest: &mut [f64]) {
         let columns = self.columns.clone();
         let (xs, ys) = (&rays.x[columns.clone()], &rays.y[columns.clone()]);
         let nearest = &mut nearest[columns];
-        // Whole words first. The last word may overlap the one before, since drawing a pixel twice has no
-        // effect.
+        // Words of several pixels are drawn first. The last word may overlap the word before, since drawing a pixel
+        // twice has no effect.
         let mut left = xs.len();
         while left >= WORD_PX {
             let k = xs.len() - left;
@@ -176,7 +181,7 @@ impl ProjectedTriangle {
         }
     }
 
-    /// Draws N neighbouring pixels.
+    /// Draws the triangle at N neighbouring pixels with the rays (x, y, 1) into `nearest`, the pixels' inverse depths.
     #[inline(always)]
     fn draw_word<const N: usize>(&self, x: &[f64; N], y: &[f64; N], nearest: &mut [f64; N]) {
         let [a, b, c] = &self.edges;
@@ -185,7 +190,7 @@ impl ProjectedTriangle {
             let inverse = at(&self.g);
             let edge = |n: &Vector3<f64>| at(n) >= -ON_EDGE;
             let own = if edge(a) & edge(b) & edge(c) { inverse } else { 0.0 };
-            // Every pixel is written, since a masked store would delay the next word's load.
+            // Every pixel is written, even if it is unchanged, since a masked store would delay the next word's load.
             nearest[k] = if own > nearest[k] { own } else { nearest[k] };
         }
     }
@@ -201,8 +206,8 @@ fn word_mut<const N: usize>(values: &mut [f64], at: usize) -> &mut [f64; N] {
     values[at..].first_chunk_mut().expect("the row goes on")
 }
 
-/// The columns and rows of a triangle's bounding box. `None` if it lies behind the camera or outside the
-/// image.
+/// Returns the columns and the rows of a triangle's bounding box in the image. `v` are the vertices in the camera's
+/// frame. `None` if the triangle lies behind the camera or outside the image.
 fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Range<usize>)> {
     let in_front = v.iter().map(|p| p.z).filter(|z| *z > 0.0);
     let near = in_front.fold(f64::INFINITY, f64::min) * NEAR_FRACTION;
@@ -219,7 +224,7 @@ fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Ra
     let pinhole = camera.model.is_pinhole();
     let mut longest: f64 = 0.0;
     if pinhole && v.iter().all(|p| p.z > 0.0) {
-        // A pinhole's triangle without clipping has straight sides: its vertices suffice.
+        // In a pinhole image, a triangle that isn't clipped has straight sides, so that its vertices bound it.
         v.iter().for_each(|p| add(projected(p)));
     } else {
         let steps = if pinhole { 1 } else { BEND_STEPS };
@@ -236,7 +241,7 @@ fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Ra
             }
         }
     }
-    // A distorted edge deviates from the polygon through its samples by far less than one step.
+    // A distorted edge deviates from the polygon through its samples by far less than the distance between two samples.
     let margin = if pinhole { 1e-6 } else { 1.0 + 0.25 * longest };
     let range = |low: f64, high: f64, size: usize| {
         let last = size as f64;
@@ -251,12 +256,12 @@ fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Ra
     Some((range(low.x, high.x, camera.width)?, range(low.y, high.y, camera.height)?))
 }
 
-/// Clips a segment to depths z of at least `near`. `None` if the whole segment is nearer.
+/// Clips the segment from `a` to `b` to depths z of at least `near`. `None` if the whole segment is nearer than `near`.
 fn clip(a: Vector3<f64>, b: Vector3<f64>, near: f64) -> Option<(Vector3<f64>, Vector3<f64>)> {
     match (a.z >= near, b.z >= near) {
         (true, true) => Some((a, b)),
         (false, false) => None,
-        // The depths lie on both sides of `near`, so they differ.
+        // One depth is below `near` and the other is not, so that the divisor is not 0.
         (true, false) => Some((a, a + (b - a) * ((a.z - near) / (a.z - b.z)))),
         (false, true) => Some((b + (a - b) * ((b.z - near) / (b.z - a.z)), b)),
     }
@@ -288,7 +293,7 @@ mod tests {
         Camera { model, ..small() }
     }
 
-    /// Reference implementation: every pixel tries every triangle (Möller and Trumbore).
+    /// Reference implementation, which intersects every pixel's ray with every triangle (Möller and Trumbore).
     fn naive(points: &[Vector3<f64>], triangles: &[[u32; 3]], camera: &Camera) -> Vec<f32> {
         let mut out = vec![f32::NAN; camera.width * camera.height];
         for (at, depth) in out.iter_mut().enumerate() {
@@ -338,7 +343,7 @@ mod tests {
     fn a_mesh_has_no_cracks_even_where_vertices_are_pixel_centres() {
         let camera = small();
         let mut random = Random::new(8);
-        // A grid of vertices on pixel centres, with random depths; it extends beyond the image.
+        // The vertices form a grid on pixel centres and have random depths. The grid extends beyond the image.
         let (columns, rows) = (19, 15);
         let points: Vec<_> = (0..columns * rows)
             .map(|k| {

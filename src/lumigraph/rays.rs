@@ -1,10 +1,10 @@
-//! The rays through the centres of a view's pixels, row by row.
+//! Rays through the pixel centres of a camera, row by row, and the bounds of a camera's field of view.
 
 use crate::camera::Camera;
 use nalgebra::Point2;
 
-/// The rays (x, y, 1) through the centres of one row's pixels, in the camera's frame. NaN where the lens
-/// model can't be inverted.
+/// Rays (x, y, 1) through the pixel centres of one image row, in the camera's frame. A ray is NaN where the lens model
+/// can't be inverted.
 pub(crate) struct RayRow<'a> {
     camera: &'a Camera,
     pub x: Vec<f64>,
@@ -12,7 +12,7 @@ pub(crate) struct RayRow<'a> {
 }
 
 impl<'a> RayRow<'a> {
-    /// Allocates a row; [`Self::set`] computes the rays.
+    /// Allocates the rays of one row. [`Self::set`] computes their values.
     pub fn new(camera: &'a Camera) -> Self {
         let (fx, _, cx, _) = camera.model.intrinsics();
         // For a pinhole, x is the same in every row.
@@ -20,7 +20,7 @@ impl<'a> RayRow<'a> {
         Self { camera, x, y: vec![0.0; camera.width] }
     }
 
-    /// Computes the rays of a row.
+    /// Computes the rays of the image row `row`.
     pub fn set(&mut self, row: usize) {
         let camera = self.camera;
         let v = row as f64 + 0.5;
@@ -37,18 +37,20 @@ impl<'a> RayRow<'a> {
     }
 }
 
-/// Bounding box, on the plane z = 1, of a view's border.
+/// Axis-aligned bounding box of a camera's field of view, on the plane z = 1 of the camera's frame.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ViewBounds {
     pub min: Point2<f64>,
     pub max: Point2<f64>,
 }
 
-/// Number of samples along each side of the border.
+/// Number of intervals between the sampled points along each side of an image's border. The samples bound the field of
+/// view.
 const STEPS: usize = 32;
 
 impl ViewBounds {
-    /// Bounds of a camera's view. `None` if no ray of the border can be computed.
+    /// Computes the bounds of a camera's field of view from rays through its image border. `None` if none of these rays
+    /// can be computed.
     pub fn of(camera: &Camera) -> Option<Self> {
         let (w, h) = (camera.width as f64, camera.height as f64);
         let mut bounds: Option<Self> = None;
@@ -66,7 +68,7 @@ impl ViewBounds {
         bounds
     }
 
-    /// Enlarges the bounds on every side by a fraction of their size.
+    /// Returns the bounds, enlarged on every side by `fraction` of their width or height.
     pub fn enlarged(&self, fraction: f64) -> Self {
         let by = (self.max - self.min) * fraction;
         Self { min: self.min - by, max: self.max + by }
@@ -81,7 +83,7 @@ impl ViewBounds {
         [a, Point2::new(b.x, a.y), b, Point2::new(a.x, b.y)]
     }
 
-    /// Largest squared distance of a corner from the optical axis.
+    /// Returns the squared distance, on the plane z = 1, between the optical axis and the farthest corner.
     pub fn max_radius2(&self) -> f64 {
         self.corners().iter().map(|c| c.coords.norm_squared()).fold(0.0, f64::max)
     }

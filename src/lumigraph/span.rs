@@ -1,5 +1,5 @@
-//! Blending of a span, a range of neighbouring pixels of a row: reprojection into the sources, weights, and
-//! colours.
+//! Blending of a span, which is a range of neighbouring pixels in one row of the view. The steps are reprojection into
+//! the sources, weights, and colours.
 
 use super::depth_map::DepthMap;
 use super::inpaint::PointVisibility;
@@ -13,40 +13,40 @@ use crate::raster::{Sampling, Tiles, gray_from_rgb, sample, sample_each};
 use crate::simd::multiversion;
 use std::ops::Range;
 
-/// Number of neighbouring pixels whose tiles are marked together.
+/// Number of neighbouring pixels of the view whose tiles in a source image are marked together.
 const MARKED_PX: usize = 8;
-/// Maximum side, pixels, of the bounding box in a source image of several pixels' positions, for which all
-/// tiles of the box are marked as needed. For a larger box, the tiles of each pixel are marked separately.
+/// Maximum side of the bounding box of several pixels' positions in a source image, pixels. Up to this size, all tiles
+/// of the box are marked as needed. For a larger box, the tiles of each pixel are marked separately.
 const MARKED_SIDE_PX: f32 = 12.0;
-/// Minimum inverse depth, 1/m, which also stands for the sky. At 0, the angles to all cameras would be 0, and
-/// all penalties equal.
+/// Minimum inverse depth of a pixel, 1/m, which is also used for the sky. If it were 0, the angles to all cameras would
+/// be 0, and all penalties would be equal.
 const MIN_INVERSE_DEPTH: f32 = 1e-8;
 
-/// Ranges of `width` that cover `count` pixels.
+/// Splits `count` pixels into successive ranges of at most `width` pixels.
 fn ranges(count: usize, width: usize) -> impl Iterator<Item = Range<usize>> {
     (0..count).step_by(width).map(move |from| from..(from + width).min(count))
 }
 
-/// Blends one span of a row at a time.
+/// Blends the rows of a view, one span of pixels at a time.
 pub(super) struct SpanBlender<'a> {
     sources: &'a [Source<'a>],
     reprojections: &'a [Reprojection],
     options: &'a BlendOptions,
     row: RowRays<'a>,
-    /// The nodes between which weights are interpolated. `None`: the weights of every pixel are computed.
+    /// Grid of nodes between which weights are interpolated. `None` if weights are computed at every pixel.
     grid: Option<WeightGrid>,
     span: WeighedSpan,
-    /// For each pixel of the span, whether its point is visible in any source.
+    /// For each pixel of the span, whether any source sees the pixel's surface point.
     visible: [bool; SPAN_PX],
-    /// Indices of all sources, by distance from the view.
+    /// Indices of all sources, ordered by distance from the view, the nearest first.
     order: Vec<usize>,
-    /// Whether some sources are grey and others coloured.
+    /// Whether some sources are grey and others are coloured.
     is_mixed: bool,
     /// Whether the view's camera is a pinhole.
     is_pinhole: bool,
 }
 
-/// A row of the view: the rays (x, y, 1), their lengths, and the inverse depths along them.
+/// A row of the view: the rays (x, y, 1) of its pixels, the lengths of the rays, and the pixels' inverse depths.
 struct RowRays<'a> {
     rays: RayRow<'a>,
     x: Vec<f32>,
@@ -62,13 +62,13 @@ impl<'a> RowRays<'a> {
         Self { rays, x: row(), y: row(), length: row(), inverse_depth: row() }
     }
 
-    /// Computes the rays and inverse depths of row `y`.
+    /// Computes the rays and the inverse depths of row `y` of the view. `depths` are the row's depths, metres.
     fn set(&mut self, y: usize, depths: &[f32]) {
         self.rays.set(y);
         set_rays(self, depths);
     }
 
-    /// Moves the values of these columns, in ascending order, to the front of the vectors.
+    /// Moves the values at these columns to the front of each vector. The columns must be in ascending order.
     fn keep(&mut self, columns: &[usize]) {
         for (k, &column) in columns.iter().enumerate() {
             for values in [&mut self.x, &mut self.y, &mut self.length, &mut self.inverse_depth] {
@@ -77,7 +77,7 @@ impl<'a> RowRays<'a> {
         }
     }
 
-    /// The values of a range of columns.
+    /// Returns the rays, their lengths, and the inverse depths in a range of the row's columns.
     fn of(&self, columns: Range<usize>) -> TargetRow<'_> {
         TargetRow {
             x: &self.x[columns.clone()],
@@ -89,7 +89,7 @@ impl<'a> RowRays<'a> {
 }
 
 multiversion! {
-    /// Sets a row's rays, lengths and inverse depths.
+    /// Sets a row's rays, their lengths, and the inverse depths. `depths` are the row's depths, metres.
     fn set_rays(row: &mut RowRays, depths: &[f32]) = set_rays_by
 }
 
@@ -139,7 +139,7 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Prepares row `y` of the view.
+    /// Prepares row `y` of the view for blending. `depth` is the view's depth map.
     pub fn set_row(&mut self, y: usize, depth: &DepthMap) {
         if let Some(mut grid) = self.grid.take() {
             let step = grid.step;
@@ -154,7 +154,8 @@ impl<'a> SpanBlender<'a> {
         self.row.set(y, depth.row(y));
     }
 
-    /// Computes the weights at these columns of the row, source by source.
+    /// Computes the weights of all sources at the given columns of the current row. Writes them to `weights`: the first
+    /// source's weights at all columns, then the second source's, and so on.
     fn weigh_nodes(&mut self, columns: &[usize], weights: &mut [f32]) {
         self.row.keep(columns);
         for nodes in ranges(columns.len(), SPAN_PX) {
@@ -170,9 +171,9 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// The columns of the row's spans.
+    /// Returns the ranges of columns that form the row's spans.
     pub fn columns(&self) -> impl Iterator<Item = Range<usize>> + use<> {
-        // A span contains whole cells of the grid of nodes.
+        // A span consists of whole cells of the grid of nodes.
         let step = self.grid.as_ref().map_or(1, |grid| grid.step);
         ranges(self.row.x.len(), SPAN_PX / step * step)
     }
@@ -185,8 +186,9 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Interpolates weights between nodes, and multiplies them by the confidences. False if a pixel's weights
-    /// are all 0: a source may see the pixel's point, but none of the points at the nodes around it.
+    /// Interpolates the weights of a range of pixels between nodes, and multiplies them by the confidences. Returns
+    /// false if there is no grid, or if a pixel has the weight 0 in all sources. The latter also happens if a source
+    /// sees the pixel's point, but no source sees the points at the surrounding nodes.
     fn weigh_between_nodes(&mut self, columns: Range<usize>) -> bool {
         let Some(grid) = &self.grid else { return false };
         self.span.count = columns.len();
@@ -203,9 +205,9 @@ impl<'a> SpanBlender<'a> {
         normalize(&mut self.span)
     }
 
-    /// Reprojects the points of a range of the row's pixels, in order of the sources' distance from the view.
-    /// After the nearest k+1 sources, a source is culled if the lower bound of its penalties reaches the
-    /// largest threshold of the weights.
+    /// Reprojects the points of a range of the row's pixels into the sources, and computes penalties and confidences.
+    /// The nearest k+1 sources are always used, where k is the number of blended sources. A farther source may be left
+    /// out, if a lower bound of its penalties shows that its weight is 0 at all of these pixels.
     fn measure(&mut self, columns: Range<usize>) {
         self.span.count = columns.len();
         self.span.active.clear();
@@ -219,8 +221,7 @@ impl<'a> SpanBlender<'a> {
         for (rank, &i) in self.order.iter().enumerate() {
             if rank == first && !self.is_mixed {
                 let limit = self.span.max_threshold(&self.order[..first]);
-                // A threshold of 0 means that several sources stand at the view's centre, and all of them
-                // count.
+                // A threshold of 0 means that several sources stand at the view's centre. All of them are blended.
                 let may_cull = limit > 0.0 && limit < f32::INFINITY;
                 cone_and_limit = may_cull.then(|| (RayCone::around(&row, self.is_pinhole), limit));
             }
@@ -235,11 +236,12 @@ impl<'a> SpanBlender<'a> {
             let own = &mut self.span.of_source[i];
             reprojection.measure(&row, &self.sources[i], own, &mut self.visible);
         }
-        // In ascending order, rounding in sums over sources doesn't depend on which were culled.
+        // The sources are sorted, so that rounding in sums over sources doesn't depend on which sources were culled.
         self.span.active.sort_unstable();
     }
 
-    /// Computes weights from the penalties.
+    /// Computes the weights of the span's pixels from the sources' penalties or, with the uniform method, from their
+    /// confidences.
     fn weigh_measured(&mut self) {
         match self.options.method {
             BlendMethod::Uniform => self.span.weigh_uniformly(),
@@ -249,7 +251,7 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Computes the weights again for the coloured sources alone.
+    /// Computes the weights of the span's pixels again, for the coloured sources alone.
     fn weigh_colored(&mut self) {
         for (source, own) in self.sources.iter().zip(&mut self.span.of_source) {
             if source.image.channels() == 1 {
@@ -260,7 +262,7 @@ impl<'a> SpanBlender<'a> {
         self.weigh_measured();
     }
 
-    /// Marks the tiles of each source's image from which the span is blended.
+    /// Marks the tiles of the sources' images from which the span is blended. `tiles` has one mask per source.
     pub fn mark(&mut self, tiles: &mut [Tiles]) {
         self.mark_weighed(tiles);
         if self.is_mixed {
@@ -269,7 +271,7 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Marks the tiles of each source's image that are sampled at pixels in which the source has weight.
+    /// Marks the tiles of each source's image that are sampled at the pixels where the source has a positive weight.
     fn mark_weighed(&self, tiles: &mut [Tiles]) {
         for &i in &self.span.active {
             let own = &self.span.of_source[i];
@@ -282,7 +284,7 @@ impl<'a> SpanBlender<'a> {
                         (*low, *high) = (low.min(v), high.max(v));
                     }
                 }
-                // At a depth edge, the bounding box would contain tiles that no sample needs.
+                // Across a depth edge, the bounding box would contain tiles that no sample needs.
                 if high[0] - low[0] < MARKED_SIDE_PX && high[1] - low[1] < MARKED_SIDE_PX {
                     if low[0] <= high[0] {
                         tiles[i].mark_samples(low, high);
@@ -294,7 +296,7 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Blends the span from sources that all have C channels into `pixels`, interleaved.
+    /// Blends the span into `pixels`, whose C channels are interleaved. All sources must have C channels.
     pub fn blend<const C: usize>(&mut self, pixels: &mut [f32]) {
         for &i in &self.span.active {
             let own = &self.span.of_source[i];
@@ -309,12 +311,12 @@ impl<'a> SpanBlender<'a> {
                 }
             });
         }
-        // Cubic interpolation overshoots.
+        // Cubic interpolation can overshoot the range from 0 to 1.
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
-    /// Blends the span from grey and coloured sources: luminance from all sources, chrominance from the
-    /// coloured ones. Sets the confidence of grey sources to 0.
+    /// Blends the span into `pixels`, interleaved RGB, from grey and coloured sources. Luminance comes from all
+    /// sources, and chrominance from the coloured sources. Sets the confidence of grey sources to 0.
     pub fn blend_mixed(&mut self, pixels: &mut [f32]) {
         let sources = self.sources;
         let is_colored = |i: usize| sources[i].image.channels() == 3;
@@ -334,9 +336,8 @@ impl<'a> SpanBlender<'a> {
         let best_of_colored = self.best_confidence();
         for &i in self.span.active.iter().filter(|&&i| is_colored(i)) {
             for (x, pixel) in pixels.as_chunks_mut::<3>().0.iter_mut().enumerate() {
-                // Chrominance fades out where coloured cameras lose a point that others see, unless the
-                // luminance is from the coloured camera too. Where a weight is positive, a confidence is
-                // positive.
+                // Chrominance fades out where grey cameras see a point better than coloured cameras do, unless the
+                // luminance comes from coloured cameras too. `best_of_any` is positive wherever a weight is positive.
                 let fade = colored_weight[x].max(best_of_colored[x] / best_of_any[x]);
                 let weight = self.span.of_source[i].weight[x];
                 if weight > 0.0 {
@@ -351,7 +352,7 @@ impl<'a> SpanBlender<'a> {
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
-    /// The largest confidence of any source at each pixel.
+    /// Returns the largest confidence of any source at each pixel of the span.
     fn best_confidence(&self) -> [f32; SPAN_PX] {
         let mut best = [0.0_f32; SPAN_PX];
         for &i in &self.span.active {
@@ -362,7 +363,7 @@ impl<'a> SpanBlender<'a> {
         best
     }
 
-    /// The RGB colour of a source, grey or coloured, at a pixel of the span.
+    /// Samples a source's image, grey or coloured, at a pixel of the span. Returns RGB.
     fn sample_rgb(&self, source: usize, pixel: usize) -> [f32; 3] {
         let (image, own) = (self.sources[source].image, &self.span.of_source[source]);
         let (x, y) = (own.x[pixel], own.y[pixel]);
@@ -373,7 +374,7 @@ impl<'a> SpanBlender<'a> {
         [gray; 3]
     }
 
-    /// Sets the visibility of the span's points. Must be called before [`Self::blend_mixed`], which changes
+    /// Writes the visibility of the span's surface points. Must be called before [`Self::blend_mixed`], which changes
     /// confidences.
     pub fn set_visibility(&self, visibility: &mut [PointVisibility]) {
         let best = self.best_confidence();

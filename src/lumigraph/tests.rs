@@ -12,24 +12,25 @@ pub(super) fn assert_covered(map: &DepthMap) {
     assert_eq!(missing, 0, "pixels without depth");
 }
 
-/// A camera of 96×72 pixels, 46° wide, that looks along +z.
+/// Returns a camera at `center`, metres, that looks along +z. It has 96×72 pixels, and its horizontal field of view is
+/// 46°.
 pub(super) fn camera_at(center: [f64; 3]) -> Camera {
     let model = CameraModel::Pinhole { fx: 112.0, fy: 112.0, cx: 48.0, cy: 36.0 };
     Camera { width: 96, height: 72, model, ..pinhole_at(center) }
 }
 
-/// A rig of eight cameras on a line, as the paper's, 60 mm apart.
+/// Returns a rig of eight cameras on a line, 60 mm apart, as in the paper.
 pub(super) fn rig() -> Vec<Camera> {
     (0..8).map(|k| camera_at([0.06 * (f64::from(k) - 3.5), 0.0, 0.0])).collect()
 }
 
-/// The colour of a smooth texture at a position in the world, metres.
+/// Returns the colour of a smooth texture, RGB of 0 to 1, at a position in the world, metres.
 fn texture(p: &Point3<f64>) -> [f32; 3] {
     let wave = |a: f64, b: f64, c: f64| (0.5 + 0.4 * (a * p.x + b * p.y + c).sin()) as f32;
     [wave(7.0, 3.0, 0.3), wave(-4.0, 8.0, 1.0), wave(5.0, 5.0, 2.0)]
 }
 
-/// The image of a textured plane.
+/// Returns the image that a camera takes of a textured plane.
 fn film(camera: &Camera, plane: &Plane) -> Image {
     let mut data = Vec::new();
     for y in 0..camera.height {
@@ -65,8 +66,8 @@ pub(super) fn turned(mut camera: Camera, angles: [f64; 3]) -> Camera {
     camera
 }
 
-/// Reference implementation: the formulas of [`super::blend`] with the rule of Buehler et al., pixel by
-/// pixel.
+/// Reference implementation of [`super::blend`], pixel by pixel, with the weights of Buehler et al. Returns the RGB of
+/// every pixel.
 fn naive(sources: &[Source], depth: &DepthMap, target: &Camera, o: &BlendOptions) -> Vec<[f32; 3]> {
     let mut out = Vec::new();
     for y in 0..target.height {
@@ -220,7 +221,7 @@ fn the_order_of_the_cameras_does_not_matter() {
     let mut random = Random::new(34);
     let mut cameras = rig();
     let mut images: Vec<Image> = cameras.iter().map(|c| noise(c, 3, &mut random)).collect();
-    // The middle of the rig, where cameras on both sides are equally far.
+    // The view is in the middle of the rig, where cameras on both sides are equally distant.
     let target = camera_at([0.0; 3]);
     let depth = Proxy::Plane(tilted()).depth_map(&target);
     let options = BlendOptions::default();
@@ -233,7 +234,7 @@ fn the_order_of_the_cameras_does_not_matter() {
     }
 }
 
-/// Tiles that no pixel is blended from are never read; all others are.
+/// Checks that the blend reads the tiles that [`contributing`] returns, and no other tiles.
 #[test]
 fn tiles_that_do_not_contribute_may_show_anything() {
     let mut random = Random::new(36);
@@ -296,7 +297,7 @@ fn gray_cameras_give_luminance_and_colored_ones_color() {
         .collect();
     let sources = sources(&cameras, &images);
     let options = BlendOptions::default();
-    // Viewpoints between cameras, at a coloured one and at a grey one.
+    // The viewpoints are between two cameras, at a coloured camera, and at a grey camera.
     for x in [0.013, cameras[3].center().x, cameras[4].center().x] {
         let target = camera_at([x, 0.0, 0.0]);
         let depth = Proxy::Plane(plane).depth_map(&target);
@@ -402,7 +403,7 @@ fn options_round_trip_and_refuse_unknown_fields() {
     assert!(serde_json::from_str::<BlendOptions>(r#"{"camera": 3}"#).is_err());
 }
 
-/// Sources with the interpolation errors of their pixels.
+/// Returns sources with the given interpolation errors: for each source, one error per pixel of its image, in pixels.
 fn interpolated<'a>(
     cameras: &'a [Camera],
     images: &'a [Image],
@@ -414,7 +415,7 @@ fn interpolated<'a>(
 
 #[test]
 fn what_was_interpolated_far_gives_way_to_what_was_filmed_then() {
-    // One camera is as far to the left of the view as the other to the right.
+    // One camera is to the left of the view, and the other equally far to the right.
     let cameras = [camera_at([-0.03, 0.0, 0.0]), camera_at([0.03, 0.0, 0.0])];
     let target = camera_at([0.0; 3]);
     let images = [0.0, 1.0].map(|v| Image::filled(96, 72, 1, v));
@@ -431,7 +432,7 @@ fn what_was_interpolated_far_gives_way_to_what_was_filmed_then() {
     assert!((middle([20.0, 20.0], &by_both) - 0.5).abs() < 0.01);
     assert!(middle([0.0, 40.0], &by_both) < 0.2);
     assert!(middle([40.0, 0.0], &by_both) > 0.8);
-    // Weights are continuous in time too: no jump where the interpolation error becomes 0.
+    // Weights are continuous in time too: they don't jump where the interpolation error becomes 0.
     let (near, at) = (middle([0.0, 1e-4], &by_both), middle([0.0, 0.0], &by_both));
     assert!((near - at).abs() < 1e-3, "{near} {at}");
 }
@@ -448,7 +449,7 @@ fn a_frame_comes_back_at_its_place_and_time() {
         let found = blend(&interpolated(&cameras, &images, &px), &depth, &cameras[k], &options);
         let apart = found.image.data().iter().zip(images[k].data()).map(|(a, b)| (a - b).abs());
         assert!(apart.fold(0.0, f32::max) < 1e-4, "camera {k}");
-        // With an interpolation error, the neighbours contribute.
+        // If a camera's image has an interpolation error, neighbouring cameras contribute.
         px[k] = vec![30.0; 96 * 72];
         let found = blend(&interpolated(&cameras, &images, &px), &depth, &cameras[k], &options);
         assert!(found.image != images[k]);

@@ -1,53 +1,55 @@
 //! Triangulation of a 3D point from its images in several cameras at one instant.
 //!
-//! The unknowns are a direction (u, v) from the first camera and an inverse distance ρ: `X = C_0 + s (r + u
-//! e_1 + v e_2) / ρ`. Here C_i are the cameras' centres, r is the unit ray of the first camera, e_1 and e_2
-//! complete r to an orthonormal basis, and s is the largest distance of a camera from the first. Camera i, of
-//! rotation R_i, sees X along `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`. This is linear in (u, v, ρ), and
-//! finite at infinity, ρ = 0. The linear solution is well conditioned, and independent of the world's origin
-//! and scale.
+//! The unknowns are a direction (u, v) from the first camera and an inverse distance ρ:
+//! `X = C_0 + s (r + u e_1 + v e_2) / ρ`. Here C_i are the cameras' centres, r is the unit ray of the first camera, e_1
+//! and e_2 complete r to an orthonormal basis, and s is the largest distance of a camera from the first. Camera i, with
+//! the rotation R_i, sees X in the direction `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`. This direction is linear in
+//! (u, v, ρ), and finite for a point at infinity, where ρ = 0. The linear solution is well conditioned, and independent
+//! of the world's origin and scale.
 
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
-/// A triangulated point.
+/// A triangulated point with measures of its accuracy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Triangulated {
-    /// Position in the world, metres.
+    /// Position of the point in the world, metres.
     pub point: Point3<f64>,
-    /// Root mean square reprojection error, pixels.
+    /// Root mean square reprojection error over the observations, pixels.
     pub rms_px: f64,
-    /// Largest angle between two of the observations' rays.
+    /// Largest angle between the rays of any two observations, radians.
     pub max_angle_rad: f64,
 }
 
-/// Minimum parallax between two rays, pixels at the longest of the cameras' focal lengths: about the
-/// resolution of trackers.
+/// Minimum parallax of a triangulated point, pixels: the largest angle between two of its rays, in radians, times the
+/// longest focal length of the cameras. It is about the resolution of feature trackers.
 const MIN_PARALLAX_PX: f64 = 0.07;
-/// Maximum number of Levenberg–Marquardt steps; 2 to 5 are needed.
+/// Maximum number of Levenberg–Marquardt steps of a triangulation. 2 to 5 are needed.
 const MAX_ITERATIONS: usize = 20;
-/// Length of a step at which the minimization ends; its components are (u, v, ρ).
+/// Length of a Levenberg–Marquardt step in (u, v, ρ) below which a triangulation ends.
 const MIN_STEP: f64 = 1e-14;
 
-/// An observation as an equation in (u, v, ρ), in the notation of the module's documentation.
+/// An observation of a point by camera i, as an equation in the unknowns (u, v, ρ). The module's documentation defines
+/// the symbols.
 struct ObservationEquation {
-    /// R_i times the basis (e_1, e_2, r): from that basis to the camera's axes.
+    /// Rotation R_i times the basis (e_1, e_2, r). It transforms from this basis to the axes of camera i.
     rotation: Matrix3<f64>,
-    /// (C_0 − C_i) / s in the camera's axes.
+    /// Vector (C_0 − C_i) / s in the axes of camera i: from its centre to the first camera's centre, scaled.
     shift: Vector3<f64>,
-    /// The observed point on the plane z = 1.
+    /// Observed position of the point on the plane z = 1.
     observed: Point2<f64>,
-    /// Focal lengths in x and y: pixels per unit of the plane z = 1.
+    /// Focal lengths in x and y, pixels.
     focal: (f64, f64),
 }
 
 impl ObservationEquation {
-    /// The direction to the point p = (u, v, ρ), scaled by its inverse distance, in the camera's axes.
+    /// Returns the direction from the camera to the point p = (u, v, ρ), in the camera's axes. Its length is the
+    /// distance times ρ / s.
     fn direction(&self, p: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * Vector3::new(p.x, p.y, 1.0) + self.shift * p.z
     }
 
-    /// The derivative of [`Self::direction`] by (u, v, ρ).
+    /// Returns the derivative of [`Self::direction`] with respect to (u, v, ρ).
     fn derivative(&self) -> Matrix3<f64> {
         Matrix3::from_columns(&[
             self.rotation.column(0).into_owned(),
@@ -57,11 +59,11 @@ impl ObservationEquation {
     }
 }
 
-/// Triangulates a point of the world from its pixels in several cameras, by least squares of reprojection
-/// errors in pixels without distortion.
+/// Triangulates a point of the world from its pixel positions in several cameras. Minimizes the squared reprojection
+/// errors, in pixels without lens distortion.
 ///
-/// `None` for fewer than two observations or distinct centres, pixels without a ray, rays that are parallel
-/// to within 0.07 px, and a point at infinity or behind a camera.
+/// `None` if there are fewer than two observations or fewer than two distinct camera centres, if a pixel's ray can't be
+/// computed, if all rays are parallel to within 0.07 px, or if the point is at infinity or behind a camera.
 pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulated> {
     let rays: Vec<Vector3<f64>> = observations
         .iter()
@@ -74,7 +76,7 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
         .map(|(camera, _)| (camera.center() - center).norm())
         .fold(0.0, f64::max);
     let focal_px = observations.iter().map(|(camera, _)| camera.focal_px()).fold(0.0, f64::max);
-    // Also rejects NaN coordinates. Focal lengths are positive.
+    // The negated comparison also rejects NaN coordinates. Focal lengths are positive.
     if !(max_angle_rad * focal_px >= MIN_PARALLAX_PX && scale > 0.0 && scale.is_finite()) {
         return None;
     }
@@ -96,8 +98,8 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
 
     let start = linear(&equations)?;
     let p = refine(&equations, start);
-    // A lower bound of ρ. Beyond it, the distance exceeds s over the square of the smallest angle, and the
-    // parallax is far below its minimum.
+    // At a smaller ρ, the point's distance exceeds s divided by the square of the minimum angle, and its parallax is
+    // far below the minimum.
     if !(p.z > (MIN_PARALLAX_PX / focal_px).powi(2))
         || equations.iter().any(|e| !(e.direction(&p).z > 0.0))
     {
@@ -112,7 +114,7 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
     Some(Triangulated { point, rms_px, max_angle_rad })
 }
 
-/// Largest angle between two rays.
+/// Returns the largest angle between any two of the rays, radians.
 fn max_angle(rays: &[Vector3<f64>]) -> f64 {
     let mut largest: f64 = 0.0;
     for (i, a) in rays.iter().enumerate() {
@@ -123,15 +125,17 @@ fn max_angle(rays: &[Vector3<f64>]) -> f64 {
     largest
 }
 
-/// Orthonormal columns (e_1, e_2, r) for a unit vector r.
+/// Returns an orthonormal basis, as the columns (e_1, e_2, r), for a unit vector r.
 fn axes_along(r: &Vector3<f64>) -> Matrix3<f64> {
-    // The axis with the smallest component along r: the cross product is at least sqrt(2/3) long.
+    // The coordinate axis with the smallest component along r is used. Its cross product with r has a length of at
+    // least sqrt(2/3).
     let e1 = r.cross(&Vector3::ith_axis(r.iamin())).normalize();
     Matrix3::from_columns(&[e1, r.cross(&e1), *r])
 }
 
-/// Linear least-squares solution (u, v, ρ) of `x · q_z − q_x = 0` for the observed x, and likewise for y,
-/// where the direction q is linear in (u, v, ρ). `None` if the system is singular.
+/// Solves the equations `x · q_z − q_x = 0` and `y · q_z − q_y = 0` of all observations by linear least squares. (x, y)
+/// is the observed point, and q is the direction, which is linear in (u, v, ρ). Returns (u, v, ρ). `None` if the system
+/// is singular.
 fn linear(equations: &[ObservationEquation]) -> Option<Vector3<f64>> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for e in equations {
@@ -146,8 +150,8 @@ fn linear(equations: &[ObservationEquation]) -> Option<Vector3<f64>> {
     normal.cholesky().map(|c| c.solve(&right))
 }
 
-/// The sum of squared reprojection errors (pixels without distortion), its gradient, and its Gauss–Newton
-/// matrix. Infinite if the point is behind a camera.
+/// Computes the sum of squared reprojection errors at p = (u, v, ρ), in pixels without distortion, its gradient, and
+/// its Gauss–Newton matrix. The sum is infinite if the point is behind a camera.
 fn cost(equations: &[ObservationEquation], p: &Vector3<f64>) -> (f64, Vector3<f64>, Matrix3<f64>) {
     let (mut sum, mut gradient, mut normal) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for e in equations {
@@ -167,7 +171,7 @@ fn cost(equations: &[ObservationEquation], p: &Vector3<f64>) -> (f64, Vector3<f6
     (sum, gradient, normal)
 }
 
-/// Minimizes [`cost`] by Levenberg–Marquardt. A start behind a camera is returned unchanged.
+/// Minimizes [`cost`] over (u, v, ρ) by Levenberg–Marquardt. A start behind a camera is returned unchanged.
 fn refine(equations: &[ObservationEquation], start: Vector3<f64>) -> Vector3<f64> {
     let mut p = start;
     let (mut error, mut gradient, mut normal) = cost(equations, &p);

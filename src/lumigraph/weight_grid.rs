@@ -1,26 +1,29 @@
-//! Weights at the nodes of a square grid over the view, between which they are interpolated. Buehler et al.
-//! interpolate over a triangulation of the view.
+//! Blending weights at the nodes of a square grid over the view. Between the nodes, weights are interpolated. Buehler
+//! et al. interpolate over a triangulation of the view instead.
 
 use crate::camera::Camera;
 use std::ops::Range;
 
-/// The two rows of nodes above and below a row of the view. Weights are stored source by source.
+/// Blending weights at the two rows of grid nodes that enclose a row of the view.
 pub(super) struct WeightGrid {
-    /// Distance of neighbouring nodes, pixels.
+    /// Distance between neighbouring nodes, pixels.
     pub step: usize,
-    /// Columns of the view that have nodes; the last is the view's last column.
+    /// Columns of the view that have nodes, ascending. The last is the view's last column.
     pub columns: Vec<usize>,
-    /// Index of the upper of the two rows of nodes; `None` before the rows are filled.
+    /// Index, among the grid's rows of nodes, of the upper one of the two stored rows. `None` before the rows are
+    /// filled.
     above: Option<usize>,
-    /// The weights at the nodes of both rows.
+    /// Weights at the nodes of the two stored rows, the upper row first. Each row holds the first source's weights at
+    /// all nodes, then the second source's, and so on.
     rows: [Vec<f32>; 2],
-    /// The weights at the nodes' columns, interpolated to the current row of the view.
+    /// Weights at the columns with nodes, interpolated vertically to the current row of the view. The order is that of
+    /// `rows`.
     between: Vec<f32>,
 }
 
 impl WeightGrid {
-    /// A grid with nodes every `step` pixels of a view. `None` if each pixel would be a node, or the view has
-    /// a single column.
+    /// Creates a grid with a node every `step` pixels in both directions. `None` if every pixel would be a node, or if
+    /// the view has a single column.
     pub fn new(target: &Camera, sources: usize, step: usize) -> Option<Self> {
         let column = |k: usize| (k * step).min(target.width - 1);
         let columns: Vec<usize> = (0..=target.width.div_ceil(step)).map(column).collect();
@@ -29,8 +32,8 @@ impl WeightGrid {
         (step > 1 && target.width > 1).then_some(Self { step, columns, above: None, rows, between })
     }
 
-    /// Interpolates weights to row `y` of the view. `fill` computes the weights of a row of nodes, given its index and
-    /// the nodes' columns.
+    /// Interpolates the weights vertically to row `y` of the view. `fill` computes the weights of one row of nodes; its
+    /// arguments are the index of that row, the columns with nodes, and the output, ordered as in `rows`.
     pub fn set_row(&mut self, y: usize, mut fill: impl FnMut(usize, &[usize], &mut [f32])) {
         let above = y / self.step;
         if self.above != Some(above) {
@@ -48,8 +51,9 @@ impl WeightGrid {
         }
     }
 
-    /// A source's weights at the nodes that enclose these columns of the view; the first column must have a
-    /// node. `None` if all of them are 0.
+    /// Returns a source's weights at the nodes from the first to the last column of a range, and at the next node after
+    /// it. The weights are those of the current row of the view. The first column must have a node. `None` if all these
+    /// weights are 0.
     pub fn around(&self, source: usize, columns: Range<usize>) -> Option<&[f32]> {
         let (from, last) = (columns.start / self.step, columns.end.div_ceil(self.step));
         let first = source * self.columns.len();
@@ -85,7 +89,8 @@ mod tests {
             p1: 0.0,
             p2: 0.0,
         };
-        // Viewpoints among the cameras, at one of them, beside them all, rotated, and with another lens.
+        // The viewpoints are between the cameras, at a camera, and beside all cameras; one view is rotated, and one has
+        // lens distortion.
         let targets = [
             camera_at([0.013, 0.02, 0.1]),
             cameras[2].clone(),
@@ -96,7 +101,7 @@ mod tests {
         for target in &targets {
             let pixels = (target.width * target.height) as f64;
             let mut depth = Proxy::Plane(tilted()).depth_map(target).data().to_vec();
-            // Single pixels without depth, and of the sky.
+            // Some pixels have no depth, and some show the sky.
             for depth_m in [f32::NAN, f32::INFINITY] {
                 (0..20).for_each(|_| depth[random.in_range(0.0, pixels) as usize] = depth_m);
             }

@@ -1,24 +1,25 @@
-//! The weight of each camera in a pixel.
+//! Blending weights of the cameras at a pixel.
 //!
-//! Buehler et al. weight the k best cameras by `(1 − p / p_{k+1}) / p`, normalized, with p the penalty and
-//! p_{k+1} the penalty of the next camera. This is discontinuous where the k+1 smallest penalties are equal
-//! (0/0). Here p_{k+1} is replaced by a threshold that is at least [`THRESHOLD_MARGIN`] above the smallest
-//! penalty, so that weights are continuous functions of the penalties.
+//! Buehler et al. blend the k cameras with the smallest penalties. With p the penalty of a camera and p_{k+1} the
+//! (k+1)-th smallest penalty, the camera's weight is `(1 − p / p_{k+1}) / p`, normalized to a sum of 1. These weights
+//! are discontinuous where the k+1 smallest penalties are equal, since they become 0/0. Here p_{k+1} is replaced by a
+//! threshold. It exceeds the smallest penalty by at least the fraction [`THRESHOLD_MARGIN`]. So weights are continuous
+//! functions of the penalties.
 
 use crate::method::methods;
 use crate::simd::multiversion;
 use serde::{Deserialize, Serialize};
 
-/// Methods to weigh the cameras that see a point, the cheapest first.
+/// Methods to compute the blending weights of the cameras that see a point, the cheapest first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BlendMethod {
-    /// Equal weights of all cameras that see the point (the paper's Fig. 14).
+    /// All cameras that see the point have equal weights (the paper's Fig. 14).
     Uniform,
-    /// Unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001; §6): by angle and resolution.
+    /// Weights depend on angle and resolution: unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001; §6).
     #[default]
     Lumigraph,
-    /// By angle, resolution, and the error of temporal interpolation.
+    /// Weights depend on angle, resolution, and the expected error of temporal interpolation.
     SpaceTime,
 }
 
@@ -28,24 +29,29 @@ methods!(BlendMethod {
     SpaceTime = "space-time": "By angle, resolution, and the expected error of interpolation in time",
 });
 
-/// Minimum of the threshold above the smallest penalty, as a fraction of that penalty.
+/// Minimum distance between the penalty threshold, at which weights reach 0, and the smallest penalty, as a fraction of
+/// the smallest penalty.
 const THRESHOLD_MARGIN: f32 = 0.05;
 
-/// Maximum number of neighbouring pixels whose weights are computed together.
+/// Maximum number of neighbouring pixels in a row whose blending weights are computed together.
 pub(super) const SPAN_PX: usize = 64;
 
-/// The points of a span of neighbouring pixels, as one source sees them.
+/// Positions, penalties, confidences and weights, in one source camera, of the surface points that a span of
+/// neighbouring pixels of the view shows.
 pub(super) struct SourceSpan {
-    /// The x of the points' positions in the source's image, pixels.
+    /// Horizontal positions of the span's surface points in the source's image, pixels.
     pub x: [f32; SPAN_PX],
-    /// The y of the points' positions in the source's image, pixels.
+    /// Vertical positions of the span's surface points in the source's image, pixels.
     pub y: [f32; SPAN_PX],
-    /// Penalties: infinite where the source doesn't see the point, and 0 if the source stands at the view's
-    /// centre. Where some penalties are 0, only these sources count, in proportion to their confidence.
+    /// Penalties of the source at the span's surface points: infinite where the source doesn't see the point, and 0 if
+    /// the source stands at the view's centre. Where any source has the penalty 0, only the sources with the penalty 0
+    /// are blended, weighted by their confidence.
     pub penalty: [f32; SPAN_PX],
-    /// Confidence: 1 inside the image, 0 outside, less at its border and for occluded points.
+    /// Confidences of the source in the span's surface points: 1 inside the image, 0 outside, and less than 1 near the
+    /// image's border and for occluded points.
     pub confidence: [f32; SPAN_PX],
-    /// Weights. Over all sources, they sum to 1 at each pixel, or to 0 where no source sees the point.
+    /// Blending weights of the source at the span's surface points. Over all sources, the weights of a pixel sum to 1,
+    /// or to 0 where no source sees the point.
     pub weight: [f32; SPAN_PX],
 }
 
@@ -59,14 +65,15 @@ impl SourceSpan {
     };
 }
 
-/// A span of pixels with its weights in all sources. Values beyond the last pixel are undefined.
+/// A span of neighbouring pixels, with the blending weights of all sources. Values beyond the last pixel are undefined.
 pub(super) struct WeighedSpan {
-    /// Number of pixels, at most [`SPAN_PX`].
+    /// Number of pixels in the span, at most [`SPAN_PX`].
     pub count: usize,
-    /// Indices of the sources that may have weight, ascending; the values of other sources are undefined.
+    /// Indices of the sources that may have a positive weight, ascending. The values of other sources are undefined.
     pub active: Vec<usize>,
     pub of_source: Vec<SourceSpan>,
-    /// The k+1 smallest penalties of each pixel, ascending.
+    /// The k+1 smallest penalties of each pixel, where k sources are blended. The first array holds the smallest
+    /// penalty of every pixel, and later arrays hold larger penalties.
     ranks: Vec<[f32; SPAN_PX]>,
 }
 
@@ -76,12 +83,12 @@ impl WeighedSpan {
         Self { count: 0, active: Vec::new(), of_source, ranks: Vec::new() }
     }
 
-    /// Computes the weights of the k cameras of smallest penalty; `k` = 0 counts as 1.
+    /// Computes the weights of the `k` sources with the smallest penalties at each pixel. `k` = 0 counts as 1.
     pub fn weigh_best(&mut self, k: usize) {
         lumigraph(self, k.clamp(1, self.active.len().max(1)));
     }
 
-    /// Computes equal weights, multiplied by the confidences.
+    /// Computes equal weights of all sources, multiplied by the confidences and normalized to a sum of 1.
     pub fn weigh_uniformly(&mut self) {
         for &i in &self.active {
             let own = &mut self.of_source[i];
@@ -90,12 +97,12 @@ impl WeighedSpan {
         normalize(self);
     }
 
-    /// Writes the `count` smallest penalties of each pixel to `ranks`.
+    /// Writes the `count` smallest penalties of each pixel to `ranks`, ascending.
     #[inline(always)]
     fn rank(&mut self, count: usize) {
         self.ranks.clear();
         self.ranks.resize(count, [f32::INFINITY; SPAN_PX]);
-        // Insertion sort by exchanges, vectorized over the pixels.
+        // This is an insertion sort by exchanges, vectorized over the pixels.
         for &i in &self.active {
             let mut inserted = self.of_source[i].penalty;
             for rank in &mut self.ranks {
@@ -108,8 +115,9 @@ impl WeighedSpan {
         }
     }
 
-    /// The largest threshold over the span's pixels, computed from these k+1 sources alone. Further sources
-    /// can only lower it.
+    /// Returns the largest penalty threshold of any pixel of the span. Weights reach 0 at the threshold. `sources` are
+    /// the indices of k+1 sources, where k is the number of blended sources. With more sources, the threshold could
+    /// only become lower.
     pub fn max_threshold(&self, sources: &[usize]) -> f32 {
         let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
         for &i in sources {
@@ -125,14 +133,15 @@ impl WeighedSpan {
     }
 }
 
-/// The threshold of a pixel's weights, from its smallest penalty `best` and its (k+1)-th smallest `next`.
+/// Computes the penalty threshold of a pixel, at which weights reach 0. `best` is the pixel's smallest penalty, and
+/// `next` its (k+1)-th smallest penalty, where k is the number of blended sources.
 #[inline(always)]
 fn threshold(next: f32, best: f32) -> f32 {
     next.max(best * (1.0 + THRESHOLD_MARGIN))
 }
 
 multiversion! {
-    /// Divides each pixel's weights by their sum over the sources. False if the sum is 0 at some pixel.
+    /// Divides each pixel's weights by their sum over the sources. Returns false if the sum is 0 at any pixel.
     pub(super) fn normalize(span: &mut WeighedSpan) -> bool = normalize_by
 }
 
@@ -154,8 +163,8 @@ fn normalize_by(span: &mut WeighedSpan) -> bool {
 }
 
 multiversion! {
-    /// Computes the weights of the k cameras of smallest penalty, by the formula of the module's
-    /// documentation.
+    /// Computes the weights of the `k` sources with the smallest penalties at each pixel, by the formula of the
+    /// module's documentation.
     fn lumigraph(span: &mut WeighedSpan, k: usize) = lumigraph_by
 }
 
@@ -164,18 +173,19 @@ fn lumigraph_by(span: &mut WeighedSpan, k: usize) {
     span.rank(k + 1);
     let (best, mut limit) = (span.ranks[0], span.ranks[k]);
     for (limit, &best) in limit.iter_mut().zip(&best) {
-        // Infinite where at most k cameras see the point: then none has to fade out.
+        // The threshold is infinite where at most k cameras see the point. No camera has to fade out there.
         *limit = threshold(*limit, best);
     }
-    // Subtracted from best / p, so that weights are 0 at the threshold.
+    // This ratio is subtracted from best / p, so that weights are 0 at the threshold.
     let mut fall = best;
     fall.iter_mut().zip(&limit).for_each(|(fall, limit)| *fall /= limit);
     for &i in &span.active {
         let own = &mut span.of_source[i];
         for x in 0..SPAN_PX {
             let p = own.penalty[x];
-            // (1 − p / threshold) / p, multiplied by the smallest p: at most 1, so that it can't overflow.
-            // Where no camera sees the point it is NaN, and p is not below the threshold.
+            // This is (1 − p / threshold) / p, multiplied by the smallest penalty. It is at most 1, so it can't
+            // overflow. It is NaN where no camera sees the point; p is then not below the threshold, and the weight
+            // becomes 0.
             let blended = best[x] / p - fall[x];
             let alone = if p == 0.0 { own.confidence[x] } else { 0.0 };
             let counted = if p < limit[x] { blended } else { 0.0 };
@@ -186,8 +196,8 @@ fn lumigraph_by(span: &mut WeighedSpan, k: usize) {
 }
 
 multiversion! {
-    /// Interpolates a source's weights between nodes every `step` pixels, from the span's first pixel on, and
-    /// multiplies them by the confidences.
+    /// Interpolates a source's weights linearly between nodes, and multiplies them by the confidences. `nodes` are the
+    /// weights at every `step`-th pixel of the span, starting with the first.
     pub(super) fn weigh_between(nodes: &[f32], step: usize, span: &mut SourceSpan) = weigh_between_by
 }
 
@@ -213,7 +223,8 @@ mod tests {
         of_pixels(penalties, penalties.len(), k)
     }
 
-    /// A span of `n` sources with these penalties, source by source, and confidences of 1.
+    /// Creates a span with `n` sources. `penalty` lists the first source's penalties at all pixels, then the second
+    /// source's, and so on. All confidences are 1.
     fn span_of(penalty: &[f32], n: usize) -> WeighedSpan {
         let mut span = WeighedSpan::new(n);
         span.count = penalty.len() / n.max(1);
@@ -225,20 +236,24 @@ mod tests {
         span
     }
 
-    /// The weights of the active sources, source by source.
+    /// Returns the weights of the active sources: the first source's weights at all pixels, then the second source's,
+    /// and so on.
     fn weights_of(span: &WeighedSpan) -> Vec<f32> {
         let of = |&i: &usize| &span.of_source[i].weight[..span.count];
         span.active.iter().flat_map(of).copied().collect()
     }
 
-    /// The weights of pixels that have these penalties in `n` sources.
+    /// Returns the weights of `n` sources, given their penalties. At each pixel, the `k` sources with the smallest
+    /// penalties are blended. `penalty` lists the first source's penalties at all pixels, then the second source's, and
+    /// so on. The weights are in the same order.
     fn of_pixels(penalty: &[f32], n: usize, k: usize) -> Vec<f32> {
         let mut span = span_of(penalty, n);
         span.weigh_best(k);
         weights_of(&span)
     }
 
-    /// Reference implementation: the formula of the module's documentation for one pixel, with a sort.
+    /// Reference implementation for one pixel: the formula of the module's documentation. It finds the threshold by
+    /// sorting.
     fn naive(penalties: &[f32], k: usize) -> Vec<f32> {
         let mut sorted = penalties.to_vec();
         sorted.sort_by(f32::total_cmp);
@@ -329,7 +344,7 @@ mod tests {
         for _ in 0..3000 {
             let n = 1 + (random.unit() * 8.0) as usize;
             let k = 1 + (random.unit() * 5.0) as usize;
-            // Many equal penalties, and cameras that don't see the point.
+            // Many penalties are equal, and some cameras don't see the point.
             let level = |r: &mut Random| (r.unit() * 4.0).ceil() as f32 * 0.1;
             let p: Vec<f32> = (0..n)
                 .map(|_| if random.unit() < 0.1 { 1e6 } else { level(&mut random) })

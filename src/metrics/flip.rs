@@ -17,15 +17,15 @@ pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_25;
 const COLOR_EXPONENT: f32 = 0.7;
 /// Exponent of the feature difference (q_f in the FLIP paper).
 const FEATURE_EXPONENT: f32 = 0.5;
-/// Fraction of the largest colour difference below which differences are mapped to 0..[`PIVOT_VALUE`] (p_c in the FLIP
-/// paper).
+/// Colour difference, as a fraction of the largest one, up to which differences are mapped linearly to
+/// 0..[`PIVOT_VALUE`] (p_c in the FLIP paper).
 const PIVOT: f32 = 0.4;
-/// Value to which the colour difference of [`PIVOT`] times the largest difference is mapped (p_t in the FLIP paper).
+/// Value to which the colour difference at the fraction [`PIVOT`] of the largest one is mapped (p_t in the FLIP paper).
 const PIVOT_VALUE: f32 = 0.95;
 /// Peak-to-trough width of the edge detector (w in the FLIP paper), degrees of visual angle.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
-/// Contrast sensitivity functions of the achromatic, red-green and blue-yellow channels. Each is a sum of Gaussians,
-/// given by their amplitudes and spreads.
+/// Contrast sensitivity functions of the achromatic, red-green and blue-yellow channels. Each is the Fourier transform
+/// of a sum of Gaussians `a √(π/b) exp(−π²x²/b)`, with x in degrees of visual angle. The pairs are (a, b).
 const CSF: [&[(f64, f64)]; 3] =
     [&[(1.0, 0.0047)], &[(1.0, 0.0053)], &[(34.1, CSF_LARGEST_SPREAD), (13.5, 0.025)]];
 const CSF_LARGEST_SPREAD: f64 = 0.04;
@@ -99,8 +99,8 @@ pub fn flip_map(reference: &FlipImage, test: &FlipImage) -> Vec<f32> {
         .collect()
 }
 
-/// Filters a channel by its contrast sensitivity function, a sum of Gaussians normalized to the integral 1. `ppd` is
-/// the number of pixels per degree of visual angle.
+/// Filters a channel by its contrast sensitivity function, which `csf` gives as in [`CSF`]. The filter kernel has the
+/// sum 1. `ppd` is the number of pixels per degree of visual angle.
 fn sensitivity(plane: &[f32], width: usize, csf: &[(f64, f64)], ppd: f64) -> Vec<f32> {
     use std::f64::consts::PI;
     let radius = (3.0 * (CSF_LARGEST_SPREAD / (2.0 * PI * PI)).sqrt() * ppd).ceil() as usize;

@@ -2,11 +2,11 @@
 
 use crate::raster::max_filter;
 
-/// Returns the row-major mask of the pixels whose surface point moves by more than `threshold_px` within ±1 frame. The
-/// mask is dilated by a square of radius `dilation_px`.
+/// Returns the row-major mask of the moving pixels: those whose motion exceeds `threshold_px`. The mask is dilated by a
+/// square of radius `dilation_px`.
 ///
-/// `motion_px` is the true motion of each pixel's surface point within ±1 frame, pixels. A pixel with non-finite motion
-/// has no surface, and counts as static.
+/// `motion_px` holds the true motion of each pixel's surface point, row-major, pixels: its displacement in the image
+/// from the previous frame or to the next frame, whichever is larger. A pixel with non-finite motion counts as static.
 pub fn moving_part(
     motion_px: &[f32],
     width: usize,

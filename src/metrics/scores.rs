@@ -5,7 +5,7 @@ use super::ssim::{has_full_window, ssim_map};
 use crate::raster::Image;
 use serde::{Deserialize, Serialize};
 
-/// PSNR, SSIM and FLIP over a set of pixels. Files contain null for `None`, never NaN or infinity.
+/// PSNR, SSIM and FLIP over a set of pixels. In JSON files, `None` is null. No score is NaN or infinite.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scores {
@@ -28,7 +28,7 @@ pub struct RegionScores {
     pub moving: Scores,
 }
 
-/// A true image, with its precomputed luma and FLIP filters.
+/// A true image, prepared for comparison with other images: its luma and its FLIP filter responses are precomputed.
 pub struct ReferenceImage {
     image: Image,
     gray: Image,
@@ -40,15 +40,15 @@ pub struct ReferenceImage {
 pub struct ErrorMaps {
     width: usize,
     height: usize,
-    /// Squared error of every pixel, mean over the channels.
+    /// Squared error of every pixel: the mean over the channels.
     squared: Vec<f32>,
     ssim: Vec<f32>,
     flip: Vec<f32>,
 }
 
 impl ReferenceImage {
-    /// Computes the luma and FLIP's filters of a true image. FLIP's viewing condition is `pixels_per_degree`, the
-    /// number of pixels per degree of visual angle.
+    /// Computes the luma and the FLIP filter responses of a true image. `pixels_per_degree` is FLIP's viewing
+    /// condition: the number of pixels per degree of visual angle.
     pub fn new(image: Image, pixels_per_degree: f64) -> Self {
         let (gray, flip) = (image.to_gray(), FlipImage::new(&image, pixels_per_degree));
         Self { image, gray, flip, pixels_per_degree }
@@ -112,8 +112,8 @@ impl ErrorMaps {
         }
     }
 
-    /// Returns the scores over the covered pixels (all pixels if `covered` is `None`), and over the covered pixels that
-    /// are `moving`.
+    /// Returns the scores over two sets of pixels: the pixels where `covered` is true (all pixels if it is `None`), and
+    /// those among them where `moving` is true too.
     pub fn regions(&self, covered: Option<&[bool]>, moving: &[bool]) -> RegionScores {
         let both: Option<Vec<bool>> =
             covered.map(|c| c.iter().zip(moving).map(|(c, m)| *c && *m).collect());
@@ -124,8 +124,8 @@ impl ErrorMaps {
     }
 }
 
-/// Returns the median of the values. For an even number of values, it is the mean of the middle two. `None` without
-/// values.
+/// Returns the median of the values. For an even number of values, it is the mean of the middle two. `None` if there
+/// are no values.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let n = values.len();

@@ -9,8 +9,8 @@ use rayon::prelude::*;
 
 /// Standard deviation of the Gaussian window, pixels, as in the SSIM paper.
 const WINDOW_SIGMA_PX: f64 = 1.5;
-/// Radius of the window, pixels: 11×11 as in the SSIM paper. Pixels closer to the border have no full window and don't
-/// count in means.
+/// Radius of the window, pixels. The window has 11×11 pixels, as in the SSIM paper. If a pixel's window reaches beyond
+/// the image, the pixel doesn't count in means.
 pub const WINDOW_RADIUS_PX: usize = 5;
 /// C₁ = (K₁L)² of the SSIM paper, with K₁ = 0.01 and L = 1, the range of the samples.
 const C1: f64 = 0.01 * 0.01;

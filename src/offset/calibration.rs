@@ -1,31 +1,35 @@
-//! The calibration's errors in the offsets.
+//! Accounts for calibration errors in the estimated offsets.
 //!
-//! A wrong pose or focal length moves all epipolar lines of a pair, and with them the times at which trajectories cross
-//! them. Such errors are common to all candidates of a camera, so that they do not average out. Where the capture says how
-//! far its calibration may be off, the joint solution has the calibration's errors as further unknowns, with the stated
-//! covariance as their prior. Offsets are then generalized least squares, and their standard errors include what the
-//! calibration adds: J C Jᵀ, less what the candidates themselves say of the errors.
+//! An error in a pose or a focal length shifts all epipolar lines of a pair, and so changes the times at which
+//! trajectories cross these lines. Such an error is common to all offset candidates of a camera (the offsets that
+//! single features imply), so it does not average out. If the capture states a covariance C of its calibration errors,
+//! the joint solution has these errors as further unknowns, with C as the covariance of their prior. The offsets are
+//! then generalized least-squares estimates. Let J be the derivatives of the offsets by the errors. The covariance of
+//! the offsets includes J C Jᵀ, reduced by what the candidates reveal about the errors.
 //!
-//! Candidates are linear in the errors: slopes are central differences at the given calibration. After each solution, the
-//! weights of the pairs' candidates are fitted again without the errors found.
+//! The offset candidates are linearized in the errors. The derivatives are central differences at the given
+//! calibration. After each solution, the estimated errors are subtracted from the candidates, and the weights of the
+//! candidates are fitted again.
 
 use super::recording::Sample;
 use crate::camera::{Camera, CameraParameter, EpipolarGeometry};
 use crate::capture::CalibrationErrors;
 use nalgebra::{DMatrix, DVector, Point2};
 
-/// The smallest eigenvalue of the correlation matrix that is not rounding, as a fraction of the largest.
+/// The smallest eigenvalue of the correlation matrix that is used, as a fraction of the largest eigenvalue. Smaller
+/// ones are rounding errors.
 const MIN_EIGENVALUE: f64 = 1e-9;
-/// The steps of the central differences: rotation (radians), centre (baselines), focal length (fraction), principal point
-/// (pixels), distortion.
+/// The steps of the central differences for, in this order: rotation (radians), camera centre (fraction of the
+/// baseline), focal length (fraction), principal point (pixels), and distortion parameter.
 const STEPS: [f64; 5] = [1e-5, 1e-4, 1e-5, 1e-2, 1e-5];
 
-/// A capture's calibration errors as unknowns.
+/// The calibration errors of a capture, as unknowns of the joint solution for all clocks.
 pub struct CalibrationUnknowns<'a> {
     errors: &'a CalibrationErrors,
-    /// The cameras as they are calibrated.
+    /// The cameras with the calibration that the capture states.
     cameras: Vec<&'a Camera>,
-    /// L, with a row for each error and a column for each independent unknown: L Lᵀ is the covariance.
+    /// The matrix L, where L Lᵀ is the covariance of the calibration errors. The errors are L y, where y are
+    /// independent unknowns of variance 1. L has a row for each error, and a column for each entry of y.
     pub factor: DMatrix<f64>,
 }
 
@@ -50,7 +54,9 @@ impl<'a> CalibrationUnknowns<'a> {
         Self { errors, cameras, factor }
     }
 
-    /// How the offset of each of a pair's samples changes with the errors of its two cameras.
+    /// Returns the derivatives of the offsets of a pair's samples (offset candidates) by the calibration errors of the
+    /// pair's two cameras. `samples` holds each sample with its weight, which is not used. A derivative that can't be
+    /// computed is 0.
     pub fn slopes(&self, cameras: [usize; 2], samples: &[(Sample, f64)]) -> SampleSlopes {
         let parameters = self.errors.parameters.iter().enumerate();
         let of_pair: Vec<(usize, usize, CameraParameter)> = parameters
@@ -69,12 +75,13 @@ impl<'a> CalibrationUnknowns<'a> {
     }
 }
 
-/// How the offsets of a pair's samples, [`Sample::offset_s`], change with the calibration's errors, seconds per unit.
+/// Derivatives of the offsets of a pair's samples ([`Sample::offset_s`]) by the calibration errors, seconds per unit
+/// of the error.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SampleSlopes {
-    /// The errors of the pair's two cameras, as rows of the covariance.
+    /// The indices of the calibration errors of the pair's two cameras: their rows in the covariance.
     columns: Vec<usize>,
-    /// Sample after sample: a slope for each of `columns`.
+    /// The derivatives, sample by sample. Each sample has one derivative for each entry of `columns`.
     values: Vec<f64>,
 }
 
@@ -84,20 +91,22 @@ impl SampleSlopes {
         Self { columns, values }
     }
 
-    /// The slopes of one sample as (error, slope); none without calibration errors.
+    /// Returns the derivatives of one sample's offset by the calibration errors, as (index of the error, derivative).
+    /// Empty if there are no calibration errors.
     pub fn of(&self, sample: usize) -> impl Iterator<Item = (usize, f64)> {
         let count = self.columns.len();
         let own = self.values.get(sample * count..(sample + 1) * count).unwrap_or_default();
         self.columns.iter().copied().zip(own.iter().copied())
     }
 
-    /// By how much these errors change the offset of a sample, seconds.
+    /// Returns the change of a sample's offset that the given calibration errors cause, seconds.
     pub fn change_s(&self, sample: usize, errors: &DVector<f64>) -> f64 {
         self.of(sample).map(|(column, slope)| slope * errors[column]).sum()
     }
 
-    /// The standard deviation of the mean of samples with these weights, which the errors alone cause, seconds; 0
-    /// without weights. `signed` has a weight for each sample, negative where its offset counts negatively.
+    /// Returns the standard error that the calibration errors alone cause in the weighted mean of the samples'
+    /// offsets, seconds; 0 if all weights are 0. `signed` holds the weight of each sample, negative for a sample
+    /// whose offset enters the mean with the opposite sign. `factor` is L of the errors' covariance L Lᵀ.
     pub fn std_err_s(&self, signed: &[f64], factor: &DMatrix<f64>) -> f64 {
         let total: f64 = signed.iter().map(|w| w.abs()).sum();
         let mut mean = DVector::zeros(factor.nrows());
@@ -110,18 +119,20 @@ impl SampleSlopes {
     }
 }
 
-/// The epipolar geometry of cameras a and b with one number a little smaller and a little larger.
+/// Two epipolar geometries of cameras a and b: one with a calibration parameter decreased by a small step, and one with
+/// the parameter increased by this step.
 struct ChangedPair {
     cameras: [[Camera; 2]; 2],
     geometry: [Option<EpipolarGeometry>; 2],
-    /// Whether undistorted pixels change.
+    /// Whether the changed parameter belongs to the lens model, so that undistorted positions change too.
     is_of_lens: bool,
-    /// The difference between the two values.
+    /// The difference between the increased and the decreased value of the calibration parameter.
     difference: f64,
 }
 
 impl ChangedPair {
-    /// One for each of the errors of the two cameras a and b.
+    /// Returns the changed geometries for each of `parameters`, which are calibration parameters of cameras a and b. A
+    /// parameter is given as (index of its error, index of its camera, kind of parameter).
     fn all(
         unknowns: &CalibrationUnknowns,
         [a, b]: [usize; 2],
@@ -154,7 +165,9 @@ impl ChangedPair {
         parameters.iter().map(changed).collect()
     }
 
-    /// The slope of a sample's offset; `None` where the geometry or a lens has no value.
+    /// Returns the derivative of a sample's offset by the changed calibration parameter, seconds per unit of the
+    /// parameter. `None` if the cameras have no epipolar geometry, if a position can't be undistorted, or if the
+    /// derivative is not finite.
     fn slope(&self, unknowns: &CalibrationUnknowns, sample: &Sample) -> Option<f64> {
         let sight = &sample.sight;
         let given = sample.cameras.map(|c| unknowns.cameras[c].model);
@@ -176,7 +189,8 @@ impl ChangedPair {
                 self.geometry[k].as_ref()?.line_in_j(&models[1].ideal_from_pixel(&sight.in_b)?)?;
             *distance = line.distance(&ideal_a);
         }
-        // A normal may point to either side; its sign is that of the speed, which changes only slightly.
+        // The line's normal may point to either side. The sample's speed is measured along a normal on the same side,
+        // since the line changes only slightly.
         let slope = (distances[1] - distances[0]) / self.difference / sight.across_px_s;
         slope.is_finite().then_some(-slope)
     }

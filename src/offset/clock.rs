@@ -1,21 +1,22 @@
-//! Clock models: the offset, rate and lost frames of a clock relative to another one.
+//! Clock models: the offset, rate and lost frames of one camera's clock relative to another clock.
 
 use crate::capture::{Capture, Clock};
 
-/// The offset of a clock (own) relative to another one (target), as a linear function of time, and the lost
-/// frames of its camera.
+/// Relation of a camera's own clock to a target clock: an offset that changes linearly with time, and the camera's
+/// lost frames.
 ///
-/// `target time = own time + offset_s + rate · (own time − reference_s)`. The own time of an image is
-/// its nominal time plus one frame period for each frame that is missing up to it.
+/// `target time = own time + offset_s + rate · (own time − reference_s)`. The own time of an image is the image's
+/// nominal time plus one frame period for each frame that is missing before the image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClockModel {
-    /// Target time minus own time at `reference_s`, seconds.
+    /// Target time minus own time, seconds, at the own time `reference_s`.
     pub offset_s: f64,
-    /// The change of the offset, seconds per second.
+    /// The rate of change of the offset with time on the own clock, seconds per second.
     pub rate: f64,
-    /// The time at which the offset is `offset_s`, seconds.
+    /// The own time at which the offset equals `offset_s`, seconds.
     pub reference_s: f64,
-    /// The images before which a frame is missing, ascending; one entry for each missing frame.
+    /// The indices of the images directly before which a frame is missing, ascending. An index occurs once for each
+    /// missing frame.
     pub lost_before: Vec<usize>,
 }
 
@@ -23,27 +24,27 @@ pub struct ClockModel {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClockEstimate {
     pub clock: ClockModel,
-    /// The standard error of the offset, seconds.
+    /// The standard error of the clock's offset, seconds.
     pub std_err_s: f64,
-    /// The standard error of the rate, seconds per second; 0 for a clock that does not drift.
+    /// The standard error of the clock's rate, seconds per second; 0 for a clock that does not drift.
     pub rate_std_err: f64,
 }
 
-/// A camera's clock as the capture states it.
+/// A camera's clock as the capture states it, before any estimation.
 #[derive(Clone, Copy, Debug)]
 pub struct NominalClock<'a> {
     /// The time of every image on the camera's own clock, ascending, seconds.
     pub times_s: &'a [f64],
     /// The median time between successive images, seconds.
     pub frame_s: f64,
-    /// Whether frames may be missing without a gap in `times_s`.
+    /// Whether frames may be missing although `times_s` shows no gap.
     pub may_lose_frames: bool,
-    /// Whether the clock's rate may differ from the reference's.
+    /// Whether the rate of this clock may differ from the rate of the reference camera's clock.
     pub drifts: bool,
 }
 
 impl<'a> NominalClock<'a> {
-    /// The nominal clock of a camera by index.
+    /// Returns the nominal clock of the camera with the index `camera`.
     pub fn of_camera(capture: &'a Capture, camera: usize) -> Self {
         let clock = &capture.cameras[camera].clock;
         Self {
@@ -56,12 +57,12 @@ impl<'a> NominalClock<'a> {
 }
 
 impl ClockModel {
-    /// The model with this offset, and without drift or lost frames.
+    /// Returns a model with the given offset, seconds, and without drift or lost frames.
     pub fn constant(offset_s: f64) -> Self {
         Self { offset_s, ..Self::default() }
     }
 
-    /// The offset, target time minus own time, at a time on the own clock; both in seconds.
+    /// Returns the offset (target time minus own time) at a time on the own clock, both in seconds.
     pub fn offset_at(&self, time_s: f64) -> f64 {
         self.offset_s + self.rate * (time_s - self.reference_s)
     }
@@ -71,8 +72,9 @@ impl ClockModel {
         time_s + (time_s - self.reference_s) * self.rate + self.offset_s
     }
 
-    /// This clock's offset relative to another clock, as a function of the time on the other clock, to first
-    /// order in the rates. Both models must have the same target clock. The result has no lost frames.
+    /// Returns this clock's offset relative to another clock, as a function of the time on that other clock. Both
+    /// models must have the same target clock. The result is exact to first order in the rates, and has no lost
+    /// frames.
     pub fn relative_to(&self, other: &Self) -> Self {
         Self {
             offset_s: self.offset_at(other.reference_s) - other.offset_s,
@@ -82,42 +84,44 @@ impl ClockModel {
         }
     }
 
-    /// The time of an image on the own clock, lost frames accounted for, seconds; `None` beyond the last
-    /// image.
+    /// Returns the time of an image on the camera's own clock, seconds, including one frame period for each frame
+    /// missing before the image. `None` if no image has this index.
     pub fn own_time_s(&self, nominal: &NominalClock, image: usize) -> Option<f64> {
         let missing = self.lost_before.partition_point(|&n| n <= image) as f64;
         Some(nominal.times_s.get(image)? + nominal.frame_s * missing)
     }
 
-    /// The times of all images on the own clock, lost frames accounted for, seconds.
+    /// Returns the times of all images on the camera's own clock, seconds. Each includes one frame period for each
+    /// frame missing before the image.
     pub fn own_times_s(&self, nominal: &NominalClock) -> Vec<f64> {
         (0..nominal.times_s.len()).map_while(|image| self.own_time_s(nominal, image)).collect()
     }
 
-    /// The time of an image on the target clock, seconds; `None` beyond the last image.
+    /// Returns the time of an image on the target clock, seconds. `None` if no image has this index.
     pub fn image_time_s(&self, nominal: &NominalClock, image: usize) -> Option<f64> {
         let own_s = self.own_time_s(nominal, image)?;
-        // The order of the sum differs from that of `apply`; the last bit of fits depends on it.
+        // The terms are summed in another order than in `apply`. The last bit of fitted values depends on this order.
         Some(own_s + self.offset_s + self.rate * (own_s - self.reference_s))
     }
 
-    /// The times of all images on the target clock, seconds.
+    /// Returns the times of all images on the target clock, seconds.
     pub fn image_times_s(&self, nominal: &NominalClock) -> Vec<f64> {
         (0..nominal.times_s.len()).map_while(|image| self.image_time_s(nominal, image)).collect()
     }
 }
 
-/// A camera's clock with frame times that are corrected for its lost frames.
+/// Returns a camera's clock with frame times that are corrected for lost frames. `lost_before` holds the indices of
+/// the images directly before which a frame is missing.
 pub fn with_lost_frames(capture: &Capture, camera: usize, lost_before: &[usize]) -> Clock {
     let model = ClockModel { lost_before: lost_before.into(), ..ClockModel::default() };
     let times_s = model.own_times_s(&NominalClock::of_camera(capture, camera));
     Clock { times_s, ..capture.cameras[camera].clock.clone() }
 }
 
-/// The index of each camera's clock, and the number of clocks.
+/// Returns the index of each camera's clock, by camera, and the number of clocks.
 ///
-/// The reference camera has clock 0. All cameras whose clock is marked as shared have the same clock, which
-/// is clock 0 if the reference's is shared too. Every other camera has a clock of its own.
+/// The reference camera has clock 0. All cameras whose clock is marked as shared have one common clock. This is clock
+/// 0 if the reference camera's clock is shared too. Every other camera has a clock of its own.
 pub fn clocks(capture: &Capture) -> (Vec<usize>, usize) {
     let reference_shares = capture.cameras[capture.reference].clock.shared;
     let mut next = 1;

@@ -1,4 +1,4 @@
-//! Estimation of offsets from recordings: the order of its stages.
+//! Estimates the temporal offsets from recordings: the stages in their order.
 
 use super::alignment::{activities, rough_offset};
 use super::calibration::CalibrationUnknowns;
@@ -17,29 +17,30 @@ use crate::registration::FrameStore;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// The reason of an unknown offset if too few observations show the camera's lost frames.
+/// The reason given for an unknown offset if too few observations show which frames the camera lost.
 const AMBIGUOUS_LOSSES: &str = "frames may be missing, and too few of its images show where";
-/// The reason of an unknown offset if other lost frames explain the observations nearly as well.
+/// The reason given for an unknown offset if other sets of lost frames explain the observations nearly as well.
 const UNDECIDED_LOSSES: &str =
     "frames are missing, or may be, and the images fit several places where they could be";
-/// The reason of an unknown offset if the reference camera's lost frames are ambiguous.
+/// The reason given for an unknown offset if the lost frames of the reference camera are ambiguous.
 const AMBIGUOUS_REFERENCE: &str =
     "the reference camera may miss frames, and too few of its images show where";
 
-/// The offsets of all cameras, and the pairs that they were solved from.
+/// Temporal offsets of all cameras, and the pair estimates from which they were solved.
 #[derive(Clone, Debug)]
 pub struct Estimate {
     pub offsets: Offsets,
-    /// The pairs that the joint solution uses: those with a small enough standard error that other pairs do
-    /// not contradict.
+    /// The pair estimates that the joint solution for all clocks uses. Each has a standard error of at most a tenth
+    /// of a frame, and no other pair contradicts it.
     pub pairs: Vec<PairEstimate>,
 }
 
-/// Estimates the offsets of all cameras of the store's capture from its images (§7).
+/// Estimates the temporal offsets of all cameras of the frame store's capture from its images (§7).
 ///
-/// The stages are: rough alignment, lost frames if the capture allows for them, pairs, and all clocks
-/// together. A camera whose offset can't be determined has a reason instead. No frame is read if all cameras
-/// share one clock. The error is that of a frame that cannot be read.
+/// The stages are: rough alignment of each pair of cameras, detection of lost frames if the capture allows for them,
+/// precise estimation of each pair's offset, and joint solution for all clocks. If a camera's offset can't be
+/// determined, the result has the reason instead. If all cameras share one clock, all offsets are 0, and no frame is
+/// read. Returns an error if a frame cannot be read.
 pub fn estimate(
     frames: &FrameStore,
     options: &OffsetOptions,
@@ -51,7 +52,7 @@ pub fn estimate(
         return Ok(Estimate { offsets: Offsets::known(capture), pairs: Vec::new() });
     }
     let pairs = pairs(capture, &clock, options);
-    // The gains are computed once, before parallel threads ask for them.
+    // The cameras' exposure gains are computed once, before parallel threads need them.
     frames.gains();
     let track_cache = TrackCache::default();
     let nominal = capture.cameras.iter().map(|c| c.clock.clone()).collect();
@@ -66,7 +67,7 @@ pub fn estimate(
         let clocks = lost.iter().enumerate().map(clock).collect();
         recording = Recording::new(frames, clocks, &track_cache, options);
     }
-    // The rate of the reference's clock is 0 by definition.
+    // The rate of the reference camera's clock is 0 by definition.
     let mut drifts = vec![false; count];
     for (camera, &clock) in capture.cameras.iter().zip(&clock) {
         drifts[clock] |= camera.clock.drift && clock != 0;
@@ -83,8 +84,9 @@ pub fn estimate(
     Ok(solution.into_estimate())
 }
 
-/// For each of `pairs`, its offset to about a frame, or the reason why its rough alignment failed. A camera
-/// with a single frame shows no motion, so that its pairs fail.
+/// Returns, for each of `pairs`, its offset to about one frame, or the reason why its rough alignment failed. A pair
+/// fails if one of its cameras has a single frame, which shows no motion. The outer error is a frame that cannot be
+/// read.
 fn initial_offsets(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -108,12 +110,16 @@ fn initial_offsets(
         .collect()
 }
 
-/// The number of times that the pairs are fitted again without the calibration errors found.
+/// The number of times that the pairs are fitted again, each time after the estimated calibration errors are
+/// subtracted from their offset candidates.
 const CALIBRATION_ROUNDS: usize = 3;
 
-/// Solves for all clocks and for the calibration's errors; adds these errors to the pairs' standard errors.
+/// Solves for all clocks together with the calibration errors. Returns the estimate of each clock, `None` for a clock
+/// that no chain of pairs connects to the reference camera's clock. Adds the effect of the calibration errors to the
+/// standard errors of `pairs`.
 ///
-/// The paper's method has no such unknowns: each pair's standard error, calibration included, is that of a clock.
+/// For [`OffsetMethod::Pairwise`], the calibration errors are not unknowns. They only increase the standard errors of
+/// the pairs, from which the standard errors of the clocks follow.
 fn solve_with_calibration(
     capture: &Capture,
     errors: &CalibrationErrors,
@@ -146,19 +152,22 @@ fn solve_with_calibration(
     solution.by_clock
 }
 
-/// The indices of a pair's cameras, and its estimate or its failure.
+/// Indices of a pair's two cameras, with the pair's estimate or the reason why there is none.
 type PairResult = ([usize; 2], Result<PairEstimate, PairFailure>);
 
-/// All clocks solved together from the usable pairs.
+/// The joint solution for all clocks, with the results of all pairs and the lost frames of all cameras. Together they
+/// determine each camera's reported offset. The solution uses only the pairs whose standard errors are small and whose
+/// offsets no other pair contradicts.
 struct JointSolution<'a> {
     capture: &'a Capture,
     results: Vec<PairResult>,
-    /// For each camera, the index of its clock.
+    /// The index of each camera's clock, by camera.
     clock: Vec<usize>,
-    /// For each camera, its clock model with lost frames.
+    /// The clock model with lost frames of each camera, by camera.
     lost: Vec<FittedClock>,
     used: Vec<PairEstimate>,
-    /// For each clock, its estimate. `None` if it has none, or its standard error exceeds [`MAX_STD_ERR_FRAMES`].
+    /// The estimate of each clock, by clock. `None` if no chain of pairs connects the clock to the reference camera's
+    /// clock, or if the standard error of its offset exceeds [`MAX_STD_ERR_FRAMES`].
     solved: Vec<Option<ClockEstimate>>,
 }
 
@@ -170,9 +179,9 @@ impl<'a> JointSolution<'a> {
         lost: Vec<FittedClock>,
         method: OffsetMethod,
     ) -> Self {
-        // Whether a pair's offset may be wrong by a period of a periodic motion: its agreement is below
-        // MIN_AGREEMENT, and another pair with one of its cameras has failed because its offset contradicts
-        // the nominal clocks.
+        // A pair is contradicted if its offset may be wrong by a period of a periodic motion: its agreement is below
+        // MIN_AGREEMENT, and another pair with one of its cameras has failed because that other pair's offset
+        // contradicts the nominal clocks.
         let is_contradicted = |pair: &PairEstimate| {
             let contradicts = |(other, result): &PairResult| {
                 other.iter().any(|c| pair.cameras.contains(c))
@@ -207,8 +216,8 @@ impl<'a> JointSolution<'a> {
     fn camera_offset(&self, c: usize) -> CameraOffset {
         let camera = &self.capture.cameras[c];
         let is_reference = c == self.capture.reference;
-        // A camera whose lost frames are undecided has no offset, which does not affect other cameras. The
-        // reference always has one.
+        // A camera whose lost frames are undecided gets no offset; the offsets of other cameras do not depend on
+        // this. The reference camera always gets an offset.
         let decided = !self.lost[c].undecided || is_reference;
         let solved = self.solved[self.clock[c]].as_ref().filter(|_| decided);
         let drifting = solved.filter(|_| camera.clock.drift && !is_reference);
@@ -223,7 +232,7 @@ impl<'a> JointSolution<'a> {
         }
     }
 
-    /// Why a camera has no offset.
+    /// Returns the reason why a camera has no offset.
     fn reason(&self, camera: usize) -> String {
         let results = || self.results.iter().filter(|(pair, _)| pair.contains(&camera));
         let has_estimate = results().any(|(_, result)| result.is_ok());
@@ -238,7 +247,7 @@ impl<'a> JointSolution<'a> {
         } else if self.used.iter().any(|p| p.cameras.contains(&camera)) {
             "its pairs are not connected to the reference camera, or disagree"
         } else {
-            // The failure of the pair that failed at the latest stage.
+            // Of the failures of the camera's pairs, the one at the latest stage is the reason.
             let failure = |(_, result): &PairResult| {
                 result.as_ref().err().copied().unwrap_or(PairFailure::NoConsensus)
             };

@@ -1,35 +1,35 @@
-//! `CAPTURE/offsets.json`: estimated offsets, stored for the next command, or edited by hand.
+//! `CAPTURE/offsets.json`: temporal offsets, stored by the program for later commands, or edited by hand.
 //!
-//! | field | what |
+//! | field | content |
 //! |---|---|
 //! | `reference` | the reference camera's id |
 //! | `cameras` | a [`CameraOffset`] for each camera |
-//! | `options` | the options that the offsets were estimated with |
-//! | `hash` | of the program's version, the capture's content and these options |
-//! | `checksum` | of all fields above |
+//! | `options` | the options with which the offsets were estimated |
+//! | `hash` | hash of the program's version, the capture's content and these options |
+//! | `checksum` | checksum of all fields above |
 //!
-//! If the checksum matches, the offsets are the program's own estimate. They are used if `hash` matches the
-//! capture and the options, and estimated anew otherwise. A file with a hash but no checksum is an earlier
-//! version's, and is estimated anew too.
+//! If the checksum matches, the offsets are the program's own estimate. They are used if `hash` matches the capture
+//! and the options, and are estimated anew otherwise. A file with a hash but no checksum was written by an earlier
+//! version. Its offsets are estimated anew too.
 //!
-//! If the checksum does not match, or both it and `hash` are missing, the file was edited by hand. `render`,
-//! `compare` and `plan` then use its offsets as given, whatever the options and the frames, and print a note.
-//! `stlfr offsets` estimates from the images, and leaves the file as it is.
+//! If the checksum does not match, or if `checksum` and `hash` are both missing, the file was edited by hand. The
+//! commands `render`, `compare` and `plan` then use its offsets as given, whatever the options and the frames, and
+//! print a note. `stlfr offsets` estimates the offsets from the images, and leaves the file unchanged.
 //!
-//! Every field of an edited file is validated. The first violation ends the command, with a sentence that
-//! names the file and the field:
+//! Every field of an edited file is validated. The first violation ends the command with a message that names the
+//! file and the field:
 //!
-//! | field | must be |
+//! | field | requirement |
 //! |---|---|
 //! | the file | a regular file of at most 16 MiB, JSON, with no other fields than these |
-//! | `reference` | the capture's reference camera |
-//! | `id` | that of a camera of the capture; each once, none missing, in any order |
-//! | `offset_s` | a number, or null; 0 for the reference. The camera's images must be no further from the reference's than the total duration of all recordings ([`Capture::reach_s`]) |
-//! | `std_err_s` | null where `offset_s` is; else from 0 to [`Capture::reach_s`]; 0 for the reference |
-//! | `rate_ppm` | from −1000 to 1000; only where there is an offset; 0 or absent for the reference |
-//! | `rate_std_err_ppm` | from 0 to 1000, exactly where there is a rate |
-//! | `lost_before` | numbers of the camera's images, ascending, at most as many as it has images |
-//! | `reason` | a line of text exactly where `offset_s` is null |
+//! | `reference` | the id of the capture's reference camera |
+//! | `id` | the id of a camera of the capture; every camera occurs once, in any order |
+//! | `offset_s` | a number, or null; 0 for the reference. Images lie within [`Capture::reach_s`] of the reference's |
+//! | `std_err_s` | null if `offset_s` is null; otherwise from 0 to [`Capture::reach_s`]; 0 for the reference |
+//! | `rate_ppm` | from −1000 to 1000, only if `offset_s` is a number; 0 or absent for a clock without drift |
+//! | `rate_std_err_ppm` | from 0 to 1000; present if and only if `rate_ppm` is |
+//! | `lost_before` | image indices, ascending, at most as many as there are images; absent or empty for none |
+//! | `reason` | one line of text; present if and only if `offset_s` is null |
 
 use super::offsets::{CameraOffset, Offsets};
 use crate::capture::{Capture, CaptureError, FilmedCamera, MAX_DRIFT_PPM, are_frame_times};
@@ -40,24 +40,25 @@ use serde_json::Value;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
-/// The maximum size of `offsets.json`, bytes. Parsing takes many times as much memory.
+/// The maximum size of `offsets.json`, bytes. Parsing a file takes many times its size in memory.
 pub const MAX_OFFSETS_BYTES: u64 = 16 << 20;
 /// The maximum length of the reason of an unknown offset, characters.
 const MAX_REASON_CHARS: usize = 500;
-/// The end of every refusal: what to do about the file.
+/// The end of every error message about an invalid file. It says what happens without the file.
 const REMEDY: &str = "without the file, offsets are estimated";
 
-/// The cache kind that enters the hash of an estimate.
+/// The name and version that enter the hash of estimated offsets.
 const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 2 };
 
-/// The content of a capture's `offsets.json`.
+/// Content of a capture's `offsets.json`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SavedOffsets {
-    /// There is no file, or it is truncated or from an earlier version.
+    /// There is no file, an earlier version of the program wrote it, or its estimate does not fit the capture's
+    /// cameras.
     Missing,
-    /// The program's own estimate with these options, and the hash that identifies it.
+    /// The program's own estimate, with the options it was made with and the hash that identifies it.
     Estimated { offsets: Offsets, options: Value, hash: String },
-    /// Offsets edited by hand, validated, the cameras in the capture's order.
+    /// Offsets that were edited by hand. They are validated, and their cameras are in the capture's order.
     Edited(Offsets),
 }
 
@@ -75,7 +76,7 @@ struct OffsetsFile {
 }
 
 impl OffsetsFile {
-    /// The hash of all other fields' values, independent of the file's formatting.
+    /// Returns the hash of the values of all other fields. It does not depend on the file's formatting.
     fn checksum(&self) -> String {
         let fields = (&self.reference, &self.cameras, &self.options, &self.hash);
         // Serializing strings, numbers and lists can't fail.
@@ -89,22 +90,22 @@ impl Offsets {
         capture.folder.join("offsets.json")
     }
 
-    /// The path of the plot, in the folder of `offsets.json`.
+    /// Returns the path of the plot `offsets.svg`, in the folder of `offsets.json`.
     pub fn plot_path(capture: &Capture) -> PathBuf {
         capture.folder.join("offsets.svg")
     }
 
-    /// The hexadecimal hash that identifies the offsets of a capture as estimated with these options. The
-    /// error is that of a frame file that cannot be read.
+    /// Returns the hexadecimal hash that identifies the offsets of a capture as estimated with these options. Returns
+    /// an error if a frame file cannot be read.
     pub fn hash(capture: &Capture, options: &impl Serialize) -> Result<String, CaptureError> {
-        // The options as stored in the file; serializing them can't fail.
+        // The options are hashed as they are stored in the file. Serializing them can't fail.
         let options = serde_json::to_value(options).unwrap_or_default();
         let key = capture.cache()?.key(ESTIMATED_OFFSETS, &options);
         Ok(key.map(|key| key.to_string()).unwrap_or_default())
     }
 
-    /// Reads `offsets.json` from the capture's folder. The error is that of a file that cannot be read,
-    /// or of an edited one that fails the validation.
+    /// Reads `offsets.json` from the capture's folder. Returns an error if the file cannot be read or parsed, or if
+    /// it was edited by hand and fails the validation.
     pub fn saved(capture: &Capture) -> Result<SavedOffsets, CaptureError> {
         let path = Self::path(capture);
         let text = match read_text(&path, MAX_OFFSETS_BYTES) {
@@ -129,8 +130,8 @@ impl Offsets {
         }
     }
 
-    /// Writes an estimate with these options, and its hash, to `offsets.json` in the capture's folder,
-    /// atomically.
+    /// Writes estimated offsets to `offsets.json` in the capture's folder, atomically. `options` are the options of
+    /// the estimate, and `hash` is the hash that identifies it ([`Self::hash`]).
     pub fn save(
         &self,
         capture: &Capture,
@@ -152,7 +153,7 @@ impl Offsets {
 
 type FieldResult = Result<(), CaptureError>;
 
-/// The error of an invalid field; `reason` completes the sentence that starts with the field's name.
+/// Returns the error of an invalid field. `reason` completes the sentence that starts with the field's name.
 fn invalid(
     capture: &Capture,
     field: impl Into<String>,
@@ -162,8 +163,8 @@ fn invalid(
     CaptureError::Content { path: Offsets::path(capture), reason }
 }
 
-/// Validates edited offsets by the table in the module's documentation, and sorts the cameras into the
-/// capture's order.
+/// Validates offsets that were edited by hand, by the table in the module's documentation, and sorts the cameras into
+/// the capture's order. Returns the first violation as an error.
 fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, CaptureError> {
     let refuse = |field: &str, reason: String| Err(invalid(capture, field, reason));
     let reference = &capture.cameras[capture.reference].id;
@@ -201,7 +202,7 @@ fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, CaptureError>
     Ok(offsets)
 }
 
-/// The fields of one camera in the file, and the camera's index there.
+/// The fields of one camera in `offsets.json`. `k` is the camera's index in the file.
 struct CameraFields<'a> {
     k: usize,
     camera: &'a CameraOffset,
@@ -209,7 +210,7 @@ struct CameraFields<'a> {
 }
 
 impl CameraFields<'_> {
-    /// An error for the field, with the reason, unless it is `valid`.
+    /// Returns an error with the field's name and the reason, unless `valid` is true.
     fn require(&self, valid: bool, field: &str, reason: impl std::fmt::Display) -> FieldResult {
         let field = format!("cameras[{}] ({}).{field}", self.k, self.camera.id);
         if valid { Ok(()) } else { Err(invalid(self.capture, field, reason)) }
@@ -281,8 +282,9 @@ impl CameraFields<'_> {
     }
 }
 
-/// Checks that all cameras' images have ascending times on the reference's clock, within the capture's reach.
-/// `indices` holds each camera's index in the file.
+/// Checks that each camera's images have ascending times on the reference camera's clock, within the widest time span
+/// that the capture allows ([`Capture::widest_span_s`]). `indices` holds the index of each of the capture's cameras
+/// in the file.
 fn validate_times(offsets: &Offsets, indices: &[usize], capture: &Capture) -> FieldResult {
     let all = offsets.common_times_s(capture);
     let reach_s = capture.reach_s();

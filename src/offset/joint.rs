@@ -1,11 +1,11 @@
-//! The joint solution for all clocks: the offset of every clock, and the rate of every clock that drifts, by
-//! robust weighted least squares over all pairs of cameras.
+//! Solves for all clocks together: the offset of every clock, and the rate of every clock that drifts, by robust
+//! weighted least squares over all pairs of cameras.
 //!
-//! Beyond the paper, which averages each camera's offset relative to the reference. The solution starts from
-//! least absolute deviations, by iteratively reweighted least squares (IRLS), and continues with weights
-//! that, for large deviations of a pair, are proportional to the deviation's inverse square. The variance of
-//! each unknown is the larger one of the cluster-robust variance ([`Sandwich`]) and the one that the pairs'
-//! disagreement implies.
+//! This goes beyond the paper, which averages each camera's offset relative to the reference camera. The solution
+//! starts with least absolute deviations, by iteratively reweighted least squares (IRLS). Further iterations use
+//! redescending weights: a pair with a large deviation has a weight proportional to the inverse square of its
+//! deviation. The variance of each unknown is the larger one of the cluster-robust variance ([`Sandwich`]) and the
+//! variance that the pairs' disagreement implies.
 //!
 //! Known limit: a clock's rate is constant over the whole recording.
 
@@ -17,45 +17,49 @@ use crate::capture::MAX_DRIFT_PPM;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
-/// The clocks that are solved for. Clock 0 is the reference's, whose offset and rate are 0.
+/// Clocks to solve for. Clock 0 is the reference camera's clock, whose offset and rate are 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClockLayout {
-    /// For each camera, the index of its clock.
+    /// The index of each camera's clock, by camera.
     pub of_camera: Vec<usize>,
-    /// For each camera, the time of its first frame on its own clock, at which the offset is defined, seconds.
+    /// The time of each camera's first frame on the camera's own clock, seconds, by camera. The offset of a clock is
+    /// defined at this time.
     pub first_s: Vec<f64>,
-    /// For each clock, whether its rate is an unknown.
+    /// Whether the rate of each clock is an unknown, by clock.
     pub drifts: Vec<bool>,
-    /// The frame period, seconds. Candidates within one period form a cluster by time.
+    /// The frame period, seconds. Offset candidates whose times round to the same multiple of the period form a
+    /// cluster by time.
     pub frame_s: f64,
 }
 
-/// The number of IRLS iterations towards least absolute deviations, which are robust to a few wrong
+/// The number of IRLS iterations that minimize absolute deviations, which makes the solution robust to a few wrong
 /// pairs.
 const L1_ITERATIONS: usize = 30;
-/// The number of IRLS iterations with redescending weights.
+/// The number of IRLS iterations with redescending weights, after the iterations for absolute deviations.
 const ROBUST_ITERATIONS: usize = 10;
-/// The lower bound of a pair's deviation, in units of its standard error. In the L1 iterations, the pair's
-/// weight is the inverse of its deviation.
+/// The lower bound of a pair's deviation in the iterations for absolute deviations, in units of the pair's standard
+/// error. The bound limits the pair's weight, which is the inverse of its deviation.
 const MIN_L1_DEVIATION: f64 = 0.01;
-/// The deviation of a pair up to which its weight is 1, in units of its standard error.
+/// The deviation of a pair up to which its weight is 1 in the iterations with redescending weights, in units of the
+/// pair's standard error.
 const FULL_WEIGHT_DEVIATION: f64 = 2.0;
-/// The lower bound of a pair's standard error, as a fraction of the pairs' median. Errors that are common to
-/// all pairs limit the precision of each.
+/// The lower bound of a pair's standard error, as a fraction of the median standard error of all pairs. Errors that are
+/// common to all pairs limit the precision of every pair.
 const MIN_STD_ERR_FRACTION: f64 = 0.3;
-/// The standard deviation of the prior on every rate, seconds per second: three times the maximum drift.
+/// The standard deviation of the prior on every rate, whose mean is 0, seconds per second: three times the maximum
+/// drift.
 const RATE_PRIOR: f64 = 3.0 * (1e-6 * MAX_DRIFT_PPM);
 /// The ratio of a Gaussian's standard deviation to its median absolute deviation.
 const SIGMA_OVER_MAD: f64 = 1.4826;
 
-/// Solves for all clocks by weighted least squares over the candidates of all pairs.
+/// Solves for all clocks by robust weighted least squares over the offset candidates of all pairs.
 ///
-/// Each pair is weighted by its information, and by a robust weight that depends on its deviation from the
-/// solution. The result is by clock; `None` for a clock that no chain of pairs connects to the reference.
-/// Pairs of cameras that share a clock are ignored. A clock's offset is that at the first frame of its
-/// camera.
+/// Each pair is weighted by its information, and by a robust weight that depends on the pair's deviation from the
+/// solution. The result has an estimate for each clock, `None` for a clock that no chain of pairs connects to the
+/// reference camera's clock. Pairs of cameras that share a clock are ignored. A clock's offset is defined at the
+/// first frame of its first camera.
 ///
-/// With `factor`, L of the calibration errors' covariance L Lᵀ, these errors are unknowns too.
+/// If `factor` is given, calibration errors are unknowns too. `factor` is L of their covariance L Lᵀ.
 pub fn solve_clocks(
     pairs: &[PairEstimate],
     clocks: &ClockLayout,
@@ -101,31 +105,36 @@ pub fn solve_clocks(
     solved
 }
 
-/// The joint solution.
+/// Joint solution for all clocks and for the calibration errors.
 pub struct SolvedClocks {
-    /// For each clock, its estimate.
+    /// The estimate of each clock, by clock. `None` for a clock that no chain of pairs connects to the reference
+    /// camera's clock.
     pub by_clock: Vec<Option<ClockEstimate>>,
-    /// The calibration's errors, in the order of the covariance's rows; empty if they are no unknowns.
+    /// The estimated calibration errors, in the order of the covariance's rows; empty if they are not among the
+    /// unknowns.
     pub errors: DVector<f64>,
 }
 
-/// The columns of the unknowns in the normal matrix: the clocks', then the calibration's errors.
+/// Columns of the unknowns in the normal matrix: first the offsets and rates of the clocks, then the calibration
+/// errors.
 struct Unknowns<'a> {
     clocks: &'a ClockLayout,
-    /// For each clock, the column of its offset; `None` for the reference and unconnected clocks.
+    /// The column of each clock's offset, by clock. `None` for the reference camera's clock, and for a clock that no
+    /// chain of pairs connects to it.
     offset: Vec<Option<usize>>,
-    /// For each clock, the column of its rate; `None` for the reference, unconnected clocks and clocks that do not
-    /// drift.
+    /// The column of each clock's rate, by clock. `None` for the reference camera's clock, for a clock that no chain
+    /// of pairs connects to it, and for a clock that does not drift.
     rate: Vec<Option<usize>>,
-    /// The number of unknowns of the clocks.
+    /// The number of unknown offsets and rates of the clocks.
     clock_count: usize,
     count: usize,
-    /// The clocks' unknowns and the calibration's errors as a linear function of independent unknowns; `None` if the
-    /// calibration is taken as exact.
+    /// The matrix that computes all unknowns from independent unknowns. It leaves the clocks' offsets and rates as they
+    /// are. It combines the correlated calibration errors from independent unknowns of variance 1. `None` if the
+    /// calibration is assumed to be exact.
     from_independent: Option<DMatrix<f64>>,
 }
 
-/// One equation's row of the design matrix: its nonzero entries as (column, coefficient).
+/// One equation's row of the design matrix: the nonzero entries as (column, coefficient).
 type EquationRow = Vec<(usize, f64)>;
 
 fn dot(row: &EquationRow, x: &DVector<f64>) -> f64 {
@@ -155,19 +164,21 @@ impl<'a> Unknowns<'a> {
         Self { clocks, offset, rate, clock_count, count, from_independent }
     }
 
-    /// Whether a pair has a single observation equation, for its estimated offset. With rates or calibration errors, each
-    /// candidate has one.
+    /// Returns whether each pair has a single observation equation, for its estimated offset. If rates or calibration
+    /// errors are unknown, each offset candidate has its own equation instead.
     fn is_one_equation(&self) -> bool {
         self.rate.iter().all(Option::is_none) && self.from_independent.is_none()
     }
 
-    /// The information of the prior on the independent unknowns: 1 for those of the calibration.
+    /// Returns the information matrix (inverse covariance) of the prior on the independent unknowns. Its diagonal is
+    /// 0 for the clocks' unknowns, and 1 for the unknowns of variance 1 from which the calibration errors are
+    /// combined. `independent` is the number of independent unknowns.
     fn prior(&self, independent: usize) -> DMatrix<f64> {
         let is_calibration = |k| if k < self.clock_count { 0.0 } else { 1.0 };
         DMatrix::from_diagonal(&DVector::from_fn(independent, |k, _| is_calibration(k)))
     }
 
-    /// The row of one of a pair's candidates.
+    /// Returns the design matrix's row for the offset candidate with index `sample` of a pair.
     fn sample_row(&self, pair: &PairEstimate, sample: usize) -> EquationRow {
         let s = &pair.samples[sample].0;
         let mut row = self.row(s.cameras, s.time_a_s, s.time_b_s);
@@ -178,7 +189,8 @@ impl<'a> Unknowns<'a> {
         row
     }
 
-    /// The solution of the normal equations, and the inverse of their matrix. `None` if it is singular.
+    /// Solves the normal equations. Returns the solution and the inverse of the normal matrix. `None` if the matrix
+    /// is singular.
     fn solve(
         &self,
         normal: DMatrix<f64>,
@@ -194,8 +206,8 @@ impl<'a> Unknowns<'a> {
         Some((x, transform * cholesky.inverse() * transform.transpose()))
     }
 
-    /// The row for the observation equation of `offset_b − offset_a`. The times, at which the two offsets are
-    /// taken, are on the cameras' own clocks, seconds.
+    /// Returns the design matrix's row for an observation of `offset_b − offset_a`. `time_a_s` and `time_b_s` are the
+    /// times at which the offsets of a and b are taken, seconds, each on the camera's own clock.
     fn row(&self, [a, b]: [usize; 2], time_a_s: f64, time_b_s: f64) -> EquationRow {
         let mut row = Vec::with_capacity(4);
         for (camera, sign, time_s) in [(b, 1.0, time_b_s), (a, -1.0, time_a_s)] {
@@ -208,36 +220,37 @@ impl<'a> Unknowns<'a> {
     }
 }
 
-/// One pair's contribution to the normal equations, summed over its observation equations: one for each
-/// candidate, or a single one for its estimated offset.
+/// One pair's contribution to the normal equations, summed over its observation equations. There is one equation for
+/// each offset candidate, or a single one for the pair's estimated offset.
 struct PairSystem {
-    /// The entries of the pair's normal matrix by (row, column). It is sparse, since dense matrices for all
+    /// The entries of the pair's normal matrix by (row, column). The matrix is sparse, since dense matrices for all
     /// pairs of a large array would take gigabytes.
     normal: BTreeMap<(usize, usize), f64>,
     right: DVector<f64>,
-    /// The weighted mean of the pair's observation equations: the coefficients of the unknowns, and the
-    /// observed mean offset, `offset_j − offset_i`, seconds.
+    /// The weighted mean of the pair's observation equations: the coefficients of the unknowns, and the observed mean
+    /// of `offset_j − offset_i`, seconds, where i and j are the pair's cameras.
     mean: (DVector<f64>, f64),
     /// The standard error of the observed mean offset, seconds.
     sigma_s: f64,
-    /// The factor that scales the candidates' total information to `1 / sigma_s²`.
+    /// The factor that scales the total information of the pair's offset candidates to `1 / sigma_s²`.
     factor: f64,
 }
 
-/// The solution of the IRLS iterations.
+/// Solution of the normal equations after all IRLS iterations.
 struct RobustSolution {
     x: DVector<f64>,
-    /// For each pair, its robust weight.
+    /// The robust weight of each pair of cameras.
     weights: Vec<f64>,
-    /// The inverse of the normal matrix. It would be the covariance if the pairs' errors were independent and
-    /// their standard errors correct.
+    /// The inverse of the normal matrix. If the errors of the pairs were independent, and their standard errors
+    /// correct, it would be the covariance of the unknowns.
     inverse: DMatrix<f64>,
-    /// The robust standard deviation of the pairs' deviations in units of their standard errors, at
-    /// least 1.
+    /// The robust standard deviation of the pairs' deviations from the solution, in units of the pairs' standard
+    /// errors; at least 1.
     scale: f64,
 }
 
-/// Solves the normal equations by IRLS. `None` if they are singular.
+/// Solves the normal equations by iteratively reweighted least squares (IRLS). `None` if the normal matrix is
+/// singular.
 fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustSolution> {
     let n = unknowns.count;
     let mut solution: Option<RobustSolution> = None;
@@ -266,8 +279,8 @@ fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustS
         let (x, inverse) = unknowns.solve(normal, &right)?;
         let mut z: Vec<f64> = systems.iter().map(|p| p.deviation(&x)).collect();
         z.sort_by(f64::total_cmp);
-        // If there are more equations than unknowns, and deviations exceed the standard errors, all standard
-        // errors are scaled up.
+        // If the pairs deviate by more than their standard errors, and there are more equations than unknowns, all
+        // standard errors are scaled up.
         let equations_per_pair = if unknowns.rate.iter().any(Option::is_some) { 2 } else { 1 };
         let degrees_of_freedom =
             (equations_per_pair * systems.len()).saturating_sub(unknowns.clock_count);
@@ -283,17 +296,18 @@ fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustS
     solution
 }
 
-/// A pair's normal matrix while it is summed: dense, over the few unknowns of its two cameras.
+/// Normal matrix of one pair while equations are added to it: a dense matrix over the few unknowns of the pair's two
+/// cameras.
 #[derive(Default)]
 struct PairNormal {
-    /// The columns of the pair's unknowns, in the order in which they came.
+    /// The columns of the pair's unknowns in the joint normal matrix, in the order of their first occurrence.
     columns: Vec<usize>,
-    /// Rows of the matrix; rows and columns are in the order of `columns`.
+    /// The rows of the matrix. Its rows and columns are in the order of `columns`.
     entries: Vec<Vec<f64>>,
 }
 
 impl PairNormal {
-    /// Adds an equation's row of the design matrix.
+    /// Adds an equation with the given row of the design matrix and the given weight.
     fn add(&mut self, row: &EquationRow, weight: f64) {
         let own: Vec<(usize, f64)> = row.iter().map(|&(c, x)| (self.local(c), x)).collect();
         for &(i, x) in &own {
@@ -303,7 +317,8 @@ impl PairNormal {
         }
     }
 
-    /// The place of an unknown among the pair's.
+    /// Returns the index in `columns` of the unknown with the given column of the joint normal matrix. Appends the
+    /// unknown if it is not there yet.
     fn local(&mut self, column: usize) -> usize {
         if let Some(place) = self.columns.iter().position(|c| *c == column) {
             return place;
@@ -315,7 +330,7 @@ impl PairNormal {
         count - 1
     }
 
-    /// The entries times `factor` by (row, column).
+    /// Returns the entries of the matrix, multiplied by `factor`, by (row, column) of the joint normal matrix.
     fn scaled(&self, factor: f64) -> BTreeMap<(usize, usize), f64> {
         let entries = self.entries.iter().zip(&self.columns).flat_map(|(row, &i)| {
             row.iter().zip(&self.columns).map(move |(value, &j)| ((i, j), value * factor))
@@ -360,16 +375,17 @@ impl PairSystem {
         }
     }
 
-    /// The absolute difference between the pair's observed mean offset and the one that the unknowns `x`
-    /// imply, in units of its standard error.
+    /// Returns the absolute difference between the pair's observed mean offset and the mean offset that the unknowns
+    /// `x` imply, in units of the pair's standard error.
     fn deviation(&self, x: &DVector<f64>) -> f64 {
         (self.mean.1 - self.mean.0.dot(x)).abs() / self.sigma_s
     }
 }
 
 impl RobustSolution {
-    /// The variance of each unknown: the larger one of the cluster-robust variance, with clusters by time and
-    /// by place across all pairs, and the variance that the pairs' disagreement implies.
+    /// Returns the variance of each offset and rate. It is the larger one of two variances: the cluster-robust
+    /// variance, with clusters by time and by place over all pairs, and the variance that the pairs' disagreement
+    /// implies.
     fn variances(
         &self,
         used: &[&PairEstimate],
@@ -408,7 +424,7 @@ impl RobustSolution {
     }
 }
 
-/// For each clock, whether a chain of pairs connects it to the reference's clock.
+/// Returns, for each clock, whether a chain of pairs connects it to the reference camera's clock.
 fn connected_to_reference(pairs: &[&PairEstimate], clocks: &ClockLayout) -> Vec<bool> {
     let mut connected = vec![false; clocks.drifts.len()];
     connected[0] = true;

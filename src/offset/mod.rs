@@ -1,46 +1,48 @@
-//! §7: the temporal offsets of cameras with clocks of their own, from their images alone.
+//! Estimates the temporal offsets of unsynchronized cameras from their images alone (§7 of the paper).
 //!
-//! Time on the reference's clock = time on the camera's clock + offset, in seconds. A camera that starts
-//! after the reference, both at 0 on their own clocks, has a positive offset.
+//! A time on the reference camera's clock is the time on the camera's own clock plus the camera's offset, in seconds.
+//! If both clocks read 0 at their first frames, a camera that starts after the reference camera has a positive
+//! offset.
 //!
 //! | paper | item |
 //! |---|---|
 //! | eq. (10), one candidate per feature | [`ThreeFrames::candidates`] |
 //! | RANSAC over all candidates | [`ransac`] |
-//! | WLS, eqs. (11) to (13) | [`weighted_least_squares`] |
+//! | weighted least squares (WLS), eqs. (11) to (13) | [`weighted_least_squares`] |
 //! | the choice of frames with 0 ≤ t̃ ≤ Δt, the mean over frames | [`PairEstimate`] |
 //! | Fig. 23, the distances from the epipolar lines | [`plot`] |
 //!
-//! Beyond the paper: an information-weighted mixture model instead of RANSAC and WLS
-//! ([`Mixture`]), curved trajectories, rough alignment of recordings that start seconds apart,
-//! lost frames, and all clocks solved together with rates and standard errors.
+//! Beyond the paper: an information-weighted mixture model instead of RANSAC and WLS ([`Mixture`]), curved
+//! trajectories, rough alignment of recordings that start seconds apart, detection of lost frames, and a joint
+//! solution for all clocks with rates and standard errors.
 //!
 //! | file | content |
 //! |---|---|
 //! | `options` | [`OffsetOptions`] and the methods |
 //! | `clock` | [`ClockModel`]: offset, rate and lost frames; nominal clocks |
-//! | `estimate` | [`estimate`]: the steps in their order, and the reasons of unknown offsets |
+//! | `estimate` | [`estimate`]: the stages in their order, and the reasons of unknown offsets |
 //! | `recording` | frames, features and tracks, and the candidates of frame triples, eq. (10) |
 //! | `alignment` | rough alignment by cross-correlation of activity, verified by candidates |
 //! | `lost_frames` | lost frames: observation, and clock models by block-coordinate descent |
 //! | `pair` | the pairs of cameras, and each pair's offset, by RANSAC and WLS or by the mixture |
 //! | `joint` | all clocks together by robust weighted least squares |
-//! | `calibration` | how the calibration's errors change candidates |
+//! | `calibration` | how calibration errors change candidates |
 //! | `uncertainty` | cluster-robust standard errors |
-//! | `offsets` | [`Offsets`], the result, and the frame times that it implies |
-//! | [`mod@file`] | `offsets.json`, and the validation of an edited one |
+//! | `offsets` | [`Offsets`], the result, and the frame times that follow from it |
+//! | [`mod@file`] | `offsets.json`, and the validation of an edited file |
 //! | `plot` | charts of the data behind an estimate |
 //!
 //! # Known limits
 //!
-//! - Recordings of less than 2 s are taken to be aligned to about a frame.
-//! - Motion along the epipolar lines of all pairs of a camera leaves its offset undetermined.
+//! - Recordings shorter than 2 s are assumed to be aligned to about one frame.
+//! - If all motion runs along the epipolar lines of every pair that contains a camera, the camera's offset cannot be
+//!   determined.
 //! - A frame lost while nothing moves is attributed to the next image that shows motion.
-//! - A frame lost right after the first image or before the last one may be missed. That image's time is
-//!   then one frame off.
-//! - Cameras that lose frames at about the same time hide each other's losses. If several places fit
-//!   nearly as well, their offsets are unknown.
-//! - One rate holds for a whole recording.
+//! - The loss of a frame directly after the first image or directly before the last image of a recording may be
+//!   missed. The time of that first or last image is then wrong by one frame.
+//! - If several cameras lose frames at about the same time, several sets of lost frames may explain the images nearly
+//!   equally well. The offsets of these cameras are then unknown.
+//! - Each clock has one constant rate over the whole recording.
 
 mod alignment;
 mod calibration;
@@ -74,17 +76,21 @@ use crate::host::write_atomically;
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 
-/// The reason of an unknown offset of a camera with a single frame.
+/// The reason given for the unknown offset of a camera with a single frame.
 const ONE_FRAME: &str = "it has one frame, which shows no motion";
 
-/// The offsets of a capture: known, edited by hand, stored by an earlier command, or estimated from the
-/// images. The first of these sources that applies is used. A note on the reporter says which one.
+/// Returns the temporal offsets of a capture's cameras. A note to the user, by `reporter`, says where they come from.
 ///
-/// They are known, all 0, if all cameras share one clock. In a static capture, with one frame per camera, all
-/// but the reference's are unknown. [`mod@file`] says when the offsets in `offsets.json` are used. New
-/// estimates are stored in that file, with their plot in `offsets.svg`. If the folder cannot be written,
-/// there is a note and no error. The error is that of a frame that cannot be read, or of a refused
-/// `offsets.json`.
+/// The first source that applies is used:
+///
+/// - If all cameras share one clock, all offsets are 0.
+/// - If the capture is static (one frame per camera), all offsets except the reference camera's are unknown.
+/// - If `offsets.json` was edited by hand, its offsets are used as given.
+/// - If `offsets.json` holds an estimate for the same frames and options ([`mod@file`]), this estimate is used.
+/// - Otherwise the offsets are estimated from the images. The estimate is stored in `offsets.json`, and its plot in
+///   `offsets.svg`. If the folder cannot be written, the estimate is returned without being stored.
+///
+/// Returns an error if a frame cannot be read, or if `offsets.json` is invalid.
 pub fn resolve_offsets(
     frames: &FrameStore,
     options: &OffsetOptions,
@@ -93,7 +99,8 @@ pub fn resolve_offsets(
     resolve(frames, options, reporter, true)
 }
 
-/// [`resolve_offsets`], except that an edited `offsets.json` is neither used nor replaced.
+/// Returns the offsets as [`resolve_offsets`] does, but neither uses nor replaces an `offsets.json` that was edited
+/// by hand.
 pub fn offsets_from_images(
     frames: &FrameStore,
     options: &OffsetOptions,
@@ -146,7 +153,7 @@ fn resolve(
     }
     let estimate = estimate(frames, options, reporter)?;
     let saved = save(&estimate, capture, &all_options, &hash);
-    // A read-only capture is no error: the offsets are used without being saved.
+    // A folder that cannot be written is no error: the offsets are used without being saved.
     reporter.note(&match saved {
         Ok(()) => {
             "Offsets were estimated from the images and saved in offsets.json, their plot in \
@@ -158,7 +165,7 @@ fn resolve(
     Ok(estimate.offsets)
 }
 
-/// Writes the plot `offsets.svg`, then `offsets.json`.
+/// Writes the plot of an estimate to `offsets.svg`, then its offsets to `offsets.json`, in the capture's folder.
 fn save(
     estimate: &Estimate,
     capture: &Capture,

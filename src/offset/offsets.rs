@@ -1,51 +1,55 @@
-//! The estimated offsets of all cameras, and the frame times that they imply.
+//! The temporal offsets of all cameras, and the frame times that follow from them.
 
 use super::clock::{ClockModel, NominalClock};
 use crate::capture::{Capture, are_frame_times};
 use serde::{Deserialize, Serialize};
 
-/// The offset of every camera of a capture.
+/// Temporal offsets of all cameras of a capture, relative to the reference camera's clock.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Offsets {
-    /// The reference camera's id.
+    /// The id of the reference camera.
     pub reference: String,
-    /// One for each camera, in the capture's order.
+    /// The offset of each camera, in the order of the capture's cameras.
     pub cameras: Vec<CameraOffset>,
 }
 
-/// One camera's clock relative to the reference's, as files and Python state it.
+/// One camera's clock relative to the reference camera's clock, in the form of `offsets.json` and of the Python
+/// module.
 ///
-/// `time_ref = time_cam + (time_cam − first_cam)·rate_ppm·1e-6 + offset_s`, where `first_cam` is the
-/// time of the camera's first frame. For a camera that lost frames, `time_cam` of an image is its
-/// nominal time plus one frame period for each frame missing before it. A camera that starts later
-/// than the reference, both at 0 on their own clocks, has a positive offset.
+/// `time_ref = time_cam + (time_cam − first_cam)·rate_ppm·1e-6 + offset_s`. `time_ref` is a time on the reference
+/// camera's clock, `time_cam` the same time on this camera's clock, and `first_cam` the time of this camera's first
+/// frame on its own clock. If the camera lost frames, `time_cam` of an image is the image's nominal time plus one
+/// frame period for each frame missing before the image. If both clocks read 0 at their first frames, a camera that
+/// starts after the reference camera has a positive offset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraOffset {
     /// The camera's id.
     pub id: String,
-    /// The offset, seconds; `None` if it can't be determined from this capture.
+    /// The offset, seconds: the time on the reference camera's clock minus the time on this camera's clock, at this
+    /// camera's first frame. `None` if the offset can't be determined from the capture.
     pub offset_s: Option<f64>,
-    /// The standard error of the offset, seconds; 0 if the offset is known.
+    /// The standard error of the offset, seconds; 0 if the offset is known exactly, `None` if it is unknown.
     pub std_err_s: Option<f64>,
-    /// The rate of change of the offset, parts per million. Only for cameras whose clock may drift according
-    /// to the capture.
+    /// The rate of change of the offset, parts per million. `None` if the offset is unknown, or if the capture states
+    /// that the camera's clock does not drift.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_ppm: Option<f64>,
-    /// The standard error of the rate, parts per million.
+    /// The standard error of the clock's rate, parts per million. `None` if there is no rate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_std_err_ppm: Option<f64>,
-    /// The images before which a frame is missing, ascending, one entry for each missing frame. Only for
-    /// cameras that may lose frames according to the capture.
+    /// The indices of the images directly before which a frame is missing, ascending; an index occurs once for each
+    /// missing frame. `None` if the capture states that the camera loses no frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lost_before: Option<Vec<usize>>,
-    /// Why the offset is unknown, as a sentence.
+    /// The reason why the offset is unknown, as a sentence; `None` if the offset is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
 }
 
 impl CameraOffset {
-    /// The clock model from the camera's clock to the reference's; `None` if the offset is unknown.
+    /// Returns the clock model that converts times on the camera's clock to the reference camera's clock. `None` if
+    /// the offset is unknown.
     pub fn clock(&self, nominal: &NominalClock) -> Option<ClockModel> {
         let mut clock = ClockModel {
             offset_s: self.offset_s?,
@@ -59,7 +63,7 @@ impl CameraOffset {
 }
 
 impl Offsets {
-    /// The offsets of a capture whose clocks are known: 0 for every camera, with a standard error of 0.
+    /// Returns the offsets of a capture whose clocks are known: 0 for every camera, with a standard error of 0.
     pub fn known(capture: &Capture) -> Self {
         let camera = |id: &String| CameraOffset {
             id: id.clone(),
@@ -73,7 +77,7 @@ impl Offsets {
         }
     }
 
-    /// Offsets that are unknown for all cameras but the reference, with the same reason for all.
+    /// Returns offsets that are unknown for all cameras except the reference camera, with the same reason for each.
     pub(super) fn unknown(capture: &Capture, reason: &str) -> Self {
         let mut offsets = Self::known(capture);
         for (c, camera) in offsets.cameras.iter_mut().enumerate() {
@@ -85,7 +89,8 @@ impl Offsets {
         offsets
     }
 
-    /// For each camera, the clock model from its clock to the reference's; `None` if its offset is unknown.
+    /// Returns, for each camera, the clock model that converts times on the camera's clock to the reference camera's
+    /// clock. `None` for a camera whose offset is unknown.
     pub fn clocks(&self, capture: &Capture) -> Vec<Option<ClockModel>> {
         let clock = |(c, camera): (usize, &CameraOffset)| {
             camera.clock(&NominalClock::of_camera(capture, c))
@@ -93,9 +98,9 @@ impl Offsets {
         self.cameras.iter().take(capture.cameras.len()).enumerate().map(clock).collect()
     }
 
-    /// For each camera, the times of all its images on the reference's clock, seconds; `None` if its offset is
-    /// unknown. If a camera has a single frame, an unknown offset counts as 0, since the frame is valid at
-    /// any time.
+    /// Returns, for each camera, the times of all its images on the reference camera's clock, seconds. `None` for a
+    /// camera whose offset is unknown. If a camera has a single frame, an unknown offset counts as 0, since the frame
+    /// is valid at any time.
     pub fn common_times_s(&self, capture: &Capture) -> Vec<Option<Vec<f64>>> {
         let times_s = |(c, known): (usize, Option<ClockModel>)| {
             let nominal = NominalClock::of_camera(capture, c);
@@ -106,7 +111,8 @@ impl Offsets {
         self.clocks(capture).into_iter().enumerate().map(times_s).collect()
     }
 
-    /// Whether these are the offsets of a capture's cameras, and all frame times ascend.
+    /// Returns whether these offsets belong to the capture's cameras, in the capture's order, and give every camera's
+    /// frames ascending times on the reference camera's clock.
     pub fn fits(&self, capture: &Capture) -> bool {
         self.cameras.len() == capture.cameras.len()
             && self.cameras.iter().zip(&capture.cameras).all(|(o, c)| o.id == c.id)

@@ -4,16 +4,16 @@ use crate::method::methods;
 use crate::option::options;
 use serde::{Deserialize, Serialize};
 
-/// The estimators of the temporal offsets, cheapest first.
+/// The method that estimates the temporal offsets. The variants are in ascending order of computing time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OffsetMethod {
-    /// The paper's (§7): straight trajectories, each camera against the reference camera, RANSAC and WLS
-    /// for every frame, and the mean over the frames.
+    /// The paper's method (§7): straight trajectories, each camera paired with the reference camera only, RANSAC and
+    /// weighted least squares for every frame, and the mean over the frames.
     Pairwise,
-    /// Straight trajectories, and all pairs together, weighted by their information.
+    /// Straight trajectories. All pairs of cameras, weighted by their information, determine the offsets together.
     Joint,
-    /// Curved trajectories through up to four frames, and all pairs together.
+    /// Curved trajectories through up to four frames. All pairs of cameras determine the offsets together.
     #[default]
     JointCurved,
 }
@@ -27,7 +27,7 @@ methods!(OffsetMethod {
 options! {
     /// Options of the offset estimation (§7).
     pub struct OffsetOptions {
-        /// The estimator that combines the features' candidates.
+        /// The method that estimates the offsets.
         method: OffsetMethod = OffsetMethod::JointCurved,
         /// The number of nearest cameras that every camera is paired with.
         neighbors: usize [1..=1_000_000, "cameras"] = 2,
@@ -35,7 +35,7 @@ options! {
         max_frames: usize [1..=1_000_000, "frames"] = 30,
         /// The maximum number of corners tracked per frame.
         max_features: usize [1..=100_000, "corners"] = 600,
-        /// The largest offset that is searched for; 0: the nominal clocks are right to about a frame.
+        /// The largest offset that is searched for; 0 if the nominal clocks are right to about a frame.
         search_s: f64 [0.0..=3600.0, "s"] = 5.0,
     }
 }

@@ -1,16 +1,21 @@
-//! Plots of an estimate and its data: `offsets.svg`, next to `offsets.json`.
+//! Plots an offset estimate and the data behind it: the file `offsets.svg`, next to `offsets.json`.
 
 use super::clock::ClockModel;
 use super::{Estimate, PairEstimate};
 use crate::capture::Capture;
 use crate::chart::{Chart, ChartPoint, Series, svg};
 
-/// Four charts, as SVG text; `capture` must be that of the estimate.
+/// Returns four charts of an offset estimate, as SVG text. `capture` must be the capture whose offsets were
+/// estimated.
 ///
-/// The charts show each pair's own estimate minus the joint one, each pair's fraction of inliers, the
-/// estimates of single frame triples over time, and the inliers' distances from their epipolar lines for the
-/// nominal and for the estimated clocks (Fig. 23). The first and the third chart leave out pairs of cameras
-/// without an offset.
+/// - The offset of each pair alone, minus the jointly estimated offset.
+/// - The fraction of inliers among each pair's offset candidates.
+/// - The offsets from single frame triples (two frames of one camera, one frame of another) over time, minus the
+///   jointly estimated offset.
+/// - The distribution of the inliers' distances from their epipolar lines, for the nominal clocks and for each pair's
+///   estimated offset (Fig. 23).
+///
+/// The first and the third chart leave out pairs in which a camera's offset is unknown.
 pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
     let joint = estimate.offsets.clocks(capture);
     let pair_axis = pair_axis(estimate, capture);
@@ -23,17 +28,18 @@ pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
     svg(&charts, 2)
 }
 
-/// Milliseconds in a second.
+/// Number of milliseconds in a second.
 const MS: f64 = 1e3;
 
-/// `offset_j − offset_i` at a time by the jointly estimated clocks, seconds; `None` if either camera's
-/// offset is unknown.
+/// Returns `offset_j − offset_i` of the cameras [i, j], seconds, by the jointly estimated clocks. `time_s` is the time,
+/// seconds, on the clock of either camera: the offsets change too slowly for the difference to matter. `None` if either
+/// camera's offset is unknown.
 fn joint_offset_s(joint: &[Option<ClockModel>], cameras: [usize; 2], time_s: f64) -> Option<f64> {
     let [i, j] = cameras.map(|c| joint[c].as_ref().map(|clock| clock.offset_at(time_s)));
     Some(j? - i?)
 }
 
-/// The label of an axis along which camera pairs are numbered; it names the first and the last pair.
+/// Returns the label of an axis along which camera pairs are numbered. The label names the first and the last pair.
 fn pair_axis(estimate: &Estimate, capture: &Capture) -> String {
     let name = |pair: &PairEstimate| {
         let [i, j] = pair.cameras.map(|c| &capture.cameras[c].id);
@@ -48,7 +54,7 @@ fn pair_axis(estimate: &Estimate, capture: &Capture) -> String {
     }
 }
 
-/// Chart of the estimate of each pair minus the joint one.
+/// Returns the chart of the offset of each pair alone, minus the jointly estimated offset.
 fn pairs(estimate: &Estimate, joint: &[Option<ClockModel>], pair_axis: &str) -> Chart {
     let points = estimate.pairs.iter().enumerate().filter_map(|(k, pair)| {
         let joint_s = joint_offset_s(joint, pair.cameras, pair.clock.reference_s)?;
@@ -69,7 +75,7 @@ fn pairs(estimate: &Estimate, joint: &[Option<ClockModel>], pair_axis: &str) -> 
     }
 }
 
-/// Chart of the fraction of inliers among each pair's candidates.
+/// Returns the chart of the fraction of inliers among each pair's offset candidates.
 fn inlier_fractions(estimate: &Estimate, pair_axis: &str) -> Chart {
     let fraction = |p: &PairEstimate| p.inliers as f64 / p.candidates.max(1) as f64;
     let points = estimate.pairs.iter().enumerate().map(|(k, p)| (k as f64, fraction(p)).into());
@@ -83,7 +89,8 @@ fn inlier_fractions(estimate: &Estimate, pair_axis: &str) -> Chart {
     }
 }
 
-/// Chart of the estimates of single frame triples, minus the joint one, over time.
+/// Returns the chart of the offsets from single frame triples (two frames of one camera, one frame of another) over
+/// time, minus the jointly estimated offset.
 fn over_time(estimate: &Estimate, capture: &Capture, joint: &[Option<ClockModel>]) -> Chart {
     let mut series = [
         Series { label: "RANSAC and WLS (the paper's)".into(), dots: true, ..Series::default() },
@@ -108,10 +115,11 @@ fn over_time(estimate: &Estimate, capture: &Capture, joint: &[Option<ClockModel>
     }
 }
 
-/// The number of quantiles by which a distribution is plotted.
+/// The number of quantiles with which a distribution is plotted.
 const QUANTILES: usize = 60;
 
-/// Chart of the distribution of the inliers' distances from their epipolar lines (Fig. 23).
+/// Returns the chart of the distribution of the inliers' distances from their epipolar lines (Fig. 23), for the nominal
+/// clocks and for each pair's estimated offset.
 fn distances(estimate: &Estimate) -> Chart {
     let (mut nominal, mut estimated) = (Vec::new(), Vec::new());
     for pair in &estimate.pairs {

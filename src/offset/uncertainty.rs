@@ -1,39 +1,40 @@
-//! Standard errors of weighted least squares with correlated errors.
+//! Standard errors of weighted least-squares estimates from equations with correlated errors.
 //!
-//! The errors of candidates are correlated. Candidates of one instant share the noise of its frames;
-//! candidates of one place share texture, occlusions and the tracker's bias. The two-way cluster-robust
-//! (sandwich) covariance accounts for both (Cameron, Gelbach and Miller 2011). It is the covariance with
-//! clusters by time, plus that with clusters by place, minus the one for independent errors, which both
-//! include.
+//! The errors of candidates are correlated. Candidates at the same instant share the noise of their frames. Candidates
+//! at the same place in the image share texture, occlusions and the tracker's bias. The two-way cluster-robust
+//! (sandwich) covariance accounts for both correlations (Cameron, Gelbach and Miller 2011). It is the covariance with
+//! clusters by time, plus the covariance with clusters by place, minus the covariance for independent errors, which the
+//! first two both include. A variance is at least as large as in each of these three covariances.
 //!
-//! The features of a small body have a common error, such as occlusion at its outline, which their scatter
-//! underestimates. Standard errors are therefore inflated if few tracker windows carry all the information
-//! ([`std_err_inflation`]).
+//! The features of a small body have a common error, such as occlusion at the body's outline. The scatter of these
+//! features underestimates this error. Standard errors are therefore inflated if few tracker windows carry all the
+//! information ([`std_err_inflation`]).
 //!
-//! Known limit: an error that all features share at all times does not show in their scatter.
+//! Known limit: the scatter of features does not show an error that all features share at all times.
 
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
-/// The minimum number of degrees of freedom of Student's distribution in [`std_err_inflation`].
+/// The lower bound of the degrees of freedom of Student's t-distribution in [`std_err_inflation`].
 const MIN_DEGREES: f64 = 0.5;
-/// The minimum fraction of a column's squared length that the other columns do not explain. Below it, the
-/// normal matrix counts as singular.
+/// The minimum fraction of a column's squared length that the other columns of the design matrix do not explain. If
+/// the fraction is smaller, the normal matrix counts as singular.
 const MIN_UNEXPLAINED: f64 = 1e-10;
 
-/// The sandwich covariance of a weighted least-squares problem, accumulated row by row.
+/// Sandwich covariance of a weighted least-squares problem, accumulated equation by equation.
 pub struct Sandwich {
     unknowns: usize,
     normal: DMatrix<f64>,
     independent: DMatrix<f64>,
     by_time: BTreeMap<i64, DVector<f64>>,
     by_place: BTreeMap<usize, DVector<f64>>,
-    /// The information of the prior on the unknowns, whose error is independent of all equations.
+    /// The information matrix (inverse covariance) of a prior on the unknowns, if there is a prior. The prior's error
+    /// is independent of the errors of all equations.
     prior: Option<DMatrix<f64>>,
 }
 
 impl Sandwich {
-    /// An empty problem with this number of unknowns.
+    /// Creates a least-squares problem without equations, with the given number of unknowns.
     pub fn new(unknowns: usize) -> Self {
         Self {
             unknowns,
@@ -45,8 +46,8 @@ impl Sandwich {
         }
     }
 
-    /// The problem in other unknowns, of which the present ones are `transform` times the new ones, with a prior of this
-    /// information.
+    /// Replaces the unknowns x by new unknowns y, where x = `transform` · y. `prior` is the information matrix
+    /// (inverse covariance) of a prior on y.
     pub fn with_prior(self, transform: &DMatrix<f64>, prior: DMatrix<f64>) -> Self {
         let both = |m: DMatrix<f64>| transform.tr_mul(&(m * transform));
         Self {
@@ -59,8 +60,8 @@ impl Sandwich {
         }
     }
 
-    /// Adds one equation: the nonzero entries of its row as (column, value), its weight, its residual,
-    /// and the clusters by time and by place that it belongs to.
+    /// Adds one equation. `row` holds the nonzero coefficients of the unknowns as (column, coefficient). `time` and
+    /// `place` are the clusters by time and by place to which the equation belongs.
     pub fn add(
         &mut self,
         row: &[(usize, f64)],
@@ -83,21 +84,21 @@ impl Sandwich {
         }
     }
 
-    /// The inverse of the normal matrix. `None` if it is singular within rounding.
+    /// Returns the inverse of the normal matrix. `None` if the matrix is singular within rounding.
     fn inverse(&self) -> Option<DMatrix<f64>> {
         let scale = self.normal.diagonal().map(f64::sqrt);
         let scales = DMatrix::from_diagonal(&scale.map(f64::recip));
-        // The scaled matrix has a unit diagonal. The squared diagonal of its Cholesky factor is, for each
-        // column, the fraction that the columns before it do not explain.
+        // The scaled matrix has a unit diagonal. Each squared diagonal entry of its Cholesky factor is the fraction
+        // of a column that the columns before it do not explain.
         let cholesky = (&scales * &self.normal * &scales).cholesky()?;
         let unexplained = cholesky.l_dirty().diagonal().map(|d| d * d);
-        // A prior determines what the equations don't.
+        // A prior also determines unknowns that the equations leave undetermined.
         let is_determined = self.prior.is_some() || unexplained.min() > MIN_UNEXPLAINED;
         is_determined.then(|| &scales * cholesky.inverse() * &scales)
     }
 
-    /// The variance of each unknown. `None` if the unknowns are not determined, or if all equations are in
-    /// one cluster by time, so that there is no scatter.
+    /// Returns the variance of each unknown. `None` if the equations do not determine the unknowns, or if all
+    /// equations are in one cluster by time, so that there is no scatter over time.
     pub fn variances(&self) -> Option<Vec<f64>> {
         if self.by_time.len() < 2 {
             return None;
@@ -120,8 +121,9 @@ impl Sandwich {
     }
 }
 
-/// The effective number of independent clusters (Kish 1965): (Σ I)² / Σ I², where I is the information of a
-/// cluster; 0 without information. Items are (cluster, information), and are summed by cluster.
+/// Returns the effective number of independent clusters (Kish 1965): (Σ I)² / Σ I², where I is the information of a
+/// cluster; 0 if all information is 0. `informed` yields items (cluster, information). The information of a cluster is
+/// the sum over its items.
 pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
     let mut by_key: BTreeMap<usize, f64> = BTreeMap::new();
     for (key, information) in informed {
@@ -132,11 +134,12 @@ pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
     if squares > 0.0 { sum * sum / squares } else { 0.0 }
 }
 
-/// The factor on a standard error that is estimated from the scatter of `independent` independent clusters.
-/// Its square is a variance inflation factor.
+/// Returns the factor by which to multiply a standard error that was estimated from the scatter of `independent`
+/// independent clusters. The square of the factor is a variance inflation factor.
 ///
-/// It is the ratio of Student's quantile to the Gaussian's at two standard errors, by its expansion
-/// (Abramowitz and Stegun 26.7.5). It decreases to 1 for many clusters, and is constant below 1.5 clusters.
+/// The factor is the ratio of the quantiles of Student's t-distribution and of the Gaussian at two standard errors,
+/// by a series expansion (Abramowitz and Stegun 26.7.5). It decreases to 1 for many clusters, and is constant below
+/// 1.5 clusters.
 pub fn std_err_inflation(independent: f64) -> f64 {
     let n = (independent - 1.0).max(MIN_DEGREES);
     let x: f64 = 2.0;
@@ -148,7 +151,9 @@ pub fn std_err_inflation(independent: f64) -> f64 {
     1.0 + (orders[0] / n + orders[1] / (n * n) + orders[2] / (n * n * n)) / x
 }
 
-/// The sum `Σ g gᵀ` over the clusters' scores g, with a small-sample correction for the number of clusters.
+/// Returns the sum `Σ g gᵀ` over the score vectors g of all clusters, times n / (n − 1) for n clusters. The score
+/// vector of a cluster is the sum of `weight · residual · row` over its equations ([`Sandwich::add`]). The factor
+/// n / (n − 1) corrects for a small number of clusters.
 fn clustered<'a>(
     scores: impl ExactSizeIterator<Item = &'a DVector<f64>>,
     unknowns: usize,
@@ -164,8 +169,8 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// The mean of samples that share one error by time and one by place: its variance over thousands of
-    /// problems equals the estimated variance.
+    /// Every sample has an error that all samples of its time share, an error that all samples of its place share,
+    /// and an independent error. Over 1500 problems, the variance of the samples' mean equals the estimated variance.
     #[test]
     fn correlated_errors_are_accounted_for() {
         let random = &mut Random::new(4);
@@ -191,7 +196,8 @@ mod tests {
 
     #[test]
     fn few_independent_windows_inflate_the_standard_error() {
-        // Student's quantiles at 97.725 %; they are compared as a ratio to two standard errors.
+        // Quantiles of Student's t-distribution at 97.725 %. The Gaussian quantile at 97.725 % is two standard
+        // errors.
         for (independent, quantile) in [(3.0, 4.53), (4.0, 3.31), (6.0, 2.65), (11.0, 2.28)] {
             let off = 2.0 * std_err_inflation(independent) / quantile - 1.0;
             assert!(off.abs() < 0.1, "{independent}: {off}");

@@ -1,5 +1,5 @@
-//! Groups of options that belong to no module of a single stage: the automatic choice of methods ([`crate::plan`]),
-//! the geometry proxy (§6), and temporal integration (Fig. 1), which overlays several instants in one image.
+//! Three groups of options: the automatic choice of methods ([`crate::plan`]), the geometry proxy (§6), and temporal
+//! integration (Fig. 1). Temporal integration overlays several instants in one image.
 
 use crate::lumigraph::DepthEdges;
 use crate::method::methods;
@@ -8,49 +8,50 @@ use crate::stereo::StereoOptions;
 use serde::{Deserialize, Serialize};
 
 options! {
-    /// Automatic choice of methods by measurements of the capture ([`crate::plan`]): the stages to which it applies,
-    /// and the error budgets within which a cheaper method is preferred.
+    /// Options of the automatic choice of methods ([`crate::plan`]): the stages whose methods are chosen, and the error
+    /// budgets within which a cheaper method is preferred.
     pub struct AutoOptions {
-        /// Choose the sync method by measurements of the capture, and with it whether trajectories are curved and
-        /// still frame pairs registered.
+        /// Choose the sync method by measurements of the capture. Also choose whether trajectories are curved, and
+        /// whether still frame pairs are registered.
         sync: bool = false,
-        /// Choose the proxy's method by measurements of the capture.
+        /// Choose the proxy method by measurements of the capture.
         proxy: bool = false,
-        /// Choose the blend's method by measurements of the capture.
+        /// Choose the blending method by measurements of the capture.
         blend: bool = false,
-        /// Automatic choice: the largest displacement of a surface in the image that a cheaper method may cause.
+        /// Automatic choice: the largest displacement of a surface in the image, in pixels, that a cheaper method may
+        /// cause.
         budget_px: f64 [0.0..=1000.0, "px"] = 0.25,
-        /// Automatic choice: the gain in PSNR of a dearer sync method up to which the cheaper one is chosen.
+        /// Automatic choice: the gain in PSNR that a dearer method must exceed to be chosen.
         budget_db: f64 [0.0..=100.0, "dB"] = 0.07,
     }
 }
 
 impl AutoOptions {
-    /// Automatic choice of the methods of all stages, with the default budgets.
+    /// Returns options with automatic choice of the methods of all stages, and with the default budgets.
     pub fn all() -> Self {
         Self { sync: true, proxy: true, blend: true, ..Self::default() }
     }
 
-    /// The stages whose methods are chosen automatically, by their names in [`crate::plan::Decision`].
+    /// Returns the names of the stages whose methods are chosen automatically, as in [`crate::plan::Decision::stage`].
     pub fn stages(&self) -> Vec<&'static str> {
         let all = [(self.sync, "sync"), (self.proxy, "proxy"), (self.blend, "blend")];
         all.into_iter().filter(|(is_left, _)| *is_left).map(|(_, stage)| stage).collect()
     }
 }
 
-/// The proxies, cheapest first.
+/// The kinds of geometry proxy, cheapest first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ProxyMethod {
-    /// One plane, fitted to the scene's points or at a set depth.
+    /// One plane, either fitted to the scene's points or at a given depth.
     Plane,
-    /// The paper's mesh: triangulated correspondences, with a plane in the background.
+    /// The paper's mesh. Its vertices are triangulated correspondences, and a plane forms the background.
     #[default]
     Mesh,
-    /// Depth per pixel from the images of several cameras, with occlusion.
+    /// Depth per pixel, estimated from the images of several cameras, with occlusion.
     Depth,
-    /// Depth and motion of every frame, estimated from all cameras at their own times. Points of the frames nearest in
-    /// time are moved to the instant. Needs no synchronized images.
+    /// Depth and motion of every frame, estimated from all cameras at their own capture times. For a view, the points
+    /// of the frames nearest in time are moved to the view's instant. This proxy needs no synchronized images.
     SceneFlow,
 }
 
@@ -62,31 +63,31 @@ methods!(ProxyMethod {
 });
 
 options! {
-    /// The geometry proxy (§6): an estimate of the scene's shape.
+    /// Options of the geometry proxy (§6), which is an estimate of the scene's shape.
     pub struct ProxyOptions {
-        /// The kind of proxy, if auto.proxy is false.
+        /// The kind of geometry proxy, if auto.proxy is false.
         method: ProxyMethod = ProxyMethod::Mesh,
-        /// Depth of the plane in the view, at which surfaces are in focus; null: fitted to the scene's points.
+        /// Depth of the proxy plane in the view, at which surfaces are in focus; null: fitted to the scene's points.
         plane_depth_m: Option<f64> [1e-9..=1e12, "m"] = None,
-        /// How the mesh treats triangles between two surfaces.
+        /// How the mesh treats triangles that join two surfaces of different depth.
         depth_edges: DepthEdges = DepthEdges::Front,
-        /// Options of depth per pixel.
+        /// Options of the proxy with depth per pixel.
         depth: StereoOptions,
-        /// Cameras nearest to the view whose features are triangulated.
+        /// Number of cameras whose features are triangulated; the cameras nearest to the view are used.
         cameras: usize [1..=1_000_000, "cameras"] = 3,
-        /// Nearest cameras with which each camera is matched to triangulate its features.
+        /// Number of neighbouring cameras with which a camera is matched to triangulate its features.
         partners: usize [1..=1_000_000, "cameras"] = 4,
     }
 }
 
-/// How the images of a trail's instants are combined into one.
+/// Ways to combine the images of several instants into one image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TrailMode {
-    /// The mean of the instants' linear light, as in a long exposure.
+    /// The mean of the linear light over all instants, as in a long exposure.
     #[default]
     Mean,
-    /// The maximum of the instants' values, so that highlights leave streaks at full brightness.
+    /// The maximum of each pixel's value over all instants, so that highlights leave streaks at full brightness.
     Lighten,
 }
 
@@ -96,11 +97,12 @@ methods!(TrailMode {
 });
 
 options! {
-    /// Temporal integration: a view overlays several instants, of which the last is the view's own.
+    /// Options of temporal integration. A view overlays the images of several instants, and the last of these instants
+    /// is the view's own.
     pub struct TrailOptions {
-        /// Length of the trail before the instant; 0: no trail.
+        /// Length of the trail before the view's instant; 0: no trail.
         duration_s: f64 [0.0..=1e6, "s"] = 0.0,
-        /// Evenly spaced instants that are overlaid, the first and the last included.
+        /// Number of evenly spaced instants that are overlaid, including the first and the last.
         instants: usize [1..=10_000, "instants"] = 16,
         /// How the images of the instants are combined into one.
         mode: TrailMode = TrailMode::Mean,
@@ -108,7 +110,8 @@ options! {
 }
 
 impl TrailOptions {
-    /// The instants that a view at `time_s` overlays, seconds, latest first; only `time_s` without a trail.
+    /// Returns the instants, in seconds, that a view at `time_s` overlays, latest first. Without a trail, `time_s` is
+    /// the only instant.
     pub(crate) fn instants_s(&self, time_s: f64) -> Vec<f64> {
         if self.duration_s <= 0.0 || self.instants < 2 {
             return vec![time_s];
@@ -117,7 +120,7 @@ impl TrailOptions {
         (0..self.instants).map(|k| time_s - step_s * k as f64).collect()
     }
 
-    /// Number of instants that a view overlays.
+    /// Returns the number of instants that a view overlays.
     pub fn count(&self) -> usize {
         self.instants_s(0.0).len()
     }

@@ -1,4 +1,5 @@
-//! Options: everything besides the capture that decides an image, each stage's method and its parameters.
+//! The options: everything that determines an image, except the capture. They are the method of each stage and the
+//! method's parameters.
 //!
 //! | options | content | read by |
 //! |---|---|---|
@@ -22,43 +23,44 @@ use crate::registration::RegistrationOptions;
 use serde_json::{Value, json};
 
 options! {
-    /// The options of all stages, in the form of an options file: a JSON object. Missing fields have their defaults,
-    /// and unknown fields are errors.
+    /// The options of all stages, structured like an options file, which is a JSON object. Missing fields have their
+    /// defaults, and unknown fields are errors.
     pub struct RenderOptions {
-        /// How a camera's image is made at an instant between its frames, if auto.sync is false.
+        /// The method that makes a camera's image at an instant between its frames, if auto.sync is false.
         sync: SyncMethod = SyncMethod::Refined,
-        /// The geometry proxy (§6).
+        /// Options of the geometry proxy (§6).
         proxy: ProxyOptions,
-        /// Registration (§4).
+        /// Options of image registration (§4).
         registration: RegistrationOptions,
-        /// Temporal offsets (§7), estimated when a light field is opened.
+        /// Options of the temporal offsets (§7), which are estimated when a light field is opened.
         offset: OffsetOptions,
-        /// Temporal interpolation (§5).
+        /// Options of temporal interpolation (§5).
         interpolation: InterpolationOptions,
-        /// Blending of the cameras' images (§6).
+        /// Options of blending the cameras' images (§6).
         blend: BlendOptions,
-        /// Temporal integration; for `render` only.
+        /// Options of temporal integration, which only [`crate::light_field::render()`] uses.
         trail: TrailOptions,
-        /// Which methods are chosen from measurements of the capture; the options above are ignored for these.
+        /// Options of the automatic choice of methods. For the stages that are chosen automatically, the methods above
+        /// are ignored.
         auto: AutoOptions,
     }
 }
 
 impl RenderOptions {
-    /// These options with another sync method.
+    /// Returns these options with another sync method.
     #[must_use]
     pub fn with_sync(self, sync: SyncMethod) -> Self {
         Self { sync, ..self }
     }
 
-    /// All options, each with its declaration and its value in this set.
+    /// Returns all options, each with its declaration and its value in `self`.
     pub fn declared(&self) -> Vec<DeclaredOption> {
         let mut options = Vec::new();
         self.declare(&Self::default(), DeclaredOption::default(), &mut options);
         options
     }
 
-    /// The JSON Schema of an options file.
+    /// Returns the JSON Schema of an options file.
     pub fn schema() -> Value {
         let mut schema = options_schema(&Self::default().declared());
         schema["$schema"] = json!("https://json-schema.org/draft/2020-12/schema");
@@ -70,8 +72,8 @@ impl RenderOptions {
         schema
     }
 
-    /// An error if a value is out of its range. To be called on options from outside of the program: from a file, the
-    /// command line or Python.
+    /// Returns an error if a value is out of its range. Options that come from a file, the command line or Python must
+    /// be checked with this function.
     pub fn check(&self) -> Result<(), OptionError> {
         self.declared().iter().try_for_each(DeclaredOption::check)
     }
@@ -85,7 +87,7 @@ mod tests {
     use crate::option::OptionKind;
     use serde::Serialize;
 
-    /// The name of a method is the same in options files, on the command line and in Python.
+    /// Checks that a method's name in options files equals its name on the command line and in Python.
     fn named_as_in_files<M: Method + Serialize + std::fmt::Debug>() {
         assert!(!M::ALL.is_empty());
         for &method in M::ALL {
@@ -106,7 +108,7 @@ mod tests {
         named_as_in_files::<Preset>();
     }
 
-    /// The paths of a JSON value's leaves.
+    /// Appends the paths of all leaves of a JSON value to `found`.
     fn leaves(value: &Value, path: &str, found: &mut Vec<String>) {
         match value {
             Value::Object(fields) => {
@@ -182,7 +184,8 @@ mod tests {
         assert_eq!(error, "trail.duration_s: is NaN, must be from 0.0 to 1000000.0");
     }
 
-    /// Whether a schema allows a value. Covers only the keywords that these schemas use.
+    /// Returns whether a schema allows a value. Only the JSON Schema keywords that occur in the options' schema are
+    /// checked.
     fn allows(schema: &Value, value: &Value) -> bool {
         let is_of = |kind: &Value| match kind.as_str().unwrap() {
             "object" => value.is_object(),

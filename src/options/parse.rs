@@ -1,4 +1,4 @@
-//! Parsing of options from files and command lines. Given options override those of a preset.
+//! Parsing of options from files and command lines. Given options override the options of a preset.
 
 use super::{Preset, RenderOptions};
 use crate::json;
@@ -6,11 +6,11 @@ use serde::Deserialize;
 use serde_json::Value;
 
 impl RenderOptions {
-    /// Parses an options file, a JSON object. Missing options have the values of a preset: `preset`, or else the
-    /// file's field `preset`, or else the default preset. If the file names a stage's method, the automatic choice for
-    /// this stage is off.
+    /// Parses an options file, which is a JSON object. Missing options have the values of a preset. The preset is the
+    /// argument `preset`, or else the preset named in the file's field `preset`, or else the default preset. If the
+    /// file names a stage's method, the automatic choice for this stage is turned off.
     ///
-    /// The error is a sentence that starts with the field. A value out of its range is an error.
+    /// The error is a sentence that starts with the path of the wrong field. A value out of its range is an error.
     pub fn parse(text: &str, preset: Option<Preset>) -> Result<Self, String> {
         let Value::Object(mut file) = json::parse(text)? else {
             return Err("must be an object".into());
@@ -36,10 +36,11 @@ impl RenderOptions {
         Ok(options)
     }
 
-    /// Sets one option by its path, such as `blend.cameras`, to a value in JSON; names need no quotes. The name of a
-    /// group, such as `proxy`, sets its method. If a stage's method is set, the automatic choice for this stage is off.
+    /// Sets the option with the path `name`, such as `blend.cameras`. `value` is JSON, but the name of a method needs
+    /// no quotes. If `name` is a group, such as `proxy`, the group's method is set. If a stage's method is set, the
+    /// automatic choice for this stage is turned off.
     ///
-    /// The error is a sentence that starts with the option.
+    /// The error is a sentence that starts with the option's path.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
         let mut options = serde_json::to_value(&*self).map_err(|e| e.to_string())?;
         let method = format!("{name}.method");
@@ -54,7 +55,7 @@ impl RenderOptions {
         if let Some(auto) = chosen.and_then(|(_, auto)| options.pointer_mut(auto)) {
             *auto = Value::Bool(false);
         }
-        // The place in the merged text means nothing to the caller.
+        // The position in the merged JSON text means nothing to the caller, and is removed from the message.
         let sentence = |error: String| match error.split_once(" at line 1 column ") {
             Some((sentence, _)) => sentence.to_owned(),
             None => error,
@@ -64,17 +65,18 @@ impl RenderOptions {
     }
 }
 
-/// JSON pointers of the options that name methods, each with that of the option for its automatic choice.
+/// Pairs of JSON pointers: an option that names a stage's method, and the option that turns on its automatic choice.
 const CHOSEN: [(&str, &str); 3] =
     [("/sync", "/auto/sync"), ("/proxy/method", "/auto/proxy"), ("/blend/method", "/auto/blend")];
 
-/// The field `preset` of an options file.
+/// The field `preset` of an options file, in a JSON object of its own.
 #[derive(Deserialize)]
 struct NamedPreset {
     preset: Preset,
 }
 
-/// Merges `over` into `into`. Objects are merged field by field; other values of `over` replace those of `into`.
+/// Merges `over` into `into`. Objects are merged field by field. Any other value of `over` replaces the value in
+/// `into`.
 fn merge(into: &mut Value, over: &Value) {
     match (into, over) {
         (Value::Object(into), Value::Object(over)) => {

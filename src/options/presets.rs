@@ -1,4 +1,4 @@
-//! Presets: options of all stages by name, from fast to accurate.
+//! Presets: named sets of options for all stages, from fast to accurate.
 
 use super::{AutoOptions, RenderOptions};
 use crate::interpolation::SyncMethod;
@@ -11,10 +11,10 @@ use serde::{Deserialize, Serialize};
 pub enum Preset {
     /// The fastest methods that still synchronize the cameras' images, for interactive viewing.
     Draft,
-    /// Most of the accuracy of `Best` in a fraction of its time.
+    /// Methods with most of the accuracy of `Best`, in a fraction of its time.
     Balanced,
-    /// Methods chosen by measurements of the capture ([`AutoOptions::all`]): accurate ones, where they reduce the
-    /// error.
+    /// Methods chosen by measurements of the capture ([`AutoOptions::all`]). A dearer method is chosen only where a
+    /// cheaper one would exceed the error budgets of [`AutoOptions`].
     #[default]
     Best,
 }
@@ -26,8 +26,8 @@ methods!(Preset {
 });
 
 impl Preset {
-    /// The preset's options of all stages. All presets have the same options of registration, so that they use the
-    /// same cached results.
+    /// Returns the preset's options of all stages. All presets have the same registration options, so that they share
+    /// cached registration results.
     pub fn options(self) -> RenderOptions {
         let mut options = RenderOptions::default();
         match self {

@@ -1,29 +1,30 @@
-//! Arc-length parametrization of a curve, for motion at constant speed.
+//! Arc-length parametrization of a spline, for motion at constant speed.
 
 use super::curve::Hermite;
 use nalgebra::Vector3;
 
-/// Number of parts per interval between two keys; lengths are stored at their ends. With fewer, the quadrature is
-/// inaccurate at cusps.
+/// Number of parts into which the interval between two keys is divided. The table has the arc length at the end of each
+/// part. With fewer parts, the quadrature is inaccurate at cusps.
 const PARTS: usize = 32;
 
-/// Number of bisections inside of a part, which find a parameter to 1e-12 of the part.
+/// Number of bisections in the search for a parameter inside of a part. They determine the parameter to 1e-12 of the
+/// part's length.
 const HALVINGS: usize = 40;
 
-/// Position of a key, and tangent there.
+/// Position of a key, metres, and tangent of the curve at the key, metres per unit of the parameter.
 type PlaceAndTangent = (Vector3<f64>, Vector3<f64>);
 
 /// Table of a curve's arc length as a function of its parameter.
 #[derive(Clone, Debug)]
 pub(super) struct ArcLength {
     keys: Vec<(f64, PlaceAndTangent)>,
-    /// Parameters with the arc lengths up to them, both ascending.
+    /// Pairs of a parameter and the curve's arc length up to it, metres. Both ascend.
     lengths: Vec<(f64, f64)>,
 }
 
 impl ArcLength {
-    /// The table for the curve through `places` with their tangents; `at` has the keys' parameters. `None` if the
-    /// curve's length is 0.
+    /// Computes the table for the curve through keys. `at` holds the parameters of the keys, and `places` their
+    /// positions and tangents. `None` if the curve's length is 0 or not finite.
     pub fn new(at: &[f64], places: &[PlaceAndTangent]) -> Option<Self> {
         let keys: Vec<_> = at.iter().copied().zip(places.iter().copied()).collect();
         let mut curve = Self { keys, lengths: vec![(at[0], 0.0)] };
@@ -47,7 +48,8 @@ impl ArcLength {
         place.slope(self.keys[place.key].1, self.keys[place.next].1).norm()
     }
 
-    /// Arc length between two parameters of one interval, by Gauss–Legendre quadrature with five points.
+    /// Returns the arc length between two parameters, metres, by Gauss–Legendre quadrature with five points. There must
+    /// be no key between the two parameters.
     fn length(&self, start: f64, end: f64) -> f64 {
         const POINTS: [(f64, f64); 3] = [
             (0.0, 0.568_888_888_888_888_9),
@@ -62,8 +64,8 @@ impl ArcLength {
         half * pairs.sum::<f64>()
     }
 
-    /// Converts a parameter `at` of uniform motion to the curve's parameter. If `at` has passed a fraction of its
-    /// range, the curve has passed the same fraction of its arc length.
+    /// Returns the curve's parameter at the position of a point at the time `at`. The point moves along the whole curve
+    /// at constant speed, while the time runs from the first key's parameter to the last key's parameter.
     pub fn parameter(&self, at: f64) -> f64 {
         let (first, last) = (self.lengths[0].0, self.lengths[self.lengths.len() - 1].0);
         let wanted = self.whole() * (at - first) / (last - first);

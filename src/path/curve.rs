@@ -1,14 +1,14 @@
-//! Tangents at keys, and cubic Hermite interpolation between two keys.
+//! Tangents at the keys of a spline, and cubic Hermite interpolation between two keys.
 
 use nalgebra::Vector3;
 use std::ops::{Add, Mul, Sub};
 
-/// Largest distance of two keys that count as one place, metres.
+/// Maximum distance between two keys that count as the same position, metres.
 const SAME_PLACE_M: f64 = 1e-9;
 
-/// Tangents at keys: the derivative at each value of the parabola through this value and its neighbours, at an end of
-/// the parabola through the three values there. `at` has the parameters, ascending. 0 where a neighbour is at the same
-/// place.
+/// Returns the tangents at keys. A tangent is the derivative of the parabola through the key and its two neighbours; at
+/// the first and the last key, of the parabola through the three nearest keys. A tangent is 0 if a neighbour is at the
+/// same position. `at` has the parameters of the keys, ascending.
 pub(super) fn tangents(at: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let steps: Vec<Vector3<f64>> =
         (1..at.len()).map(|k| (values[k] - values[k - 1]) / (at[k] - at[k - 1])).collect();
@@ -17,8 +17,9 @@ pub(super) fn tangents(at: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>>
     parabolic(at, &steps, &stands)
 }
 
-/// Tangents at keys from the mean slopes of the intervals. `stands` says for each interval whether nothing moves in
-/// it; tangents at its ends are 0.
+/// Returns the tangents at keys by parabolas through three keys. `slopes` has the mean slope in each interval between
+/// keys. `stands` is true for each interval in which nothing moves. The tangents at both ends of such an interval are
+/// 0.
 pub(super) fn parabolic(at: &[f64], slopes: &[Vector3<f64>], stands: &[bool]) -> Vec<Vector3<f64>> {
     let length = |k: usize| at[k + 1] - at[k];
     let end = |near: usize, far: usize| {
@@ -40,8 +41,9 @@ pub(super) fn parabolic(at: &[f64], slopes: &[Vector3<f64>], stands: &[bool]) ->
     (0..at.len()).map(|k| if is_still(k) { Vector3::zeros() } else { tangent(k) }).collect()
 }
 
-/// Slopes at keys for a monotone cubic (Fritsch and Butland 1984). Between two values the curve stays between them;
-/// values on a line give the line. `at` has the parameters, ascending.
+/// Returns the slopes at keys of a monotone cubic interpolation (Fritsch and Butland 1984). Between two keys, the
+/// interpolation stays within the range of their values. If all values lie on a line, the interpolation is this line.
+/// `at` has the parameters of the keys, ascending.
 pub(super) fn monotone_tangents(at: &[f64], values: &[f64]) -> Vec<f64> {
     let last = at.len() - 1;
     let length = |k: usize| at[k + 1] - at[k];
@@ -71,27 +73,28 @@ pub(super) fn monotone_tangents(at: &[f64], values: &[f64]) -> Vec<f64> {
     (0..=last).map(tangent).collect()
 }
 
-/// The tangents, with 0 at the keys that rest.
+/// Sets the tangents to 0 at all keys where `rests` is true.
 pub(super) fn resting<T: Default>(rests: &[bool], tangents: Vec<T>) -> Vec<T> {
     let pairs = tangents.into_iter().zip(rests);
     pairs.map(|(tangent, rests)| if *rests { T::default() } else { tangent }).collect()
 }
 
-/// A position between two keys.
+/// Position of a parameter in the interval between two keys.
 pub(super) struct Hermite {
-    /// Index of the key before.
+    /// Index of the key at the start of the interval.
     pub key: usize,
-    /// Index of the key after; equal to `key` if there is only one key.
+    /// Index of the key at the end of the interval. Equal to `key` if there is only one key.
     pub next: usize,
-    /// Fraction of the interval between the keys, from 0 to 1.
+    /// Fraction of the interval that the parameter has passed, from 0 to 1.
     pub passed: f64,
-    /// Length of the interval, seconds.
+    /// Length of the interval in units of the parameter, seconds.
     pub length: f64,
 }
 
 impl Hermite {
-    /// The position of a parameter among the keys; it is clamped to the first and the last one. `keys` must not be
-    /// empty.
+    /// Finds the interval of `keys` that contains the parameter `at`, and the position in it. Parameters outside of all
+    /// keys are clamped to the first or the last key. The function `parameter` returns the parameter of a key. `keys`
+    /// must not be empty.
     pub fn at<K>(at: f64, keys: &[K], parameter: impl Fn(&K) -> f64) -> Self {
         let after = keys.partition_point(|key| parameter(key) <= at).min(keys.len() - 1);
         let key = after.saturating_sub(1);
@@ -101,26 +104,27 @@ impl Hermite {
         Self { key, next: after, passed, length }
     }
 
-    /// The cubic Hermite interpolation of two values with their tangents.
+    /// Interpolates between two values with given slopes, by a cubic Hermite polynomial. Each argument is a pair of
+    /// value and slope: first at the start of the interval, then at its end.
     pub fn value<T>(&self, (a, a_slope): (T, T), (b, b_slope): (T, T)) -> T
     where
         T: Copy + Mul<f64, Output = T> + Add<Output = T> + Sub<Output = T>,
     {
         let t = self.passed;
         let (u, h) = (1.0 - t, self.length);
-        // This form gives exactly `a` where nothing moves, so that results for equal views are found in caches.
+        // This form gives exactly `a` if nothing moves. Views that are equal are then found in caches.
         a + ((b - a) * (t * t * (1.0 + 2.0 * u))
             + a_slope * (h * t * u * u)
             + b_slope * (-h * t * t * u))
     }
 
-    /// The cubic Hermite interpolation of two values with monotone tangents. It is clamped to the values' range,
-    /// against rounding.
+    /// Interpolates like [`Self::value`] between two pairs of value and slope, with the slopes of a monotone
+    /// interpolation. The result is clamped to the range of the two values, against rounding errors.
     pub fn monotone(&self, a: (f64, f64), b: (f64, f64)) -> f64 {
         self.value(a, b).clamp(a.0.min(b.0), a.0.max(b.0))
     }
 
-    /// The derivative of [`Self::value`] with respect to the parameter.
+    /// Returns the derivative of [`Self::value`] with respect to the parameter.
     pub fn slope(
         &self,
         (a, a_slope): (Vector3<f64>, Vector3<f64>),

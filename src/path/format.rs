@@ -1,4 +1,4 @@
-//! The JSON file of a camera path, and its checks.
+//! The JSON format of a camera path, and its checks.
 
 use super::{CameraPath, PathError, PathKey, is_rate_hz};
 use crate::camera::ViewFormat;
@@ -7,13 +7,13 @@ use serde::Deserialize;
 const FORMAT: &str = "stlfr-path";
 const VERSION: u32 = 1;
 
-/// A path in JSON.
+/// A camera path as read from a JSON file, before its checks.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PathFormat {
     format: String,
     version: u32,
-    /// Frame rate of the video that the path was made for, hertz.
+    /// Frame rate of the video for which the path was made, hertz. `None` if it is not in the file.
     rate_hz: Option<f64>,
     /// Whether the camera's position moves at constant speed.
     #[serde(default)]
@@ -32,10 +32,10 @@ struct ReadKey {
 }
 
 impl PathFormat {
-    /// Checks every field.
+    /// Checks every field, and returns the path.
     ///
     /// # Errors
-    /// A sentence that starts with the wrong field.
+    /// A sentence that starts with the invalid field.
     pub fn path(self) -> Result<CameraPath, String> {
         if self.format != FORMAT {
             return Err(format!("format: must be {FORMAT}"));

@@ -1,13 +1,16 @@
-//! Camera paths: position, direction, lens and time of a view as continuous functions of a video's seconds.
+//! Camera paths: position, direction, lens and instant of a view as continuous functions of the time in a video.
 //!
-//! A path is given by keys. All four are interpolated between the keys, with continuous first derivatives:
+//! A path is given by keys. Position, direction, lens and instant are interpolated between the keys, with continuous
+//! first derivatives:
 //!
-//! - position by cubic Hermite splines, with tangents from parabolas through three keys; between keys at the same
-//!   position, it doesn't move;
-//! - direction by a spline of unit quaternions along the shorter arc, with tangents computed in the same way;
-//! - lens and time by monotone splines, which never overshoot: time stands still between keys of equal times.
+//! - The position follows cubic Hermite splines, with tangents from parabolas through three keys. It does not move
+//!   between keys at the same position.
+//! - The direction follows a spline of unit quaternions, always along the shorter arc, with tangents from parabolas
+//!   too.
+//! - Lens and instant follow monotone splines, which never overshoot. Time thus stands still between keys with the same
+//!   instant.
 //!
-//! A path's file ([`PathFormat`]):
+//! The JSON file of a path ([`PathFormat`]):
 //!
 //! ```json
 //! { "format": "stlfr-path", "version": 1, "rate_hz": 30,
@@ -18,9 +21,11 @@
 //!     { "at_s": 2, "time_s": 0.05, "rest": true, "camera": { "…": "a camera as in capture.json" } } ] }
 //! ```
 //!
-//! `at_s` is the second of the video, and `time_s` the instant that the video shows then. Equal `time_s` stop time,
-//! descending ones reverse it; their differences set its speed. At a key with `rest`, all four come to rest.
-//! `"constant_speed": true` moves the position at constant speed. `rate_hz`, `rest` and `constant_speed` are optional.
+//! `at_s` is the time of the key in the video. `time_s` is the instant of the recording that the video then shows. Both
+//! are in seconds. Between keys with equal `time_s`, time stands still. Between keys with descending `time_s`, it runs
+//! backwards. At a key with `rest`, position, direction, lens and instant come to rest: their derivatives are 0. With
+//! `"constant_speed": true`, the position moves at constant speed, and only the instant rests at such a key. `rate_hz`,
+//! `rest` and `constant_speed` are optional.
 //!
 //! | file | what |
 //! |---|---|
@@ -46,46 +51,51 @@ use curve::{Hermite, monotone_tangents, resting, tangents};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rotation::{cumulative, rotation_tangents};
 
-/// A key of a path: the view and its instant at a second of the video.
+/// A key of a camera path: the view at a time in the video, and the instant of the recording that it shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathKey {
     /// Time of the key in the video, seconds.
     pub at_s: f64,
-    /// The instant that is shown, seconds on the reference camera's clock.
+    /// Instant of the recording that the video shows at this key, seconds on the reference camera's clock.
     pub time_s: f64,
-    /// Position, direction and lens.
+    /// Position, direction and lens of the view.
     pub camera: Camera,
-    /// Whether position, direction, lens and time come to rest here: their derivatives are 0.
+    /// Whether position, direction, lens and instant come to rest at this key: their derivatives are 0. If the path has
+    /// a constant speed, only the instant comes to rest.
     pub rest: bool,
 }
 
-/// A frame of a video along a path.
+/// A frame of a video along a camera path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathFrame {
+    /// Position, direction and lens of the view.
     pub camera: Camera,
-    /// The instant that is shown, seconds on the reference camera's clock.
+    /// Instant of the recording that the frame shows, seconds on the reference camera's clock.
     pub time_s: f64,
 }
 
-/// A continuous path that passes through its keys.
+/// A continuous camera path, which passes through all of its keys.
 #[derive(Clone, Debug)]
 pub struct CameraPath {
     keys: Vec<PathKey>,
-    /// Frame rate of the video that the path was made for, hertz, if it is given.
+    /// Frame rate of the video for which the path was made, hertz. `None` if it is not given.
     pub rate_hz: Option<f64>,
-    /// The cameras' centres in the world, metres, with their tangents (derivatives by the video's seconds).
+    /// Camera centre and tangent at every key. Centres are in the world, metres. Tangents are derivatives by the time
+    /// in the video, metres per second.
     places: Vec<(Vector3<f64>, Vector3<f64>)>,
-    /// Rotations `world_from_cam`, with the angular velocities in the camera's frame, radians per second.
+    /// Rotation `world_from_cam` and angular velocity at every key. Angular velocities are in the camera's frame,
+    /// radians per second of the video.
     rotations: Vec<(UnitQuaternion<f64>, Vector3<f64>)>,
-    /// For each parameter of the camera model, its value and slope at every key.
+    /// For each parameter of the camera model, pairs of its value and its slope at every key. Slopes are per second of
+    /// the video.
     lenses: Vec<Vec<(f64, f64)>>,
-    /// The instants of the keys, with their slopes.
+    /// Instant of every key, seconds, and its slope, seconds per second of the video.
     times: Vec<(f64, f64)>,
-    /// Arc lengths of the positions, if the speed is constant.
+    /// Arc lengths of the curve of positions. `None` if the speed is not constant, or if the curve has no length.
     lengths: Option<ArcLength>,
 }
 
-/// Why keys don't form a path. The message starts with the field.
+/// Reason why keys don't form a path, or why a path can't be divided into frames. The message names the invalid field.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum PathError {
     #[error("keys: there are none")]
@@ -106,39 +116,39 @@ pub enum PathError {
     Frames { duration_s: f64, frames: f64, rate_hz: f64 },
 }
 
-/// Largest number of keys: an hour with 27 keys per second.
+/// Maximum number of keys of a path: enough for an hour with 27 keys per second.
 const MAX_KEYS: usize = 100_000;
-/// Largest absolute time in the video and of an instant, seconds (a century). Differences then have microseconds of
-/// precision.
+/// Maximum absolute time in the video, and maximum absolute instant, seconds: more than a century. Within this range,
+/// differences of times are precise to microseconds.
 const MAX_SECONDS: f64 = 4e9;
-/// Smallest time between two keys, seconds. Smaller differences would be dominated by rounding.
+/// Minimum time between two keys, seconds. Smaller differences would be dominated by rounding errors.
 const MIN_INTERVAL_S: f64 = 1e-6;
-/// Largest absolute value of a lens parameter. Derivatives then stay finite.
+/// Maximum absolute value of a lens parameter. Within this range, derivatives stay finite.
 const MAX_PARAM: f64 = 1e9;
-/// Smallest frame rate, hertz: a frame in 17 minutes, for time lapses.
+/// Minimum frame rate, hertz: a frame in 17 minutes, for time lapses.
 pub const MIN_RATE_HZ: f64 = 1e-3;
-/// Largest frame rate, hertz.
+/// Maximum frame rate, hertz.
 pub const MAX_RATE_HZ: f64 = 1e3;
 /// Frame rate of a path that has none of its own, hertz.
 pub const PATH_RATE_HZ: f64 = 30.0;
 /// Default duration of a ready-made path, seconds.
 pub const READY_MADE_S: f64 = 4.0;
-/// Maximum number of frames.
+/// Maximum number of frames of a video along a path.
 const MAX_FRAMES: usize = 1_000_000;
 
-/// Whether a number is a valid frame rate: within [`MIN_RATE_HZ`] and [`MAX_RATE_HZ`].
+/// Returns whether a number is a valid frame rate, from [`MIN_RATE_HZ`] to [`MAX_RATE_HZ`].
 pub fn is_rate_hz(rate_hz: f64) -> bool {
     (MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz)
 }
 
 impl CameraPath {
-    /// A path through keys, ascending in `at_s`. With `constant_speed`, the position moves at constant speed from the
-    /// first to the last key. Direction and lens follow the position along the path; the instant remains a function of
-    /// the video's time.
+    /// Creates a path through keys, which must ascend in `at_s`. If `constant_speed` is true, the position moves at
+    /// constant speed from the first to the last key. Direction and lens follow the position along the path, but the
+    /// instant remains a function of the time in the video.
     ///
     /// # Errors
-    /// If there is no key or too many, if a number is out of range, if keys don't ascend, or if their lenses differ in
-    /// model or size.
+    /// If there is no key or too many, if a number is out of range, if the keys don't ascend, or if their cameras
+    /// differ in lens model or image size.
     pub fn new(keys: Vec<PathKey>, constant_speed: bool) -> Result<Self, PathError> {
         check(&keys)?;
         let at_s: Vec<f64> = keys.iter().map(|key| key.at_s).collect();
@@ -163,17 +173,18 @@ impl CameraPath {
         Ok(Self { keys, rate_hz: None, places, rotations, lenses, times, lengths })
     }
 
-    /// The keys, ascending in `at_s`.
+    /// Returns the keys, ascending in `at_s`.
     pub fn keys(&self) -> &[PathKey] {
         &self.keys
     }
 
-    /// Time from the first to the last key, seconds.
+    /// Returns the time from the first to the last key, seconds.
     pub fn duration_s(&self) -> f64 {
         self.keys[self.keys.len() - 1].at_s - self.keys[0].at_s
     }
 
-    /// The same path, stretched to another duration. A path with one key is unchanged.
+    /// Returns the path, stretched in time to another duration in seconds. Its first key is then at 0 s. A path with
+    /// one key is unchanged.
     #[must_use]
     pub fn lasting(&self, duration_s: f64) -> Self {
         let factor = duration_s / self.duration_s();
@@ -183,7 +194,7 @@ impl CameraPath {
         played.map_or_else(|_| self.clone(), |path| Self { rate_hz: self.rate_hz, ..path })
     }
 
-    /// The path, showing instants that are `seconds` later.
+    /// Returns the path with all instants moved by `seconds`. If `seconds` is positive, the path shows later instants.
     #[must_use]
     pub fn later(mut self, seconds: f64) -> Self {
         self.keys.iter_mut().for_each(|key| key.time_s += seconds);
@@ -191,8 +202,8 @@ impl CameraPath {
         self
     }
 
-    /// The view at `passed_s` seconds after the first key. Before the first and after the last key, it is that key's
-    /// view.
+    /// Returns the view at `passed_s` seconds after the first key. Times before the first key give the view of the
+    /// first key. Times after the last key give the view of the last key.
     pub fn at(&self, passed_s: f64) -> PathFrame {
         let at_s = self.keys[0].at_s + passed_s.clamp(0.0, self.duration_s());
         let moved_s = self.lengths.as_ref().map_or(at_s, |lengths| lengths.parameter(at_s));
@@ -206,17 +217,17 @@ impl CameraPath {
         let shown = self.interval(at_s);
         let time_s = shown.monotone(self.times[shown.key], self.times[shown.next]);
         let first = &self.keys[0].camera;
-        // Name and number of parameters come from the path's own model, so that this can't fail.
+        // The model's name and number of parameters are the path's own, so that this can't fail.
         let model = CameraModel::from_params(first.model.name(), &params).unwrap_or(first.model);
         PathFrame { camera: Camera { model, cam_from_world, ..first.clone() }, time_s }
     }
 
-    /// The number of frames of a video of this duration.
+    /// Returns the number of frames of a video with this duration and frame rate.
     ///
     /// # Errors
-    /// If the number exceeds the maximum.
+    /// If the number exceeds the maximum of a million frames.
     pub fn frame_count(duration_s: f64, rate_hz: f64) -> Result<usize, PathError> {
-        // A small margin keeps rounding from losing the last frame.
+        // A small margin, so that rounding errors don't drop the last frame.
         let frames = (duration_s * rate_hz + 1e-6).floor() + 1.0;
         if !(frames <= MAX_FRAMES as f64) {
             return Err(PathError::Frames { duration_s, frames, rate_hz });
@@ -224,11 +235,11 @@ impl CameraPath {
         Ok(frames as usize)
     }
 
-    /// The frames of a video with this frame rate. The first frame shows the first key. The last frame is less than
-    /// one frame interval before the last key, or exactly there.
+    /// Returns the frames of a video along the path, with this frame rate in hertz. The first frame is at the first
+    /// key. The last frame is at the last key, or less than one frame interval before it.
     ///
     /// # Errors
-    /// If the number of frames exceeds the maximum.
+    /// If the number of frames exceeds the maximum of a million.
     pub fn frames(&self, rate_hz: f64) -> Result<Vec<PathFrame>, PathError> {
         let count = Self::frame_count(self.duration_s(), rate_hz)?;
         Ok((0..count).map(|k| self.at(k as f64 / rate_hz)).collect())

@@ -1,8 +1,9 @@
-//! Camera paths by name, fitted to any rig. They stay where the rig's cameras see the whole view.
+//! Ready-made camera paths, which are chosen by name and fitted to any rig. They stay where the rig's cameras see the
+//! whole view.
 //!
 //! The rig is modelled by two parabolas: the cameras' centres and the cameras' directions, as functions of the
-//! coordinate along the rig's longest extent. Lines, arcs and grids are modelled alike. A path is as large as possible
-//! while cameras see all of every view at the scene's depths.
+//! coordinate along the rig's longest extent. The model suits lines, arcs and grids of cameras. A path is made as large
+//! as possible, under the condition that cameras see every part of all its views at the scene's depths.
 //!
 //! Known limit: occlusion is not considered. Surfaces that the cameras don't see may leave holes.
 
@@ -12,7 +13,7 @@ use crate::method::methods;
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, UnitQuaternion, Vector3};
 use std::f64::consts::{PI, TAU};
 
-/// A ready-made path.
+/// A ready-made camera path, which is chosen by name and fitted to a rig.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReadyMadePath {
     #[default]
@@ -29,49 +30,52 @@ methods!(ReadyMadePath {
     Dolly = "dolly": "ahead towards the subject, and back",
 });
 
-/// The rig, the scene's depths and the times to which a ready-made path is fitted.
+/// Rig, depths of the scene, and times, to which a ready-made path is fitted.
 #[derive(Clone, Copy, Debug)]
 pub struct PathScene<'a> {
-    /// The rig's cameras, at least one.
+    /// Cameras of the rig, at least one.
     pub cameras: &'a [Camera],
-    /// The camera that gives the views their lens, without distortion, and their size.
+    /// Camera whose lens and image size the views have. Its distortion is left out.
     pub lens: &'a Camera,
-    /// Depths of the scene in front of `lens`, metres: the nearest, the subject's, the farthest.
+    /// Depths of the scene in front of `lens`, metres: of its nearest part, of the subject, and of its farthest part.
     pub depths_m: [f64; 3],
-    /// The first and the last instant at which all cameras film, seconds.
+    /// First and last instant at which all cameras film, seconds.
     pub span_s: (f64, f64),
-    /// The instant at which time is stopped. `None` lets time run; bullet time then stops in the middle of `span_s`.
+    /// Instant at which time stands still during the whole video, seconds. Bullet time stops at this instant. With
+    /// `None`, time runs, and bullet time stops in the middle of `span_s`.
     pub frozen_s: Option<f64>,
     /// Duration of the video, seconds.
     pub duration_s: f64,
 }
 
-/// Number of intervals between keys, through which splines approximate a path's formula. With fewer, an orbit bulges.
+/// Number of intervals between the keys of a path. Splines through the keys approximate the path's formula. With fewer
+/// keys, an orbit bulges.
 const KEYS: usize = 24;
 
-/// Candidate fields of view, as fractions of the lens's field of view. Narrower ones leave more room to move.
+/// Candidates for the width of the views' field of view, as fractions of the lens's. A narrower view leaves more room
+/// to move.
 const LENSES: [f64; 4] = [0.95, 0.85, 0.7, 0.55];
 
-/// The search for a field of view ends when a path reaches this fraction of the rig's extent.
+/// Extent of a path, as a fraction of the rig's extent, at which the search for a wide field of view ends.
 const ENOUGH: f64 = 0.6;
 
-/// Number of bisections in the search for the largest extent.
+/// Number of bisections in the search for the largest extent of a path.
 const HALVINGS: usize = 12;
 
-/// Grid points per side of a view, which cameras must see at each depth.
+/// Number of grid points along each side of a view. Cameras must see every grid point at each of the scene's depths.
 const SEEN_POINTS: usize = 9;
 
-/// Bullet time: fractions of the video at which time stops, and runs again.
+/// Fractions of the duration of a bullet-time video at which time stops and starts again.
 const STOP: [f64; 2] = [0.25, 0.75];
 
-/// Length of a dolly, as a fraction of the distance to the nearest part of the scene.
+/// Maximum length of a dolly movement, as a fraction of the distance to the nearest part of the scene.
 const DOLLY: f64 = 0.4;
 
 impl ReadyMadePath {
-    /// The path, fitted to a scene.
+    /// Returns the path, fitted to a scene.
     ///
     /// # Errors
-    /// If the scene's times or duration are out of range.
+    /// If the scene's times or its duration are out of range.
     pub fn path(self, scene: &PathScene) -> Result<CameraPath, PathError> {
         let rig = RigCurve::new(scene);
         let mut best: Option<(f64, f64)> = None;
@@ -88,7 +92,7 @@ impl ReadyMadePath {
                 break;
             }
         }
-        // If cameras don't even see all of a view that stands still, the narrowest view is used.
+        // If the cameras don't see all of a view even without any movement, the narrowest field of view is used.
         let (extent, field) = best.unwrap_or((0.0, LENSES[LENSES.len() - 1]));
         CameraPath::new(self.keys(scene, &rig, (extent, field)), false)
     }
@@ -125,8 +129,9 @@ impl ReadyMadePath {
         (0..=KEYS).map(key).collect()
     }
 
-    /// The instant at a fraction `passed` of the video. Time runs at its true speed, or slower if the recording is
-    /// shorter than the video.
+    /// Returns the instant that is shown after a fraction `passed` of the video, seconds. Time runs at its true speed,
+    /// or more slowly if the recording is shorter than the video. In bullet time, it stops during the middle half of
+    /// the video.
     fn time_s(self, scene: &PathScene, passed: f64) -> f64 {
         let (first_s, last_s) = scene.span_s;
         let middle_s = 0.5 * (first_s + last_s);
@@ -151,13 +156,13 @@ impl ReadyMadePath {
     }
 }
 
-/// Ease-in-out: maps 0 to 0 and 1 to 1, with zero derivatives there.
+/// Ease-in-out function: maps 0 to 0 and 1 to 1, with derivative 0 at both ends.
 fn eased(x: f64) -> f64 {
     0.5 * (1.0 - (PI * x).cos())
 }
 
-/// The largest extent from 0 to 1 that is seen, by bisection: every smaller extent must be seen too. `None` if 0 isn't
-/// seen.
+/// Returns the largest extent from 0 to 1 for which `is_seen` is true, by bisection. `is_seen` must also be true for
+/// all smaller extents. `None` if it is false for 0.
 fn largest(is_seen: impl Fn(f64) -> bool) -> Option<f64> {
     if !is_seen(0.0) {
         return None;
@@ -173,7 +178,8 @@ fn largest(is_seen: impl Fn(f64) -> bool) -> Option<f64> {
     Some(seen)
 }
 
-/// A pinhole lens, centred in the image, whose field of view at any depth is `field` times as wide as that of `lens`.
+/// Returns a pinhole lens without distortion, with its principal point in the middle of the image. Its view at any
+/// depth is `field` times as wide as the view of `lens`.
 fn narrowed(lens: &Camera, field: f64) -> CameraModel {
     let (fx, fy, ..) = lens.model.intrinsics();
     let (cx, cy) = (0.5 * lens.width as f64, 0.5 * lens.height as f64);
@@ -182,18 +188,20 @@ fn narrowed(lens: &Camera, field: f64) -> CameraModel {
 
 /// A rig, modelled as a curve of positions and directions.
 struct RigCurve {
-    /// Mean of the cameras' centres, metres; `ahead` and `down` are the mean axes.
+    /// Mean of the cameras' centres in the world, metres. The fields `ahead` and `down` are the mean directions of
+    /// their z and y axes, unit length.
     center: Vector3<f64>,
     ahead: Vector3<f64>,
     down: Vector3<f64>,
-    /// Half extents of the cameras' centres: along the longest direction, and along the second longest. Metres, in the
-    /// world.
+    /// Half extents of the cameras' centres: a vector along the longest direction, and a vector along the second
+    /// longest. In the world, metres.
     axes: [Vector3<f64>; 2],
-    /// Coefficients of 1, s and s² in the parabola of positions; `aheads` has those of directions. The coordinate s is
-    /// along the longest extent.
+    /// Coefficients of 1, s and s² in the parabola of the cameras' positions, metres. The coordinate s runs from −1 to
+    /// 1 along the rig's longest extent. The field `aheads` has the coefficients for the cameras' directions.
     places: [Vector3<f64>; 3],
     aheads: [Vector3<f64>; 3],
-    /// The scene's depths from `center` along `ahead`, metres.
+    /// Depths of the scene, measured from `center` along `ahead`, metres: of its nearest part, of the subject, and of
+    /// its farthest part.
     depths_m: [f64; 3],
 }
 
@@ -229,18 +237,21 @@ impl RigCurve {
         Self { center, ahead, down, axes, places, aheads, depths_m }
     }
 
-    /// The position at rig coordinates (s, t), each from −1 to 1: along the longest and the second longest extent.
+    /// Returns the position at the rig coordinates (s, t), in the world, metres. s runs from −1 to 1 along the longest
+    /// extent of the rig, and t along the second longest.
     fn place(&self, [s, t]: [f64; 2]) -> Vector3<f64> {
         at(&self.places, s) + self.axes[1] * t
     }
 
-    /// The pose (`looking`) at rig coordinates (s, t), moved `ahead_m` metres along its axis.
+    /// Returns the pose `cam_from_world` at the rig coordinates (s, t), each from −1 to 1. The pose looks in the
+    /// direction of the cameras there, and is moved by `ahead_m` metres in this direction.
     fn pose(&self, along: [f64; 2], ahead_m: f64) -> Isometry3<f64> {
         let ahead = at(&self.aheads, along[0]).try_normalize(1e-9).unwrap_or(self.ahead);
         looking(self.place(along) + ahead * ahead_m, ahead, self.down)
     }
 
-    /// The pose at rig coordinates (s, t), aimed at the subject.
+    /// Returns the pose `cam_from_world` at the rig coordinates (s, t), each from −1 to 1, that looks at the subject.
+    /// The subject is the point straight ahead of the rig's centre at the subject's depth.
     fn aimed(&self, along: [f64; 2]) -> Isometry3<f64> {
         let place = self.place(along);
         let subject = self.center + self.ahead * self.depths_m[1];
@@ -248,7 +259,7 @@ impl RigCurve {
         looking(place, ahead, self.down)
     }
 
-    /// Whether cameras see every part of a view at each of the scene's depths.
+    /// Returns whether the cameras together see every grid point of a view at each of the scene's depths.
     fn sees(&self, view: &Camera, cameras: &[Camera]) -> bool {
         let center = view.center();
         let last = (SEEN_POINTS - 1) as f64;
@@ -271,7 +282,8 @@ fn is_inside(camera: &Camera, point: &Point3<f64>) -> bool {
     camera.project(point).is_some_and(|pixel| camera.contains(&pixel))
 }
 
-/// The directions of the largest and the second largest extent, unit length. The first points to the side of `right`.
+/// Returns the directions of the largest and the second largest extent of points, unit length. `scatter` is the scatter
+/// matrix of the points. The first direction has a positive component along `right`.
 fn extents(scatter: &Matrix3<f64>, right: Vector3<f64>) -> [Vector3<f64>; 2] {
     let eigen = scatter.symmetric_eigen();
     let mut order = [0, 1, 2];
@@ -281,15 +293,15 @@ fn extents(scatter: &Matrix3<f64>, right: Vector3<f64>) -> [Vector3<f64>; 2] {
     [if first.dot(&right) < 0.0 { -first } else { first }, axis(1)]
 }
 
-/// Coefficients (1, s, s²) of the least-squares parabola through values at coordinates from −1 to 1. Its degree is
-/// lower if fewer than three coordinates differ.
+/// Returns the coefficients of 1, s and s² of the least-squares parabola through `values`. `along` has the coordinates
+/// s of the values, from −1 to 1. If fewer than three coordinates are different, the parabola has a lower degree.
 fn parabola(along: &[f64], values: &[Vector3<f64>]) -> [Vector3<f64>; 3] {
     let basis = |s: f64| Vector3::new(1.0, s, s * s);
     let mean = values.iter().sum::<Vector3<f64>>() / values.len() as f64;
     let normal: Matrix3<f64> = along.iter().map(|s| basis(*s) * basis(*s).transpose()).sum();
     let right: Matrix3<f64> =
         along.iter().zip(values).map(|(s, value)| basis(*s) * (value - mean).transpose()).sum();
-    // If the coordinates don't determine a coefficient, the pseudo-inverse gives the smallest one.
+    // If the coordinates don't determine the coefficients, the pseudo-inverse gives the smallest coefficients.
     let inverse = normal.pseudo_inverse(1e-9).unwrap_or_else(|_| Matrix3::zeros());
     let solved = inverse * right;
     let [constant, linear, square] = [0, 1, 2].map(|row| solved.row(row).transpose());
@@ -300,7 +312,7 @@ fn at([constant, linear, square]: &[Vector3<f64>; 3], s: f64) -> Vector3<f64> {
     constant + linear * s + square * (s * s)
 }
 
-/// The pose `cam_from_world` of a camera at `place` that looks along `ahead`, with its y axis towards `down`.
+/// Returns the pose `cam_from_world` of a camera at `place` that looks along `ahead`. Its y axis points towards `down`.
 fn looking(place: Vector3<f64>, ahead: Vector3<f64>, down: Vector3<f64>) -> Isometry3<f64> {
     let rotation = UnitQuaternion::face_towards(&ahead, &down);
     Isometry3::from_parts(place.into(), rotation).inverse()

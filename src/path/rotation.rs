@@ -1,23 +1,25 @@
-//! Quaternion splines (Kim, Kim and Shin, SIGGRAPH 1995).
+//! Splines of rotations, by unit quaternions (Kim, Kim and Shin, SIGGRAPH 1995).
 
 use super::curve::parabolic;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Largest angle between two keys that count as one direction, radians. It covers the rounding of quaternions.
+/// Maximum angle between two keys that count as the same direction, radians. It covers the rounding errors of
+/// quaternions.
 const SAME_DIRECTION_RAD: f64 = 1e-9;
 
-/// The rotation vector from one rotation to another along the shorter arc, radians, in the frame of the first. For
-/// half a turn, one of the two arcs is chosen.
+/// Returns the rotation vector from one rotation to another along the shorter arc, radians, in the frame of `from`. If
+/// the two differ by half a turn, one of the two arcs is chosen.
 fn step(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> Vector3<f64> {
     (from.inverse() * to).scaled_axis()
 }
 
-/// Angular velocities at keys, in the frame of each key, radians per unit of `at`.
+/// Returns the angular velocities at keys, each in the frame of its key, radians per unit of the parameter. `at` has
+/// the parameters of the keys, ascending.
 pub(super) fn rotation_tangents(
     at: &[f64],
     rotations: &[UnitQuaternion<f64>],
 ) -> Vec<Vector3<f64>> {
-    // A step's rotation vector is equal in the frames of both of its ends.
+    // The rotation vector of a step has the same coordinates in the frames of both keys.
     let steps: Vec<Vector3<f64>> =
         (1..at.len()).map(|k| step(&rotations[k - 1], &rotations[k])).collect();
     let stands: Vec<bool> = steps.iter().map(|s| s.norm() <= SAME_DIRECTION_RAD).collect();
@@ -26,8 +28,9 @@ pub(super) fn rotation_tangents(
     parabolic(at, &slopes, &stands)
 }
 
-/// The cumulative cubic Bézier curve between two rotations, `length` seconds apart, with their angular velocities at
-/// the ends. `passed` is the fraction of the interval, from 0 to 1.
+/// Interpolates between the rotations `a` and `b`, which are `length` seconds apart, by a cumulative cubic Bézier
+/// curve. Each rotation comes with its angular velocity, radians per second. `passed` is the fraction of the interval,
+/// from 0 to 1.
 pub(super) fn cumulative(
     passed: f64,
     length: f64,

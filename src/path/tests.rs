@@ -18,7 +18,8 @@ fn turned(angle: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle)
 }
 
-/// A path with uneven keys that move, rotate and zoom in every direction. Two keys are equal, and one rests.
+/// Returns a path with unevenly spaced keys that move, rotate and zoom in every direction. Two keys have the same view,
+/// and another key rests.
 fn uneven() -> CameraPath {
     let mut random = Random::new(7);
     let mut at_s = -3.0;
@@ -38,7 +39,8 @@ fn uneven() -> CameraPath {
     CameraPath::new(keys, false).unwrap()
 }
 
-/// The state of a path as one list: position, time, focal length, and the rotation vector relative to the first key.
+/// Returns the state of a path as one list: position, instant, focal length in thousands of pixels, and the vector part
+/// of the quaternion `cam_from_world` with a positive scalar part.
 fn state(path: &CameraPath, passed_s: f64) -> Vec<f64> {
     let frame = path.at(passed_s);
     let center = frame.camera.center();
@@ -161,7 +163,7 @@ fn constant_speed_is_constant_where_keys_are_not() {
     let worst = lengths.iter().map(|l| (l / mean - 1.0).abs()).fold(0.0, f64::max);
     // Where the curve bends, chords are shorter than arcs.
     assert!(worst < 2e-3, "{worst}");
-    // The instant doesn't follow the constant speed.
+    // The instant is not affected by the constant speed.
     assert!((path.at(1.0).time_s - 1.0).abs() < 1e-12);
     let still = keys.iter().map(|k| key(k.at_s, 0.0, [1.0; 3], turned(0.0))).collect();
     assert!((CameraPath::new(still, true).unwrap().at(2.0).camera.center().x - 1.0).abs() < 1e-12);
@@ -239,7 +241,7 @@ fn files_are_read_and_wrong_fields_named() {
     }
 }
 
-/// For any numbers in a file, the file is an error of one sentence, or all views are finite.
+/// For any numbers in a file, either the file is refused with one sentence, or all views are finite.
 #[test]
 fn hostile_numbers_are_refused_or_give_finite_views() {
     let numbers = [
@@ -291,7 +293,7 @@ fn hostile_numbers_are_refused_or_give_finite_views() {
     assert!(accepted > 200, "{accepted}");
 }
 
-/// Four rigs: a line, an arc that looks at a point 3 m away, a grid, and a single camera.
+/// Returns four rigs: a line, an arc that looks at a point 3 m away, a grid, and a single camera.
 fn rigs() -> [Vec<Camera>; 4] {
     let line = (0..8).map(|c| pinhole_at([0.06 * (c as f64 - 3.5), 0.0, 0.0])).collect();
     let arc = (0..8)
@@ -331,7 +333,7 @@ fn ready_made_paths_stay_inside_of_what_the_cameras_see() {
                 let view = &frame.camera;
                 assert!((0.1..=0.5).contains(&frame.time_s), "{kind:?} {}", frame.time_s);
                 moved = moved.max((view.center() - path.keys()[0].camera.center()).norm());
-                // Corners and centre of the image, at depths of 2, 3 and 5 m from the rig.
+                // Corners and centre of the image, at depths of 2, 3 and 4.9 m from the view.
                 let corners =
                     [[0.0, 0.0], [640.0, 0.0], [0.0, 480.0], [640.0, 480.0], [320.0, 240.0]];
                 let corner = corners.map(|p| view.ray_world(&p.into()).unwrap());

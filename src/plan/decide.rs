@@ -1,4 +1,4 @@
-//! Decisions of the plan: functions that choose a method by a measured number, and say why in a sentence.
+//! Decisions of the plan. Each function chooses a method by a measured number, and gives the reason as a sentence.
 
 use super::motion::MAX_NOISE;
 use super::{Motion, Shape};
@@ -9,37 +9,37 @@ use crate::options::ProxyMethod;
 use crate::registration::{GainCurve, Gains};
 use serde::Serialize;
 
-/// The choice of one stage's method, with its reason.
+/// The choice of a method for one stage, with its reason.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Decision {
-    /// Name of the stage, such as `still pairs`.
+    /// Name of the stage, such as `sync`.
     pub stage: &'static str,
-    /// The chosen method, by its name in options files; for a stage without options, a word for the state of its
-    /// input.
+    /// Name of the chosen method, as in options files. For a stage without such an option, a word that describes the
+    /// capture, such as `pinhole` for the lenses.
     pub method: &'static str,
-    /// The measured number that decided, in pixels unless `because` names another unit. `None` if `capture.json`
-    /// decides.
+    /// The measured number on which the decision is based, in pixels unless `because` names another unit. `None` if the
+    /// decision is not based on a single number.
     pub measured: Option<f64>,
-    /// The limit with which `measured` was compared, in the same unit.
+    /// The limit with which `measured` was compared, in the unit of `measured`; `None` if `measured` is `None`.
     pub limit: Option<f64>,
-    /// The reason: one sentence, with the measured number.
+    /// The reason, as one sentence that contains the measured number.
     pub because: String,
 }
 
 impl Decision {
-    /// A decision without a measured number, which [`Self::by`] can add.
+    /// Creates a decision without a measured number. [`Self::by`] can add the number.
     fn new(stage: &'static str, method: &'static str, because: impl Into<String>) -> Self {
         Self { stage, method, measured: None, limit: None, because: because.into() }
     }
 
-    /// Adds the measured number that decided, and the limit with which it was compared.
+    /// Adds the measured number on which the decision is based, and the limit with which this number was compared.
     fn by(self, measured: f64, limit: f64) -> Self {
         Self { measured: Some(measured), limit: Some(limit), ..self }
     }
 }
 
-/// Decides whether offsets are estimated. `clocks` has for each camera the index of its clock; clock 0 is the
-/// reference's.
+/// Reports whether the cameras' temporal offsets are estimated. `clocks` has the clock's index for each camera; clock 0
+/// is the clock of the reference camera. `is_static` is true if every camera took a single frame.
 pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     if is_static {
         let because = "Every camera took one frame, which is the same at any time.";
@@ -55,10 +55,12 @@ pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     Decision::new("offsets", "estimated", because)
 }
 
-/// Largest motion of cross-faded frame pairs, as a multiple of the budget in pixels. Halfway between two frames, each
-/// image is displaced by half of the motion.
+/// Largest motion at which a frame pair is cross-faded, as a multiple of the budget in pixels. Halfway between the two
+/// frames, a cross-fade displaces each image by half of the motion.
 const CROSSFADE_BUDGETS: f64 = 2.0;
 
+/// Chooses the sync method by the motion in the frame pairs. `budget_px` is the position error, in pixels, that a
+/// cheaper method may cause.
 pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
     let Motion { largest_px, residual_px, changed_fraction, .. } = *motion;
     let by = |method: SyncMethod, measured, limit, because: String| {
@@ -68,7 +70,7 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
         let method = SyncMethod::Nearest;
         return (method, Decision::new("sync", method.name(), "There is one frame a camera."));
     }
-    // The nearest frame is at most half a frame interval away.
+    // The nearest frame is at most half a frame interval away, so its displacement is at most half of the motion.
     let nearest_px = 0.5 * largest_px;
     if nearest_px <= budget_px && changed_fraction == 0.0 {
         let because = format!(
@@ -97,11 +99,11 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
     by(SyncMethod::Refined, residual_px, budget_px, because)
 }
 
-/// Factor by which the noise of other still pairs may exceed the noise of the examined ones.
+/// Factor by which the noise of a frame pair that was not examined may exceed the noise of the examined still pairs.
 const NOISE_MARGIN: f32 = 1.25;
 
-/// Largest change of a block, for pixel values of 0 to 1, up to which a frame pair counts as still and is not
-/// registered.
+/// Chooses the largest change of an image block up to which a frame pair counts as still. Still pairs are cross-faded
+/// without registration. The change is a mean absolute difference of pixel values, which are from 0 to 1.
 pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     let Motion { still_pairs, still_change, still_px, pairs, .. } = *motion;
     if pairs == 0 {
@@ -130,8 +132,9 @@ pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     (limit, Decision::new("still pairs", "cross-faded", because).by(still_px, limit_px))
 }
 
-/// Chooses between refinement and triangulation by the possible gain of refinement, decibels. `frames` names the
-/// held-out frames in the reason.
+/// Chooses refinement as the sync method if it can gain more than `budget_db` over triangulation, and triangulation
+/// otherwise. `gain_db` is the largest possible PSNR gain of refinement, in decibels. `frames` names the held-out
+/// frames in the reason.
 pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let refines = gain_db > budget_db;
     let method = if refines { SyncMethod::Refined } else { SyncMethod::Triangulation };
@@ -142,8 +145,9 @@ pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, De
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Chooses between refined images and images from all cameras, which take twice as long. `gain_db` is the PSNR gain of
-/// images from all cameras on the held-out frames, which `frames` names in the reason.
+/// Chooses between two sync methods: refined images of each camera, and images from all cameras, which take twice as
+/// long. `gain_db` is the PSNR gain of images from all cameras on the held-out frames, in decibels. They are chosen if
+/// this gain exceeds `budget_db`. `frames` names the held-out frames in the reason.
 pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let pays = gain_db > budget_db;
     let method = if pays { SyncMethod::AllCameras } else { SyncMethod::Refined };
@@ -155,8 +159,9 @@ pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, D
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Chooses between depth per pixel and scene flow as proxy. `gain_db` is the PSNR gain of scene flow on the held-out
-/// frames, which `frames` names in the reason.
+/// Chooses scene flow as the proxy if its PSNR gain over depth per pixel exceeds `budget_db`, and depth per pixel
+/// otherwise. `gain_db` is the gain of scene flow on the held-out frames, in decibels. `frames` names these frames in
+/// the reason.
 pub fn scene_flow(gain_db: f64, frames: &str, budget_db: f64) -> (ProxyMethod, Decision) {
     let method = if gain_db > budget_db { ProxyMethod::SceneFlow } else { ProxyMethod::Depth };
     let because = format!(
@@ -172,9 +177,9 @@ fn better_or_worse(gain_db: f64) -> String {
     format!("{:.2} dB {word}", gain_db.abs())
 }
 
-/// Chooses between blending weights in space, and in space and time. `gain_db` is the PSNR gain of the latter on the
-/// held-out frames, which `frames` names in the reason. Any gain suffices, because both take about the same time.
-/// Without a gain, no method is chosen.
+/// Chooses between blending weights in space only, and weights in space and time. `gain_db` is the PSNR gain of weights
+/// in space and time on the held-out frames, in decibels. Any positive gain suffices, because both take about the same
+/// time. If `gain_db` is `None`, no method is chosen. `frames` names the held-out frames in the reason.
 pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decision) {
     let Some(gain_db) = gain_db else {
         let because = "No held-out frames were compared: that needs refined motion, depth per pixel and a frame \
@@ -190,12 +195,12 @@ pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decisi
     (Some(method), Decision::new("blend", method.name(), because).by(gain_db, 0.0))
 }
 
-/// Fraction of the budget by which a trajectory's curvature may displace a feature. Larger: straight trajectories are
-/// chosen where curved ones improve views by 0.1 to 0.2 dB at hardly any cost; smaller: the noise of tracks, 0.01 px,
-/// counts as curvature.
+/// Largest deviation of trajectories from straight lines at which they are modelled as straight, as a fraction of the
+/// budget in pixels. With a larger value, views lose 0.1 to 0.2 dB that curved trajectories gain at hardly any cost.
+/// With a smaller value, the noise of tracks, 0.01 px, counts as curvature.
 const CURVATURE_FRACTION: f64 = 0.2;
 
-/// Whether trajectories are modelled as curved.
+/// Decides whether trajectories are modelled as curved. The returned Boolean is true if they are.
 pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     let limit_px = CURVATURE_FRACTION * budget_px;
     let is_curved = motion.curvature_px > limit_px;
@@ -208,7 +213,8 @@ pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     (is_curved, decision.by(motion.curvature_px, limit_px))
 }
 
-/// Chooses between a plane and depth per pixel. Without a measured shape, no method is chosen.
+/// Chooses a plane as the proxy if it displaces points by at most `budget_px`, else depth per pixel. If `shape` is
+/// `None`, no method is chosen.
 pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Decision) {
     let Some(shape) = shape else {
         let because = "No point of the scene could be triangulated to tell.";
@@ -225,7 +231,7 @@ pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Dec
     (Some(method), decision.by(shape.off_plane_px, budget_px))
 }
 
-/// Whether gains are corrected; [`Gains`] defines which difference of gains is significant.
+/// Reports whether the cameras' gains are corrected. [`Gains`] defines which difference of gains is significant.
 pub fn gains(gains: &Gains) -> Decision {
     let (difference, std_err) = gains.largest;
     let numbers = format!(
@@ -249,6 +255,7 @@ pub fn gains(gains: &Gains) -> Decision {
     Decision::new("gains", "corrected", format!("{numbers}, which is corrected."))
 }
 
+/// Reports whether the lenses distort. `distortion_px` is the largest displacement of a pixel by lens distortion.
 pub fn lenses(distortion_px: f64) -> Decision {
     if distortion_px == 0.0 {
         return Decision::new("lenses", "pinhole", "No lens distorts.").by(0.0, 0.0);
@@ -257,11 +264,13 @@ pub fn lenses(distortion_px: f64) -> Decision {
     Decision::new("lenses", "distorted", because).by(distortion_px, 0.0)
 }
 
-/// Largest ratio of a rig's extent across its length to its length for which the rig counts as a line. Larger: the
-/// columns of a grid are not used; smaller: an almost straight line is tested in directions in which its cameras
-/// hardly differ.
+/// Largest `extent_ratio` at which the cameras count as a line. The ratio is the extent of the camera centres across
+/// their main direction, divided by the extent along it. Above this limit, the cameras count as a grid.
 const LINE: f64 = 0.05;
 
+/// Reports whether the cameras spread in one or in two directions. The reference cameras of the epipolar test lie in
+/// these directions. `extent_ratio` is the extent of the camera centres across their main direction, divided by the
+/// extent along it.
 pub fn references(extent_ratio: f64) -> Decision {
     let because = format!(
         "Across their main direction the cameras spread {extent_ratio:.2} times as far as along it."

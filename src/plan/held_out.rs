@@ -1,8 +1,8 @@
-//! Cross-validation on held-out frames: recorded frames are rendered from other cameras only, which measures the error
-//! of a method on this capture ([`Probe`]).
+//! Cross-validation on held-out frames. A recorded frame is rendered from other cameras only. Its difference from the
+//! recording measures the error of a method on this capture ([`Probe`]).
 //!
-//! Images from all cameras and blending weights in time are judged by the errors of held-out frames. Refinement is
-//! judged differently: by how much it changes views between cameras, relative to the error of held-out frames.
+//! Images from all cameras, scene flow, and blending weights in time are judged by the errors on held-out frames.
+//! Refinement is judged by how much it changes views between cameras, relative to the error on held-out frames.
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
@@ -19,55 +19,60 @@ use std::cmp::Reverse;
 use std::f64::consts::LN_10;
 use std::sync::Arc;
 
-/// Number of held-out frames. Each is of another camera, and they are spread over the recording, because gains in PSNR
-/// differ by half a decibel between instants.
+/// Number of held-out frames. Each frame is of another camera. The frames are spread over the recording, because PSNR
+/// gains differ by half a decibel between instants.
 const FRAMES: usize = 4;
 
-/// Number of nearest cameras from which a held-out frame is rendered.
+/// Number of cameras from which a held-out frame is rendered. They are the nearest ones to the frame's camera.
 const NEIGHBORS: usize = 4;
 
-/// Candidate instants of views, as fractions of the frame interval, the preferred one first.
+/// Candidates for the instant of a compared view, in order of preference. Each is a fraction of the time from the
+/// held-out frame to the next frame.
 const FRACTIONS: [f64; 3] = [0.5, 0.25, 0.75];
 
-/// Radius of the dilation of a frame's changing part, pixels. It covers the part's parallax in a neighbouring view.
+/// Radius of the dilation of a frame's changing part, in pixels. It covers the parallax of this part in a neighbouring
+/// view.
 const PARALLAX_PX: usize = 16;
 
-/// Smallest time between a view and a frame, as a fraction of the frame interval. At a smaller one, synchronization
-/// has hardly any error.
+/// Smallest time between a view and a frame, as a fraction of the frame interval. Closer to a frame, synchronization
+/// has hardly any error to measure.
 const MIN_FRACTION: f64 = 0.1;
 
-/// Minimum number of pixels in the changing part of a held-out frame.
+/// Minimum number of changing pixels in a held-out frame.
 const MIN_PIXELS: usize = 64;
 
-/// The held-out frames, with the light fields of neighbouring cameras from which they are rendered.
+/// The held-out frames of a capture. Each has the light field of its neighbouring cameras, from which it is rendered.
 pub struct Probe {
     frames: Vec<HeldOutFrame>,
 }
 
 struct HeldOutFrame {
-    /// The light field of the neighbouring cameras, without the held-out camera.
+    /// Light field of the nearest other cameras, without the camera of this frame.
     neighbors: LightField,
     camera: Camera,
-    /// Text such as `frame 3 of cam1`: the frame's index and the camera's id.
+    /// Description such as `frame 3 of cam1`, with the frame's index and the camera's id.
     name: String,
     time_s: f64,
-    /// The view in which sync methods are compared: halfway between the camera and its nearest neighbour.
+    /// Camera of the view in which sync methods are compared. It is halfway between `camera` and the nearest other
+    /// camera.
     view: Camera,
-    /// The instant of `view`, seconds: between this frame and the next one; for the last frame, the one before.
+    /// Instant of `view`, in seconds. It lies between this frame and the next frame. For the last frame, it lies
+    /// between this frame and the frame before.
     view_s: f64,
-    /// The held-out frame, corrected to the reference camera's gains.
+    /// The held-out frame as recorded, corrected to the gains of the reference camera.
     truth: Image,
-    /// The exposure of the views of `neighbors`: that of a camera, by its index in the whole capture, at a time on its
-    /// own clock, seconds.
+    /// Exposure of views that are rendered from `neighbors`: that of their reference camera, by its index in the whole
+    /// capture, at a time on its own clock, seconds.
     exposure: (usize, f64),
     gains: Arc<Gains>,
-    /// Mask, row by row, of the pixels at which the frame differs from the frame before or after it.
+    /// Mask of the pixels, row by row, at which this frame differs from the frame before or after it by more than
+    /// noise.
     changing: Vec<bool>,
-    /// The mask `changing`, dilated by [`PARALLAX_PX`] pixels.
+    /// The mask of changing pixels, row by row, dilated by [`PARALLAX_PX`] pixels.
     near_changing: Vec<bool>,
 }
 
-/// Sums of squared errors of held-out frames, for both kinds of blending weights.
+/// Sums of squared errors over the held-out frames, one sum for each kind of blending weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HeldOutErrors {
     pub in_space: f64,
@@ -75,7 +80,8 @@ pub struct HeldOutErrors {
 }
 
 impl HeldOutErrors {
-    /// The error for a blending method. If the method is decided later, the smaller of the two errors.
+    /// Returns the error for a blending method. If `is_decided_later`, the blending method is still to be chosen, and
+    /// the smaller of the two errors is returned.
     pub fn by(&self, blend: BlendMethod, is_decided_later: bool) -> f64 {
         match blend {
             _ if is_decided_later => self.in_space.min(self.in_space_and_time),
@@ -86,8 +92,9 @@ impl HeldOutErrors {
 }
 
 impl Probe {
-    /// Chooses the held-out frames. `None` if no camera has a frame that lies between frames of its neighbours in time
-    /// (as with a common clock), or if hardly anything changes.
+    /// Chooses the held-out frames. Returns `None` if no camera has a suitable frame. A suitable frame lies in time
+    /// between frames of at least half of the nearest cameras, and at least 64 of its pixels change. Cameras with a
+    /// common clock have no such frames.
     pub fn open(
         whole: &LightField,
         registration: &RegistrationOptions,
@@ -104,23 +111,23 @@ impl Probe {
         Ok((!frames.is_empty()).then_some(Self { frames }))
     }
 
-    /// The held-out frames as text, such as `frame 3 of cam1, frame 8 of cam2`.
+    /// Returns a description of the held-out frames, such as `frame 3 of cam1, frame 8 of cam2`.
     pub fn names(&self) -> String {
         let names: Vec<&str> = self.frames.iter().map(|f| f.name.as_str()).collect();
         names.join(", ")
     }
 
-    /// The largest PSNR gain that costlier options can have over cheaper ones in the changing part of views between
-    /// cameras, decibels: 10·log₁₀(1 + D/E).
+    /// Estimates the largest PSNR gain, in decibels, that the options `dearer` can have over the options `cheaper`. The
+    /// gain is 10·log₁₀(1 + D/E), for the changing part of views between cameras.
     ///
-    /// D is the sum of squared differences between the views of both options. E is the sum of squared errors of the
-    /// costlier options on the held-out frames. The gain assumes that every change by the costlier options is an
-    /// improvement, and that views have the error of held-out frames. `None` if no frame can be rendered, or none has
-    /// a changing part.
+    /// D is the sum of squared differences between the views with both options. E is the sum of squared errors of
+    /// `dearer` on the held-out frames. The estimate assumes that every change by `dearer` is an improvement, and that
+    /// views between cameras have the same error as held-out frames. Returns `None` if no frame can be rendered, or if
+    /// no changing pixel is visible.
     ///
-    /// The gain on the held-out frames would be misleading. They are twice as far from their neighbours as views are,
-    /// which doubles the error of the proxy, and a sharp image loses more PSNR by a displaced outline than a blurred
-    /// one.
+    /// The gain on the held-out frames would be misleading, for two reasons. A held-out frame is twice as far from its
+    /// neighbours as a view between cameras, which doubles the error of the proxy. A displaced outline costs a sharp
+    /// image more PSNR than a blurred image.
     pub fn possible_gain_db(
         &self,
         field: &LightField,
@@ -137,17 +144,17 @@ impl Probe {
             difference += squared(&cheap.image, &dear.image, &counts);
             error += frame.squared_error(&again, &both(&again.coverage, &frame.changing));
         }
-        // Without visible pixels or without error, the quotient isn't finite.
+        // If no changing pixel is visible, or if `error` is 0, the gain isn't finite.
         let gain_db = 10.0 * (difference / error).ln_1p() / LN_10;
         Ok(gain_db.is_finite().then_some(gain_db))
     }
 
-    /// The errors of each candidate in the changing part of the held-out frames, for both kinds of blending weights.
-    /// `None` if there are no pixels to compare. Only frames that all candidates can render are compared, on pixels
-    /// that all cover.
+    /// Returns the errors of each candidate in the changing part of the held-out frames, for both kinds of blending
+    /// weights. Only frames that all candidates can render are compared, at the pixels that all of their views cover.
+    /// Returns `None` if there is no such pixel.
     ///
-    /// Candidates must be equally sharp, because a sharp image loses more PSNR by a displaced outline than a blurred
-    /// one.
+    /// Candidates must be equally sharp, because a displaced outline costs a sharp image more PSNR than a blurred
+    /// image.
     pub fn errors(
         &self,
         candidates: &[RenderOptions],
@@ -177,9 +184,10 @@ impl Probe {
 }
 
 impl HeldOutFrame {
-    /// Chooses a frame of this camera as held-out frame `number` of [`FRAMES`]. `None` if no frame lies within the
-    /// time span of the neighbouring cameras, if too few of them have frames before and after it, or if too little of
-    /// the images changes.
+    /// Chooses a frame of this camera as held-out frame `number`, which is from 0 to [`FRAMES`] - 1. `times_s` are the
+    /// camera's frame times in seconds. The chosen frames are spread over the recording. Returns `None` if no frame
+    /// lies within the recording of any neighbouring camera, if the frame lies between frames of fewer than half of the
+    /// neighbouring cameras, or if fewer than [`MIN_PIXELS`] pixels change.
     fn open(
         whole: &LightField,
         camera: usize,
@@ -206,7 +214,7 @@ impl HeldOutFrame {
         }
         let next_s = times_s[if frame + 1 < times_s.len() { frame + 1 } else { frame - 1 }];
         let instants = FRACTIONS.map(|fraction| time_s + fraction * (next_s - time_s));
-        // Of the instants at which most cameras are between two of their frames, the first.
+        // Takes the first of the instants at which the most cameras are between two of their frames.
         let between = |s: &f64| Reverse(whole.between_frames(*s, MIN_FRACTION));
         let Some(view_s) = instants.into_iter().min_by_key(between) else { return Ok(None) };
         let gains = whole.gains(registration);
@@ -230,8 +238,8 @@ impl HeldOutFrame {
         }))
     }
 
-    /// The frame as rendered from its neighbours, with weights in space, and with weights in space and time. `None` if
-    /// it can't be rendered.
+    /// Renders this frame from its neighbours twice: with blending weights in space, and with weights in space and
+    /// time. Returns `None` if one of the two images can't be rendered.
     fn by_both_weights(
         &self,
         options: &RenderOptions,
@@ -245,7 +253,7 @@ impl HeldOutFrame {
         Ok(in_space.zip(in_time).map(<[Rendered; 2]>::from))
     }
 
-    /// Sum of squared errors of a view against this frame, over the pixels where `counts` is true.
+    /// Returns the sum of squared errors of a view relative to this frame, over the pixels at which `counts` is true.
     fn squared_error(&self, view: &Rendered, counts: &[bool]) -> f64 {
         let (camera, own_s) = self.exposure;
         let image = self.gains.corrected(camera, own_s, &view.image);
@@ -253,7 +261,8 @@ impl HeldOutFrame {
     }
 }
 
-/// Renders a view; `None` if it can't be rendered. A frame that can't be read is an error.
+/// Renders the view of the camera `at`. Returns `None` if the view can't be rendered. A frame that can't be read is an
+/// error.
 pub(crate) fn rendered(
     field: &LightField,
     at: &Camera,
@@ -267,27 +276,27 @@ pub(crate) fn rendered(
     }
 }
 
-/// The logical conjunction of two masks.
+/// Returns the logical conjunction of two masks, pixel by pixel.
 fn both(a: &[bool], b: &[bool]) -> Vec<bool> {
     a.iter().zip(b).map(|(a, b)| *a && *b).collect()
 }
 
-/// The sum of squared grey differences over the pixels where `counts` is true.
+/// Returns the sum of squared grey differences over the pixels at which `counts` is true.
 fn squared(a: &Image, b: &Image, counts: &[bool]) -> f64 {
     let (a, b) = (a.to_gray(), b.to_gray());
     let pixels = a.data().iter().zip(b.data()).zip(counts);
     pixels.filter(|(_, counts)| **counts).map(|((a, b), _)| f64::from(a - b).powi(2)).sum()
 }
 
-/// The light field of the given cameras, in this order.
+/// Creates the light field of the cameras with these indices, in this order.
 pub(crate) fn field_of(capture: &Capture, offsets: &Offsets, cameras: &[usize]) -> LightField {
     let mut known = offsets.clone();
     known.cameras = cameras.iter().map(|&c| offsets.cameras[c].clone()).collect();
     LightField::new(Arc::new(capture.with_cameras(cameras)), known)
 }
 
-/// Indices of all cameras, the nearest to the rig's centre first. Inner cameras lie between others, as views do. Empty
-/// for fewer than three cameras.
+/// Returns the indices of all cameras, sorted by distance from the centre of the rig, the nearest first. The inner
+/// cameras lie between other cameras, as views do. Returns nothing for fewer than three cameras.
 pub(crate) fn inner_cameras(capture: &Capture) -> Vec<usize> {
     let cameras = &capture.cameras;
     if cameras.len() < 3 {
@@ -304,8 +313,8 @@ fn by_distance(capture: &Capture, from: &Vector3<f64>) -> Vec<usize> {
     order
 }
 
-/// A view with a camera's lens and direction, halfway to the nearest camera at another place. The camera itself if
-/// there is none.
+/// Returns a view with the lens and direction of a camera, halfway to the nearest camera at another position. Returns
+/// the camera itself if all cameras have the same position.
 pub(crate) fn halfway_to_neighbor(capture: &Capture, camera: usize) -> Camera {
     let mut view = capture.cameras[camera].camera.clone();
     let from_own = capture.cameras.iter().map(|c| c.camera.center() - view.center());
@@ -317,15 +326,15 @@ pub(crate) fn halfway_to_neighbor(capture: &Capture, camera: usize) -> Camera {
     view
 }
 
-/// Indices of the times at which the number of cameras that can give an image is largest.
+/// Returns the indices of the times at which the largest number of cameras can give an image.
 pub(crate) fn well_covered_frames(field: &LightField, times_s: &[f64]) -> Vec<usize> {
     let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
     let most = usable.iter().max().copied().unwrap_or(0).max(1);
     (0..usable.len()).filter(|&k| usable[k] == most).collect()
 }
 
-/// A frame, and a mask, row by row, of the pixels at which it differs from the frame before or after it by more than
-/// noise.
+/// Returns a recorded frame and a mask. The mask, row by row, has the pixels at which the frame differs from the frame
+/// before or after it by more than noise.
 pub(crate) fn recorded(
     frames: &FrameStore,
     camera: usize,

@@ -1,28 +1,28 @@
-//! Automatic choice of methods: for every stage, the cheapest method whose error on this capture is within a budget.
-//! Each choice comes with the number that decided it.
+//! Automatic choice of methods. For every stage, the plan chooses the cheapest method whose error on this capture is
+//! within a budget. Each decision has the number that decided it.
 //!
 //! | question | measured | decided |
 //! |---|---|---|
-//! | whose clocks are known? | clocks in `capture.json` | whether offsets are estimated |
-//! | does anything move? | features' motion, blocks that change ([`Motion`]) | the sync method |
-//! | can refinement gain enough? | views between cameras by both methods, held-out frames ([`Probe`]) | the sync method |
-//! | do images from all cameras gain enough? | held-out frames by both methods ([`Probe`]) | the sync method |
-//! | do depth and motion of frames gain over depth of synchronized images? | held-out frames by both ([`Probe`]) | the proxy method |
-//! | do blending weights in time gain? | held-out frames with and without them ([`Probe`]) | the blend's method |
-//! | does something move in every frame pair? | frame pairs of which no block changes | whether still pairs are registered |
-//! | are trajectories straight? | curvature of trajectories through four frames | curved trajectories |
-//! | is a plane enough? | points' parallax against it ([`Shape`]) | the proxy method |
-//! | do cameras have equal gains? | the light of features in neighbouring cameras ([`crate::registration::Gains`]) | correction |
-//! | do lenses distort? | the largest shift of a pixel | resampling |
-//! | does the rig spread in two directions? | the camera centres' extent | reference cameras of the epipolar test |
+//! | which cameras have known clocks? | clocks in `capture.json` | whether offsets are estimated |
+//! | does anything move? | motion of features, blocks that change ([`Motion`]) | the sync method |
+//! | can refinement gain enough? | views with and without refinement, errors on held-out frames ([`Probe`]) | the sync method |
+//! | do images from all cameras gain enough? | errors on held-out frames with and without them ([`Probe`]) | the sync method |
+//! | does scene flow gain over depth per pixel? | errors on held-out frames with both ([`Probe`]) | the proxy method |
+//! | do blending weights in time gain? | errors on held-out frames with and without them ([`Probe`]) | the blending method |
+//! | does something move in every frame pair? | frame pairs in which no block changes | whether still pairs are registered |
+//! | are trajectories straight? | curvature of trajectories through four frames | whether trajectories are curved |
+//! | is a plane sufficient? | parallax of points relative to a plane ([`Shape`]) | the proxy method |
+//! | do cameras have equal gains? | linear light of the same features ([`crate::registration::Gains`]) | whether gains are corrected |
+//! | do lenses distort? | the largest displacement of a pixel | whether images are resampled |
+//! | does the rig spread in two directions? | extent of the camera centres | reference cameras of the epipolar test |
 //!
 //! There are two error budgets. `budget_px` is the position error, in pixels, that a cheaper method may cause.
-//! `budget_db` applies where views are compared: up to this gain in PSNR of the costlier method, the cheaper one is
-//! chosen. The truth of a capture is not used. Planning changes neither the capture nor the light field.
+//! `budget_db` applies where rendered views are compared: the PSNR gain of the dearer method must exceed this budget.
+//! The ground truth of a simulated capture is not used. Planning changes neither the capture nor the light field.
 //!
 //! Known limits: all moving objects of a capture get the same method. Motion is measured only in frames at the start,
-//! middle and end of the recording. An object with fewer than five corners and no changing block is not detected as
-//! moving.
+//! the middle and the end of the recording. An object with fewer than five corners and no changing block is not
+//! detected as moving.
 
 mod decide;
 pub(crate) mod held_out;
@@ -45,19 +45,20 @@ use rig::{extent_ratio, largest_distortion_px};
 use serde::Serialize;
 use std::slice;
 
-/// The methods chosen for a capture, with reasons.
+/// The methods that were chosen for a capture, with the reasons.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
-    /// The position error that a cheaper method may cause, pixels.
+    /// Position error that a cheaper method may cause, in pixels.
     pub budget_px: f64,
     /// One decision per stage, in the order of the stages.
     pub decisions: Vec<Decision>,
-    /// The given options with the chosen methods. No automatic choice remains in them.
+    /// The given options with the chosen methods. No method is left to be chosen automatically.
     pub options: RenderOptions,
 }
 
-/// Whether a plan can change options: whether one of the methods that `options.auto` names has an effect. Scene flow
-/// uses neither sync method nor blend, and weights in time are chosen only over refined images and depth per pixel.
+/// Returns whether planning can change the options: whether one of the methods that `options.auto` names has an effect.
+/// With scene flow, the sync method and the blending method have no effect. Blending weights in time are an alternative
+/// only with refined images and depth per pixel.
 pub fn is_undecided(options: &RenderOptions) -> bool {
     let AutoOptions { sync, proxy, blend, .. } = options.auto;
     let is_refined = options.sync.of_one_camera() == SyncMethod::Refined;
@@ -69,11 +70,11 @@ pub fn is_undecided(options: &RenderOptions) -> bool {
     }
 }
 
-/// Chooses the methods of all stages by measurements of a light field's capture. In the plan's options, the stages
+/// Chooses the methods of all stages by measurements of a light field's capture. In the returned options, the stages
 /// that `options.auto` names have the chosen methods.
 ///
-/// Views are rendered only if `options.auto` names the sync method or the blend, and if motion requires refinement.
-/// Otherwise motion alone decides the sync method, and the blend is unchanged.
+/// Views are rendered only if motion requires refinement and [`is_undecided`] is true. Otherwise motion alone decides
+/// the sync method, the blending method is unchanged, and scene flow is not considered.
 pub fn plan(
     field: &LightField,
     options: &RenderOptions,
@@ -125,17 +126,18 @@ pub fn plan(
     Ok(Plan { budget_px, decisions, options: decided })
 }
 
-/// Decisions that compare rendered views.
+/// Decisions that are made by comparing rendered views.
 struct ByViews {
     sync: (SyncMethod, Decision),
-    /// The blending method; `None` leaves the blend unchanged.
+    /// The blending method, with the decision. A method of `None` leaves the blending method unchanged.
     blend: (Option<BlendMethod>, Decision),
-    /// The proxy's method; `None` leaves the proxy unchanged.
+    /// The proxy method, with the decision; `None` leaves the proxy method unchanged.
     proxy: Option<(ProxyMethod, Decision)>,
 }
 
-/// Chooses sync method, blending method and proxy (depth per pixel or scene flow) by rendered views, as far as
-/// `options.auto` names them. If `sync`, the choice by motion, isn't refinement, it is returned unchanged.
+/// Chooses the sync method, the blending method and the proxy (depth per pixel or scene flow) by comparing rendered
+/// views. Only methods that `options.auto` names are chosen. `sync` is the choice by motion, and is returned unchanged
+/// if it isn't refinement.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,
@@ -189,28 +191,28 @@ fn by_views(
     Ok(ByViews { sync, blend: decide::blend(space_time_gain_db, &frames), proxy })
 }
 
-/// The options with scene flow as proxy.
+/// Returns the options with scene flow as the proxy.
 fn by_scene_flow(options: &RenderOptions) -> RenderOptions {
     let mut options = options.clone();
     options.proxy.method = ProxyMethod::SceneFlow;
     options
 }
 
-/// The PSNR gain, decibels, that lowers the squared error from the first value to the second; `None` if one of them is
-/// 0.
+/// Returns the PSNR gain, in decibels, of changing the squared error from the first value to the second. Returns `None`
+/// if one of the values is 0.
 fn gain_db([error, other]: [f64; 2]) -> Option<f64> {
     (error > 0.0 && other > 0.0).then(|| 10.0 * (error / other).log10())
 }
 
-/// The percentile of the values at a fraction from 0 to 1, by the nearest rank; `None` without values.
+/// Returns a percentile of the values by the nearest rank. `fraction` is from 0 to 1. Returns `None` without values.
 fn percentile(mut values: Vec<f64>, fraction: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let last = values.len().saturating_sub(1);
     values.get((fraction * last as f64).round() as usize).copied()
 }
 
-/// Options of views for the comparison of sync methods. Depth per pixel takes several times as long as a mesh, and is
-/// replaced by it.
+/// Returns the options with which sync methods are compared. A mesh replaces depth per pixel, which takes several times
+/// as long.
 fn probing(mut options: RenderOptions) -> RenderOptions {
     if options.proxy.method == ProxyMethod::Depth {
         options.proxy.method = ProxyMethod::Mesh;

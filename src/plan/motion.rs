@@ -1,4 +1,4 @@
-//! Measurement of motion in the images, on a few frame pairs of every camera.
+//! Measurement of the motion in the images, in a few frame pairs of every camera.
 
 use super::percentile;
 use crate::capture::{CaptureError, FrameTimes};
@@ -10,46 +10,48 @@ use crate::registration::{
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-/// Number of examined frame pairs per camera: the first, the middle and the last.
+/// Number of examined frame pairs per camera: the first, the middle and the last pair.
 const PAIRS: usize = 3;
 
-/// Minimum number of tracks that must reach a motion, so that outliers don't decide the largest motion.
+/// Minimum number of tracks with at least the largest motion, so that a few outliers don't decide the largest motion.
 const WITNESSES: usize = 5;
 
-/// Features that move by less than this between two frames count as static, pixels.
+/// Motion from frame to frame below which a feature counts as static, in pixels.
 const STILL_PX: f64 = 0.5;
 
-/// Largest change of a block by noise in a still pair, for pixel values of 0 to 1. A larger change means that the
-/// light changes or the whole image moves.
+/// Largest change of an image block that noise can cause in a still pair: a mean absolute difference of pixel values,
+/// which are from 0 to 1. A larger change means that the light changes or that the whole image moves.
 pub(super) const MAX_NOISE: f32 = 4.0 / 255.0;
 
-/// Radius of the neighbourhood whose tracks predict a track's motion, pixels. Larger: any motion that varies in space
-/// counts as residual; smaller: the outlines of moving objects are missed.
+/// Radius of the neighbourhood whose tracks predict a track's motion, in pixels. With a larger radius, any motion that
+/// varies in space counts as residual. With a smaller radius, the outlines of moving objects are missed.
 const NEIGHBORHOOD_PX: f64 = 40.0;
-/// Number of nearest tracks in the neighbourhood that predict a track's motion.
+/// Number of neighbouring tracks that predict a track's motion. The nearest tracks are used.
 const PREDICTING: usize = 6;
 
-/// The motion in a capture, measured in some frame pairs of every camera. Numbers of pairs are totals; all other
+/// The motion in a capture, measured in a few frame pairs of every camera. Numbers of pairs are totals. All other
 /// values are maxima over the pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
-    /// Largest motion of features from frame to frame, pixels.
+    /// Largest motion of features from frame to frame, in pixels.
     pub largest_px: f64,
-    /// Curvature of trajectories, pixels: the distance, halfway between two frames, of a feature's trajectory through
-    /// four frames from the straight line between its positions in the middle two. It is the 95th percentile of the
-    /// moving features in a frame pair, and the maximum over the pairs.
+    /// Curvature of trajectories, in pixels. For a feature, it is the distance between its trajectory through four
+    /// frames and the straight line between its positions in the middle two frames, halfway in time between these two.
+    /// The value is the 95th percentile over the moving features of a frame pair, and the maximum over the pairs.
     pub curvature_px: f64,
-    /// Motion residual, pixels: the distance of a feature halfway between two frames from the position that the motion
-    /// of its neighbours predicts. It is the 99th percentile of the features in a frame pair, and the maximum over the
-    /// pairs. It is large at the outlines of objects with different motion.
+    /// Motion residual, in pixels: the distance between the position of a feature halfway in time between two frames
+    /// and the position that the motion of neighbouring features predicts. The value is the 99th percentile over the
+    /// features of a frame pair, and the maximum over the pairs. It is large at the outlines of objects with different
+    /// motion.
     pub residual_px: f64,
-    /// Fraction of image blocks that change by more than noise, 0..=1.
+    /// Fraction of image blocks that change by more than noise from one frame to the next, from 0 to 1.
     pub changed_fraction: f64,
     /// Number of still pairs: frame pairs in which no block changes by more than noise, and no feature moves.
     pub still_pairs: usize,
-    /// Largest change of a block in the still pairs: mean absolute difference, for pixel values of 0 to 1.
+    /// Largest change of an image block in the still pairs: the mean absolute difference of its pixel values, which are
+    /// from 0 to 1. In a still pair, no block changes by more than noise.
     pub still_change: f32,
-    /// Largest motion of features in the still pairs, pixels.
+    /// Largest motion of features in the still pairs, in pixels. In a still pair, no block changes by more than noise.
     pub still_px: f64,
     /// Number of examined frame pairs; 0 if every camera took one frame.
     pub pairs: usize,
@@ -103,7 +105,7 @@ impl Motion {
     }
 }
 
-/// Index of the first frame of each examined pair, for a recording of `frames` frames.
+/// Returns the index of the first frame of each examined pair, for a recording of `frames` frames.
 fn spread(frames: usize) -> Vec<usize> {
     let pairs = frames.saturating_sub(1);
     let mut found: Vec<usize> = match pairs {
@@ -114,7 +116,8 @@ fn spread(frames: usize) -> Vec<usize> {
     found
 }
 
-/// The largest motion, pixels, that at least [`WITNESSES`] tracks reach; 0 if there are fewer tracks.
+/// Returns the largest motion, in pixels, that at least [`WITNESSES`] tracks reach. Returns 0 if there are fewer
+/// tracks.
 fn largest(tracks: &[Track]) -> f64 {
     let mut motions: Vec<f64> = tracks.iter().map(|t| t.motion().norm()).collect();
     motions.sort_by(|a, b| b.total_cmp(a));
@@ -132,8 +135,8 @@ fn curvature(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
     percentile(offsets_px.collect(), 0.95).unwrap_or(0.0)
 }
 
-/// Computes [`Motion::residual_px`]: half of the difference between a track's motion and its neighbours' weighted
-/// mean.
+/// Computes [`Motion::residual_px`] for one frame pair. The residual of a track is half of the difference between its
+/// motion and the weighted mean motion of the nearest tracks.
 fn residual(tracks: &[Track]) -> f64 {
     let neighbors = Neighbors::new(tracks.iter().map(|t| t.earlier));
     let missed: Vec<f64> = tracks
@@ -150,7 +153,7 @@ fn residual(tracks: &[Track]) -> f64 {
             if near.len() < PREDICTING {
                 return None;
             }
-            // One pixel is added, so that a very near neighbour doesn't decide alone.
+            // Adding one pixel keeps a very near track from deciding the mean alone.
             let weight = |m: usize| 1.0 / (distance(m) + 1.0);
             let sum: f64 = near.iter().map(|&m| weight(m)).sum();
             let mean: Vector2<f64> = near.iter().map(|&m| tracks[m].motion() * weight(m)).sum();
@@ -164,7 +167,7 @@ fn residual(tracks: &[Track]) -> f64 {
 mod tests {
     use super::*;
 
-    /// A track with the given x coordinates in four consecutive frames.
+    /// Returns a track with the given x coordinates in four consecutive frames.
     fn track([before, earlier, later, after]: [f64; 4]) -> Track {
         let at = |x: f64| nalgebra::Point2::new(x, 7.0);
         Track {
@@ -179,7 +182,7 @@ mod tests {
         }
     }
 
-    /// A second difference of 4 px puts a trajectory's midpoint 0.5 px off its chord.
+    /// With a second difference of 4 px, the midpoint of a trajectory is 0.5 px away from the chord.
     #[test]
     fn curvature_is_measured_on_what_moves() {
         let times_s = [0.0, 1.0, 2.0, 3.0];

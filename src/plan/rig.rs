@@ -1,12 +1,12 @@
-//! Measures of the rig that need no images: lens distortion and the arrangement of the cameras.
+//! Measurements of the rig that need no images: lens distortion and the arrangement of the cameras.
 
 use crate::capture::Capture;
 use nalgebra::{DMatrix, Point2, Vector3};
 
-/// Number of points along each side of an image at which lens distortion is evaluated.
+/// Number of grid points along each side of an image at which lens distortion is evaluated.
 const SIDE: usize = 17;
 
-/// Largest displacement of a pixel by lens distortion, pixels.
+/// Returns the largest displacement of a pixel by lens distortion over all cameras, in pixels.
 pub fn largest_distortion_px(capture: &Capture) -> f64 {
     let mut largest: f64 = 0.0;
     for camera in capture.cameras.iter().map(|c| &c.camera) {
@@ -16,7 +16,7 @@ pub fn largest_distortion_px(capture: &Capture) -> f64 {
         let at = |k: usize, size: usize| size as f64 * k as f64 / (SIDE - 1) as f64;
         for k in 0..SIDE * SIDE {
             let pixel = Point2::new(at(k % SIDE, camera.width), at(k / SIDE, camera.height));
-            // A pixel outside of the lens model's domain has no undistorted position.
+            // A pixel outside the lens model's domain has no undistorted position.
             if let Some(ideal) = camera.model.ideal_from_pixel(&pixel) {
                 largest = largest.max((ideal - pixel).norm());
             }
@@ -25,8 +25,8 @@ pub fn largest_distortion_px(capture: &Capture) -> f64 {
     largest
 }
 
-/// Ratio of the camera centres' extent across their main direction to the extent along it: 0 on a line, 1 on a square
-/// grid. 0 if all cameras are at one place.
+/// Returns the extent of the camera centres across their main direction, divided by the extent along it: 0 for a line
+/// of cameras, 1 for a square grid. Returns 0 if all cameras have the same position.
 pub fn extent_ratio(capture: &Capture) -> f64 {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center().coords).collect();
     let mean = centers.iter().sum::<Vector3<f64>>() / centers.len() as f64;

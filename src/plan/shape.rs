@@ -5,22 +5,22 @@ use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::{Plane, Proxy};
 use crate::options::RenderOptions;
 
-/// Number of instants, evenly spread, at which the shape is measured.
+/// Number of evenly spaced instants at which the shape is measured.
 const INSTANTS: usize = 3;
 
-/// The deviation of the scene from a plane, in the reference camera's view.
+/// The deviation of the scene's points from a plane, in the reference camera's view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shape {
-    /// Displacement of points by the best-fitting plane, in a view halfway between two neighbouring cameras, pixels.
-    /// The 95th percentile of the points, at the worst of the instants.
+    /// Displacement of points, in pixels, that the best-fitting plane causes in a view halfway between two neighbouring
+    /// cameras. It is the 95th percentile over the points, at the instant with the largest displacement.
     pub off_plane_px: f64,
-    /// Number of triangulated points in the view. Of the instants, the smallest number.
+    /// Number of triangulated points in the view, at the instant with the fewest points.
     pub points: usize,
 }
 
 impl Shape {
-    /// Measures the shape at a few instants. `None` if no point can be triangulated, or if the recordings of the
-    /// cameras with known clocks have no time in common.
+    /// Measures the shape at a few instants. Returns `None` if no point can be triangulated, or if the recordings of
+    /// the cameras with known clocks don't overlap in time.
     pub fn survey(
         field: &LightField,
         options: &RenderOptions,
@@ -40,9 +40,9 @@ impl Shape {
                     let pixel = target.project(point).filter(|p| target.contains(p))?;
                     let plane_m = f64::from(depths.row(pixel.y as usize)[pixel.x as usize]);
                     let depth_m = (target.cam_from_world * point).z;
-                    // A ray that misses the plane has infinite depth, and inverse depth 0.
+                    // Where the ray misses the plane, the depth is NaN or infinite, and the inverse depth is set to 0.
                     let inverse = if plane_m > 0.0 { 1.0 / plane_m } else { 0.0 };
-                    // The point is in view, in front of the camera: its depth is positive.
+                    // The point is in the view, so its depth is positive.
                     let apart = (1.0 / depth_m - inverse).abs();
                     Some(apart * target.focal_px() * half_baseline_m)
                 })
@@ -58,7 +58,7 @@ impl Shape {
     }
 }
 
-/// Evenly spread instants in the common time span of all cameras with known clocks, seconds.
+/// Returns evenly spaced instants, in seconds, in the time span that all cameras with known clocks have in common.
 fn instants_s(field: &LightField) -> Vec<f64> {
     if field.capture().is_static() {
         return vec![0.0];

@@ -1,4 +1,4 @@
-//! Depth and motion of a frame for the page: quantized, then compressed without further loss.
+//! Depth and motion of a published frame: quantized, then compressed without further loss.
 
 use crate::light_field::LoadedFrame;
 use crate::scene_flow::{Element, ElementMap, FlowMap};
@@ -7,35 +7,36 @@ use flate2::write::ZlibEncoder;
 use serde::Serialize;
 use std::io::Write;
 
-/// Number of channels: disparity, velocity (2), acceleration (2), and rate of change of the disparity.
+/// Number of values of depth and motion per block: disparity, velocity (2), acceleration (2), and rate of change of the
+/// disparity.
 const CHANNELS: usize = 6;
 
-/// Quantization steps of depth and motion.
+/// Quantization steps of depth and motion in published frames.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct FlowSteps {
-    /// Side of a square block of pixels that has one value, pixels.
+    /// Side of a square block of pixels that share one value of depth and motion, pixels.
     pub block_px: usize,
-    /// Step of the disparity, pixels.
+    /// Quantization step of the disparity, pixels.
     pub disparity_px: f32,
-    /// Step of the velocity's components, pixels per frame.
+    /// Quantization step of the velocity's components, pixels per frame.
     pub velocity_px: f32,
-    /// Step of the acceleration's components, pixels per frame².
+    /// Quantization step of the acceleration's components, pixels per frame².
     pub acceleration_px: f32,
-    /// Step of the disparity's rate of change, pixels per frame.
+    /// Quantization step of the disparity's rate of change, pixels per frame.
     pub rate_px: f32,
 }
 
-/// Quantized depth and motion of a frame, per block of pixels.
+/// Quantized depth and motion of a frame, with one set of values per block of pixels.
 pub(super) struct BlockMap {
     pub width: usize,
     pub height: usize,
     pub disparity_px: f32,
-    /// Channels of each block, row by row, in quantization steps. The first channel is the disparity plus one; it is 0
-    /// where the camera has no image content.
+    /// Values of each block, row by row, in quantization steps. The first value is the disparity plus one, or 0 where
+    /// the camera has no image content.
     blocks: Vec<[i16; CHANNELS]>,
 }
 
-/// Depth and motion of each pixel of a frame, row by row; `None` where the camera has no image content.
+/// Depth and motion of each pixel of a frame, row by row. An element is `None` where the camera has no image content.
 pub(super) struct ElementImage {
     pub width: usize,
     pub height: usize,
@@ -53,7 +54,7 @@ impl ElementImage {
         Self { width, height, disparity_px, elements }
     }
 
-    /// Depth and motion for the frame at half its size.
+    /// Returns depth and motion for the frame at half its width and height.
     pub fn halved(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let half = |e: Element| Element {
@@ -66,7 +67,8 @@ impl ElementImage {
         Self { width, height, disparity_px: 0.5 * self.disparity_px, elements }
     }
 
-    /// The element with the median depth in a square block of pixels; `None` if the block has no element.
+    /// Returns the element with the median depth in a square block of pixels, whose top left pixel is (x, y). `None` if
+    /// the block has no element.
     fn block(&self, x: usize, y: usize, side: usize) -> Option<Element> {
         let rows = y..(y + side).min(self.height);
         let columns = x..(x + side).min(self.width);
@@ -96,8 +98,8 @@ impl BlockMap {
         Self { width, height, disparity_px: image.disparity_px, blocks }
     }
 
-    /// The dequantized map of a frame of this size (width, height, pixels), for rendering as on the page. All pixels
-    /// of a block have the same element.
+    /// Returns the dequantized map for a frame of this size (width, height, pixels), from which views can be rendered
+    /// as on the page. All pixels of a block have the same element.
     pub fn map(&self, steps: &FlowSteps, [width, height]: [usize; 2]) -> FlowMap {
         let element = |k: usize| {
             let side = steps.block_px;
@@ -119,7 +121,8 @@ impl BlockMap {
         FlowMap::new(&map, range, self.disparity_px)
     }
 
-    /// Mask of the pixels with image content, for a frame of this size; `None` if all pixels have content.
+    /// Returns the mask of the pixels with image content, for a frame of this size (width, height, pixels). `None` if
+    /// all pixels have content.
     pub fn is_filmed(&self, steps: &FlowSteps, [width, height]: [usize; 2]) -> Option<Vec<bool>> {
         let side = steps.block_px;
         let is_filmed =
@@ -128,14 +131,15 @@ impl BlockMap {
         has_gaps.then(|| (0..width * height).map(is_filmed).collect())
     }
 
-    /// The largest inverse depth of the frame, 1/m.
+    /// Returns an upper bound of the frame's inverse depths, 1/m. It exceeds the largest quantized value by one step.
     pub fn max_inverse_depth(&self, steps: &FlowSteps) -> f32 {
         let disparity = self.blocks.iter().map(|b| b[0]).max().unwrap_or(0);
         f32::from(disparity) * steps.disparity_px / self.disparity_px
     }
 
-    /// Compresses the map by zlib. Channels follow one another, each with all low bytes before all high bytes. A value
-    /// is coded as residual of its prediction from the left and upper neighbours, with the sign in the lowest bit.
+    /// Compresses the map by zlib. The channels follow one another. In each channel, all low bytes come before all high
+    /// bytes. A value is coded as the residual of its prediction from the left and upper neighbours. The sign of a
+    /// residual is in the lowest bit.
     pub fn packed(&self) -> Vec<u8> {
         let mut planes = Vec::with_capacity(self.blocks.len() * 2 * CHANNELS);
         for channel in 0..CHANNELS {
@@ -159,7 +163,7 @@ impl BlockMap {
     }
 }
 
-/// JPEG-LS's predictor: the median of the left value, the value above, and left + above − upper left.
+/// Predicts a value as JPEG-LS does: by the median of the left value, the value above, and left + above − upper left.
 fn predicted(left: i16, above: i16, corner: i16) -> i16 {
     let (low, high) = (left.min(above), left.max(above));
     let plane = i32::from(left) + i32::from(above) - i32::from(corner);
@@ -184,7 +188,7 @@ mod tests {
         rate_px: 0.25,
     };
 
-    /// A slanted surface with an object in front of it, and a column without image content.
+    /// Returns a slanted surface with an object in front of it. The last column has no image content.
     fn image() -> ElementImage {
         let (width, height, disparity_px) = (9, 7, 50.0);
         let element = |k: usize| {
@@ -220,7 +224,7 @@ mod tests {
     fn a_block_has_its_median_depth_and_the_last_ones_are_smaller() {
         let blocks = BlockMap::new(&image(), &STEPS);
         assert_eq!((blocks.width, blocks.height), (5, 4));
-        // Columns 4 and 5 belong to both surfaces. The upper median is the nearer one.
+        // Columns 4 and 5 show different surfaces. The upper median is from the nearer one.
         assert_eq!(blocks.blocks[2][0], (0.9f32 * 50.0 / 0.125).round() as i16 + 1);
         assert_eq!(blocks.blocks[4], [0; CHANNELS]);
         assert_eq!(image().halved().elements[2].unwrap().velocity, [-3.65, 1.05]);

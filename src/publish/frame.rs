@@ -1,4 +1,4 @@
-//! A frame for the page: a JPEG image, with its depth and motion.
+//! A published frame: a JPEG image, with its depth and motion.
 
 use super::flow::{BlockMap, ElementImage, FlowSteps};
 use super::quality::Quality;
@@ -10,27 +10,27 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageFormat};
 use std::collections::BTreeMap;
 
-/// The published frames, by camera index and frame index.
+/// Published frames, by (camera index, frame index).
 pub(super) type Published = BTreeMap<(usize, usize), PublishedFrame>;
 
-/// A frame, encoded for the page at a given quality.
+/// A frame that is encoded for the published page at a given quality.
 pub(super) struct PublishedFrame {
-    /// The pinhole camera of the frame, at the published size.
+    /// Pinhole camera of the frame, at the published size.
     pub view: Camera,
     /// Time of the frame in units of the reference camera's frame interval, from the capture's start.
     pub time: f64,
     pub is_color: bool,
     pub jpeg: Vec<u8>,
     pub map: BlockMap,
-    /// Depth and motion, compressed.
+    /// Depth and motion of the frame, compressed.
     pub flow: Vec<u8>,
 }
 
 impl PublishedFrame {
-    /// Encodes a frame.
+    /// Encodes a frame, with its depth and motion, at a given quality.
     ///
     /// # Errors
-    /// If the image can't be encoded. The error is a reason.
+    /// If the image can't be encoded. The error says why.
     pub fn new(loaded: &LoadedFrame, quality: &Quality) -> Result<Self, String> {
         let frame = &loaded.frame;
         let (mut view, mut image) = (frame.view.clone(), frame.image.clone());
@@ -49,10 +49,10 @@ impl PublishedFrame {
         self.jpeg.len() + self.flow.len()
     }
 
-    /// Decodes the frame with its depth and motion, as the page does.
+    /// Decodes the frame with its depth and motion, as the published page does.
     ///
     /// # Errors
-    /// If the image can't be decoded. The error is a reason.
+    /// If the image can't be decoded. The error says why.
     pub fn decoded(&self, steps: &FlowSteps) -> Result<LoadedFrame, String> {
         let decoded = image::load_from_memory_with_format(&self.jpeg, ImageFormat::Jpeg);
         let rgb = decoded.map_err(|e| e.to_string())?.into_rgb8();
@@ -61,7 +61,7 @@ impl PublishedFrame {
         let frame = FlowFrame {
             view: self.view.clone(),
             time: self.time,
-            row_time: 0.0, // the page knows no rolling shutters
+            row_time: 0.0, // the page doesn't render rolling shutters
             is_color: self.is_color,
             image: Image::from_data(width, height, 3, data),
             is_filmed: self.map.is_filmed(steps, [width, height]),
@@ -72,7 +72,7 @@ impl PublishedFrame {
     }
 }
 
-/// The image at half its size: means of 2×2 pixels. An odd row or column is dropped.
+/// Returns the image at half its size, as means of 2×2 pixels. An odd last row or column is dropped.
 fn halved(image: &Image) -> Image {
     let (width, height, channels) = (image.width() / 2, image.height() / 2, image.channels());
     let mean = |k: usize| {
@@ -84,7 +84,7 @@ fn halved(image: &Image) -> Image {
     Image::from_data(width, height, channels, data)
 }
 
-/// A JPEG without chroma subsampling.
+/// Encodes an RGB image as JPEG, without chroma subsampling.
 fn encoded(image: &Image, quality: u8) -> image::ImageResult<Vec<u8>> {
     let bytes: Vec<u8> = image.data().iter().map(|v| (255.0 * v).round() as u8).collect(); // saturates
     let mut jpeg = Vec::new();

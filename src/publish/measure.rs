@@ -1,4 +1,4 @@
-//! Comparison of a published site's views with `render`'s.
+//! Comparison of views from a site's published frames with views from the capture.
 
 use super::PublishError;
 use super::frame::Published;
@@ -9,12 +9,12 @@ use crate::options::RenderOptions;
 use crate::raster::Image;
 use crate::scene_flow::{MappedFrame, blend, confidences};
 
-/// Number of views that are compared. They differ in place and instant.
+/// Number of views by which a site's quality is measured. They differ in place and instant.
 const HELD: usize = 4;
 
-/// PSNR of views from the published frames against the same views from the capture, decibels. Views are halfway
-/// between two cameras, at instants between frames. They are rendered here and not by a browser. Equal views have no
-/// value.
+/// Returns the PSNR, decibels, of views from the published frames against the same views from the capture. Each view is
+/// halfway between two cameras. The instants are spread over the span `span_s`, seconds. The views are rendered here
+/// and not by a browser. Views without any difference have no value in the result.
 pub(super) fn measured(
     field: &LightField,
     options: &RenderOptions,
@@ -43,8 +43,8 @@ pub(super) fn measured(
     Ok(found)
 }
 
-/// A view halfway between a camera and its nearest neighbour. `held` counts cameras from the reference on; the view's
-/// size is halved `halvings` times. `None` for a single camera.
+/// Returns a view halfway between a camera and its nearest neighbour. The camera is `held` places after the reference
+/// camera in the capture. The view's size is halved `halvings` times. `None` for a single camera.
 fn held_view(field: &LightField, held: usize, halvings: usize) -> Option<Camera> {
     let capture = field.capture();
     let cameras: Vec<&Camera> = capture.cameras.iter().map(|c| &c.camera).collect();

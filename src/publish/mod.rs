@@ -8,18 +8,18 @@
 //! | file | what |
 //! |---|---|
 //! | `quality.rs` | quality settings of frames, depth and motion |
-//! | `frame.rs` | a published frame |
+//! | `frame.rs` | a published frame: image, depth and motion |
 //! | `flow.rs` | depth and motion of a frame, quantized and compressed |
-//! | `measure.rs` | comparison of views with `render`'s |
+//! | `measure.rs` | comparison of views from published frames with views from the capture |
 //! | `scene.rs` | the description of the light field for the page |
 //! | `site.rs` | the files of the folder |
 //! | `page/` | the page; `shaders.js` and `renderer.js` do what `scene_flow` does: splats, confidences and blend |
 //!
-//! The page loads nothing from outside of its folder; its Content-Security-Policy forbids it. Frames are stored in
-//! scripts, as base64, because browsers refuse to read other files beside a page that is opened from disk. Base64
-//! makes them a third larger; most web servers compress scripts, which removes that third.
+//! The page loads nothing from outside its folder: its Content-Security-Policy forbids this. Frames are stored in
+//! scripts, as base64, because browsers refuse to read other files beside a page that is opened from disk. Base64 makes
+//! the frames a third larger. Most web servers compress scripts, which removes that third.
 //!
-//! Known limits: the page keeps the viewpoint among the cameras; a view blends at most eight cameras.
+//! Known limits: the page keeps the viewpoint among the cameras. A view is blended from at most eight cameras.
 
 mod flow;
 mod frame;
@@ -43,19 +43,20 @@ use site::SiteFiles;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Options of a publication.
+/// Options of publishing a light field as a site.
 #[derive(Clone, Copy, Debug)]
 pub struct PublishOptions {
-    /// First and last instant, seconds on the reference's clock from the capture's start. `None`: the time in which
-    /// all cameras have frames.
+    /// First and last published instant, seconds on the reference camera's clock from the capture's start. `None`: the
+    /// time in which all cameras have frames or, if there is none, the time of the reference camera's frames.
     pub span_s: Option<(f64, f64)>,
-    /// Largest width and height of the frames, pixels. Larger frames are halved until they fit.
+    /// Largest width and height of the published frames, pixels. Larger frames are halved until they fit. `None`: no
+    /// limit.
     pub max_size: Option<[usize; 2]>,
-    /// Largest size of all files in the folder together, bytes.
+    /// Largest size of all files in the site's folder together, bytes.
     pub max_bytes: u64,
 }
 
-/// Why a light field can't be published. Every message is one sentence.
+/// Reason why a light field can't be published. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum PublishError {
     #[error(transparent)]
@@ -75,33 +76,38 @@ pub enum PublishError {
 /// A summary of a published site.
 #[derive(Clone, Debug)]
 pub struct Publication {
+    /// Number of cameras with published frames.
     pub cameras: usize,
+    /// Number of published frames.
     pub frames: usize,
     /// Width and height of the reference camera's published frames, pixels.
     pub size: [usize; 2],
-    /// First and last instant, seconds on the reference's clock from the capture's start.
+    /// First and last published instant, seconds on the reference camera's clock from the capture's start.
     pub span_s: (f64, f64),
     /// JPEG quality of the frames, 1 to 100.
     pub jpeg: u8,
-    /// Side of the square blocks of pixels that have one value of depth and motion, pixels.
+    /// Side of the square blocks of pixels that share one value of depth and motion, pixels.
     pub block_px: usize,
     /// Quantization step of the disparity, pixels.
     pub disparity_step_px: f32,
-    /// Sizes of the folder's files, bytes: images, depth and motion, and all files.
+    /// Size of the images in the folder's files, encoded in base64, bytes.
     pub image_bytes: u64,
+    /// Size of depth and motion in the folder's files, encoded in base64, bytes.
     pub flow_bytes: u64,
+    /// Size of all files in the folder, bytes.
     pub bytes: u64,
-    /// PSNR of views from the published frames against those of `render`, decibels: a few views halfway between
-    /// cameras, at instants between frames. Empty if all are equal, or for a single camera.
+    /// PSNR, decibels, of a few views from the published frames against the same views from the capture. The views are
+    /// halfway between cameras, at instants between frames. Views without any difference are left out. Empty for a
+    /// single camera.
     pub psnr_db: Vec<f64>,
 }
 
-/// Publishes a light field with depth and motion of its frames. If these aren't stored yet, they are computed and
-/// stored.
+/// Publishes a light field, with depth and motion of its frames, as a site in `folder`. Depth and motion that aren't
+/// stored on disk yet are computed and stored.
 ///
 /// # Errors
-/// If the folder contains anything but an earlier site, if the depth range of the scene is unknown, or if no quality
-/// fits into `max_bytes`.
+/// If the folder contains anything but an earlier site, if the scene's range of depths is unknown, or if the site is
+/// larger than `max_bytes` at every quality.
 pub fn publish(
     field: &LightField,
     options: &RenderOptions,
@@ -144,27 +150,27 @@ pub fn publish(
     })
 }
 
-/// The inputs of the encoding.
+/// Inputs of the encoding of a site's frames.
 struct Encoding<'a> {
     field: &'a LightField,
     options: &'a RenderOptions,
-    /// Camera index and frame index of the frames, in order of time.
+    /// The frames as (camera index, frame index), in order of time.
     ids: &'a [(usize, usize)],
     span_s: (f64, f64),
 }
 
-/// The encoded frames, at the best quality whose size is within the limit.
+/// Encoded frames and files of a site, at the best quality whose size is within the limit.
 struct EncodedSite {
     quality: Quality,
     published: Published,
     site: SiteFiles,
 }
 
-/// Number of frames that are encoded at a time, and number of frames by which the size for a quality is estimated.
+/// Number of frames that are encoded at a time. The size of a site at a quality is estimated from as many frames.
 const FRAMES_AT_ONCE: usize = 8;
 
 impl Encoding<'_> {
-    /// Encodes all frames at the best quality for which they are within the size limits.
+    /// Encodes all frames at the best quality at which the site is within the size limit.
     fn encoded(
         &self,
         wanted: &PublishOptions,
@@ -206,7 +212,8 @@ impl Encoding<'_> {
         Ok(published)
     }
 
-    /// Number of halvings after which the frames of all cameras fit into this size.
+    /// Returns the number of halvings after which the frames of all cameras fit into `max_size`, width and height in
+    /// pixels. Returns 0 without a limit.
     fn halvings(&self, max_size: Option<[usize; 2]>) -> usize {
         let Some([width, height]) = max_size else { return 0 };
         let cameras = || self.field.capture().cameras.iter().map(|c| &c.camera);
@@ -215,7 +222,7 @@ impl Encoding<'_> {
     }
 }
 
-/// The frames of one file as base64: for each frame its image, then its depth and motion.
+/// Encodes the frames of one file as base64: for each frame its image, then its depth and motion.
 fn base64(file: &[((usize, usize), &PublishedFrame)]) -> String {
     let parts = file.iter().flat_map(|(_, frame)| [&*frame.jpeg, &*frame.flow]);
     BASE64.encode(parts.collect::<Vec<_>>().concat())

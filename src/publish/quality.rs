@@ -3,18 +3,18 @@
 use super::flow::FlowSteps;
 use serde::Serialize;
 
-/// A quality setting: frame size, JPEG quality, and quantization steps.
+/// Quality setting of published frames: frame size, JPEG quality, and quantization steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Quality {
-    /// Number of times that a frame is halved in width and height.
+    /// Number of times that each frame is halved in width and height.
     pub halvings: usize,
-    /// JPEG quality, 1 to 100.
+    /// JPEG quality of the frames, 1 to 100.
     pub jpeg: u8,
     pub steps: FlowSteps,
 }
 
-/// The smallest quantization steps. Half a step displaces a pixel between two cameras by one or two hundredths of a
-/// pixel.
+/// Smallest quantization steps of depth and motion. An error of half a step displaces a pixel by one or two hundredths
+/// of a pixel when it is warped between two cameras.
 const FINEST: FlowSteps = FlowSteps {
     block_px: 1,
     disparity_px: 1.0 / 16.0,
@@ -23,8 +23,8 @@ const FINEST: FlowSteps = FlowSteps {
     rate_px: 1.0 / 8.0,
 };
 
-/// Quality settings for frames of one size, best first: JPEG quality, block side in pixels, multiple of the smallest
-/// steps.
+/// Quality settings for frames of one size, best first. Each is a JPEG quality, the side of a block in pixels, and a
+/// factor on the smallest quantization steps.
 const LADDER: [(u8, usize, f32); 11] = [
     (94, 1, 1.0),
     (92, 1, 2.0),
@@ -38,11 +38,11 @@ const LADDER: [(u8, usize, f32); 11] = [
     (68, 3, 6.0),
     (60, 4, 6.0),
 ];
-/// Largest number of halvings that reduce the size of a site.
+/// Maximum number of times that frames are halved to reduce the size of a site.
 const MAX_HALVINGS: usize = 3;
 
 impl Quality {
-    /// All quality settings with at least this number of halvings, best first.
+    /// Returns all quality settings with at least this number of halvings, best first.
     pub fn ladder(halvings: usize) -> impl Iterator<Item = Self> {
         let more = halvings..(halvings + 1).max(MAX_HALVINGS + 1);
         more.flat_map(|halvings| {

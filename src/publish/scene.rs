@@ -1,4 +1,4 @@
-//! The description of the published light field (JSON), which the page reads first.
+//! Description of a published light field (JSON), which the page reads first.
 
 use super::frame::{Published, PublishedFrame};
 use super::quality::Quality;
@@ -6,10 +6,12 @@ use crate::light_field::LightField;
 use nalgebra::Isometry3;
 use serde_json::{Value, json};
 
-/// Number of frames per file. A view of eight cameras that film one after the other needs this many.
+/// Number of frames per file. A view is blended from at most eight frames, one per camera. If eight cameras film one
+/// after the other, these are eight successive frames.
 const FRAMES_A_FILE: usize = 8;
 
-/// The frames of each file. All are in order of time.
+/// Returns the frames of each file, as ((camera index, frame index), frame). All files and frames are in the order of
+/// `order`, which is by time.
 pub(super) fn files<'a>(
     order: &[(usize, usize)],
     published: &'a Published,
@@ -18,8 +20,8 @@ pub(super) fn files<'a>(
     frames.chunks(FRAMES_A_FILE).map(<[_]>::to_vec).collect()
 }
 
-/// The description of the light field. Times are in frame intervals of the reference camera from the capture's start;
-/// lengths are metres in the world.
+/// Returns the description of a light field for the page. Times are in frame intervals of the reference camera from the
+/// capture's start. Lengths are in metres of the world.
 pub(super) fn scene(
     field: &LightField,
     files: &[Vec<((usize, usize), &PublishedFrame)>],
@@ -42,7 +44,7 @@ pub(super) fn scene(
             "is_color": frame.is_color,
             "disparity_px": frame.map.disparity_px,
             "blocks": [frame.map.width, frame.map.height],
-            // A static light field is constant in time, and has no times.
+            // A static light field doesn't change in time, and has no frame times.
             "filmed": field.span_s(camera).filter(|_| !capture.is_static()).map(in_frames),
         }))
     });
@@ -57,19 +59,19 @@ pub(super) fn scene(
         "name": capture.name,
         "steps": quality.steps,
         "span": [start, end],
-        // For the page: time in seconds = origin_s + frame_s · time.
+        // The page computes seconds from a time by: origin_s + frame_s · time.
         "origin_s": capture.time_origin_s,
         "frame_s": if end > start { (span_s.1 - span_s.0) / (end - start) } else { 0.0 },
         "spacing_m": field.spacing_m(),
         "max_inverse_depth": max_inverse_depth.fold(0.0, f32::max),
         "cameras": cameras.collect::<Vec<_>>(),
         "reference": capture.reference,
-        // For each file, a list of its frames: camera, time, bytes of the image, bytes of depth and motion.
+        // For each file, the list of its frames as [camera, time, bytes of the image, bytes of depth and motion].
         "files": files.iter().map(frames).collect::<Vec<_>>(),
     })
 }
 
-/// The upper three rows of the camera-from-world matrix, row by row.
+/// Returns the upper three rows of the camera-from-world matrix, row by row.
 fn pose(cam_from_world: &Isometry3<f64>) -> Vec<f64> {
     let matrix = cam_from_world.to_matrix();
     (0..3).flat_map(|row| (0..4).map(move |column| matrix[(row, column)])).collect()

@@ -1,11 +1,11 @@
-//! The folder of a site. It is written atomically, and replaces nothing but an earlier site.
+//! Folder of a published site. It is written atomically, and replaces nothing but an earlier site.
 
 use super::PublishError;
 use crate::host::temporary::Temporary;
 use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 
-/// Files of the page: name and contents.
+/// Files of a site's page, each as (name, contents).
 const PAGE: [(&str, &str); 9] = [
     ("index.html", include_str!("page/index.html")),
     ("icon.svg", include_str!("../live/page/icon.svg")),
@@ -17,27 +17,28 @@ const PAGE: [(&str, &str); 9] = [
     ("input.js", include_str!("page/input.js")),
     ("main.js", include_str!("page/main.js")),
 ];
-/// Name of the file with the scene's description.
+/// Name of the file with the light field's description.
 const SCENE: &str = "scene.js";
-/// Name of the folder with the files of frames.
+/// Name of the folder that contains the files of frames.
 const FRAMES: &str = "frames";
-/// Text in the `index.html` of every site, by which an earlier site is recognized.
+/// Text in the `index.html` of every site, by which a folder is recognized as an earlier site.
 const MARK: &str = "<meta name=\"generator\" content=\"stlfr publish\">";
-/// Size limit of the `index.html` that is read, bytes.
+/// Maximum size of an `index.html` that is read to recognize an earlier site, bytes.
 const MAX_INDEX_BYTES: u64 = 1 << 20;
 
-/// The name of a file with frames.
+/// Returns the relative path of the file of frames with this index.
 fn frames_file(index: usize) -> String {
     format!("{FRAMES}/{index:04}.js")
 }
 
-/// Files of a site in addition to the page's, as pairs of name and text: the scene's description, and the frames.
+/// Files of a site in addition to the page's own files, as (relative path, text). They contain the light field's
+/// description, and the frames.
 pub(super) struct SiteFiles {
     files: Vec<(String, String)>,
 }
 
 impl SiteFiles {
-    /// The files for a scene's description, and for frames in base64, one text per file.
+    /// Creates the files for a light field's description, and for frames in base64, one text per file.
     pub fn new(scene: &serde_json::Value, frames: Vec<String>) -> Self {
         let mut files = vec![(SCENE.to_owned(), format!("stlfr.scene({scene});\n"))];
         let frames = frames.into_iter().enumerate();
@@ -47,13 +48,13 @@ impl SiteFiles {
         Self { files }
     }
 
-    /// Size of all files of the site, bytes.
+    /// Returns the size of all files of the site, bytes, including the page's own files.
     pub fn bytes(&self) -> u64 {
         let page: usize = PAGE.iter().map(|(_, text)| text.len()).sum();
         self.files.iter().map(|(_, text)| text.len() as u64).sum::<u64>() + page as u64
     }
 
-    /// Writes the site's folder. An earlier site is replaced, after [`check_folder`].
+    /// Writes the site's folder. An earlier site is replaced, and [`check_folder`] refuses any other content.
     pub fn write(&self, folder: &Path) -> Result<(), PublishError> {
         let failed = |source| PublishError::Write { path: folder.to_owned(), source };
         check_folder(folder)?;
@@ -73,7 +74,7 @@ impl SiteFiles {
         if !absolute.is_dir() {
             return temporary.place("new", &absolute);
         }
-        // Moved into the temporary folder, the earlier site is removed with it.
+        // The earlier site is moved into the temporary folder, and is removed with it.
         std::fs::rename(&absolute, &old)?;
         temporary.place("new", &absolute).inspect_err(|_| {
             // If the earlier site can't be moved back either, the first error is still reported.
@@ -82,7 +83,7 @@ impl SiteFiles {
     }
 }
 
-/// An error unless the folder is missing, empty, or contains an earlier site and nothing else.
+/// Returns an error unless the folder is missing, is empty, or contains an earlier site and nothing else.
 pub fn check_folder(folder: &Path) -> Result<(), PublishError> {
     let refused = |reason: String| Err(PublishError::Folder { path: folder.to_owned(), reason });
     let Ok(found) = folder.symlink_metadata() else { return Ok(()) };
@@ -117,7 +118,7 @@ pub fn check_folder(folder: &Path) -> Result<(), PublishError> {
     }
 }
 
-/// Relative paths of the files in a folder and in its folder of frames.
+/// Returns the relative paths of the files in a folder and in its subfolder of frames.
 fn names(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut names = Vec::new();
     for inside in ["", FRAMES] {

@@ -1,4 +1,4 @@
-//! `stlfr.open`, `stlfr.Capture` and `stlfr.Moment`.
+//! The Python function `stlfr.open`, and the classes `stlfr.Capture` and `stlfr.Moment`.
 
 use super::convert::{
     checked, file_error, from_python, image_to_python, to_python, value_error, view_to_python,
@@ -23,9 +23,9 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Open and check a capture's folder.
+/// Opens and checks a capture's folder.
 ///
-/// Raises FileNotFoundError if there is no capture, and ValueError with one sentence if it is invalid.
+/// Raises FileNotFoundError if there is no capture, and ValueError with one sentence if the capture is invalid.
 #[pyfunction]
 pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
     let capture = py.detach(|| {
@@ -36,23 +36,23 @@ pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
     Ok(PyCapture { capture: Arc::new(capture), opened: Mutex::default() })
 }
 
-/// A capture: calibrated cameras and their frames.
+/// A capture: calibrated cameras and their recorded frames.
 #[pyclass(name = "Capture", module = "stlfr", frozen)]
 pub struct PyCapture {
     capture: Arc<Capture>,
-    /// The most recently used light fields, latest first. They cache registered frames for further views.
+    /// The most recently used light fields, latest first. Each caches registered frames for later views.
     opened: Mutex<Vec<Opened>>,
 }
 
-/// Largest number of open light fields, one per set of options. More: more memory; fewer: a viewer that alternates
-/// between a fast and an accurate method registers frames again each time.
+/// Maximum number of open light fields of a capture, one for each set of options. More would take more memory. With
+/// fewer, a viewer that alternates between a fast and an accurate method would register frames again each time.
 const MAX_OPENED: usize = 2;
 
-/// A light field, and the options that it was opened with.
+/// A light field, and the options with which it was opened.
 #[derive(Clone)]
 struct Opened {
     options: RenderOptions,
-    /// The options after the automatic choice of methods ([`pipeline::resolved`]).
+    /// Options after the automatic choice of methods ([`pipeline::resolved`]).
     resolved: RenderOptions,
     field: Arc<LightField>,
 }
@@ -65,26 +65,26 @@ impl PyCapture {
         Err(PyTypeError::new_err("a capture is opened with stlfr.open(path)"))
     }
 
-    /// The capture's name.
+    /// Name of the capture.
     #[getter]
     fn name(&self) -> &str {
         &self.capture.name
     }
 
-    /// The cameras' ids, in the order of capture.json.
+    /// Ids of the cameras, in the order of capture.json.
     #[getter]
     fn camera_ids(&self) -> Vec<&str> {
         self.capture.cameras.iter().map(|c| c.id.as_str()).collect()
     }
 
-    /// The cameras in the order of capture.json, each as `camera` returns it.
+    /// The cameras in the order of capture.json, each as a dict in the form that `camera` returns.
     #[getter]
     fn cameras<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         self.capture.cameras.iter().map(|c| camera_to_python(py, Some(&c.id), &c.camera)).collect()
     }
 
-    /// A camera, by its id or by the name of a view of the truth, as a dict: width, height, model, params and
-    /// cam_from_world.
+    /// Returns a camera as a dict with id, width, height, model, params and cam_from_world. `name` is the id of a
+    /// camera, or the name of a view of the ground truth.
     fn camera<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         match self.capture.named_view(name).map_err(value_error)? {
             NamedView::Filming(index) => {
@@ -94,8 +94,9 @@ impl PyCapture {
         }
     }
 
-    /// First and last time at which a camera has images, seconds on the reference's clock; without `camera_id`, at
-    /// which any camera has. Unknown offsets are estimated first.
+    /// Returns the first and the last time at which a camera has images, seconds on the reference camera's clock.
+    /// Without `camera_id`, returns the first and the last time of all cameras' images. Unknown clock offsets are
+    /// estimated first.
     #[pyo3(signature = (camera_id=None))]
     fn covered_s(&self, py: Python<'_>, camera_id: Option<&str>) -> PyResult<(f64, f64)> {
         let camera = camera_id.map(|id| self.index(id)).transpose()?;
@@ -113,15 +114,15 @@ impl PyCapture {
         span.ok_or_else(|| value_error("the clock is unknown"))
     }
 
-    /// The id of the reference camera, whose clock gives all times.
+    /// Id of the reference camera. Times are seconds on its clock.
     #[getter]
     fn reference(&self) -> &str {
         &self.capture.cameras[self.capture.reference].id
     }
 
-    /// The pixels (N, 2) to which world points (N, 3), in metres, project.
+    /// Projects world points (N, 3), in metres, to pixels (N, 2) of a camera.
     ///
-    /// The top-left pixel's centre is (0.5, 0.5). A point without a projection gives a row of NaN. Pixels may lie
+    /// The centre of the top-left pixel is (0.5, 0.5). A point without a projection gives a row of NaN. Pixels may lie
     /// outside of the image.
     fn project<'py>(
         &self,
@@ -133,12 +134,13 @@ impl PyCapture {
         projected(py, camera, &points)
     }
 
-    /// The middle of every frame's exposure, seconds on the camera's own clock.
+    /// Returns the middle of every frame's exposure, seconds on the camera's own clock.
     fn times<'py>(&self, py: Python<'py>, camera_id: &str) -> PyResult<Bound<'py, PyArray1<f64>>> {
         Ok(self.capture.times_in_file_s(self.index(camera_id)?).into_pyarray(py))
     }
 
-    /// A camera's frame, (H, W, channels): RGB or grey as `color` says, in the camera's bit depth.
+    /// Returns a camera's frame as an array (H, W, channels) in the camera's bit depth. The channels are RGB or grey,
+    /// as the camera's `color` in capture.json says.
     fn frame<'py>(
         &self,
         py: Python<'py>,
@@ -157,8 +159,9 @@ impl PyCapture {
         image_to_python(py, &image, None, filmed.bit_depth)
     }
 
-    /// The offset of every camera, as `stlfr offsets --json` prints it. Offsets are read from the capture's folder, or
-    /// else estimated and saved there.
+    /// Returns the clock offset of every camera, in the form that `stlfr offsets --json` prints. Earlier estimates are
+    /// read from the capture's folder; otherwise, offsets are estimated and saved there. An offsets.json that was
+    /// edited by hand is neither used nor replaced.
     #[pyo3(signature = (options=None, *, preset=None))]
     fn offsets<'py>(
         &self,
@@ -175,15 +178,17 @@ impl PyCapture {
         to_python(py, &offsets.map_err(value_error)?)
     }
 
-    /// Render a view: of `camera`, a dict as `Capture.camera` returns it, or of the camera or true view that `like`
-    /// names.
+    /// Renders the view of a camera at a time in seconds on the reference camera's clock. The camera is `camera`, a
+    /// dict in the form that `Capture.camera` returns, or the camera or true view with the name `like`.
     ///
-    /// Returns an array (H, W, channels) in the input's bit depth. Channels are RGB or grey; an alpha channel follows
-    /// if `alpha` is true, or by default if cameras don't see some of the pixels. Time is seconds on the reference's
-    /// clock. `options` has the contents of a file for `stlfr render --options`; names may be paths, such as
-    /// `blend.cameras`, and `proxy` and `blend` may be the names of their methods. They override those of `preset`.
-    /// `proceed(done, total)` is called before every step of every instant of a trail, or of the one instant without a
-    /// trail. If it returns something false, rendering stops with an InterruptedError.
+    /// Returns an array (H, W, channels) in the capture's bit depth. The channels are RGB or grey. An alpha channel
+    /// follows if `alpha` is true; by default, it follows if there are pixels that no camera sees.
+    ///
+    /// `options` has the contents of a file for `stlfr render --options`. Its values override those of `preset`. A name
+    /// may be a path, such as `blend.cameras`. The value of `proxy` or `blend` may be the name of a method.
+    ///
+    /// `proceed(done, total)` is called before every step of every instant; only a motion trail has more than one
+    /// instant. If it returns something false, rendering stops with an InterruptedError.
     #[pyo3(
         signature = (time_s, **settings),
         text_signature = "($self, time_s, *, camera=None, like=None, options=None, preset=None, alpha=None, proceed=None)"
@@ -263,9 +268,10 @@ impl PyCapture {
         settings.frames_to_python(py, &path)
     }
 
-    /// One instant, for many views of it: what doesn't depend on the viewpoint is computed once, here.
+    /// Prepares one instant for rendering many views of it. The cameras' images at this instant are computed once,
+    /// here.
     ///
-    /// A trail in the options is ignored.
+    /// A motion trail in the options is ignored.
     #[pyo3(signature = (time_s, *, options=None, preset=None))]
     fn moment(
         &self,
@@ -292,7 +298,7 @@ impl PyCapture {
     }
 }
 
-/// One instant of a capture, prepared for many views of it.
+/// One instant of a capture, prepared for rendering many views of it.
 #[pyclass(name = "Moment", module = "stlfr", frozen)]
 pub struct PyMoment {
     field: Arc<LightField>,
@@ -303,7 +309,7 @@ pub struct PyMoment {
 
 #[pymethods]
 impl PyMoment {
-    /// Render the view of a camera dict at this instant, like `Capture.render`.
+    /// Renders the view of a camera, given as a dict, at this instant, as `Capture.render` does.
     ///
     /// With depth per pixel, pixels differ slightly from those of `Capture.render`: the depths of all cameras have a
     /// common range, and a view uses the depths of the cameras nearest to it.
@@ -321,7 +327,7 @@ impl PyMoment {
     }
 }
 
-/// The keyword arguments of `Capture.render`.
+/// Keyword arguments of `Capture.render`.
 struct ViewSettings {
     camera: Option<Camera>,
     like: Option<String>,
@@ -356,7 +362,7 @@ impl ViewSettings {
     }
 }
 
-/// A camera as a Python dict in the form of `capture.json`, with its name, if it has one, as `id`.
+/// Converts a camera to a Python dict in the form of `capture.json`. `id`, if given, is the camera's name in it.
 pub fn camera_to_python<'py>(
     py: Python<'py>,
     id: Option<&str>,
@@ -375,7 +381,8 @@ fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
     format.camera().map_err(|e| value_error(format!("camera: {e}")))
 }
 
-/// Project world points by a camera dict: the pixels, or NaN for a point without a projection.
+/// Projects world points (N, 3), in metres, to pixels (N, 2) of a camera, given as a dict. A point without a projection
+/// gives a row of NaN.
 #[pyfunction]
 pub fn project<'py>(
     py: Python<'py>,
@@ -409,15 +416,15 @@ fn projected<'py>(
     Ok(pixels.into_pyarray(py))
 }
 
-/// Whether rendering continues: the result of the caller's function, or true without a function.
+/// Returns whether rendering continues: the result of the caller's Python function, or true if there is no function.
 fn goes_on(proceed: Option<&Py<PyAny>>, done: usize, total: usize) -> PyResult<bool> {
     let Some(proceed) = proceed else { return Ok(true) };
     Python::attach(|py| proceed.call1(py, (done, total))?.is_truthy(py))
 }
 
 impl PyCapture {
-    /// The light field for these options, and the options after the automatic choice of methods. Both are cached for
-    /// further calls.
+    /// Returns the light field for these options, and the options after the automatic choice of methods. Both are
+    /// cached for later calls.
     fn opened(&self, options: RenderOptions) -> Result<Opened, RenderError> {
         let mut cached = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(k) = cached.iter().position(|opened| opened.options == options) {

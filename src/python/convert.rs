@@ -1,4 +1,4 @@
-//! Conversions between values of Rust and Python.
+//! Conversions between Rust values and Python values.
 
 use crate::json::JsonError;
 use crate::lumigraph::Rendered;
@@ -14,17 +14,18 @@ use serde_json::{Map, Value, json};
 use std::error::Error;
 use std::io::ErrorKind;
 
-/// A `ValueError` for bad input, with the command line's sentence.
+/// Returns a Python `ValueError` for bad input. Its message is the sentence that the command line would print.
 pub fn value_error(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// Converts a Python value of dicts, lists, numbers and strings through JSON. Error messages start with `what`.
+/// Converts a Python value to a Rust value, through JSON. The Python value consists of dicts, lists, numbers and
+/// strings. Error messages start with `what`.
 pub fn from_python<T: DeserializeOwned>(value: &Bound<'_, PyAny>, what: &str) -> PyResult<T> {
     crate::json::parse(&json_of(value)?).map_err(|e| value_error(format!("{what}: {e}")))
 }
 
-/// A `FileNotFoundError` if a file is missing, else a [`value_error`].
+/// Returns a Python `FileNotFoundError` if the cause of an error is a missing file, otherwise a [`value_error`].
 pub fn file_error(error: impl Error + 'static) -> PyErr {
     let mut cause: Option<&(dyn Error + 'static)> = Some(&error);
     while let Some(found) = cause {
@@ -40,9 +41,9 @@ pub fn file_error(error: impl Error + 'static) -> PyErr {
     value_error(error)
 }
 
-/// The options of a call: those of a preset (by default the default preset), overridden by `options`. They are checked
-/// as on the command line. A name may be a path, `blend.cameras`; `proxy` and `blend` may be the names of their
-/// methods.
+/// Returns the options of a call: those of a preset, overridden by `options`. Without `preset`, it is the preset that
+/// `options` names, or else the default preset. All values are checked as on the command line. A name in `options` may
+/// be a path, such as `blend.cameras`. The value of `proxy` or `blend` may be the name of a method.
 pub fn checked(
     options: Option<&Bound<'_, PyAny>>,
     preset: Option<&str>,
@@ -64,7 +65,7 @@ fn names<M: Method>() -> String {
     M::ALL.iter().map(|method| method.name()).collect::<Vec<_>>().join(", ")
 }
 
-/// Converts options with paths as names to the nested form of an options file.
+/// Converts options whose names are paths, such as `blend.cameras`, to the nested form of an options file.
 fn nested(options: Value) -> Value {
     let Value::Object(options) = options else { return options };
     let mut found = Map::new();
@@ -88,19 +89,19 @@ fn nested(options: Value) -> Value {
     Value::Object(found)
 }
 
-/// The JSON text of a value.
+/// Converts a Python value to JSON text.
 pub fn json_of(value: &Bound<'_, PyAny>) -> PyResult<String> {
     value.py().import("json")?.call_method1("dumps", (value,))?.extract()
 }
 
-/// Converts a value to Python's dicts, lists, numbers and strings through JSON.
+/// Converts a Rust value to Python dicts, lists, numbers and strings, through JSON.
 pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound<'py, PyAny>> {
     let json = serde_json::to_string(value).map_err(value_error)?;
     py.import("json")?.call_method1("loads", (json,))
 }
 
-/// A rendered view as an array (H, W, channels), with the sample values of a PNG file. `alpha` says whether there is
-/// an alpha channel; by default only if cameras don't see all pixels.
+/// Converts a rendered view to an array (H, W, channels) with the sample values of a PNG file. `alpha` says whether to
+/// add an alpha channel; with `None`, it is added only if there are pixels that no camera sees.
 pub fn view_to_python<'py>(
     py: Python<'py>,
     view: &Rendered,
@@ -112,7 +113,8 @@ pub fn view_to_python<'py>(
     image_to_python(py, &view.image, coverage, depth)
 }
 
-/// An image as an array (H, W, channels), with the sample values of a PNG file.
+/// Converts an image to an array (H, W, channels) with the sample values of a PNG file. If `coverage` is given, an
+/// alpha channel is added, which is 0 where `coverage` is false.
 pub fn image_to_python<'py>(
     py: Python<'py>,
     image: &Image,

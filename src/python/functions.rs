@@ -21,7 +21,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The methods of every stage, by the name of the stage's option.
+/// Returns the methods of every stage, by the name of the stage's option.
 #[pyfunction]
 pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let stages = json!({
@@ -33,13 +33,13 @@ pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &stages)
 }
 
-/// All options, each with its default, range, unit and help.
+/// Returns all options, each with its default, range, unit and help.
 #[pyfunction]
 pub fn options(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &RenderOptions::default().declared())
 }
 
-/// The layouts of quilts by the names of the displays that show them.
+/// Returns the quilt layouts of light-field displays, each with the name of its display.
 #[pyfunction]
 pub fn displays(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let display = |(name, layout): &(&str, QuiltLayout)| {
@@ -50,8 +50,8 @@ pub fn displays(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &QuiltLayout::of_displays().iter().map(display).collect::<Vec<_>>())
 }
 
-/// Runs the command line with the program's path and its arguments, and returns the exit code. If `lines` is true,
-/// progress is printed on standard output, one JSON object per line.
+/// Runs the command line with `arguments`, and returns the exit code. `program` is the path of the program `stlfr`. If
+/// `lines` is true, progress is printed on standard output, one JSON object per line.
 #[pyfunction]
 #[pyo3(signature = (program, arguments, *, lines=false))]
 pub fn run_command(py: Python<'_>, program: PathBuf, arguments: Vec<OsString>, lines: bool) -> u8 {
@@ -63,21 +63,21 @@ fn stage<M: Method>() -> Value {
     json!({ "default": M::default().name(), "methods": choices::<M>() })
 }
 
-/// The contents of a rig file, after checks. Fields with their default values are omitted.
+/// Reads and checks a rig file, and returns its contents. Fields with their default values are omitted.
 #[pyfunction]
 pub fn read_rig(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
     let rig = py.detach(|| Rig::read(&path)).map_err(file_error)?;
     to_python(py, &rig)
 }
 
-/// Raise ValueError for a rig that `stlfr rig --check` would refuse.
+/// Raises ValueError for a rig that `stlfr rig --check` would refuse.
 #[pyfunction]
 pub fn check_rig(py: Python<'_>, rig: &Bound<'_, PyAny>) -> PyResult<()> {
     let text = json_of(rig)?;
     py.detach(|| Rig::parse(&text)).map(drop).map_err(value_error)
 }
 
-/// The rig that `stlfr rig` writes for the same options and seed.
+/// Returns the rig that `stlfr rig` would write for the same options, including the seed.
 #[pyfunction]
 #[pyo3(signature = (options=None))]
 pub fn generate_rig<'py>(
@@ -89,7 +89,7 @@ pub fn generate_rig<'py>(
     to_python(py, &py.detach(|| options.generate()).map_err(value_error)?)
 }
 
-/// The files of a COLMAP text model, by name, from pairs of image name and camera.
+/// Returns the files of a COLMAP text model, by name. `images` are pairs of image name and camera.
 #[pyfunction]
 pub fn colmap_text<'py>(
     py: Python<'py>,
@@ -104,9 +104,9 @@ pub fn colmap_text<'py>(
     to_python(py, &py.detach(|| exchange::colmap_text(&images)))
 }
 
-/// Compare a capture with its truth, like `stlfr compare`, and write the results into the folder `review`. Returns the
-/// paths of the report and of `review.json`. If `lines` is true, progress is printed on standard output, one JSON
-/// object per line.
+/// Compares a capture with its ground truth, like `stlfr compare`, and writes the results into the capture's folder
+/// `review`. Returns the paths of the report and of `review.json`. If `lines` is true, progress is printed on standard
+/// output, one JSON object per line.
 #[pyfunction]
 #[pyo3(signature = (path, *, options=None, lines=false))]
 pub fn compare<'py>(

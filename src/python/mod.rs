@@ -1,5 +1,6 @@
-//! The Python module `stlfr` (feature `python`). Each function converts its arguments, releases the GIL, makes one
-//! call, and converts the result. Bad input raises `ValueError` with the command line's sentence.
+//! The Python module `stlfr`, which is built with the Cargo feature `python`. Each function converts its arguments,
+//! releases the GIL, makes one call, and converts the result. Bad input raises `ValueError` with the sentence that the
+//! command line would print.
 
 mod capture;
 mod convert;

@@ -46,7 +46,7 @@ impl PathKeys {
 pub struct PathSettings {
     rate_hz: Option<f64>,
     duration_s: Option<f64>,
-    /// The instant that all frames show, seconds on the reference's clock.
+    /// The instant that all frames show, seconds on the reference's clock. `None` if time runs as the path's keys say.
     pub time_s: Option<f64>,
     pub options: RenderOptions,
 }

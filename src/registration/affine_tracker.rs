@@ -1,10 +1,11 @@
 //! Beyond the paper: tracking of a window that deforms affinely and changes its gain and bias. The image of a
-//! surface patch does so when the patch rotates, tilts, comes nearer or changes its brightness.
+//! surface patch changes in this way when the patch rotates, tilts, comes nearer or changes its brightness.
 //!
-//! Baker and Matthews's inverse compositional method (IJCV 56(3), 2004). The template is the source's window
-//! at whole pixels, and its derivatives are computed once. The target is sampled by cubic convolution.
+//! The method is Baker and Matthews's inverse compositional algorithm (IJCV 56(3), 2004). The template is the
+//! window in the source image, at whole pixels. Its derivatives are computed once. The target is sampled by cubic
+//! convolution.
 //!
-//! Known limit: a window across an outline follows the surface with more texture.
+//! Known limit: a window across an occluding outline follows the surface with more texture.
 
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::{Pyramid, PyramidLevel};
@@ -15,81 +16,82 @@ use nalgebra::{Cholesky, Const, Matrix2, Point2, SMatrix, SVector, Vector2};
 const RADIUS_PX: usize = 8;
 /// Number of rows of the window.
 const SIDE: usize = 2 * RADIUS_PX + 1;
-/// Number of samples of a row, padded to a multiple of [`LANES`]; the padding has weight 0.
+/// Number of samples in a row of the window, padded to a multiple of [`LANES`]. The padding has weight 0.
 const ROW: usize = SIDE.next_multiple_of(LANES);
-/// Number of samples of the window, including the padding.
+/// Number of samples in the window, including the padding.
 const AREA: usize = SIDE * ROW;
 /// Standard deviation of the window's Gaussian weights, pixels.
 const SIGMA_PX: f64 = 0.6 * RADIUS_PX as f64;
-/// Maximum number of iterations.
+/// Maximum number of Gauss–Newton iterations.
 const ITERATIONS: usize = 12;
-/// Length of a step below which the tracker has converged, pixels.
+/// Length of a step below which the tracker has converged, in pixels.
 const EPSILON_PX: f64 = 0.02;
-/// Standard deviation of the Gaussian prior on the deformation: on the matrix's entries around those of the
-/// initial matrix, and on the gain around 1.
+/// Standard deviation of the Gaussian prior on the deformation. For each entry of the matrix, the prior's mean is
+/// the entry of the initial matrix. For the gain, the prior's mean is 1.
 const DEFORMATION: f64 = 0.1;
 /// Maximum distance of the result from the initial guess, pixels.
 const MAX_SHIFT_PX: f64 = 5.0;
-/// Number of parameters: the shift (2), the matrix's entries row by row (4), gain and bias.
+/// Number of parameters: the shift (2), the entries of the matrix row by row (4), the gain and the bias.
 const N: usize = 8;
 /// Standard deviation of the noise of grey values, which are in 0..=1. It determines the weight of the prior.
 const NOISE: f64 = 0.012;
-/// The prior's contribution to the diagonal of the normal matrix, for the parameters [`DEFORMED`].
+/// Contribution of the prior to the diagonal of the normal matrix, for the parameters in [`DEFORMED`].
 const PRIOR: f64 = (NOISE / DEFORMATION) * (NOISE / DEFORMATION);
-/// The parameters that have a prior: the matrix's entries and the gain.
+/// Indices of the parameters that have a prior: the entries of the matrix, and the gain.
 const DEFORMED: std::ops::Range<usize> = 2..7;
-/// Maximum gain between two windows; the minimum is its inverse.
+/// Maximum gain between two windows. The minimum gain is the inverse.
 const MAX_GAIN: f64 = 4.0;
 
-/// A tracker of affinely deforming windows, with buffers that are reused from point to point.
+/// A tracker of affinely deforming windows. Its buffers are reused from point to point.
 #[derive(Debug)]
 pub struct AffineTracker {
-    /// The column of each sample of a row, relative to the window's middle.
+    /// Column of each sample of a row, relative to the middle of the window.
     column: [f32; ROW],
     gaussian: [f32; AREA],
-    /// The Gaussian weights, 0 outside the image.
+    /// Weights of the samples: Gaussian, but 0 outside the image.
     weight: [f32; AREA],
-    /// The template's values.
+    /// Grey values of the template, which is the window in the source image.
     value: [f32; AREA],
-    /// The template's derivatives by x, times the weights.
+    /// Derivatives of the template by x, times the weights.
     weighted_dx: [f32; AREA],
-    /// The template's derivatives by y, times the weights.
+    /// Derivatives of the template by y, times the weights.
     weighted_dy: [f32; AREA],
-    /// The template's values minus `center_value`, times the weights.
+    /// Values of the template minus `center_value`, times the weights.
     weighted_value: [f32; AREA],
-    /// The template's value at its middle, which is subtracted from its other values for numerical precision.
+    /// Value of the template at its middle. It is subtracted from the other values for numerical precision.
     center_value: f32,
 }
 
 /// A window to track, and the initial guess of its position and deformation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AffineStart {
-    /// The window's middle in the source, pixels, the top-left pixel's centre at (0.5, 0.5).
+    /// Middle of the window in the source image, in pixels, with the centre of the top-left pixel at (0.5, 0.5).
     pub from: Point2<f64>,
-    /// Initial guess of the middle's position in the target, pixels.
+    /// Initial guess of the middle of the window in the target image, in pixels.
     pub guess: Point2<f64>,
-    /// Initial guess of the matrix from the window's coordinates in the source to those in the target. The
-    /// prior draws the result towards it.
+    /// Initial guess of the 2×2 matrix from window coordinates in the source to window coordinates in the target.
+    /// The prior draws the result towards this matrix.
     pub deformation: Matrix2<f64>,
 }
 
 /// The result of tracking a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Deformed {
-    /// The middle's position in the target, pixels.
+    /// Middle of the window in the target image, in pixels.
     pub position: Point2<f64>,
-    /// The matrix from the window's coordinates in the source to those in the target.
+    /// 2×2 matrix from window coordinates in the source to window coordinates in the target.
     pub deformation: Matrix2<f64>,
     /// Weighted mean absolute difference of the two windows' grey values (0 to 1), after correction for gain
     /// and bias.
     pub residual: f64,
-    /// The residual divided by the contrast of the source's window, its mean absolute deviation from its
-    /// mean: 0 for equal windows, near 1 for unrelated ones.
+    /// Residual divided by the contrast of the window in the source. The contrast is the mean absolute deviation of
+    /// the grey values from their mean. The ratio is 0 for equal windows and near 1 for unrelated windows.
     pub unexplained: f64,
 }
 
-/// Two affine maps: from window coordinates (pixels from the window's middle) to the target's (pixels, the
-/// first pixel's centre at 0), and from the template's values to the target's.
+/// Two affine maps. One is from window coordinates (pixels from the window's middle) to target coordinates (pixels,
+/// with the centre of the first pixel at 0). The other is from the template's grey values to the target's, by gain
+/// and bias.
 #[derive(Clone, Copy)]
 struct AffineWarp {
     middle: Vector2<f64>,
@@ -130,8 +132,8 @@ fn track_by<V: F32x8>(
     let solver = tracker.load_template::<V>(source, pixel.x as isize, pixel.y as isize)?;
     for _ in 0..ITERATIONS {
         let mut right = tracker.right_hand_side::<V>(target, &warp)?;
-        // The prior draws the whole deformation, not only the step, towards the given one. A step deforms the
-        // template, which is the inverse of deforming the target; the gain's step is not inverted.
+        // The prior draws the whole deformation, not only the step, towards the initial deformation. A step deforms
+        // the template, which is the inverse of deforming the target; the gain's step is not inverted.
         let a = from_given * warp.matrix - Matrix2::identity();
         for (k, v) in DEFORMED.zip([a.m11, a.m12, a.m21, a.m22, 1.0 - warp.gain]) {
             right[k] += PRIOR * v;
@@ -181,10 +183,11 @@ impl Default for AffineTracker {
 }
 
 impl AffineTracker {
-    /// Finds in the target the window around `start.from` of the source, on the pyramids' full-sized levels.
+    /// Tracks the window around `start.from` in the source image to the target image, on the pyramids' full-sized
+    /// levels.
     ///
-    /// `None` if a window is outside its image, if the texture does not determine the parameters, or if the
-    /// result is implausible: a gain beyond 4 or 1/4, or a shift of over 5 pixels from `start.guess`.
+    /// Returns `None` if a window is outside its image, if the texture does not determine the parameters, or if the
+    /// result is implausible: a gain above 4 or below 1/4, or a position more than 5 pixels from `start.guess`.
     pub fn track(
         &mut self,
         source: &Pyramid,
@@ -194,9 +197,10 @@ impl AffineTracker {
         track(self, &source.levels[0], &target.levels[0], start)
     }
 
-    /// The weighted mean absolute difference of the grey values (0 to 1) of the warped target and the
-    /// template, and its ratio to the template's contrast (its mean absolute deviation from its mean). `None`
-    /// if the warped window leaves the padded image.
+    /// Returns two values. The first is the weighted mean absolute difference of the grey values (0 to 1) of the
+    /// warped target and the template. The second is the first value divided by the template's contrast, which is
+    /// the mean absolute deviation of its values from their mean. Returns `None` if the warped window leaves the
+    /// padded image.
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &PyramidLevel, warp: &AffineWarp) -> Option<[f64; 2]> {
         let sampler = Sampler::new(target, warp)?;
@@ -219,12 +223,12 @@ impl AffineTracker {
             accumulate(&mut sums, [e.abs() * w, (value - mean).abs() * w]);
         }
         let [difference, contrast] = V::sums(&sums);
-        // The template has contrast, since it determined the shift.
+        // The template's contrast is positive, since its texture determined the shift.
         Some([difference / weight, difference / contrast.max(f64::MIN_POSITIVE)])
     }
 
-    /// Reads the template around pixel (`cx`, `cy`) and sets up its normal equations. `None` if the
-    /// texture does not determine the shift.
+    /// Reads the template around pixel (`cx`, `cy`), and returns the Cholesky decomposition of its normal matrix.
+    /// Returns `None` if the texture does not determine the shift.
     #[inline(always)]
     fn load_template<V: F32x8>(
         &mut self,
@@ -270,9 +274,9 @@ impl AffineTracker {
         Cholesky::new(matrix)
     }
 
-    /// The right-hand side of the normal equations: for each parameter Σ w·e·(derivative), with e the
-    /// target's value, corrected for gain and bias, minus the template's. `None` if the warped window leaves
-    /// the padded image.
+    /// Returns the right-hand side of the normal equations: for each parameter Σ w·e·(derivative by the parameter).
+    /// w is the sample's weight. e is the target's value, corrected for gain and bias, minus the template's value.
+    /// Returns `None` if the warped window leaves the padded image.
     #[inline(always)]
     fn right_hand_side<V: F32x8>(
         &self,
@@ -284,8 +288,8 @@ impl AffineTracker {
         for y in 0..SIDE {
             let at = y * ROW;
             let row_from_middle = y as f32 - RADIUS_PX as f32;
-            // Sums of the derivatives by shift x, by shift y, of their first moments along the row, and of
-            // the derivatives by gain and by bias.
+            // Sums over the row of e·w times these factors: the derivative by x; the derivative by y; both
+            // derivatives times the column; the derivative by gain; the derivative by bias.
             let mut of_row = [V::zero(); 6];
             for x in (0..ROW).step_by(LANES) {
                 let column = V::load(&self.column, x);
@@ -312,15 +316,15 @@ fn accumulate<V: F32x8, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
     }
 }
 
-/// Sums over a row or a window that make up the normal matrix: weighted products of two derivatives, times
-/// powers of the sample's coordinates. In the fields, dx, dy and v are the template's derivatives by x and y
-/// and its value, which is the derivative by gain.
+/// Sums over a row or a window from which the normal matrix is built: sums of weighted products of two derivatives
+/// and powers of the sample's coordinates. In the fields, dx and dy are the template's derivatives by x and y. v is
+/// the template's value, which is its derivative by gain.
 struct Moments<V, const T: usize, const S: usize> {
-    /// Sums of dx·dx, dx·dy and dy·dy, each weighted by T powers of the coordinates: 1, x, x² for a row (T = 3);
-    /// 1, x, y, x², xy, y² for a window (T = 6).
+    /// Sums of dx·dx, dx·dy and dy·dy, each times T powers of the coordinates: 1, x, x² for a row (T = 3); 1, x, y,
+    /// x², xy, y² for a window (T = 6).
     tensor: [[V; T]; 3],
-    /// Sums of dx·v, dy·v, dx and dy, each weighted by S powers of the coordinates: 1, x for a row (S = 2);
-    /// 1, x, y for a window (S = 3).
+    /// Sums of dx·v, dy·v, dx and dy, each times S powers of the coordinates: 1, x for a row (S = 2); 1, x, y for a
+    /// window (S = 3).
     shift_light: [[V; S]; 4],
     /// Weighted sums of v², v and 1 over the window.
     light: [V; 3],
@@ -335,8 +339,8 @@ impl<V: F32x8, const T: usize, const S: usize> Moments<V, T, S> {
 }
 
 impl<V: F32x8> Moments<V, 3, 2> {
-    /// Adds eight samples of a row, at columns `x`. Given are the derivatives by x, y and gain, the same
-    /// times the weights, and the weights.
+    /// Adds eight samples of a row, which are at columns `x`. The first argument holds the derivatives by x, y and
+    /// gain. The second holds the same derivatives times the weights, and then the weights.
     #[inline(always)]
     fn add(&mut self, [gx, gy, v]: [V; 3], [wx, wy, wv, w]: [V; 4], x: V) {
         for (sums, p) in self.tensor.iter_mut().zip([wx * gx, wx * gy, wy * gy]) {
@@ -363,7 +367,7 @@ impl<V: F32x8> Moments<V, 6, 3> {
         accumulate(&mut self.light, row.light);
     }
 
-    /// The normal matrix of the derivatives dx, dy, x·dx, y·dx, x·dy, y·dy, v, 1.
+    /// Returns the normal matrix of the derivatives dx, dy, x·dx, y·dx, x·dy, y·dy, v, 1.
     #[inline(always)]
     fn matrix(&self) -> SMatrix<f64, N, N> {
         let [a, b, c] = &self.tensor;
@@ -371,10 +375,10 @@ impl<V: F32x8> Moments<V, 6, 3> {
         let [a, b, c, d] = &self.shift_light;
         let shift_light = [V::sums(a), V::sums(b), V::sums(c), V::sums(d)];
         let light = V::sums(&self.light);
-        // For each of the first six parameters: index of its derivative among (dx, dy), and of its moment
-        // among (1, x, y).
+        // For each of the first six parameters: the index of its derivative among (dx, dy), and the index of its
+        // coordinate among (1, x, y).
         const SHIFTS: [(usize, usize); 6] = [(0, 0), (1, 0), (0, 1), (0, 2), (1, 1), (1, 2)];
-        // The index, among 1, x, y, x², xy, y², of the product of two moments.
+        // The index, among 1, x, y, x², xy, y², of the product of two coordinates.
         const PRODUCT: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
         SMatrix::from_fn(|i, j| {
             let (i, j) = (i.min(j), i.max(j));
@@ -387,8 +391,8 @@ impl<V: F32x8> Moments<V, 6, 3> {
     }
 }
 
-/// The Catmull–Rom weights of the samples at −1, 0, 1 and 2 for a position `f` in 0..1. They are in Horner
-/// form, and agree with `raster::catmull_rom` to 1e-6.
+/// Returns the Catmull–Rom weights of the samples at −1, 0, 1 and 2 for a position `f` in 0..1. The polynomials are
+/// in Horner form. The weights agree with `raster::catmull_rom` to 1e-6.
 #[inline(always)]
 pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
     let c = V::splat;
@@ -402,29 +406,29 @@ pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
     ]
 }
 
-/// Samples a level at window coordinates, mapped by an [`AffineWarp`].
+/// Sampler of a pyramid level. An [`AffineWarp`] maps window coordinates to the level.
 struct Sampler<'a> {
     target: &'a PyramidLevel,
-    /// Index of the top-left one of the 4×4 samples around the pixel that contains the window's middle.
+    /// Index of the top-left sample of the 4×4 samples around the pixel that contains the window's middle.
     corner: isize,
-    /// The step in the target per column of the window, pixels: the matrix's first column.
+    /// Step in the target per column of the window, in pixels: the first column of the matrix.
     per_column: [f32; 2],
-    /// The step in the target per row of the window, pixels: the matrix's second column.
+    /// Step in the target per row of the window, in pixels: the second column of the matrix.
     per_row: [f32; 2],
-    /// The fractional position of the window's middle within its pixel.
+    /// Fractional position of the window's middle within its pixel.
     middle: [f32; 2],
     inverse_gain: f32,
     bias: f32,
 }
 
 impl<'a> Sampler<'a> {
-    /// A sampler of the level; `None` if the window leaves the padded image.
+    /// Creates a sampler of the level. Returns `None` if the warped window leaves the padded image.
     fn new(target: &'a PyramidLevel, warp: &AffineWarp) -> Option<Self> {
         let reach = (ROW - RADIUS_PX) as f64;
         let m = &warp.matrix;
         let pad = target.pad as f64;
         let fits = |middle: f64, a: f64, b: f64, size: usize| {
-            // Plus 2 for the kernel and 1 for the middle's fractional position.
+            // The 3 is 2 for the kernel and 1 for the fractional position of the middle.
             let extent = reach * (a.abs() + b.abs()) + 3.0;
             middle - extent >= -pad && middle + extent <= size as f64 + pad - 1.0
         };
@@ -446,11 +450,11 @@ impl<'a> Sampler<'a> {
         })
     }
 
-    /// Eight samples of a row of the window at columns `column`, by cubic convolution, corrected for gain and
-    /// bias.
+    /// Returns eight samples of a row of the window by cubic convolution, corrected for gain and bias. `row` and
+    /// the columns `column` are relative to the window's middle.
     #[inline(always)]
     fn sample<V: F32x8>(&self, column: V, row: f32) -> V {
-        // Target coordinates relative to the middle's pixel, as integer and fractional parts.
+        // Target coordinates relative to the pixel of the window's middle, as integer and fractional parts.
         let [x0, y0] = [0, 1].map(|axis| self.middle[axis] + self.per_row[axis] * row);
         let [x_step, y_step] = self.per_column;
         let (ix, fx) = (V::splat(x0) + V::splat(x_step) * column).floor_and_fraction();

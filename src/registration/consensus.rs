@@ -1,30 +1,32 @@
-//! Consensus of neighbours: a feature whose motion differs from that of its neighbours is a mismatch, since a
-//! surface has more than one feature.
+//! Detects mismatched features by their neighbours: a feature whose motion differs from the motion of nearby
+//! features is a mismatch. This assumes that every surface has several features.
 
 use super::{Match, Neighbors, RegistrationOptions, Start};
 use nalgebra::{Matrix2, Point2, Vector2};
 use rayon::prelude::*;
 
-/// Radius around a point in which its neighbours are compared with it, pixels.
+/// Radius around a point, in pixels, within which other points are compared with the point.
 const SUPPORT_RADIUS_PX: f64 = 20.0;
-/// Constant part of the maximum difference of two motions at which one supports the other, pixels.
-/// [`SUPPORT_FRACTION`] of the point's motion is added.
+/// Constant term, in pixels, of the maximum difference up to which two motions support each other. The maximum is
+/// this value plus [`SUPPORT_FRACTION`] times the length of the point's motion.
 const SUPPORT_PX: f64 = 1.5;
 const SUPPORT_FRACTION: f64 = 0.2;
 
-/// The motion of a point and the deformation around it.
+/// A tracked point, its motion, and the deformation of the image around it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Moved {
     pub at: Point2<f64>,
-    /// The point's motion, pixels.
+    /// Displacement of the point, pixels.
     pub motion: Vector2<f64>,
-    /// Linear part of the affine motion around the point: the identity where the motion is a translation.
+    /// Linear part (2×2 matrix) of the affine motion around the point. It is the identity if the motion is a
+    /// translation.
     pub deformation: Matrix2<f64>,
 }
 
 impl Moved {
-    /// The deviation of two motions from a common affine motion, pixels. Each point's deformation predicts
-    /// the difference of the two motions; the smaller of the two prediction errors is returned.
+    /// Returns the deviation of two points' motions from a common affine motion, in pixels. Each point's
+    /// deformation predicts the difference between the two motions. The smaller of the two prediction errors is
+    /// returned.
     pub fn distance(&self, other: &Self) -> f64 {
         let (apart, change) = (other.at - self.at, other.motion - self.motion);
         let by = |deformation: &Matrix2<f64>| (change - (deformation * apart - apart)).norm();
@@ -32,9 +34,9 @@ impl Moved {
     }
 }
 
-/// For each start, the displacement of its match from the initial guess, as the motion of the source point;
-/// `None` without a match. The results have the identity as deformation, because the guesses already account
-/// for deformation.
+/// Returns, for each start, the displacement from the initial guess to the match. It is attached to the source
+/// point. `None` for a start without a match. Deformations are the identity, because the initial guesses already
+/// account for deformation.
 pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Option<Moved>> {
     let of = |(start, m): (&Start, &Option<Match>)| {
         let deformation = Matrix2::identity();
@@ -43,19 +45,19 @@ pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Op
     starts.iter().zip(matches).map(of).collect()
 }
 
-/// The result of comparing a point's motion with its neighbours'.
+/// Result of comparing a point's motion with the motions of nearby points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Support {
-    /// The point has too few neighbours to tell.
+    /// The point has too few neighbours for a comparison.
     Alone,
-    /// Enough neighbours move like the point.
+    /// At least the required number of neighbours move like the point.
     Agrees,
-    /// The point is an outlier: its neighbours move differently.
+    /// The point is an outlier: it has enough neighbours, but too few of them move like the point.
     Differs,
 }
 
-/// For each point, the result of comparing its motion with its neighbours'; `None` for a point without a
-/// motion.
+/// Compares each point's motion with the motions of nearby points. Returns one result per point; `None` for a point
+/// without a motion.
 pub(super) fn consensus(
     motions: &[Option<Moved>],
     options: &RegistrationOptions,

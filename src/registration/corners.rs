@@ -1,5 +1,5 @@
-//! §4.1: corners by the structure tensor's smaller eigenvalue (Shi and Tomasi), with a minimum distance
-//! between them.
+//! §4.1: corner detection by the smaller eigenvalue of the structure tensor (Shi and Tomasi), with a minimum
+//! distance between corners.
 
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::PyramidLevel;
@@ -9,24 +9,26 @@ use nalgebra::Point2;
 
 /// Minimum distance between two corners, pixels.
 pub(super) const MIN_DISTANCE_PX: f64 = 4.0;
-/// Minimum eigenvalue of a corner, as a fraction of the image's largest.
+/// Minimum eigenvalue of a corner, as a fraction of the largest eigenvalue in the image.
 const MIN_QUALITY: f32 = 1e-3;
-/// Half-width of the box filter that is applied to the structure tensor twice, pixels.
+/// Half-width of the box filter, pixels. The filter is applied twice to the structure tensor.
 const RADIUS_PX: usize = 1;
-/// Minimum eigenvalue of a corner in any image: a squared gradient of grey values (0 to 1) per pixel. It
-/// corresponds to a gradient of 0.05 8-bit steps per pixel, above the rounding noise of constant images.
+/// Minimum eigenvalue of a corner in any image. An eigenvalue is a squared gradient, in grey values (0 to 1) per
+/// pixel. The value corresponds to a gradient of 0.05 8-bit steps per pixel, which is above the rounding noise of
+/// constant images.
 const MIN_EIGENVALUE: f32 = 4e-8;
 
-/// The corners of a pyramid level (§4.1), strongest first, at most `max_corners`. Sub-pixel positions in
-/// pixels of the level, with the top-left pixel's centre at (0.5, 0.5). Constant images have none.
+/// Detects the corners of a pyramid level (§4.1). Returns at most `max_corners` sub-pixel positions, strongest
+/// corner first. Positions are in pixels of the level, with the centre of the top-left pixel at (0.5, 0.5). A
+/// constant image has no corners.
 pub fn corners(level: &PyramidLevel, max_corners: usize) -> Vec<Point2<f64>> {
     let (w, h) = (level.width, level.height);
     let strength = min_eigenvalues(level, RADIUS_PX);
     let mut peaks = peaks(&strength, w, h, MIN_QUALITY);
     peaks.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
 
-    // The selected corners, sorted into cells as wide as the minimum distance, so that corners within this
-    // distance are in adjacent cells.
+    // The selected corners, sorted into square cells as wide as the minimum distance. Two corners within the
+    // minimum distance are in the same cell or in adjacent cells.
     let [columns, rows] = [w, h].map(|size| (size as f64 / MIN_DISTANCE_PX) as usize + 1);
     let mut cells: Vec<Vec<Point2<f64>>> = vec![Vec::new(); columns * rows];
     let mut selected = Vec::new();
@@ -46,13 +48,13 @@ pub fn corners(level: &PyramidLevel, max_corners: usize) -> Vec<Point2<f64>> {
     selected
 }
 
-/// The local maxima of `strength` (the smaller eigenvalue at each pixel, row by row), as (strength, pixel
-/// index). Maxima below [`MIN_EIGENVALUE`], or below `min_quality` times the largest, are left out. Of equal
-/// neighbouring pixels, only the first in row-major order is a maximum.
+/// Finds the local maxima of `strength`, which holds the smaller eigenvalue of each pixel, row by row. Returns
+/// pairs of strength and pixel index. Maxima below [`MIN_EIGENVALUE`], or below `min_quality` times the largest
+/// value, are left out. Of equal neighbouring pixels, only the first in row-major order is a maximum.
 fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
     let largest = strength.iter().copied().fold(0.0, f32::max);
     let floor = (largest * min_quality).max(MIN_EIGENVALUE);
-    // The plane with a border of −∞.
+    // The eigenvalues with a border of −∞, one pixel wide.
     let wide = w + 2;
     let mut bordered = vec![f32::NEG_INFINITY; wide];
     bordered.extend(padded(strength, w, 1, f32::NEG_INFINITY));
@@ -62,8 +64,8 @@ fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, us
         let [above, row, below] = [y, y + 1, y + 2].map(|y| &bordered[y * wide..][..wide]);
         for x in 0..w {
             let s = row[x + 1];
-            // A peak is larger than its neighbours before it in reading order, and at least as large as those
-            // after it.
+            // A peak is larger than its neighbours that precede it in row-major order, and at least as large as the
+            // neighbours that follow.
             let before = above[x].max(above[x + 1]).max(above[x + 2]).max(row[x]);
             let after = below[x].max(below[x + 1]).max(below[x + 2]).max(row[x + 2]);
             if (s >= floor) & (s > before) & (s >= after) {
@@ -74,11 +76,12 @@ fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, us
     peaks
 }
 
-/// The sub-pixel position of a peak, by a parabola through its neighbours along each axis.
+/// Returns the sub-pixel position of the peak at pixel (`x`, `y`). Along each axis, this is the vertex of the
+/// parabola through the peak and its two neighbours.
 fn refined(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> Point2<f64> {
     let vertex = |before: f32, here: f32, after: f32| {
         let curvature = f64::from(before) - 2.0 * f64::from(here) + f64::from(after);
-        // A flat top has no vertex. A peak's vertex is at most half a pixel away.
+        // A flat top has no vertex. Otherwise the vertex is at most half a pixel from the peak.
         if curvature < 0.0 {
             (0.5 * (f64::from(before) - f64::from(after)) / curvature).clamp(-0.5, 0.5)
         } else {
@@ -95,9 +98,9 @@ multiversion! {
     fn min_eigenvalues(level: &PyramidLevel, radius: usize) -> Vec<f32> = min_eigenvalues_by::<V>
 }
 
-/// The smaller eigenvalue, at each pixel, of the structure tensor averaged over a triangular window (a box
-/// filter applied twice). At a corner it has a single maximum, where a box filter would give a plateau.
-/// Outside the image, the nearest border pixel is used.
+/// Returns, for each pixel, the smaller eigenvalue of the structure tensor averaged over a triangular window (a box
+/// filter applied twice). With this window, a corner is a single maximum; with a box filter, a corner would be a
+/// plateau. Outside the image, the nearest border pixel is used.
 #[inline(always)]
 fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32> {
     let (w, h) = (level.width, level.height);
@@ -124,15 +127,15 @@ fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32>
         }
         let [xx, xy, yy] = &sums.planes;
         out.extend(xx.iter().zip(xy).zip(yy).map(|((a, b), c)| {
-            // λ_min of [a b; b c]. The root is of a sum of squares; rounding can make λ slightly
-            // negative.
+            // λ_min of [a b; b c]. The square root's argument is a sum of squares, so it is not negative. Rounding
+            // can make λ_min slightly negative.
             0.5 * ((a + c) - ((a - c) * (a - c) + 4.0 * b * b).sqrt())
         }));
     }
     out
 }
 
-/// A row of structure tensors, as three planes xx, xy, yy.
+/// A row of structure tensors, stored as three planes: xx, xy, yy.
 struct Tensor {
     planes: [Vec<f32>; 3],
 }
@@ -142,7 +145,7 @@ impl Tensor {
         Self { planes: std::array::from_fn(|_| vec![0.0; width]) }
     }
 
-    /// Adds another row's values, from index `shift` on, multiplied by `factor`.
+    /// Adds the values of another row, from index `shift` on, multiplied by `factor`.
     #[inline(always)]
     fn add(&mut self, other: &Self, shift: usize, factor: f32) {
         for (plane, other) in self.planes.iter_mut().zip(&other.planes) {
@@ -152,8 +155,8 @@ impl Tensor {
         }
     }
 
-    /// Loads the products of a row's derivatives (times [`SCHARR_SCALE`] squared). The values at both ends
-    /// are repeated `margin` times.
+    /// Stores the products of the derivatives of the level's row `y`, which are scaled by [`SCHARR_SCALE`] squared.
+    /// The values at both ends are repeated `margin` times.
     #[inline(always)]
     fn load<V: F32x8>(&mut self, level: &PyramidLevel, y: usize, margin: usize) {
         let [xx, xy, yy] = &mut self.planes;
@@ -244,8 +247,8 @@ mod tests {
         }
     }
 
-    /// Reference implementation: whether a pixel is a local maximum. Of equal neighbours, the first in
-    /// reading order is.
+    /// Reference implementation: returns whether a pixel is a local maximum. Of equal neighbouring pixels, only the
+    /// first in row-major order is a local maximum.
     fn is_peak(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
         let s = strength[y * w + x];
         for ny in y.saturating_sub(1)..=(y + 1).min(h - 1) {
@@ -260,7 +263,7 @@ mod tests {
         true
     }
 
-    /// The reference computes the same strengths as simply as possible, in f64.
+    /// Compares the strengths with those of a simple implementation in f64.
     #[test]
     fn strengths_agree_with_a_naive_reference() {
         let sizes = [(1, 1), (1, 7), (8, 1), (2, 2), (3, 5), (9, 8), (17, 12), (24, 31)];

@@ -1,8 +1,8 @@
-//! §4.2: the epipolar test, which finds wrong temporal tracks by eqs. (1) to (3).
+//! §4.2: the epipolar test, which detects wrong temporal tracks by eqs. (1) to (3).
 //!
-//! A track of camera i is interpolated at the time of a frame of another camera j, the reference. Its feature
-//! is matched in that frame. If the match is off the epipolar line of the interpolated position, the track or
-//! the match is wrong.
+//! A track of camera i is interpolated at the time of a frame of another camera j, the reference. The track's
+//! feature is matched in this frame. If the match is off the epipolar line of the interpolated position, either the
+//! track or the match is wrong.
 
 use super::guided_flow::{MotionPrior, Retries};
 use super::{
@@ -13,54 +13,55 @@ use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{CaptureError, RowTimes};
 use nalgebra::Point2;
 
-/// The result of the epipolar test of a track. If several references test it, the last of their results in
-/// this order counts.
+/// The result of the epipolar test of a track. If several references test a track, the final result is the largest
+/// of their results, in the order of this enum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
-    /// No reference can test the track: its feature has no match there, or moves along the epipolar line.
+    /// No reference can test the track, because its feature has no match in a reference or moves along the epipolar
+    /// line.
     Untestable,
-    /// The feature's match in the reference (spatial correspondence) is on the epipolar line, eq. (3).
+    /// The feature's match in a reference (its spatial correspondence) is on the epipolar line, eq. (3).
     Passed,
-    /// The feature's match in the reference is off the epipolar line: the track or the match is wrong, and
+    /// The feature's match in a reference is off the epipolar line. Either the track or the match is wrong, and
     /// neither is used.
     Rejected,
 }
 
-/// A feature's position in a reference camera.
+/// A feature's position in a frame of a reference camera, and the time of the position.
 #[derive(Clone, Copy)]
 struct InReference {
-    /// Pixels.
+    /// Position in the image of the reference camera, pixels.
     position: Point2<f64>,
-    /// The time of the position, seconds on the common clock.
+    /// Time at which the position was exposed, in seconds on the common clock.
     time_s: f64,
 }
 
-/// A track to be tested.
+/// A track to be tested, with its trajectory.
 struct TestedTrack<'a> {
-    /// Index of the track.
+    /// Index of the track in the list of all tracks of the camera.
     index: usize,
     track: &'a Track,
     trajectory: Trajectory,
-    /// The track's position in the frame from which it was tracked, pixels.
+    /// Position of the track in the frame from which its feature was tracked, in pixels.
     start: Point2<f64>,
 }
 
-/// The epipolar test (§4.2) of the tracks of camera `i` between its frames `k` and `k + 1`. Returns a verdict
-/// for each track, in order.
+/// Applies the epipolar test (§4.2) to the tracks of camera `i` between its frames `k` and `k + 1`. Returns one
+/// verdict per track, in order.
 ///
-/// References are frames of other cameras, which [`select_references`] chooses for each direction of the
-/// flow. The first references ([`References::first`](super::References::first)) test all tracks. The further
-/// references test the tracks that no first reference could test. A track is rejected if one reference
-/// rejects it, and passed if one passes it and none rejects it.
+/// References are frames of other cameras. [`select_references`] chooses them separately for the forward and the
+/// backward flow. The first references ([`References::first`](super::References::first)) test all tracks. The
+/// further references test the tracks that no first reference could test. A track is rejected if at least one
+/// reference rejects it. It is passed if at least one reference passes it and none rejects it.
 ///
-/// `times_s[j]` are camera j's frame times in seconds on the common clock, `None` if its clock is unknown. If
-/// camera `i`'s clock is unknown, all tracks are untestable.
+/// `times_s[j]` holds the frame times of camera j, in seconds on the common clock. It is `None` if the camera's
+/// clock is unknown. If the clock of camera `i` is unknown, all tracks are untestable.
 ///
 /// # Errors
-/// If a frame of the camera or of a reference cannot be read.
+/// If a frame of camera `i` or of a reference cannot be read.
 ///
 /// # Panics
-/// If the camera has no frame `k + 1`, or no entry for it in `times_s`.
+/// If camera `i` has no frame `k + 1`, or if `times_s` has no entry for camera `i`.
 pub fn epipolar_check(
     frames: &FrameStore,
     times_s: &[Option<Vec<f64>>],
@@ -72,7 +73,8 @@ pub fn epipolar_check(
     let Some(own_times) = &times_s[i] else { return Ok(verdicts) };
     let interval_s = [own_times[k], own_times[k + 1]];
     let filmed = &frames.capture().cameras[i];
-    // Errors of the forward flow show at its end, t + Δt; those of the backward flow at its end, t.
+    // The error of a wrong track is largest at the end to which it was tracked: t + Δt in the forward flow, t in
+    // the backward flow.
     let directed = |is_backward: bool| {
         let (frame, time_s) = if is_backward { (k + 1, interval_s[0]) } else { (k, interval_s[1]) };
         let is_own = |track: &Track| is_backward == (track.direction == FlowDirection::Backward);
@@ -117,30 +119,32 @@ pub fn epipolar_check(
     Ok(verdicts)
 }
 
-/// Motion between the two frames, pixels, up to which a feature is always testable. A feature that moves more is
-/// testable only if [`MIN_ACROSS_FRACTION`] of its motion is perpendicular to its epipolar line.
+/// Motion between the two frames, in pixels, up to which a feature is always testable. A feature with more motion
+/// is testable only if [`MIN_ACROSS_FRACTION`] of its motion is perpendicular to its epipolar line.
 const MIN_TEST_MOTION_PX: f64 = 1.0;
 /// Minimum component of a testable feature's motion that is perpendicular to its epipolar line, as a fraction
 /// of the motion.
 const MIN_ACROSS_FRACTION: f64 = 0.1;
-/// Number of pyramid levels in the second attempt to track a feature into the reference camera. It starts
-/// from the displacement that the motion prior predicts.
+/// Number of pyramid levels in the second attempt to track a feature into the reference camera. The second attempt
+/// starts from the displacement that the motion prior predicts.
 const RETRY_LEVELS: usize = 1;
 
-/// Camera i, whose tracks are tested, and camera j, a reference camera against which they are tested.
+/// Camera i, whose tracks are tested, and camera j, the reference camera.
 struct Pair<'a> {
     camera_i: &'a Camera,
     camera_j: &'a Camera,
-    /// The times of camera j's rows: a position in its frame is tested at the time of its own row.
+    /// Times of camera j's image rows relative to the frame's time. A position in a frame of camera j is tested at
+    /// the time of its own row.
     rows_j: RowTimes,
-    /// Instant at which the epipolar constraint is tested: t' of eq. (2), seconds on the common clock. It is the time
-    /// of the middle row.
+    /// Instant t' of eq. (2) at which the epipolar constraint is tested, in seconds on the common clock. It is the
+    /// time of the middle image row.
     time_s: f64,
     options: &'a RegistrationOptions,
 }
 
 impl Pair<'_> {
-    /// Tests features, tracked from frame `source`, with one reference. Returns their verdicts in order.
+    /// Tests features against one reference. The features are tracked from the frame `source` of camera i. Returns
+    /// one verdict per feature, in order.
     fn verdicts(
         &self,
         frames: &FrameStore,
@@ -156,7 +160,7 @@ impl Pair<'_> {
         let starts: Vec<Start> =
             features.iter().map(|f| (f.start, f.trajectory.at(target_s))).collect();
         let mut matches = flow(source, &target, &starts, self.options);
-        // The position at which a feature's trajectory is when the match was exposed.
+        // The position of a feature's trajectory at the time at which the row of its match was exposed.
         let at_match = |k: usize, m: &Match| {
             features[k].trajectory.at(target_s + self.rows_j.offset_s(m.target.y))
         };
@@ -177,9 +181,9 @@ impl Pair<'_> {
         Ok(features.iter().zip(matched).map(verdict).collect())
     }
 
-    /// Tracks matched features from a frame of the reference camera to its next frame, and replaces their
-    /// positions in `matched` by those at `self.time_s`, linearly interpolated; `None` if lost. The two
-    /// frames are at `first_s` and `next_s`, seconds on the common clock.
+    /// Tracks matched features from a frame of the reference camera to the camera's next frame. Replaces their
+    /// positions in `matched` by positions that are linearly interpolated at `self.time_s`. Lost features become
+    /// `None`. The times of the two frames are `first_s` and `next_s`, in seconds on the common clock.
     fn interpolate(
         &self,
         [frame, next]: [&Frame; 2],
@@ -208,10 +212,11 @@ impl Pair<'_> {
         }
     }
 
-    /// Tracks features again that have no match, or whose match is off their epipolar line. There are two
-    /// initial guesses: the position predicted by the trajectory plus the neighbours' disparity, and the
-    /// position in the source frame plus the neighbours' displacement. The match with the smallest residual
-    /// is used. `at_match` gives a feature's position in camera i at the time of its match.
+    /// Tracks features again if they have no match, or if their match is off their epipolar line. Two initial
+    /// guesses are tried. The first is the position predicted by the trajectory, plus the disparity of neighbouring
+    /// features. The second is the position in the source frame, plus the displacement of neighbouring features.
+    /// The match with the smallest residual is used. `at_match` returns a feature's position in camera i at the
+    /// time of its match.
     fn retry(
         &self,
         frames: [&Frame; 2],
@@ -239,8 +244,9 @@ impl Pair<'_> {
         }
     }
 
-    /// Applies eq. (3) to a feature and its position in the reference, pixels. `None` if the reference cannot
-    /// test it.
+    /// Applies eq. (3) to a feature and its position in the reference camera. Returns `None` if the reference
+    /// cannot test the feature: the feature has no position in it, no epipolar line, or moves along the epipolar
+    /// line.
     fn verdict(
         &self,
         feature: &TestedTrack,
@@ -255,8 +261,8 @@ impl Pair<'_> {
         if line.distance(&p_j).abs() > self.options.epipolar_tolerance_px {
             return Some(Verdict::Rejected);
         }
-        // An error along the epipolar line can't be detected. A motion can be tested only if it moves the
-        // feature's epipolar line enough.
+        // An error along the epipolar line can't be detected. A feature is therefore testable only if its motion
+        // shifts its epipolar line by a minimum fraction of the motion.
         let motion = feature.track.motion();
         let start = geometry.line_in_j(&ideal_i(&feature.track.earlier)?)?;
         let end = geometry.line_in_j(&ideal_i(&feature.track.later)?)?;

@@ -1,42 +1,45 @@
-//! §4.1: sparse optical flow between two frames, of one camera (temporal flow) or of two (spatial
-//! flow).
+//! §4.1: sparse optical flow between two frames. The frames are from one camera (temporal flow) or from two cameras
+//! (spatial flow).
 
 use super::{Frame, KltParameters, RegistrationOptions, Tracked, Tracker};
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
 
-/// Number of pyramid levels for tracking back, where the initial guess is close to the result.
+/// Number of pyramid levels for tracking backward. The initial guess is close to the result, so that two levels are
+/// sufficient.
 const BACKWARD_LEVELS: usize = 2;
-/// Height of the horizontal bands in which points are tracked together, pixels. A band's windows fit the
-/// processor's cache.
+/// Height of the horizontal bands in which points are tracked together, in pixels. The windows of one band fit into
+/// the processor's cache.
 const BAND_PX: f64 = 24.0;
-/// Minimum number of points in one task of a thread.
+/// Minimum number of points in one parallel task.
 const CHUNK: usize = 128;
 
 /// A correspondence between two frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Match {
-    /// The point in the source frame, pixels.
+    /// Position in the source frame, pixels.
     pub source: Point2<f64>,
-    /// The point in the target frame, pixels.
+    /// Position in the target frame, pixels.
     pub target: Point2<f64>,
-    /// The linear part of the motion around the point; the identity where its window is only translated.
+    /// Linear part (2×2 matrix) of the affine motion around the point. It is the identity if the window was tracked
+    /// by translation only.
     pub deformation: Matrix2<f64>,
     /// Mean absolute difference of the two windows' grey values, which are in 0..=1.
     pub residual: f64,
-    /// Forward–backward error: the distance in pixels from `source` to the point that `target` is
-    /// tracked back to.
+    /// Forward–backward error: the distance, in pixels, from `source` to the position to which `target` is tracked
+    /// back.
     pub forward_backward_error_px: f64,
 }
 
-/// A point in the source frame, and the initial guess of its position in the target frame; pixels.
+/// A point in the source frame, and the initial guess of its position in the target frame. Both are in pixels.
 pub type Start = (Point2<f64>, Point2<f64>);
 
-/// Sparse optical flow (§4.1): tracks points from one frame to another, each from its own initial guess, and
-/// back again.
+/// Computes sparse optical flow (§4.1): tracks points from one frame to another, each from its own initial guess,
+/// and back again.
 ///
-/// The result is in the order of `starts`, independent of the number of threads. It is `None` where a point
-/// is lost or exceeds a threshold of [`RegistrationOptions::consistency`].
+/// Returns one entry per start, in order. The result does not depend on the number of threads. An entry is `None`
+/// if the point is lost, or if its residual or its forward–backward error exceeds the threshold of
+/// [`RegistrationOptions::consistency`].
 pub fn flow(
     source: &Frame,
     target: &Frame,
@@ -46,7 +49,8 @@ pub fn flow(
     flow_over([source, target], starts, [options.levels, BACKWARD_LEVELS], options)
 }
 
-/// [`flow`] with given numbers of pyramid levels, the finest ones, for tracking forward and backward.
+/// Computes [`flow`] with given numbers of pyramid levels for tracking forward and backward. The finest levels are
+/// used.
 pub(super) fn flow_over(
     frames: [&Frame; 2],
     starts: &[Start],

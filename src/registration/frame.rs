@@ -1,4 +1,4 @@
-//! A frame with its pyramid, corners and gradients.
+//! Video frames, prepared for registration.
 
 use super::polar_gradients::{PolarGradients, polar_gradients};
 use super::pyramid::PyramidLevel;
@@ -7,43 +7,43 @@ use crate::raster::Image;
 use nalgebra::Point2;
 use std::sync::{Arc, OnceLock};
 
-/// A frame with its pyramid, corners and gradients.
+/// A video frame with its pyramid, corners and gradients.
 #[derive(Debug)]
 pub struct Frame {
-    /// The image as filmed.
+    /// Image as filmed, without gain correction.
     pub image: Image,
-    /// The pyramid for tracking, of the image gain-corrected to the reference camera's exposure.
+    /// Pyramid for tracking. It is built from the image after gain correction to the reference camera's exposure.
     pub pyramid: Arc<Pyramid>,
     corners: OnceLock<Vec<Point2<f64>>>,
     gradients: OnceLock<PolarGradients>,
 }
 
 impl Frame {
-    /// A frame whose pyramid is that of the image as filmed, without gain correction.
+    /// Creates a frame whose pyramid is built from `image` without gain correction.
     pub fn new(image: Image, options: &RegistrationOptions) -> Self {
         let pyramid = Arc::new(Pyramid::new(&image, options.levels, options.pad_px()));
         let (corners, gradients) = (OnceLock::new(), OnceLock::new());
         Self { image, pyramid, corners, gradients }
     }
 
-    /// The frame with its image at another exposure. It shares the pyramid.
+    /// Returns the frame with another image, which shows the same at another exposure. Both share the pyramid.
     pub(super) fn with_image(&self, image: Image) -> Self {
         let (corners, gradients) = (OnceLock::new(), OnceLock::new());
         Self { image, pyramid: self.pyramid.clone(), corners, gradients }
     }
 
-    /// The frame's corners (§4.1), pixels. They are computed by the first call, with its options; later calls
-    /// return the same.
+    /// Returns the frame's corners (§4.1), in pixels. The first call computes the corners with its `options`. Later
+    /// calls return the same corners and ignore their `options`.
     pub fn corners(&self, options: &RegistrationOptions) -> &[Point2<f64>] {
         self.corners.get_or_init(|| corners(&self.pyramid.levels[0], options.max_corners))
     }
 
-    /// Gradients for the descriptors of rotating patches. They are computed by the first call.
+    /// Returns the gradients for the SIFT descriptors of rotating patches. The first call computes the gradients.
     pub(super) fn gradients(&self) -> &PolarGradients {
         self.gradients.get_or_init(|| polar_gradients(&self.pyramid))
     }
 
-    /// Size in memory, bytes, of a frame of this width and height: image, pyramid and gradients.
+    /// Returns the size in memory, in bytes, of a frame of this width and height: its image, pyramid and gradients.
     pub(super) fn bytes_of(
         size: [usize; 2],
         channels: usize,

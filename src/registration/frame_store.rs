@@ -5,41 +5,41 @@ use crate::capture::{Capture, CaptureError, Color};
 use crate::host::Memo;
 use std::sync::Arc;
 
-/// The frames of a capture. They are decoded and prepared for registration when they are first used, and then
-/// cached.
+/// The frames of a capture. A frame is decoded and prepared for registration when it is first used. It is then
+/// cached in memory.
 #[derive(Clone)]
 pub struct FrameStore {
     capture: Arc<Capture>,
     options: RegistrationOptions,
-    /// The memo, which is the cache in memory that holds the frames.
+    /// The in-memory cache ("memo") that holds the frames.
     pub memo: Arc<Memo>,
-    /// Camera and index of every frame that has been decoded, in order; for tests.
+    /// (Camera index, frame index) of every decoded frame, in the order of decoding. For tests.
     #[cfg(test)]
     pub(crate) decoded: Arc<std::sync::Mutex<Vec<(usize, usize)>>>,
 }
 
-/// Minimum size of the default memo, bytes. Between this and [`MAX_BYTES`], the size is proportional to that
-/// of the cameras' images.
+/// Minimum size of the default in-memory cache, in bytes. Between this minimum and [`MAX_BYTES`], the size is
+/// proportional to the size of the cameras' images.
 const MIN_BYTES: usize = 208 << 20;
-/// Maximum size of the default memo, bytes. It is enough for eight cameras of 1920×1080: their frames, and
-/// their depth and motion maps, in two of the time intervals in which scene flow is estimated.
+/// Maximum size of the default in-memory cache, in bytes. For eight cameras of 1920×1080 pixels, the cache can hold
+/// the frames and their depth and motion maps for two of the time intervals in which scene flow is estimated.
 const MAX_BYTES: usize = 1 << 30;
 
-/// Size of the default memo, in frames of each camera. It is enough for all data from which views at one
-/// instant are rendered.
+/// Size of the default in-memory cache, as a number of frames of each camera. This is sufficient for all data from
+/// which views at one instant are rendered.
 const FRAMES_OF_INSTANT: usize = 3;
 
-/// Maximum number of cached frames per camera. It bounds the memory for a long recording of small images.
+/// Maximum number of cached frames per camera. It limits the memory that a long recording of small images takes.
 const MAX_FRAMES: usize = 24;
 
-/// Name, in the memo, of the stage that decodes a frame.
+/// Name under which the in-memory cache holds decoded frames.
 const FRAME_STAGE: &str = "frame";
 
-/// Name, in the memo, of the stage that estimates the gains.
+/// Name under which the in-memory cache holds estimated gains.
 const GAINS_STAGE: &str = "gains";
 
 impl FrameStore {
-    /// A store with a memo of its own, of the default size.
+    /// Creates a store with its own in-memory cache of the default size.
     pub fn new(capture: Arc<Capture>, options: &RegistrationOptions) -> Self {
         let cameras = 0..capture.cameras.len();
         let instant: usize = cameras.map(|c| bytes_of(&capture, c, options)).sum();
@@ -47,7 +47,7 @@ impl FrameStore {
         Self::with_memo(capture, options, Arc::new(Memo::new(max_bytes)))
     }
 
-    /// A store whose frames are cached in a memo, which must not hold frames of another capture.
+    /// Creates a store whose frames are cached in `memo`. `memo` must not hold frames of another capture.
     pub fn with_memo(
         capture: Arc<Capture>,
         options: &RegistrationOptions,
@@ -62,17 +62,18 @@ impl FrameStore {
         }
     }
 
-    /// The capture to which the frames belong.
+    /// Returns the capture to which the frames belong.
     pub fn capture(&self) -> &Arc<Capture> {
         &self.capture
     }
 
-    /// The options of registration.
+    /// Returns the options of registration.
     pub fn options(&self) -> &RegistrationOptions {
         &self.options
     }
 
-    /// Frame `index` of camera `camera`; both are indices into the capture.
+    /// Returns frame `index` of camera `camera`; both are indices into the capture. The frame is decoded if it is
+    /// not cached.
     ///
     /// # Errors
     /// If the frame cannot be read.
@@ -87,7 +88,7 @@ impl FrameStore {
         let image = self.capture.read_frame(camera, index)?;
         #[cfg(test)]
         self.decoded.lock().unwrap().push((camera, index));
-        // The pyramid is of the gain-corrected image.
+        // The pyramid is built from the gain-corrected image, while `image` remains as filmed.
         let time_s = self.capture.cameras[camera].clock.times_s[index];
         let frame = match self.gains().corrected(camera, time_s, &image) {
             None => Frame::new(image, &self.options),
@@ -100,8 +101,8 @@ impl FrameStore {
         Ok(self.memo.insert(FRAME_STAGE, &inputs, Arc::new(frame), self.bytes_of(camera)))
     }
 
-    /// Frame `index` of camera `camera`, with its image as the camera would have exposed it at a time on its own clock,
-    /// seconds. It is converted anew by each call if the camera's gains change.
+    /// Returns frame `index` of camera `camera`, with its image as the camera would have exposed it at `time_s`,
+    /// seconds on the camera's own clock. If the camera's gains change, every call converts the image.
     ///
     /// # Errors
     /// If the frame cannot be read.
@@ -120,22 +121,22 @@ impl FrameStore {
         Ok(image.map_or_else(|| frame.clone(), |image| Arc::new(frame.with_image(image))))
     }
 
-    /// Whether `frames_each` frames of each of these cameras fit the memo together.
+    /// Returns whether `frames_each` frames of each of these cameras fit the in-memory cache at the same time.
     pub fn fits(&self, cameras: impl Iterator<Item = usize>, frames_each: usize) -> bool {
         let bytes: usize = cameras.map(|c| self.bytes_of(c)).sum();
         bytes.saturating_mul(frames_each) <= self.memo.max_bytes()
     }
 
-    /// The size, bytes, that the memo assumes for one frame of a camera. It is at least so large that
-    /// [`MAX_FRAMES`] frames of every camera fill the memo.
+    /// Returns the size, in bytes, that is reserved in the in-memory cache for one frame of a camera. It is raised
+    /// so that at most [`MAX_FRAMES`] frames of every camera fit.
     fn bytes_of(&self, camera: usize) -> usize {
         let max_frames = MAX_FRAMES * self.capture.cameras.len();
         let min_bytes = self.memo.max_bytes().div_ceil(max_frames);
         bytes_of(&self.capture, camera, &self.options).max(min_bytes)
     }
 
-    /// The cameras' gains, estimated from the images. All 1 for a single camera, or if
-    /// [`RegistrationOptions::gains`] is [`GainMethod::Equal`].
+    /// Returns the cameras' gains, which are loaded from disk or estimated from the images. All gains are 1 for a
+    /// single camera, or if [`RegistrationOptions::gains`] is [`GainMethod::Equal`].
     pub fn gains(&self) -> Arc<Gains> {
         if let Some(gains) = self.memo.get(GAINS_STAGE, &self.options) {
             return gains;
@@ -152,10 +153,10 @@ impl FrameStore {
         self.memo.insert(GAINS_STAGE, &self.options, Arc::new(gains), bytes)
     }
 
-    /// Stores the gains on disk, unless they are already there; returns their size in bytes.
+    /// Stores the gains on disk, unless they are already stored. Returns their size on disk in bytes.
     ///
     /// # Errors
-    /// If they can't be written.
+    /// If the gains can't be written.
     pub(crate) fn store_gains(&self) -> Result<u64, CaptureError> {
         let stored = match self.capture.stored(Gains::KIND, &self.options) {
             None => self.capture.store(Gains::KIND, &self.options, &*self.gains())?,
@@ -165,7 +166,7 @@ impl FrameStore {
     }
 }
 
-/// The size in memory of one of a camera's frames, bytes.
+/// Returns the size in memory of one frame of a camera, in bytes.
 fn bytes_of(capture: &Capture, camera: usize, options: &RegistrationOptions) -> usize {
     let filmed = &capture.cameras[camera];
     let channels = match filmed.color {

@@ -44,8 +44,8 @@ const MIN_CORRELATION: f64 = 0.9;
 /// outnumber still blocks.
 const MIN_STILL_FRACTION: f64 = 0.2;
 
-/// For each camera of a capture, the change of its gains over its recording. Frames that can't be read are left out;
-/// the error is reported when they are used.
+/// Estimates the change of each camera's gains over its recording. Frames that can't be read are left out. The read
+/// error is reported later, when the frame is used.
 pub(super) fn gain_curves(capture: &Capture) -> Vec<GainCurve> {
     let count = capture.cameras.len();
     let mut curves = vec![GainCurve::default(); count];
@@ -68,7 +68,7 @@ pub(super) fn gain_curves(capture: &Capture) -> Vec<GainCurve> {
     curves
 }
 
-/// The cameras whose gains change, but not as those of all other cameras.
+/// Returns the cameras whose gains change, but not as those of all other cameras.
 fn changing(all: &[Series]) -> Vec<usize> {
     let differs = |c: usize| (0..all.len()).any(|d| d != c && all[c].differs(&all[d]));
     (0..all.len()).filter(|&c| all[c].changes() && differs(c)).collect()
@@ -101,8 +101,8 @@ impl Series {
         Self::solve(&samples, middle, &times_s.collect::<Vec<f64>>())
     }
 
-    /// The gains of samples relative to sample `middle`, from ratios between successive samples, and between each
-    /// sample and the middle one.
+    /// Computes the gains of samples relative to sample `middle`, from ratios between successive samples, and between
+    /// each sample and the middle one.
     fn solve(samples: &[Option<Sample>], middle: usize, times_s: &[f64]) -> Self {
         let successive = (1..samples.len()).map(|k| [k - 1, k]);
         let others = (0..samples.len()).filter(|k| k.abs_diff(middle) > 1);
@@ -128,13 +128,13 @@ impl Series {
         self.0.iter().map(|sample| sample.gains[channel]).collect()
     }
 
-    /// Whether the gain of any channel changes significantly.
+    /// Returns whether the gain of any channel changes significantly.
     fn changes(&self) -> bool {
         (0..3).any(|c| LogGain::vary(&self.channel(c)))
     }
 
-    /// Whether the gain of any channel changes significantly relative to that of another camera. Clocks are compared
-    /// without their offset, which is not yet known.
+    /// Returns whether the gain of any channel changes significantly relative to that of another camera. Clocks are
+    /// compared without their offset, which is not yet known.
     fn differs(&self, other: &Self) -> bool {
         let (Some(first), Some(last)) = (other.0.first(), other.0.last()) else { return false };
         let within = |s: &&SampledGains| (first.time_s..=last.time_s).contains(&s.time_s);
@@ -149,13 +149,13 @@ impl Series {
         })
     }
 
-    /// The curve of the channels whose gains change significantly; constant if there are none.
+    /// Returns the curve of the channels whose gains change significantly. It is constant if there are none.
     fn curve(&self) -> GainCurve {
         let change = [0, 1, 2].map(|c| LogGain::vary(&self.channel(c)));
         if change.contains(&true) { self.curve_of(change) } else { GainCurve::default() }
     }
 
-    /// The curve through all samples, with the gains of the selected channels.
+    /// Returns the curve through all samples, with the gains of the selected channels.
     fn curve_of(&self, channels: [bool; 3]) -> GainCurve {
         let log = |s: &SampledGains, c: usize| if channels[c] { s.gains[c].log } else { 0.0 };
         let knot =
@@ -164,8 +164,8 @@ impl Series {
     }
 }
 
-/// About `count` of a recording's frames, ascending and spread evenly, with the first, the middle and the last one;
-/// and the position of the middle frame among them.
+/// Returns about `count` of a recording's frames, ascending and spread evenly, with the first, the middle and the last
+/// one; and the position of the middle frame among them.
 fn spread(frames: usize, count: usize) -> (Vec<usize>, usize) {
     let last = frames.saturating_sub(1);
     let steps = count.saturating_sub(1).max(1);
@@ -199,7 +199,7 @@ impl Sample {
         Self { width, height, channels, logs }
     }
 
-    /// The pixels of block row `y`, column `x`.
+    /// Returns the pixels of the block in row `y` and column `x` of blocks.
     fn block(&self, [x, y]: [usize; 2]) -> impl Iterator<Item = &[f32]> {
         let row = move |dy: usize| {
             let first = self.channels * ((y * BLOCK_PX + dy) * self.width + x * BLOCK_PX);
@@ -209,8 +209,8 @@ impl Sample {
     }
 }
 
-/// For each still block, the logarithm of the ratio of its light in `b` to that in `a`, by channel. Both are frames of
-/// one camera. Empty if too few of the blocks are still.
+/// Returns, for each still block, the logarithm of the ratio of its light in `b` to that in `a`, by channel. Both are
+/// frames of one camera. The result is empty if too few of the blocks are still.
 fn still_ratios(a: &Sample, b: &Sample) -> Vec<[f64; 3]> {
     let [columns, rows] = [a.width / BLOCK_PX, a.height / BLOCK_PX];
     let places = (0..rows * columns).map(|k| [k % columns, k / columns]);
@@ -231,8 +231,8 @@ struct BlockRatio {
 }
 
 impl BlockRatio {
-    /// Compares a block of two frames; `None` without texture in both, or with fewer than [`MIN_PIXELS`] pixels that
-    /// are usable in both.
+    /// Compares a block of two frames. Returns `None` if the block lacks texture in one of them, or if fewer than
+    /// [`MIN_PIXELS`] pixels are usable in both.
     fn with_texture(a: &Sample, b: &Sample, at: [usize; 2]) -> Option<Self> {
         let both =
             || a.block(at).zip(b.block(at)).filter(|(a, b)| !a[0].is_nan() && !b[0].is_nan());

@@ -23,31 +23,32 @@ pub struct GainKnot {
 const MAX_LOG: f64 = 14.0;
 
 impl GainCurve {
-    /// The curve through these knots, whose times must ascend.
+    /// Creates the curve through these knots, whose times must ascend.
     pub fn new(knots: Vec<GainKnot>) -> Self {
         debug_assert!(knots.windows(2).all(|w| w[0].time_s < w[1].time_s));
         Self { knots }
     }
 
-    /// Whether the camera's gains don't change.
+    /// Returns whether the camera's gains don't change.
     pub fn is_constant(&self) -> bool {
         self.knots.is_empty()
     }
 
-    /// The size of the knots in memory, bytes.
+    /// Returns the size of the knots in memory, bytes.
     pub(super) fn bytes(&self) -> usize {
         size_of_val(&self.knots[..])
     }
 
-    /// Whether a curve that was read from a file is valid.
+    /// Returns whether a curve that was read from a file is valid.
     pub(super) fn is_plausible(&self) -> bool {
         let is_log = |knot: &GainKnot| knot.log.iter().all(|l| l.abs() <= MAX_LOG);
         let ascend = self.knots.windows(2).all(|w| w[0].time_s < w[1].time_s);
         ascend && self.knots.iter().all(|k| k.time_s.is_finite() && is_log(k))
     }
 
-    /// The logarithm of the gains at a time on the camera's own clock, seconds, relative to the middle frame. Before
-    /// the first knot it is that of the first knot, after the last knot that of the last one; 0 without knots.
+    /// Returns the logarithm of the gains at `time_s`, seconds on the camera's own clock, relative to the middle frame.
+    /// Before the first knot, it is the logarithm of the first knot; after the last knot, that of the last one. It is 0
+    /// without knots.
     pub fn log_at(&self, time_s: f64) -> [f64; 3] {
         let after = self.knots.partition_point(|k| k.time_s <= time_s);
         let (before, after) = (after.checked_sub(1), self.knots.get(after));
@@ -61,7 +62,7 @@ impl GainCurve {
         }
     }
 
-    /// The largest change of a gain, as a ratio minus 1.
+    /// Returns the largest change of a gain, as a ratio minus 1.
     pub fn largest_change(&self) -> f64 {
         let range = |c: usize| {
             let logs = || self.knots.iter().map(|k| k.log[c]);

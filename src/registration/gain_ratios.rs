@@ -29,7 +29,7 @@ pub(super) struct Ratio {
 }
 
 impl Ratio {
-    /// The median of log ratios of single surfaces, by channel; `None` for fewer than [`MIN_SAMPLES`].
+    /// Returns the median of log ratios of single surfaces, by channel. Returns `None` for fewer than [`MIN_SAMPLES`].
     pub fn of_samples(images: [usize; 2], logs: &[[f64; 3]]) -> Option<Self> {
         if logs.len() < MIN_SAMPLES {
             return None;
@@ -54,7 +54,7 @@ pub(super) struct LogGain {
 }
 
 impl LogGain {
-    /// Whether any two of these gains differ significantly.
+    /// Returns whether any two of these gains differ significantly.
     pub fn vary(gains: &[Self]) -> bool {
         let differ = |a: &Self, b: &Self| {
             let std_err = a.std_err.hypot(b.std_err);
@@ -64,8 +64,8 @@ impl LogGain {
     }
 }
 
-/// The weighted least-squares solution for all images' gains, by image and channel. `None` if the image is not
-/// connected to the reference image by ratios. The reference image's gains are 1.
+/// Solves for the gains of all images by weighted least squares, by image and channel. `None`: the image is not
+/// connected to the reference image by ratios. The gains of the reference image are 1.
 pub(super) fn solve_log_gains(
     images: usize,
     reference: usize,
@@ -94,7 +94,8 @@ pub(super) fn solve_log_gains(
                 true => LogGain { log: 0.0, std_err: 0.0 },
                 false => LogGain { log: logs[image], std_err },
             };
-            // A standard error close to the prior's means that the image has no ratio to any other.
+            // A standard error above a tenth of the prior's standard deviation means that the image is not compared
+            // with the reference image.
             gains[c] =
                 (gain.log.exp().is_finite() && gain.std_err <= 0.1 * PRIOR_STD_ERR).then_some(gain);
         }
@@ -102,13 +103,13 @@ pub(super) fn solve_log_gains(
     gains
 }
 
-/// The upper median; there is at least one value.
+/// Returns the upper median. There must be at least one value.
 pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
 }
 
-/// The image, halved until it is at most `width_px` wide.
+/// Halves the width and height of an image until it is at most `width_px` wide.
 pub(super) fn shrunk(mut image: Image, width_px: usize) -> Image {
     while image.width() > width_px && image.height() > 1 {
         image = halved(&image);
@@ -116,7 +117,7 @@ pub(super) fn shrunk(mut image: Image, width_px: usize) -> Image {
     image
 }
 
-/// The image at half its width and height, by means of 2×2 pixels; an odd last row or column is dropped.
+/// Halves the width and height of an image by averaging 2×2 pixels. An odd last row or column is dropped.
 pub(crate) fn halved(image: &Image) -> Image {
     let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
     let value = |k: usize| {

@@ -1,15 +1,12 @@
-//! Photometric calibration (beyond the paper): the gain of each camera relative to the reference camera, due
-//! to exposure and white balance, and its change over the recording.
+//! Photometric calibration (beyond the paper): estimates the gain of each camera relative to the reference camera.
+//! Gains differ because of exposure and white balance, and may change over the recording ([`GainCurve`]).
 //!
-//! Features of each camera's frame are matched in the frames of its nearest neighbours, after a rough
-//! correction by median brightness. The ratios of their linear light, channel by channel, are solved for all
-//! cameras' gains by weighted least squares. Cameras whose gains do not differ significantly from 1 are not
-//! corrected. The changes over a recording are those of [`GainCurve`].
+//! Features of one frame of each camera are matched in the frames of the nearest cameras, after a rough correction
+//! by median brightness. The ratios of the matched features' linear light determine all cameras' gains by weighted
+//! least squares, separately for each channel. Gains that do not differ significantly from 1 are not corrected.
 //!
-//! The common exposure, to which images are corrected, is that of the reference camera's middle frame.
-//!
-//! Known limits: there is one gain for the whole image (no vignetting). Cameras whose frames have no features in
-//! common are assumed to have the same gains.
+//! Known limits: there is one gain for the whole image (no vignetting). Cameras whose frames have no features in common
+//! are assumed to have the same gains.
 
 use super::gain_changes::{MAX_KNOTS, gain_curves};
 use super::gain_curve::{GainCurve, GainKnot};
@@ -24,39 +21,41 @@ use nalgebra::Point2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// The gains of a capture's cameras, by channel: the ratio of the linear light that a camera records to the
-/// linear light that the reference camera records of the same surface in its middle frame.
+/// The gains of a capture's cameras, by colour channel. A gain is the ratio of the linear light that a camera
+/// records of a surface to the linear light that the reference camera records of the same surface in its middle frame.
+/// The exposure of that frame is the common exposure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    /// For each camera the gains of red, green and blue at its middle frame; three equal ones for a grey camera.
+    /// The gains of red, green and blue of each camera in its middle frame. For a grey camera, the three gains are
+    /// equal.
     pub factors: Vec<[f64; 3]>,
-    /// For each camera the change of its gains over its recording.
+    /// The change of each camera's gains over its recording.
     pub curves: Vec<GainCurve>,
-    /// The largest measured difference of a gain from 1, significant or not, and its standard error; (0, 0)
-    /// if no cameras were compared.
+    /// The largest measured difference of a gain from 1, and the standard error of this gain. The difference may be
+    /// insignificant. (0, 0) if no cameras were compared.
     pub largest: (f64, f64),
 }
 
-/// Number of nearest cameras that each camera is compared with.
+/// Number of nearest cameras with which each camera is compared.
 const NEIGHBORS: usize = 2;
-/// Maximum width of the compared images, pixels; larger images are halved repeatedly.
+/// Maximum width of the compared images, in pixels. The size of a larger image is halved repeatedly.
 const WIDTH_PX: usize = 250;
-/// Range of gains that are accepted when they are read from disk.
+/// Range of gains that are accepted when gains are read from disk.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Half-width of the windows whose mean linear light is compared, pixels.
 const RADIUS_PX: isize = 2;
 
 impl Gains {
-    /// The kind of the gains' entries in the disk cache.
+    /// Kind of the disk-cache entries that hold gains.
     pub(crate) const KIND: CacheKind = CacheKind { name: "gains", version: 2 };
 
-    /// Gains of 1 for this many cameras.
+    /// Returns gains of 1 for this number of cameras.
     pub fn equal(cameras: usize) -> Self {
         let curves = vec![GainCurve::default(); cameras];
         Self { factors: vec![[1.0; 3]; cameras], curves, largest: (0.0, 0.0) }
     }
 
-    /// Whether gains that were read from a file are valid for this many cameras.
+    /// Returns whether gains that were read from a file are valid for this number of cameras.
     pub(crate) fn are_plausible(&self, cameras: usize) -> bool {
         let (difference, std_err) = self.largest;
         let are_measured = [difference, std_err].iter().all(|v| v.is_finite() && *v >= 0.0);
@@ -65,24 +64,24 @@ impl Gains {
         are_measured && are_gains && are_all && self.curves.iter().all(GainCurve::is_plausible)
     }
 
-    /// Upper bound on the size on disk of the gains of this many cameras, bytes.
+    /// Returns an upper bound on the size on disk of the gains of this number of cameras, bytes.
     pub(crate) fn max_stored_bytes(cameras: usize) -> usize {
         cameras * (size_of::<[f64; 3]>() + MAX_KNOTS * size_of::<GainKnot>() + size_of::<usize>())
     }
 
-    /// The size in memory, bytes.
+    /// Returns the size in memory, bytes.
     pub(super) fn bytes(&self) -> usize {
         let curves = self.curves.iter().map(|curve| size_of::<GainCurve>() + curve.bytes());
         size_of_val(&self.factors[..]) + curves.sum::<usize>()
     }
 
-    /// Whether all gains are always 1, so that nothing is corrected.
+    /// Returns whether all gains are always 1, so that no image is corrected.
     pub fn are_equal(&self) -> bool {
         self.factors.iter().all(|f| *f == [1.0; 3])
             && self.curves.iter().all(GainCurve::is_constant)
     }
 
-    /// The gains of red, green and blue of a camera at a time on its own clock, seconds.
+    /// Returns the gains of red, green and blue of a camera at `time_s`, seconds on the camera's own clock.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -95,8 +94,9 @@ impl Gains {
         [0, 1, 2].map(|c| factors[c] * log[c].exp())
     }
 
-    /// A camera's image (encoded values), exposed at a time on its own clock in seconds, gain-corrected to the common
-    /// exposure; `None` if the gains are 1. Values may leave 0..=1.
+    /// Converts a camera's image (gamma-encoded values) to the common exposure. The camera exposed the image at
+    /// `time_s`, seconds on its own clock. Returns `None` if its gains are 1 at this time. Values of the result may be
+    /// outside 0..=1.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -105,8 +105,9 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors.map(|f| 1.0 / f)))
     }
 
-    /// The inverse of [`Self::corrected`]: converts an image (encoded values) with the common exposure to the exposure
-    /// of `camera` at a time on its own clock, seconds; `None` if the gains are 1.
+    /// Converts an image (gamma-encoded values) from the common exposure to the exposure of `camera` at `time_s`,
+    /// seconds on the camera's own clock. This is the inverse of [`Self::corrected`]. Returns `None` if the camera's
+    /// gains are 1 at this time.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -115,8 +116,9 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors))
     }
 
-    /// A camera's image (encoded values), converted from its exposure at one time on its own clock to that at another,
-    /// seconds; `None` if they are the same. Values may exceed 1.
+    /// Converts a camera's image (gamma-encoded values) from the camera's exposure at time `from_s` to its exposure at
+    /// time `to_s`, seconds on the camera's own clock. Returns `None` if both are the same. Values of the result may
+    /// exceed 1.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -131,8 +133,8 @@ impl Gains {
         (from != to).then(|| scaled(image, [0, 1, 2].map(|c| (to[c] - from[c]).exp())))
     }
 
-    /// Estimates the gains from one frame of each camera, in the middle of its recording, and their changes from a few
-    /// more. A camera whose frame cannot be read is left out; the error is reported when the frame is used.
+    /// Estimates the gains from the middle frame of each camera's recording, and their changes from more frames. A
+    /// camera whose middle frame cannot be read is left out. The read error is reported later, when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
         let count = capture.cameras.len();
         let small_image = |c: usize| {
@@ -160,8 +162,8 @@ impl Gains {
         };
         let ratios: Vec<Ratio> = neighbors(capture).into_iter().filter_map(ratio).collect();
         let mut gains = solve_gains(count, capture.reference, &ratios);
-        // If a grey camera is compared with colour cameras, its solution differs by channel. It gets the
-        // luminance of the three gains for all channels.
+        // The comparison of a grey camera with colour cameras gives a different gain for each channel. The
+        // luminance of the three gains replaces all of them.
         for (factors, image) in gains.factors.iter_mut().zip(&images) {
             let is_gray = image.as_ref().is_some_and(|i| i.channels() == 1);
             if is_gray && *factors != [1.0; 3] {
@@ -173,13 +175,14 @@ impl Gains {
     }
 }
 
-/// The luminance of linear light, as three equal channels.
+/// Returns the luminance of linear light, repeated for all three channels.
 fn luminance([r, g, b]: [f64; 3]) -> [f64; 3] {
     let [x, y, z] = LUMINANCE;
     [x * r + y * g + z * b; 3]
 }
 
-/// The pairs of each camera with its nearest neighbours; every pair occurs once.
+/// Returns the pairs of each camera with its [`NEIGHBORS`] nearest cameras, as camera indices. Every pair occurs
+/// once.
 fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs = Vec::new();
@@ -194,7 +197,8 @@ fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     pairs
 }
 
-/// The image with its linear light multiplied by a factor per channel; for a grey image, by the first factor.
+/// Multiplies the linear light of a gamma-encoded image by one factor per channel. For a grey image, the first
+/// factor is used.
 fn scaled(image: &Image, factors: [f64; 3]) -> Image {
     let channels = image.channels();
     let value = |(k, v): (usize, &f32)| {
@@ -204,8 +208,8 @@ fn scaled(image: &Image, factors: [f64; 3]) -> Image {
     Image::from_data(image.width(), image.height(), channels, data)
 }
 
-/// The mean linear light, by channel, of the window around a point in pixels. `None` if the window leaves the
-/// image or has a value outside [`USABLE`].
+/// Returns the mean linear light, by channel, of the window around a point in pixels. Returns `None` if the window
+/// leaves the image or has a value outside [`USABLE`].
 fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     let (cx, cy) = (at.x.floor() as isize, at.y.floor() as isize);
     let (w, h) = (image.width() as isize, image.height() as isize);
@@ -229,8 +233,8 @@ fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     Some(sums.map(|sum| sum / area))
 }
 
-/// The median ratio of the light of `cameras[1]` to that of `cameras[0]` over matched features, whose positions are
-/// pixels of `images`; `None` for too few of them.
+/// Returns the median ratio of the light of `cameras[1]` to that of `cameras[0]` over matched features. `matches` are
+/// from pixels of `images[0]` to pixels of `images[1]`. Returns `None` if too few features are usable.
 fn ratio_between(
     cameras: [usize; 2],
     images: [&Image; 2],
@@ -246,8 +250,8 @@ fn ratio_between(
     Ratio::of_samples(cameras, &matches.iter().flatten().filter_map(log).collect::<Vec<_>>())
 }
 
-/// The weighted least-squares solution for all cameras' gains, those that differ significantly from 1. The reference
-/// camera's are 1.
+/// Solves for the gains of all cameras. Gains that don't differ significantly from 1, and those of the reference
+/// camera, are 1.
 fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
     let mut gains = Gains::equal(cameras);
     let logs = solve_log_gains(cameras, reference, ratios);

@@ -1,22 +1,23 @@
-//! Derivatives of a plane of samples by Scharr's 3×3 kernels.
+//! Image derivatives by Scharr's 3×3 kernels.
 
 use crate::simd::{F32x8, LANES};
 
-/// The factor in the results of [`scharr`]: the kernel's weights, 3 + 10 + 3, times its baseline of two
-/// pixels.
+/// Factor by which the results of [`scharr`] exceed derivatives per pixel. The kernel's weights sum to 16, and
+/// differences are taken over a distance of two pixels.
 pub const SCHARR_SCALE: f32 = 32.0;
 
-/// Scharr's derivatives `[∂/∂x, ∂/∂y]` at eight neighbouring samples, times [`SCHARR_SCALE`].
+/// Returns Scharr's derivatives `[∂/∂x, ∂/∂y]` at eight consecutive samples of a row, times [`SCHARR_SCALE`].
 ///
-/// `plane` is row-major with `stride` samples per row; `at` is the index of the first of the eight samples.
+/// `plane` is row-major with `stride` samples per row. `at` is the index of the first of the eight samples.
 ///
 /// # Panics
-/// If the 3×3 neighbourhoods of all eight samples are not inside the plane.
+/// If the 3×3 neighbourhood of one of the eight samples is not inside the plane.
 #[inline(always)]
 pub fn scharr<V: F32x8>(plane: &[f32], at: usize, stride: usize) -> [V; 2] {
     assert!(at > stride && at + stride + LANES < plane.len(), "the border is wide enough");
     let [up, down] = [at - stride, at + stride];
-    // SAFETY: the first read is at − stride − 1, the last is before at + stride + 1 + LANES.
+    // SAFETY: the first read is at index at − stride − 1, and all reads end before index at + stride + 1 + LANES.
+    // The assertion checks both bounds.
     let [a, b, c, d, e, f, g, h] = unsafe {
         [
             V::load_unchecked(plane, up - 1),
@@ -30,7 +31,7 @@ pub fn scharr<V: F32x8>(plane: &[f32], at: usize, stride: usize) -> [V; 2] {
         ]
     };
     let (three, ten) = (V::splat(3.0), V::splat(10.0));
-    // Both derivatives use the differences along the diagonals.
+    // Both derivatives use the differences along the two diagonals.
     let (falling, rising) = (h - a, c - f);
     let dx = (falling + rising) * three + (e - d) * ten;
     let dy = (falling - rising) * three + (g - b) * ten;

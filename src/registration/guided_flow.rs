@@ -1,5 +1,5 @@
-//! Second attempts to track lost points and outliers, with initial guesses from their neighbours' motion; and
-//! the extension of tracks to the frames before and after.
+//! Tracks lost points and outliers a second time, from initial guesses that the motion of their neighbours
+//! predicts. Also extends tracks to the frame before and the frame after a frame pair.
 
 use super::consensus::{Support, consensus, innovations};
 use super::flow::{Start, flow_over};
@@ -7,43 +7,47 @@ use super::rotating_patches::affine_matches;
 use super::{AffineStart, Frame, Match, Neighbors, RegistrationOptions};
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Numbers of pyramid levels, counted from the finest, on which a point is tracked forward and backward if the
-/// motion prior gives its initial position.
+/// Numbers of pyramid levels for tracking forward and backward if the motion prior predicts a point's position. The
+/// finest levels are used.
 const PRIOR_LEVELS: [usize; 2] = [2, 2];
 /// Number of attempts with the motion prior. The matches of each attempt improve the prior for the next.
 const PRIOR_ROUNDS: usize = 2;
-/// Number of nearest neighbours whose median displacement is predicted. Up to two of five may be wrong.
+/// Number of nearest neighbours whose median displacement is the prediction. Up to two of five neighbours may be
+/// wrong.
 const MEDIAN_OF: usize = 5;
-/// Radius around a point in which neighbours are used, pixels.
+/// Radius around a point, in pixels, within which neighbours are used.
 const PRIOR_RADIUS_PX: f64 = 40.0;
-/// Distance of two initial guesses below which they are expected to lead to the same result, pixels.
+/// Distance between two initial guesses, in pixels, up to which both are expected to lead to the same result.
 const SAME_GUESS_PX: f64 = 1.0;
-/// Numbers of pyramid levels, the finest ones, for tracking forward and backward, when a track is extended to
-/// a further frame. The track's last motion gives a close initial guess, so that coarse levels aren't needed.
+/// Numbers of pyramid levels for tracking forward and backward when a track is extended to a further frame. The
+/// finest levels are used. The track's last motion gives a close initial guess, so that coarse levels aren't
+/// needed.
 const EXTENSION_LEVELS: [usize; 2] = [2, 1];
-/// Constant part of the maximum change of a track's motion from one frame to the next, pixels.
-/// [`MAX_MOTION_CHANGE_FRACTION`] of the motion is added. If the neighbours' motion changes in the same way,
-/// there is no maximum.
+/// Constant term, in pixels, of the maximum change of a track's motion from one frame interval to the next. The
+/// maximum is this value plus [`MAX_MOTION_CHANGE_FRACTION`] times the length of the motion. There is no maximum if
+/// the motion of the neighbours changes in the same way.
 const MAX_MOTION_CHANGE_PX: f64 = 2.0;
-/// Part of the maximum change of a track's motion that is proportional to the motion, as a fraction.
+/// Proportional term of the maximum change of a track's motion from one frame interval to the next, as a fraction
+/// of the length of the motion. [`MAX_MOTION_CHANGE_PX`] is added.
 const MAX_MOTION_CHANGE_FRACTION: f64 = 0.5;
 
-/// Displacements (motion or disparity, pixels) of tracked features, from which those of nearby features are
-/// predicted.
+/// Displacements (motion or disparity, in pixels) of tracked features, which predict the displacements of nearby
+/// features.
 pub(super) struct MotionPrior {
     neighbors: Neighbors,
     displacements: Vec<(Point2<f64>, Vector2<f64>)>,
 }
 
 impl MotionPrior {
-    /// A prior from (position, displacement) pairs, pixels. Without pairs, it predicts nothing.
+    /// Creates a prior from (position, displacement) pairs, in pixels. Without pairs, the prior predicts nothing.
     pub fn new(displacements: impl Iterator<Item = (Point2<f64>, Vector2<f64>)>) -> Self {
         let displacements: Vec<_> = displacements.collect();
         Self { neighbors: Neighbors::new(displacements.iter().map(|(p, _)| *p)), displacements }
     }
 
-    /// The component-wise median of the displacements, pixels, at the nearest positions within
-    /// [`PRIOR_RADIUS_PX`], at most five. `None` if there is no position within it.
+    /// Predicts the displacement at `p`, in pixels. The prediction is the component-wise median of the
+    /// displacements of the nearest features within [`PRIOR_RADIUS_PX`], at most five. Returns `None` if there is
+    /// no feature within this radius.
     pub fn predict(&self, p: &Point2<f64>) -> Option<Vector2<f64>> {
         let near = self.neighbors.nearest(p, MEDIAN_OF, PRIOR_RADIUS_PX);
         let median = |axis: usize| {
@@ -56,15 +60,15 @@ impl MotionPrior {
     }
 }
 
-/// Points that are tracked again from other initial guesses.
+/// A frame pair with the points that are tracked again from other initial guesses.
 pub(super) struct Retries<'a> {
     pub frames: [&'a Frame; 2],
-    /// The points with their original initial guesses.
+    /// The points, each with its original initial guess.
     pub starts: &'a [Start],
-    /// Numbers of pyramid levels, the finest ones, for tracking forward and backward.
+    /// Numbers of pyramid levels for tracking forward and backward. The finest levels are used.
     pub levels: [usize; 2],
     pub options: &'a RegistrationOptions,
-    /// The last guess tried for each point.
+    /// The last new initial guess of each point; `None` if there was none yet.
     tried: Vec<Option<Point2<f64>>>,
 }
 
@@ -78,8 +82,9 @@ impl<'a> Retries<'a> {
         Self { frames, starts, levels, options, tried: vec![None; starts.len()] }
     }
 
-    /// Tracks points again from new guesses, given as (index, guess). If the new match has a smaller
-    /// residual, it replaces the point's match in `matches`.
+    /// Tracks points again from new initial guesses, given as (index, guess). A guess close to the point's last
+    /// guess is skipped ([`SAME_GUESS_PX`]). If the new match has a smaller residual, or if the point had no match,
+    /// the new match is written to `matches`.
     pub fn track(
         &mut self,
         guesses: impl Iterator<Item = (usize, Point2<f64>)>,
@@ -102,8 +107,8 @@ impl<'a> Retries<'a> {
     }
 }
 
-/// Tracks lost points and outliers again, from initial guesses that are predicted by their neighbours.
-/// `matches` are in the order of `starts` and are updated.
+/// Tracks lost points and outliers again, from initial guesses that the motion of their neighbours predicts.
+/// Updates `matches`, which are in the order of `starts`.
 pub(super) fn guided_flow(
     frames: [&Frame; 2],
     starts: &[Start],
@@ -126,12 +131,12 @@ pub(super) fn guided_flow(
     }
 }
 
-/// Extends tracks to one more frame. Returns each track's position in the target; `None` if it is lost, or if
-/// its motion changes much and differently from its neighbours'. `tracks` has initial guesses at constant
-/// motion.
+/// Extends tracks to one more frame. The initial guesses in `tracks` assume constant motion. Returns each track's
+/// position in the target, in pixels. Returns `None` for a track that is lost, or whose motion changes by more than
+/// the maximum ([`MAX_MOTION_CHANGE_PX`]) and differently from the motion of its neighbours.
 ///
-/// Where a swinging body reverses, its motion may change by 20 px from frame to frame. Only the comparison
-/// with neighbours distinguishes this from a mismatch.
+/// Where a swinging body reverses, its motion may change by 20 px from one frame interval to the next. Only the
+/// comparison with neighbours distinguishes such a change from a mismatch.
 pub(super) fn extensions(
     frames: [&Frame; 2],
     tracks: &[AffineStart],
@@ -139,7 +144,7 @@ pub(super) fn extensions(
 ) -> Vec<Option<Point2<f64>>> {
     let starts: Vec<Start> = tracks.iter().map(|t| (t.from, t.guess)).collect();
     let mut matches = flow_over(frames, &starts, EXTENSION_LEVELS, options);
-    // All levels are searched, since changes of motion may be large.
+    // Lost points are tracked again on all levels, since changes of motion may be large.
     let levels = [options.levels, PRIOR_LEVELS[1]];
     let lost: Vec<usize> = (0..starts.len()).filter(|&k| matches[k].is_none()).collect();
     let guesses = lost.into_iter().map(|k| (k, starts[k].1));

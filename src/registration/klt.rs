@@ -1,10 +1,10 @@
 //! §4.1: the pyramidal Kanade–Lucas–Tomasi (KLT) tracker.
 //!
-//! Lucas and Kanade's estimation of a window's translation, as Bouguet describes it: the gradients are the
-//! template's, computed once per level, and Newton steps are iterated to convergence from the coarsest level
-//! to the finest.
+//! The tracker estimates the translation of a window by Lucas and Kanade's method, as Bouguet describes it.
+//! Gradients are those of the template and are computed once per level. From the coarsest level to the finest,
+//! Newton steps are iterated to convergence.
 //!
-//! Known limits: the window only translates, and its brightness is assumed constant. A window across a depth
+//! Known limits: the window only translates, and its brightness is assumed to be constant. A window across a depth
 //! edge follows the side with more texture.
 
 use super::RegistrationOptions;
@@ -14,20 +14,19 @@ use super::window::{Window, fraction_inside};
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Point2, Vector2};
 
-/// Minimum of the smaller eigenvalue of a window's structure tensor, divided by the window's number of
-/// pixels: a squared gradient of grey values (0 to 1) per pixel.
+/// Minimum of the smaller eigenvalue of a window's structure tensor, divided by the number of pixels in the window.
+/// The unit is a squared gradient, in grey values (0 to 1) per pixel.
 const MIN_EIGENVALUE: f64 = 2e-6;
-/// Length of a step below which coarser levels have converged, pixels of the level. The accuracy depends only
-/// on the finest level.
+/// Length of a Newton step below which tracking on a coarser level has converged, in pixels of the level. Only the
+/// finest level determines the accuracy.
 const COARSE_EPSILON_PX: f64 = 0.03;
-/// Maximum ratio of a step's length to that of the step before, for which the series of steps is extrapolated
-/// to its limit.
+/// Maximum ratio of a step's length to the length of the previous step up to which the series of steps is
+/// extrapolated to its limit.
 const MAX_RATIO: f64 = 0.5;
-/// Maximum length of the extrapolated remainder that replaces further steps, as a fraction of the convergence
-/// threshold.
+/// Maximum length of the extrapolated remainder of the series of steps, as a fraction of the convergence threshold.
 const MAX_EXTRAPOLATED: f64 = 0.4;
 
-/// Parameters of the tracker.
+/// Parameters of the KLT tracker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KltParameters {
     /// Half-width of the window, pixels.
@@ -36,7 +35,7 @@ pub struct KltParameters {
     pub levels: usize,
     /// Maximum number of Newton steps per level.
     pub iterations: usize,
-    /// Length of a step below which the finest level has converged, pixels.
+    /// Length of a Newton step below which tracking on the finest level has converged, in pixels.
     pub epsilon_px: f64,
 }
 
@@ -50,32 +49,33 @@ impl From<&RegistrationOptions> for KltParameters {
 /// The result of tracking a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tracked {
-    /// The window's centre in the target, pixels; inside the image.
+    /// Centre of the window in the target image, in pixels. It is inside the image.
     pub position: Point2<f64>,
     /// Mean absolute difference of the two windows' grey values, which are in 0..=1.
     pub residual: f64,
 }
 
-/// The KLT tracker (§4.1), with buffers for one window, which are reused from point to point.
+/// The KLT tracker (§4.1), with buffers for one window. The buffers are reused from point to point.
 ///
-/// Creating one per thread is cheap; creating one per point is costly.
+/// Create one tracker per thread. Creating one per point would be slow.
 pub struct Tracker {
     parameters: KltParameters,
     side: usize,
-    /// Number of samples of a row of `dx` and `dy`, padded to a multiple of [`LANES`].
+    /// Number of samples in a row of `dx` and `dy`, padded to a multiple of [`LANES`].
     row: usize,
-    /// Number of samples of a row of `value`, which is one sample wider on every side.
+    /// Number of samples in a row of `value`. The window in `value` is one sample wider on every side than in `dx`
+    /// and `dy`.
     wide: usize,
-    /// The template's values.
+    /// Grey values of the template, which is the window in the source image.
     value: Vec<f32>,
-    /// The template's derivatives by x, weighted by the fraction of each sample that is inside the image.
+    /// Derivatives of the template by x. Each is weighted by the fraction of the sample that is inside the image.
     dx: Vec<f32>,
-    /// The template's derivatives by y, weighted as `dx`.
+    /// Derivatives of the template by y. Each is weighted by the fraction of the sample that is inside the image.
     dy: Vec<f32>,
-    /// The template's structure tensor: xx, xy, yy.
+    /// Structure tensor of the template: xx, xy, yy.
     tensor: [f64; 3],
-    /// Σ I·∇I, with I the template's values. A Newton step is computed from the difference between Σ J·∇I,
-    /// with J the target's values, and this.
+    /// Σ I·∇I over the window, with I the template's values. A Newton step is computed from the difference between
+    /// Σ J·∇I, with J the target's values, and Σ I·∇I.
     value_gradient: [f64; 2],
 }
 
@@ -103,8 +103,8 @@ fn track_by<V: F32x8>(
     let mut residual = 0.0;
     for k in (0..levels).rev() {
         let scale = f64::from(1_u32 << k);
-        // Even pixels' centres are the centres of the next level's pixels, so that positions relative to the
-        // first pixel's centre are scaled.
+        // A pixel of a level has the same centre as every second pixel of the next finer level. Positions relative
+        // to the centre of the first pixel are therefore only scaled.
         let p = (from.coords - Vector2::repeat(0.5)) / scale;
         let (level, other) = (&source.levels[k], &target.levels[k]);
         tracker.load_template::<V>(level, &p);
@@ -112,7 +112,8 @@ fn track_by<V: F32x8>(
         let epsilon_px = tracker.parameters.epsilon_px.max(epsilon_px);
         let converged = tracker.iterate::<V>(other, &p, flow, epsilon_px);
         if k > 0 {
-            // A window may be flat or half outside on a coarse level and still be good on the finest.
+            // On a coarse level, a window may have no texture or leave the image, although it can be tracked on the
+            // finest level.
             flow = 2.0 * converged.unwrap_or(flow);
         } else {
             flow = converged?;
@@ -128,7 +129,7 @@ fn track_by<V: F32x8>(
 }
 
 impl Tracker {
-    /// A tracker for windows of `2·window_radius_px + 1` pixels a side.
+    /// Creates a tracker for square windows with sides of `2·window_radius_px + 1` pixels.
     pub fn new(parameters: impl Into<KltParameters>) -> Self {
         let parameters = parameters.into();
         let side = 2 * parameters.window_radius_px + 1;
@@ -139,12 +140,12 @@ impl Tracker {
         Self { parameters, side, row, wide, value, dx, dy, tensor, value_gradient }
     }
 
-    /// Finds in the target the window around `from` of the source, starting at `guess`; pixels, with the
-    /// top-left pixel's centre at (0.5, 0.5).
+    /// Tracks the window around `from` in the source image to the target image, starting at `guess`. Positions are
+    /// in pixels, with the centre of the top-left pixel at (0.5, 0.5).
     ///
-    /// `None` if the window has too little texture or leaves the image. Both pyramids need a border of
-    /// [`RegistrationOptions::pad_px`]. [`KltParameters::levels`] is clamped between 1 and the pyramids'
-    /// number of levels.
+    /// Returns `None` if the window has too little texture or leaves the image. Both pyramids need a padding of
+    /// [`RegistrationOptions::pad_px`]. [`KltParameters::levels`] is clamped between 1 and the pyramids' number of
+    /// levels.
     pub fn track(
         &mut self,
         source: &Pyramid,
@@ -155,12 +156,12 @@ impl Tracker {
         track(self, source, target, from, guess)
     }
 
-    /// Reads the template around `p`, pixels of the level with the first pixel's centre at 0, and computes
-    /// its derivatives and sums.
+    /// Reads the template around `p`, and computes its derivatives and sums. `p` is in pixels of the level, with
+    /// the centre of the first pixel at (0, 0).
     #[inline(always)]
     fn load_template<V: F32x8>(&mut self, level: &PyramidLevel, p: &Vector2<f64>) {
         let (side, row, wide) = (self.side, self.row, self.wide);
-        // For a window outside the image the sums are 0, which the caller treats as no texture.
+        // For a window outside the image, the sums are set to 0. `iterate` treats them as too little texture.
         let radius = self.parameters.window_radius_px + 1;
         let Some(window) = Window::around(level, p, radius, [wide, side + 2]) else {
             (self.tensor, self.value_gradient) = ([0.0; 3], [0.0; 2]);
@@ -203,8 +204,9 @@ impl Tracker {
         (self.tensor, self.value_gradient) = ([xx, xy, yy], [x, y]);
     }
 
-    /// The displacement of the window at `p`, pixels of the level, by Newton steps that start at `flow`.
-    /// `None` if the template has too little texture, or if the window leaves the image.
+    /// Returns the displacement of the window at `p`, in pixels of the level. The displacement is found by Newton
+    /// steps that start at `flow`. Returns `None` if the template has too little texture, or if the window leaves
+    /// the image.
     #[inline(always)]
     fn iterate<V: F32x8>(
         &self,
@@ -217,7 +219,7 @@ impl Tracker {
         let area = (self.side * self.side) as f64;
         let smaller = 0.5 * ((xx + yy) - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
         let determinant = xx * yy - xy * xy;
-        // With λ_min positive, the determinant is positive too, and can be divided by.
+        // The determinant is a divisor below. It is positive if the smaller eigenvalue is, up to rounding.
         if !(smaller >= MIN_EIGENVALUE * area && determinant > 0.0) {
             return None;
         }
@@ -233,12 +235,14 @@ impl Tracker {
                 break;
             }
             if step > 0 {
-                // The steps alternate around the solution, which is in the middle between two.
+                // Successive steps cross the solution in opposite directions. The solution is in the middle between
+                // them.
                 if (delta + previous).norm() < epsilon_px {
                     flow -= 0.5 * delta;
                     break;
                 }
-                // If steps shrink by a constant ratio, the sum of the remaining ones is a geometric series.
+                // If steps shrink by a constant ratio, the remaining steps are a geometric series. Its first term
+                // is added.
                 let ratio = length_px / previous.norm();
                 if ratio < MAX_RATIO && length_px * ratio < MAX_EXTRAPOLATED * epsilon_px {
                     flow += delta * (delta.dot(&previous).signum() * ratio);
@@ -250,15 +254,15 @@ impl Tracker {
         Some(flow)
     }
 
-    /// Σ J·∇I over the window, with J the target's values around `q`. `None` if the window is more
-    /// than a pixel outside the image.
+    /// Returns the two components of Σ J·∇I over the window. J are the target's values around `q`, and ∇I is the
+    /// template's gradient. Returns `None` if `q` is more than a pixel outside the image.
     #[inline(always)]
     fn correlate<V: F32x8>(&self, target: &PyramidLevel, q: &Vector2<f64>) -> Option<[f64; 2]> {
         let size = [self.row, self.side];
         let window = Window::around(target, q, self.parameters.window_radius_px, size)?;
         let mut sums = [V::zero(); 2];
         let mut x = 0;
-        // Sixteen columns at once where possible: then two sums are computed in parallel.
+        // Where possible, sixteen columns are processed at once, so that two sums are computed in parallel.
         while x + 2 * LANES <= self.row {
             self.correlate_columns::<V, 2>(&window, x, &mut sums);
             x += 2 * LANES;
@@ -269,7 +273,7 @@ impl Tracker {
         Some(V::sums(&sums))
     }
 
-    /// Adds the part of Σ J·∇I from 8·B columns, from column `x` on, to `sums`.
+    /// Adds the contribution of 8·B columns, starting at column `x`, to the two components of Σ J·∇I in `sums`.
     #[inline(always)]
     fn correlate_columns<V: F32x8, const B: usize>(
         &self,
@@ -285,7 +289,7 @@ impl Tracker {
             let values = columns.row();
             for b in 0..B {
                 let at = y * self.row + x + b * LANES;
-                // SAFETY: rows are multiples of LANES, and both planes have `side` of them.
+                // SAFETY: the length of a row is a multiple of LANES, and both planes have `side` rows.
                 let [gx, gy] =
                     unsafe { [V::load_unchecked(&self.dx, at), V::load_unchecked(&self.dy, at)] };
                 of_block[b][0] = values[b].mul_add(gx, of_block[b][0]);
@@ -297,8 +301,8 @@ impl Tracker {
         }
     }
 
-    /// Mean absolute difference between the template and the target's window around `q`. `None` if the window
-    /// is more than a pixel outside the image.
+    /// Returns the mean absolute difference between the template and the target's window around `q`. Returns `None`
+    /// if `q` is more than a pixel outside the image.
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &PyramidLevel, q: &Vector2<f64>) -> Option<f64> {
         let size = [self.row, self.side];
@@ -324,7 +328,7 @@ mod tests {
     use crate::raster::Image;
     use crate::simd::Scalar;
 
-    /// A smooth texture, shifted by (`dx`, `dy`) pixels.
+    /// Renders a smooth texture, shifted by (`dx`, `dy`) pixels.
     fn texture(w: usize, h: usize, dx: f64, dy: f64) -> Image {
         let data = (0..w * h)
             .map(|k| {
@@ -390,7 +394,7 @@ mod tests {
         }
     }
 
-    /// The reference computes the same sums as simply as possible, in f64.
+    /// Compares the sums with those of a simple implementation in f64.
     #[test]
     fn sums_agree_with_a_naive_reference() {
         let options = RegistrationOptions::default();

@@ -1,15 +1,15 @@
-//! §4: image registration. Sparse correspondences between frames of one camera (temporal flow) and of two
-//! cameras (spatial flow); the epipolar constraint removes mismatches.
+//! §4 of the paper: image registration. Sparse features are tracked between frames of one camera (temporal flow)
+//! and between frames of two cameras (spatial flow). The epipolar constraint detects mismatches.
 //!
 //! | paper | here |
 //! |---|---|
 //! | 4.1 corners | [`corners`] |
 //! | 4.1 pyramidal KLT | [`Tracker`], on [`Pyramid`]s |
 //! | 4.1 bidirectional flow, merging | [`temporal_flow`], [`flow`] |
-//! | beyond: motion predicted by neighbours | `guided_flow` |
-//! | beyond: rotating patches | [`AffineTracker`] |
-//! | beyond: photometric calibration | [`Gains`] |
-//! | 4.2 eq. (2), and curves beyond it | [`Trajectory`] |
+//! | beyond the paper: motion predicted by neighbours | `guided_flow` |
+//! | beyond the paper: rotating patches | [`AffineTracker`] |
+//! | beyond the paper: photometric calibration | [`Gains`] |
+//! | 4.2 eq. (2), and curves beyond the paper | [`Trajectory`] |
 //! | 4.2 eq. (3), 4.3 eqs. (4), (5) | [`epipolar_check`], [`select_references`] |
 
 mod affine_tracker;

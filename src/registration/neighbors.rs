@@ -1,20 +1,20 @@
-//! Radius queries among points of the image plane, by a k-d tree.
+//! Radius queries among 2D points, by a k-d tree.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::Point2;
 
-/// Fraction of the radius in which [`Neighbors::nearest`] searches first; most queries then need no full
-/// search.
+/// Fraction of the radius within which [`Neighbors::nearest`] searches first. If it finds a sufficient number of
+/// points, it does not search the whole radius.
 const CLOSE_FRACTION: f64 = 1.0 / 3.0;
 
-/// A set of points of the image plane for radius queries.
+/// A set of 2D points for radius queries.
 pub struct Neighbors {
     tree: Option<ImmutableKdTree<f64, 2>>,
 }
 
 impl Neighbors {
-    /// A set of points, numbered in their order. All coordinates must be finite. An empty set is valid: its
-    /// queries return nothing.
+    /// Creates a set of points, which are numbered in their order. All coordinates must be finite. An empty set is
+    /// valid; its queries return nothing.
     pub fn new(points: impl IntoIterator<Item = Point2<f64>>) -> Self {
         let points: Vec<[f64; 2]> = points.into_iter().map(|p| [p.x, p.y]).collect();
         let tree = (!points.is_empty()).then(|| {
@@ -29,13 +29,13 @@ impl Neighbors {
         self.with_distances(p, radius).into_iter().for_each(|(_, k)| act(k));
     }
 
-    /// Whether any point is at a distance of at most `radius` from `p`.
+    /// Returns whether any point is at a distance of at most `radius` from `p`.
     pub fn any_within(&self, p: &Point2<f64>, radius: f64) -> bool {
         self.at_least_within(p, radius, 1, |_| true)
     }
 
-    /// The indices of the `count` points nearest to `p` within `radius`, nearest first; of equally near
-    /// points, the one of lower index first. Returns fewer if fewer are within the radius.
+    /// Returns the indices of at most `count` points within `radius` of `p`, nearest first. Of equally near points,
+    /// the one of lower index is first. Returns fewer indices if fewer points are within the radius.
     pub fn nearest(&self, p: &Point2<f64>, count: usize, radius: f64) -> Vec<usize> {
         let mut near = self.with_distances(p, CLOSE_FRACTION * radius);
         if near.len() < count {
@@ -45,8 +45,8 @@ impl Neighbors {
         near.into_iter().take(count).map(|(_, k)| k).collect()
     }
 
-    /// Whether at least `wanted` of the points within `radius` of `p` pass a test. Testing stops once that
-    /// many have passed.
+    /// Returns whether at least `wanted` of the points within `radius` of `p` pass `test`. Testing stops after
+    /// `wanted` points have passed.
     pub fn at_least_within(
         &self,
         p: &Point2<f64>,
@@ -61,7 +61,7 @@ impl Neighbors {
         passing.take(wanted).count() == wanted
     }
 
-    /// The squared distances and indices of the points within `radius` of `p`, in no particular order.
+    /// Returns the squared distances and indices of the points within `radius` of `p`, in no particular order.
     fn with_distances(&self, p: &Point2<f64>, radius: f64) -> Vec<(f64, usize)> {
         let Some(tree) = &self.tree else { return Vec::new() };
         let items = tree

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum GainMethod {
-    /// All gains are taken as 1.
+    /// All gains are assumed to be 1.
     Equal,
     /// Gains are estimated, and images are corrected where gains differ significantly.
     #[default]
@@ -37,31 +37,31 @@ options! {
         consistency_checks: bool = true,
         /// Whether the epipolar test of eq. (3) is applied, where the clocks are known.
         epipolar_test: bool = true,
-        /// ε of eq. (3): how far a correspondence may lie from its epipolar line. The paper's is 3 to 5
-        /// at 640×480.
+        /// ε of eq. (3): maximum distance of a correspondence from its epipolar line. The paper uses 3 to 5 at
+        /// 640×480.
         epipolar_tolerance_px: f64 [0.0..=1000.0, "px"] = 3.0,
     }
 }
 
-/// Thresholds of the consistency checks.
+/// Thresholds of the consistency checks, which a match must meet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencyThresholds {
-    /// Maximum mean absolute difference of the two windows' grey values, which are in 0..=1.
+    /// Maximum residual: the mean absolute difference of the two windows' grey values, which are in 0..=1.
     pub residual: f64,
     /// Maximum forward–backward error, pixels.
     pub forward_backward_error_px: f64,
-    /// Minimum number of neighbours that must move like a point. A point with fewer neighbours is not
-    /// checked. 0: no check.
+    /// Minimum number of neighbours that must move like a point. A point with fewer neighbours is not checked. With
+    /// 0, no point is checked.
     pub support: usize,
 }
 
 impl RegistrationOptions {
-    /// Width of the padding around each pyramid level that the tracker's windows need, pixels.
+    /// Returns the width of the padding around each pyramid level that the tracker's windows need, in pixels.
     pub fn pad_px(&self) -> usize {
         self.window_radius_px + LANES + 3
     }
 
-    /// The thresholds of [`Self::consistency_checks`].
+    /// Returns the thresholds that [`Self::consistency_checks`] selects.
     pub fn consistency(&self) -> ConsistencyThresholds {
         let [checked, unchecked] = [(0.06, 0.7, 2), (0.2, f64::INFINITY, 0)];
         let (residual, forward_backward_error_px, support) =

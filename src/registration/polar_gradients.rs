@@ -1,32 +1,35 @@
-//! Image gradients in polar form (magnitude and direction), whose histograms are the SIFT descriptors.
+//! Image gradients in polar form (magnitude and direction). The SIFT descriptors are histograms of these gradients.
 
 use super::Pyramid;
 use crate::simd::{F32x8, LANES, multiversion};
 use std::f32::consts::TAU;
 
-/// Number of direction bins in a cell of a descriptor.
+/// Number of direction bins in each cell of a SIFT descriptor.
 pub const DIRECTIONS: usize = 8;
-/// A full turn (360°) in the unit of angles of gradients and descriptors. The unit is one direction bin.
+/// A full turn (360°) in the unit that gradients and descriptors use for angles. The unit is one direction bin
+/// (45°).
 pub const TURN: f32 = DIRECTIONS as f32;
-/// The pyramid level from whose gradients descriptors are computed.
+/// Index of the pyramid level whose gradients the descriptors use; 0 is the full-sized level. If the pyramid is
+/// shorter, its last level is used.
 const LEVEL: usize = 1;
 
-/// The gradients of one level of a frame, by central differences.
+/// Gradients of one pyramid level of a frame, by central differences.
 #[derive(Debug)]
 pub(super) struct PolarGradients {
     pub width: usize,
     pub height: usize,
     /// Ratio of the level's size to the frame's.
     pub scale: f64,
-    /// Magnitudes of the gradients, row by row, followed by [`LANES`] values of padding.
+    /// Magnitudes of the gradients, in grey values (0 to 1) per two pixels, row by row. They are followed by
+    /// [`LANES`] values of padding.
     pub strength: Vec<f32>,
-    /// Directions of the gradients: angles from the x axis towards the y axis, 0 to [`TURN`], row by row,
+    /// Directions of the gradients, row by row: angles from the x axis towards the y axis, 0 to [`TURN`]. They are
     /// followed by [`LANES`] values of padding.
     pub direction: Vec<f32>,
 }
 
 multiversion! {
-    /// Computes the gradients for the descriptors of a frame's features from the frame's pyramid.
+    /// Computes the gradients from which the SIFT descriptors of a frame's features are made.
     pub(super) fn polar_gradients(pyramid: &Pyramid) -> PolarGradients = gradients_by::<V>
 }
 
@@ -38,7 +41,7 @@ fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> PolarGradients {
     let size = level.width * level.height;
     let [mut strength, mut direction] = [vec![0.0; size + LANES], vec![0.0; size + LANES]];
     for y in 0..level.height {
-        // The last vector of a row extends into the next row, which is written later, or into the padding.
+        // The last vector of a row extends into the next row, which is written later, or into the final padding.
         for x in (0..level.width).step_by(LANES) {
             let k = level.index(x as isize, y as isize);
             let gx = V::load(&level.value, k + 1) - V::load(&level.value, k - 1);
@@ -59,16 +62,16 @@ impl PolarGradients {
         size_of::<f32>() * (self.strength.len() + self.direction.len())
     }
 
-    /// Size of the gradients in memory, bytes, for a pyramid whose levels have these widths and heights,
-    /// full-sized level first.
+    /// Returns the size of the gradients in memory, in bytes. `sizes` holds the width and height of each level of
+    /// the pyramid, full-sized level first.
     pub fn bytes_of(sizes: &[[usize; 2]]) -> usize {
         let [width, height] = sizes[LEVEL.min(sizes.len() - 1)];
         2 * (width * height + LANES) * size_of::<f32>()
     }
 }
 
-/// Coefficients of an odd polynomial that approximates the arctangent on 0..=1 to 2e-8, the linear term's
-/// first (Abramowitz and Stegun 4.4.49).
+/// Coefficients of an odd polynomial, starting with the linear term. On 0..=1, the polynomial approximates the
+/// arctangent with an error of at most 2e-8 (Abramowitz and Stegun 4.4.49).
 const ARCTANGENT: [f32; 9] = [
     1.0,
     -0.333_331_45,
@@ -81,7 +84,8 @@ const ARCTANGENT: [f32; 9] = [
     0.002_866_225_7,
 ];
 
-/// Angles of the vectors (`x`, `y`), from the x axis towards the y axis, 0 to [`TURN`]; 0 for the zero vector.
+/// Returns the directions of the vectors (`x`, `y`): angles from the x axis towards the y axis, 0 to [`TURN`]. The
+/// direction of the zero vector is 0.
 #[inline(always)]
 fn directions<V: F32x8>(x: V, y: V) -> V {
     let (along, across) = (x.abs(), y.abs());
@@ -109,7 +113,7 @@ mod tests {
     fn gradients_agree_with_a_naive_reference() {
         let mut random = Random::new(6);
         for (w, h) in [(64, 41), (9, 5), (1, 1)] {
-            // Few distinct values, so that some gradients are 0 and others are along an axis.
+            // The grey values have few distinct levels, so that some gradients are 0 and others are along an axis.
             let data = (0..w * h).map(|_| (4.0 * random.unit()).floor() as f32 / 4.0).collect();
             let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 1, 16);
             let level = &pyramid.levels[0];

@@ -1,4 +1,4 @@
-//! §4.1: grey image pyramids. Only values are stored. Gradients are recomputed from windows in the
+//! §4.1: grey image pyramids. A pyramid stores only grey values. Gradients are recomputed from windows in the
 //! processor's cache, which is faster than reading stored gradients.
 
 use super::gradient::{SCHARR_SCALE, scharr};
@@ -6,11 +6,11 @@ use crate::raster::Image;
 use crate::simd::{F32x8, LANES, Scalar};
 use std::iter::repeat_n;
 
-/// A grey image pyramid (§4.1): the full-sized level first; each level has half the width and height of the
-/// one before.
+/// A grey image pyramid (§4.1). The first level has full size. Each further level has half the width and height of
+/// the level before.
 #[derive(Clone, Debug)]
 pub struct Pyramid {
-    /// The levels, full-sized first. There is at least one.
+    /// The levels, full-sized level first. There is at least one level.
     pub levels: Vec<PyramidLevel>,
 }
 
@@ -33,9 +33,9 @@ pub struct PyramidLevel {
 const MIN_LEVEL_PX: usize = 16;
 
 impl Pyramid {
-    /// The pyramid of an image's luma. It has `levels` levels, but only those whose shorter side is at least
-    /// 16 pixels, and at least one. `pad` is the width of the padding, pixels, that the largest window needs
-    /// ([`super::RegistrationOptions::pad_px`]).
+    /// Builds the pyramid of an image's luma. The pyramid has at most `levels` levels. Levels whose shorter side
+    /// would be less than 16 pixels are left out, except for the first level. `pad` is the width of the padding
+    /// that the largest window needs, in pixels ([`super::RegistrationOptions::pad_px`]).
     pub fn new(image: &Image, levels: usize, pad: usize) -> Self {
         let size = [image.width(), image.height()];
         let full = PyramidLevel::new(size, image.to_gray().data(), pad);
@@ -43,7 +43,7 @@ impl Pyramid {
         Self { levels: all.take(Self::sizes(size, levels).len()).collect() }
     }
 
-    /// The width and height, pixels, of every level of the pyramid of an image of size `full`.
+    /// Returns the width and height, in pixels, of every level of the pyramid of an image of size `full`.
     pub(super) fn sizes(full: [usize; 2], levels: usize) -> Vec<[usize; 2]> {
         let halved = |size: &[usize; 2]| {
             (size[0].min(size[1]) >= 2 * MIN_LEVEL_PX).then(|| size.map(|v| v.div_ceil(2)))
@@ -51,20 +51,21 @@ impl Pyramid {
         std::iter::successors(Some(full), halved).take(levels.max(1)).collect()
     }
 
-    /// Width of the full-sized level, pixels.
+    /// Returns the width of the full-sized level, in pixels.
     pub fn width(&self) -> usize {
         self.levels[0].width
     }
 
-    /// Height of the full-sized level, pixels.
+    /// Returns the height of the full-sized level, in pixels.
     pub fn height(&self) -> usize {
         self.levels[0].height
     }
 }
 
 impl PyramidLevel {
-    /// A level with these values, row by row. `pad` is the width of the padding, pixels. It is raised to
-    /// [`LANES`], since gradients at the border are read in vectors.
+    /// Creates a level from its values, which are given row by row. `pad` is the width of the padding, in pixels. A
+    /// value below [`LANES`] is raised to [`LANES`], since gradients at the border are read in vectors of this
+    /// length.
     fn new([width, height]: [usize; 2], values: &[f32], pad: usize) -> Self {
         let mut value = Vec::with_capacity(Self::samples([width, height], pad));
         let pad = pad.max(LANES);
@@ -77,14 +78,14 @@ impl PyramidLevel {
         Self { width, height, pad, stride: width + 2 * pad, value }
     }
 
-    /// Number of samples of a level of this size, including its padding.
+    /// Returns the number of samples of a level of this size, including the padding.
     pub(super) fn samples([width, height]: [usize; 2], pad: usize) -> usize {
         let pad = pad.max(LANES);
         (width + 2 * pad) * (height + 2 * pad)
     }
 
-    /// The next level: smoothed by [1 4 6 4 1]/16 in both directions, and subsampled by two. The centre of
-    /// its pixel i is that of pixel 2i of this level. Borders are mirrored, as in OpenCV.
+    /// Returns the next level: this level smoothed by [1 4 6 4 1]/16 in both directions, then subsampled by two.
+    /// Pixel i of the next level has the same centre as pixel 2i of this level. Borders are mirrored, as in OpenCV.
     fn halved(&self) -> Self {
         let width = self.width;
         let half = [width.div_ceil(2), self.height.div_ceil(2)];
@@ -110,19 +111,19 @@ impl PyramidLevel {
         Self::new(half, &values, self.pad)
     }
 
-    /// Index of a pixel in the padded plane. The pixel may be up to `pad` pixels outside the image.
+    /// Returns the index of a pixel in the padded plane. The pixel may be up to `pad` pixels outside the image.
     pub(super) fn index(&self, x: isize, y: isize) -> usize {
         let at = |v: isize| (v + self.pad as isize) as usize;
         at(y) * self.stride + at(x)
     }
 
-    /// A row, without the padding.
+    /// Returns row `y`, without the padding.
     pub fn row(&self, y: usize) -> &[f32] {
         &self.value[self.index(0, y as isize)..][..self.width]
     }
 
-    /// The gradient `(∂/∂x, ∂/∂y)` at a pixel of the image, in grey values (0 to 1) per pixel of this level,
-    /// by Scharr's 3×3 derivatives. Outside the image, the nearest border pixel is used.
+    /// Returns the gradient `(∂/∂x, ∂/∂y)` at a pixel of the image, in grey values (0 to 1) per pixel of this
+    /// level, by Scharr's 3×3 kernels. Outside the image, the nearest border pixel is used.
     pub fn gradient(&self, x: usize, y: usize) -> (f32, f32) {
         let [dx, dy] =
             scharr::<Scalar>(&self.value, self.index(x as isize, y as isize), self.stride);
@@ -130,7 +131,7 @@ impl PyramidLevel {
     }
 }
 
-/// The index in `0..size` to which `v` is mirrored at the ends, without repeating the end itself.
+/// Returns the index in `0..size` to which index `v` is mirrored at the ends. The pixel at an end is not repeated.
 fn mirrored(v: isize, size: usize) -> usize {
     let last = size as isize - 1;
     let v = v.abs();

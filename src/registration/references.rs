@@ -2,60 +2,68 @@
 
 use crate::capture::Capture;
 
-/// A frame of another camera with which a camera's tracks are tested (§4.2), chosen by eqs. (4) and (5).
+/// A frame of another camera, against which a camera's tracks are tested (§4.2). It is chosen by eqs. (4) and (5).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reference {
-    /// Index of the camera.
+    /// Index of the reference camera in the capture.
     pub camera: usize,
-    /// Index of the camera's frame: that of eq. (5); if `between` is set, the last frame before the interval.
+    /// Index of the reference camera's frame. It is the frame of eq. (5) or, if `between` is set, the last frame
+    /// before the tested interval.
     pub frame: usize,
-    /// Instant at which the epipolar constraint is tested, seconds on the common clock: the time of the frame
-    /// or, if `between` is set, [`ReferenceQuery::time_s`].
+    /// Instant at which the epipolar constraint is tested, in seconds on the common clock. It is the time of the
+    /// frame or, if `between` is set, [`ReferenceQuery::time_s`].
     pub time_s: f64,
-    /// Set for a camera of a lower frame rate without a frame in the interval: the times, seconds, of the
-    /// last frame before the interval (`frame`) and of the first after it. Features are tracked between these
-    /// two, and their positions are interpolated at `time_s`.
+    /// Set if the reference camera has no frame within the tested interval, for example because its frame rate is
+    /// lower. Holds the times, in seconds on the common clock, of the last frame before the interval (`frame`) and
+    /// of the first frame after the interval. Features are tracked between these two frames, and their positions
+    /// are interpolated at `time_s`.
     pub between: Option<[f64; 2]>,
 }
 
-/// The references for a camera's flow between two frames, by ascending weight of eq. (4).
+/// The references against which a camera's tracks between two frames are tested. Both lists are sorted by ascending
+/// weight of eq. (4).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct References {
-    /// At most two references, with baselines at least 45° apart. Each of them tests every track.
+    /// At most two references. The directions of their baselines to the tested camera differ by at least 45°. Each
+    /// of them tests every track.
     pub first: Vec<Reference>,
-    /// At most one further reference. It tests the tracks that the first references cannot test.
+    /// At most one further reference. It tests only the tracks that the references in `first` cannot test.
     pub further: Vec<Reference>,
 }
 
-/// A flow between two frames of a camera, for which references are to be selected.
+/// A request for references: the camera, the frame interval and the flow direction of the tracks to test.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceQuery {
     /// Index of the camera whose tracks are tested: i of eq. (4).
     pub camera: usize,
-    /// Times of its two frames, t and t + Δt, seconds on the common clock.
+    /// Times t and t + Δt of the tracks' two frames, in seconds on the common clock.
     pub interval_s: [f64; 2],
-    /// The time to which eq. (5) seeks the nearest frame: t + Δt for the forward flow, t for the backward
-    /// flow.
+    /// The time for which eq. (5) selects the nearest frame, in seconds on the common clock: t + Δt for the forward
+    /// flow, t for the backward flow.
     pub time_s: f64,
 }
 
-/// σ of eq. (4): the weight of a time difference of one frame interval, relative to the weight of the nearest
-/// camera's distance.
+/// σ of eq. (4): the factor of the time difference, which is in frame intervals. The other term of eq. (4) is a
+/// distance in units of the distance to the nearest camera.
 const TIME_WEIGHT: f64 = 1.0;
-/// Maximum number of first references: on a grid, one along the row and one along the column.
+/// Maximum number of references in [`References::first`]. On a grid of cameras, one of them is in the same row as
+/// the tested camera and one in the same column.
 const MAX_FIRST: usize = 2;
-/// Maximum number of further references. They test only tracks that the first references neither accept nor reject.
+/// Maximum number of references in [`References::further`].
 const MAX_FURTHER: usize = 1;
 /// Maximum time between the two frames of [`Reference::between`], in frame intervals of the tested camera.
 const MAX_GAP_FRAMES: f64 = 4.0;
 
-/// Maximum cosine of the angle between the baselines of two first references: 45°.
+/// Maximum absolute cosine of the angle between the baselines of two references in [`References::first`]: 45°.
 const MAX_BASELINE_COSINE: f64 = 0.707;
 
 impl Reference {
-    /// Eq. (5): the frame within the interval that is nearest to the queried time, else the two frames around
-    /// the interval. The first result is the distance in time of the nearest frame, seconds. `None` if the
-    /// camera has neither, or if the two are farther apart than [`MAX_GAP_FRAMES`].
+    /// Selects a camera's frame by eq. (5): the frame within the queried interval that is nearest to the queried
+    /// time. If no frame is within the interval, selects the frames before and after the interval.
+    ///
+    /// Returns the reference, preceded by the time in seconds between the queried time and the nearest selected
+    /// frame. Returns `None` if there is neither a frame within the interval nor one on each side of it, or if the
+    /// frames on both sides are more than [`MAX_GAP_FRAMES`] apart.
     fn nearest(camera: usize, times: &[f64], query: &ReferenceQuery) -> Option<(f64, Self)> {
         let ([t1, t2], t) = (query.interval_s, query.time_s);
         let within = times.iter().enumerate().filter(|&(_, &tj)| tj >= t1 && tj <= t2);
@@ -71,21 +79,21 @@ impl Reference {
     }
 }
 
-/// Selects the references for a flow (§4.3): the frames of the smallest weight `w_j = D(j) + σ|t_j − t|`, eq.
-/// (4). D is the distance of the cameras' centres, divided by that of the nearest camera; times are in frame
-/// intervals.
+/// Selects the references for testing a camera's tracks (§4.3): the frames of the smallest weight
+/// `w_j = D(j) + σ|t_j − t|`, eq. (4). D(j) is the distance from camera j to the tested camera, divided by the
+/// distance from the nearest camera to the tested camera. Times are in frame intervals of the tested camera.
 ///
-/// In a grid of cameras there are two first references, with baselines at least 45° apart; in a line of
-/// cameras there is one. The further reference is the remaining camera of the smallest weight. With a camera
-/// that has no frame in the interval, tracks are tested between the frames before and after it, and the
-/// nearer one determines the weight.
+/// In a grid of cameras there are two first references, whose baselines differ in direction by at least 45°. In a
+/// line of cameras there is one first reference. The further reference is the remaining camera of the smallest
+/// weight. If a camera has no frame in the interval, the frames before and after the interval are used, and the
+/// nearer frame determines the weight.
 ///
-/// `times_s[j]` are camera j's frame times in seconds on the common clock, `None` if its clock is unknown;
-/// such a camera is no reference. There are no references if the interval is empty, or if all cameras have
+/// `times_s[j]` holds camera j's frame times in seconds on the common clock. It is `None` if the camera's clock is
+/// unknown; such a camera is not selected. Returns no references if the interval is empty, or if all cameras have
 /// the same centre.
 ///
 /// # Panics
-/// If the capture has no such camera.
+/// If the capture has no camera `query.camera`.
 pub fn select_references(
     capture: &Capture,
     times_s: &[Option<Vec<f64>>],

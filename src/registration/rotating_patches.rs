@@ -1,10 +1,10 @@
-//! Beyond the paper: features that rotate, or that move too far for the tracker.
+//! Beyond the paper: matches features that rotate, or that move too far for the KLT tracker.
 //!
-//! The tracker's window only translates, and its initial guess must be close. If a body rotates by 30 degrees
-//! per frame, or moves by 50 pixels relative to its surroundings, all its features are lost, so that no
-//! neighbour predicts its motion. Here its corners are matched to the other frame's corners by
-//! rotation-invariant descriptors. Matches that agree on one motion give the initial guesses from which the
-//! corners around them are tracked with affinely deforming windows.
+//! The window of the KLT tracker only translates, and its initial guess must be close to the result. If a body
+//! rotates by 30 degrees per frame, or moves by 50 pixels relative to its surroundings, all features on the body
+//! are lost. Then no neighbour can predict their motion. This module matches the lost corners to corners of the
+//! other frame by rotation-invariant descriptors. Matches that agree on one affine motion predict the motion of the
+//! corners around them. From these predictions, the corners are tracked with affinely deforming windows.
 
 use super::corners::MIN_DISTANCE_PX;
 use super::sift::{SiftDescriptor, descriptor, squared_distance};
@@ -14,37 +14,39 @@ use rayon::prelude::*;
 
 /// Maximum motion between two frames, as a fraction of the image's longer side.
 const MAX_MOTION: f64 = 0.1;
-/// Maximum ratio of the squared distance to the nearest descriptor to the squared distance to the second
-/// nearest (Lowe's ratio test).
+/// Maximum ratio of two squared descriptor distances: to the nearest descriptor and to the second nearest (Lowe's
+/// ratio test).
 const MAX_RATIO: f32 = 0.7;
-/// Radius around a match within which others must agree with it, pixels.
+/// Radius around a match, in pixels, within which other matches must agree with the match.
 const SUPPORT_RADIUS_PX: f64 = 40.0;
-/// Constant part of the maximum difference between a match's target and the prediction by another match, at
-/// which the two agree, pixels. [`SUPPORT_FRACTION`] of the distance of the two is added.
+/// Constant term, in pixels, of the maximum distance between a match's target and the target that another match
+/// predicts, up to which the two matches agree. The maximum is this value plus [`SUPPORT_FRACTION`] times the
+/// distance between the two matches.
 const SUPPORT_PX: f64 = 2.0;
 const SUPPORT_FRACTION: f64 = 0.2;
 /// Minimum number of other matches that must agree with a match.
 const MIN_SUPPORT: usize = 3;
-/// Number of nearest rotating patches whose motion is tried for a lost corner.
+/// Number of nearest rotating patches whose motions are tried for a lost corner.
 const GUESSES: usize = 3;
-/// Number of propagation rounds: new matches give initial guesses for the next round.
+/// Maximum number of rounds in which motion is propagated to lost corners. The matches of one round give the
+/// initial guesses of the next round.
 const ROUNDS: usize = 3;
-/// Maximum ratio of a window's area in the target to its area in the source; the minimum is the inverse.
+/// Maximum ratio of a window's area in the target to its area in the source. The minimum ratio is the inverse.
 const MAX_AREA_RATIO: f64 = 2.0;
-/// Maximum residual of a match relative to its window's contrast ([`super::Deformed::unexplained`]).
+/// Maximum residual of a match, relative to the contrast of its window ([`super::Deformed::unexplained`]).
 const MAX_UNEXPLAINED: f64 = 0.35;
 
 impl AffineStart {
-    /// The start of tracking another window, around `from`. Its initial guess is predicted by this window's
-    /// affine motion.
+    /// Returns the start for tracking another window, which is around `from`. This window's affine motion predicts
+    /// the initial guess.
     fn moving_along(&self, from: &Point2<f64>) -> Self {
         let guess = self.guess + self.deformation * (from - self.from);
         Self { from: *from, guess, ..*self }
     }
 }
 
-/// Matches the corners without a match as patches that may rotate, and adds the results to `matches`.
-/// `corners` are the source's, in the order of `matches`.
+/// Matches the corners that have no match yet, as patches that may rotate. Adds the new matches to `matches`.
+/// `corners` are the corners of the source frame, in the order of `matches`.
 pub(super) fn match_rotating_patches(
     frames: [&Frame; 2],
     corners: &[Point2<f64>],
@@ -81,8 +83,8 @@ fn motion_of(m: &Match) -> AffineStart {
     AffineStart { from: m.source, guess: m.target, deformation: m.deformation }
 }
 
-/// Starts for the affine tracker: mutual nearest neighbours, by descriptor, among the lost corners and the
-/// target's corners without a match.
+/// Returns starts for the affine tracker. Each is a pair of a lost corner of the source and an unmatched corner of
+/// the target whose descriptors are mutual nearest neighbours.
 fn seeds(
     [source, target]: [&Frame; 2],
     lost: &[Point2<f64>],
@@ -103,7 +105,8 @@ fn seeds(
     };
     let (from, to) = (describe(source, lost), describe(target, &free));
     let near = Neighbors::new(free.iter().copied());
-    // The free corner with the nearest descriptor, and the squared distance, if it passes the ratio test.
+    // Returns the index of the unmatched target corner with the nearest descriptor, and the squared distance of the
+    // two descriptors. `None` if the corner has no descriptor or fails the ratio test.
     let best_of = |(p, own): (&Point2<f64>, &Option<SiftDescriptor>)| {
         let own = own.as_ref()?;
         let [mut best, mut second] = [(usize::MAX, f32::INFINITY); 2];
@@ -119,8 +122,8 @@ fn seeds(
         (best.1 < MAX_RATIO * second.1).then_some(best)
     };
     let best: Vec<Option<(usize, f32)>> = lost.par_iter().zip(&from).map(best_of).collect();
-    // For each free corner, the squared distance to the lost corner with the nearest descriptor, and this
-    // corner's index.
+    // For each unmatched target corner: the smallest squared descriptor distance to a lost corner, and the index of
+    // that lost corner.
     let mut best_of_free = vec![(f32::INFINITY, 0); free.len()];
     for (k, best) in best.iter().enumerate() {
         if let Some((n, distance)) = *best
@@ -139,7 +142,7 @@ fn seeds(
     (0..lost.len()).filter_map(mutual).collect()
 }
 
-/// The motions with which at least [`MIN_SUPPORT`] others agree.
+/// Returns the motions with which at least [`MIN_SUPPORT`] other motions agree.
 fn agreeing(motions: &[AffineStart]) -> Vec<AffineStart> {
     let near = Neighbors::new(motions.iter().map(|m| m.from));
     let supported = |k: &usize| {
@@ -154,8 +157,8 @@ fn agreeing(motions: &[AffineStart]) -> Vec<AffineStart> {
     (0..motions.len()).filter(supported).map(|k| motions[k]).collect()
 }
 
-/// Tracks affinely deforming windows from initial guesses, forward and backward. `None` under the conditions
-/// of [`affine_match`].
+/// Tracks affinely deforming windows forward and backward, each from its initial guess. Returns one entry per
+/// start, which is `None` under the conditions of [`affine_match`].
 pub(super) fn affine_matches(
     frames: [&Frame; 2],
     starts: &[AffineStart],
@@ -167,7 +170,8 @@ pub(super) fn affine_matches(
     starts.par_iter().map_init(AffineTracker::default, tracked).collect()
 }
 
-/// Tracks an affinely deforming window forward and backward. `None` if it is lost or exceeds a threshold.
+/// Tracks an affinely deforming window forward and backward. Returns `None` if the window is lost or leaves the
+/// target image, or if its change of area, its residual or its forward–backward error exceeds a threshold.
 fn affine_match(
     [source, target]: [&Frame; 2],
     start: &AffineStart,
@@ -216,7 +220,7 @@ mod tests {
         ((h ^ (h >> 29)) % 1000) as f64 / 1000.0
     }
 
-    /// Smooth noise with cells of 6 px.
+    /// Returns the value at `p` of smooth noise with cells of 6 px.
     fn texture(p: Vector2<f64>, seed: u64) -> f64 {
         let q = p / 6.0;
         let (x, y) = (q.x.floor(), q.y.floor());
@@ -227,7 +231,8 @@ mod tests {
         top * (1.0 - v) + (n(0, 1) * (1.0 - u) + n(1, 1) * u) * v
     }
 
-    /// A disc of radius 45 px, rotated by `angle` and shifted, in front of a static wall.
+    /// Renders a textured disc of radius 45 px in front of a static wall. The disc is rotated by `angle` (radians)
+    /// and shifted by `shift` (pixels).
     fn frame(angle: f64, shift: Vector2<f64>, options: &RegistrationOptions) -> Frame {
         let value = |k: usize| {
             let p = Vector2::new((k % SIDE) as f64 + 0.5, (k / SIDE) as f64 + 0.5);
@@ -238,8 +243,8 @@ mod tests {
         Frame::new(Image::from_data(SIDE, SIDE, 1, (0..SIDE * SIDE).map(value).collect()), options)
     }
 
-    /// Matches the disc's corners as if all were lost. Returns their number, the number that is found, and
-    /// the median error in pixels.
+    /// Matches the disc's corners, all of which start without a match. Returns the number of corners, the number of
+    /// matches, and the median error of the matches in pixels.
     fn found(angle: f64, shift: Vector2<f64>) -> (usize, usize, f64) {
         let options = RegistrationOptions::default();
         let frames = [frame(0.0, Vector2::zeros(), &options), frame(angle, shift, &options)];
@@ -271,7 +276,7 @@ mod tests {
         let options = RegistrationOptions::default();
         let still = frame(0.0, Vector2::zeros(), &options);
         match_rotating_patches([&still, &still], &[], &mut [], &options);
-        // The other image shows another disc in front of another wall.
+        // The other image shows a different texture.
         let other: Vec<f32> = (0..SIDE * SIDE)
             .map(|k| texture(Vector2::new((k % SIDE) as f64, (k / SIDE) as f64), 99) as f32)
             .collect();

@@ -1,5 +1,6 @@
-//! Rotation-invariant descriptors: Lowe's SIFT (IJCV 60(2), 2004) with 4×4 cells of eight directions. They
-//! use a single scale, since from one frame to the next a feature may rotate but hardly changes its size.
+//! Rotation-invariant descriptors: Lowe's SIFT (IJCV 60(2), 2004) with 4×4 cells of eight directions. Descriptors
+//! are computed at a single scale, because a feature may rotate from one frame to the next but hardly changes its
+//! size.
 
 use super::polar_gradients::{DIRECTIONS, PolarGradients, TURN};
 use crate::simd::{F32x8, LANES, multiversion};
@@ -7,42 +8,43 @@ use nalgebra::{Point2, Vector2};
 use std::f32::consts::TAU;
 use std::ops::Range;
 
-/// Number of cells along a side of a descriptor.
+/// Number of cells along each side of a descriptor.
 const CELLS: usize = 4;
-/// Number of entries of a descriptor.
+/// Number of values in a descriptor.
 const SIZE: usize = CELLS * CELLS * DIRECTIONS;
-/// A cell's side, pixels of the level.
+/// Side of a cell, in pixels of the pyramid level.
 const CELL_PX: f32 = 4.0;
-/// Radius of the window, pixels of the level: half the diagonal of the cells plus half a cell, for
-/// interpolation.
+/// Radius of the disc of samples, in pixels of the pyramid level: half the diagonal of the 4×4 cells, plus half a
+/// cell for interpolation, rounded up.
 const RADIUS_PX: isize = 14;
-/// Number of bins of the histogram of directions whose peak is the main direction.
+/// Number of bins of the histogram of gradient directions. The peak of this histogram is the main direction.
 const BINS: usize = 36;
-/// Standard deviation of the Gaussian weights of the descriptor's samples, pixels of the level.
+/// Standard deviation of the Gaussian weights of the samples in a descriptor, in pixels of the pyramid level.
 const WINDOW_SIGMA_PX: f32 = 8.0;
-/// Standard deviation of the Gaussian weights of the main direction's samples, pixels of the level.
+/// Standard deviation of the Gaussian weights of the samples in the histogram of gradient directions, in pixels of
+/// the pyramid level.
 const DIRECTION_SIGMA_PX: f32 = 5.0;
-/// Maximum entry of a normalized descriptor, by which SIFT limits the influence of strong edges.
+/// Maximum value in a normalized descriptor. SIFT clips larger values to limit the influence of strong edges.
 const MAX_ENTRY: f32 = 0.2;
 
-/// A descriptor, with the main direction to which it is relative.
+/// A SIFT descriptor, and the main direction to which its gradient directions are relative.
 pub(super) struct SiftDescriptor {
-    /// The main direction of the gradients, radians, from the x axis towards the y axis.
+    /// Main direction of the gradients around the feature, in radians, from the x axis towards the y axis.
     pub angle: f32,
     entries: [f32; SIZE],
 }
 
-/// Length of buffers for a window's columns or rows. They are padded, so that [`LANES`] values can be read
-/// from any index on.
+/// Length of the buffers that hold one value per column or per row of the disc. The buffers are padded, so that
+/// [`LANES`] values can be read from any column or row on.
 const SPAN: usize = (2 * RADIUS_PX as usize + 1).next_multiple_of(LANES) + LANES;
-/// Number of cells along a side of the histogram grid: one more on the left and two more on the right, for
-/// samples outside the descriptor.
+/// Number of cells along each side of the histogram grid: the descriptor's cells, one cell before them and two
+/// after them. The additional cells receive samples that are outside the descriptor.
 const GRID: usize = CELLS + 3;
 
-/// The samples within [`RADIUS_PX`] of a point of the level.
+/// The samples of a pyramid level within [`RADIUS_PX`] of a point.
 struct Disc<'a> {
     gradients: &'a PolarGradients,
-    /// Position of the point in the level, pixels, with the first pixel's centre at (0, 0).
+    /// Position of the point, in pixels of the level, with the centre of the first pixel at (0, 0).
     center: [f32; 2],
     columns: Range<usize>,
     rows: Range<usize>,
@@ -60,7 +62,8 @@ impl<'a> Disc<'a> {
         Self { gradients, center, columns, rows }
     }
 
-    /// The columns of row `y` that are inside the disc. The disc contains all cells at any rotation.
+    /// Returns the columns of row `y` that are inside the disc. At any rotation, the disc contains all cells of the
+    /// descriptor.
     #[inline(always)]
     fn columns_of(&self, y: usize) -> Range<usize> {
         let dy = y as f32 - self.center[1];
@@ -70,8 +73,8 @@ impl<'a> Disc<'a> {
         first.max(self.columns.start)..(end as usize).min(self.columns.end)
     }
 
-    /// Gaussian weights of the window's columns and of its rows. A sample's weight is the product of its
-    /// column's weight and its row's weight.
+    /// Returns the Gaussian weights of the disc's columns and of its rows. The weight of a sample is the product of
+    /// its column's weight and its row's weight.
     #[inline(always)]
     fn fades(&self, sigma_px: f32) -> [[f32; SPAN]; 2] {
         let mut fades = [[0.0; SPAN]; 2];
@@ -84,13 +87,14 @@ impl<'a> Disc<'a> {
         fades
     }
 
-    /// The main direction: peak of the histogram of directions, 0 to [`TURN`]. `None` if all gradients are 0.
+    /// Returns the main direction, 0 to [`TURN`]: the peak of the histogram of gradient directions. Returns `None`
+    /// if all gradients are 0.
     #[inline(always)]
     fn main_direction<V: F32x8>(&self) -> Option<f32> {
         const BINS_PER_DIRECTION: f32 = BINS as f32 / TURN;
         let [fade_x, fade_y] = self.fades(DIRECTION_SIGMA_PX);
-        // One histogram for odd and one for even columns, so that their sums are computed in parallel. The
-        // last bin is for directions that are rounded up to a full turn.
+        // One histogram for even and one for odd columns, so that their sums are computed in parallel. The last bin
+        // receives directions that are rounded up to a full turn.
         let mut sums = [[0.0; BINS + 1]; 2];
         for y in self.rows.clone() {
             let fade_y = V::splat(fade_y[y - self.rows.start]);
@@ -99,7 +103,7 @@ impl<'a> Disc<'a> {
                 let at = y * self.gradients.width + x;
                 let direction = V::load(&self.gradients.direction, at);
                 let bins = direction * V::splat(BINS_PER_DIRECTION);
-                // A gradient that is not finite has the direction NaN, which becomes 0.
+                // The direction of a gradient that is not finite is NaN; `simd_max` turns it into 0.
                 let (bins, _) =
                     bins.simd_max(V::zero()).simd_min(V::splat(BINS as f32)).floor_and_fraction();
                 let fade = V::load(&fade_x, x - self.columns.start) * fade_y;
@@ -116,14 +120,15 @@ impl<'a> Disc<'a> {
         peak(histogram).map(|bin| bin / BINS_PER_DIRECTION)
     }
 
-    /// The cells' histograms of directions, relative to the main direction.
+    /// Returns the histograms of gradient directions of the 4×4 cells. The cells and the directions are rotated by
+    /// the main direction `angle`, which is in units of direction bins.
     #[inline(always)]
     fn cells<V: F32x8>(&self, angle: f32) -> [V; CELLS * CELLS] {
         let (sin, cos) = (angle / TURN * TAU).sin_cos();
         let [fade_x, fade_y] = self.fades(WINDOW_SIGMA_PX);
-        // Position of the descriptor's centre in the grid, in cells.
+        // Position of the descriptor's centre in the histogram grid, in cells.
         const CENTER: f32 = 0.5 * CELLS as f32 + 0.5;
-        // One grid for odd and one for even columns, so that their sums are computed in parallel.
+        // One histogram grid for even and one for odd columns, so that their sums are computed in parallel.
         let mut grids = [[V::zero(); GRID * GRID]; 2];
         let columns = V::from_array(&std::array::from_fn(|lane| lane as f32));
         // One-hot vectors, one for each direction.
@@ -136,8 +141,8 @@ impl<'a> Disc<'a> {
             let row_columns = self.columns_of(y);
             for x in row_columns.clone().step_by(LANES) {
                 let at = y * self.gradients.width + x;
-                // The position in cells, relative to the main direction. Samples outside all cells fall on
-                // the grid's border.
+                // The position of each sample in the histogram grid, in cells, rotated by the main direction.
+                // Positions outside the grid are clamped to its border.
                 let dx = columns + V::splat(x as f32 - self.center[0]);
                 let u = dx.mul_add(V::splat(cos / CELL_PX), V::splat(sin * dy / CELL_PX + CENTER));
                 let v = dx.mul_add(V::splat(-sin / CELL_PX), V::splat(cos * dy / CELL_PX + CENTER));
@@ -156,8 +161,8 @@ impl<'a> Disc<'a> {
                 ];
                 let fd = fd.to_array();
                 for l in 0..LANES.min(row_columns.end - x) {
-                    // Also correct for negative directions, since DIRECTIONS is a power of two and divides
-                    // the range of usize.
+                    // The remainder is also correct for negative directions, since DIRECTIONS is a power of two and
+                    // divides the range of usize.
                     let d = direction[l] as usize % DIRECTIONS;
                     let own = V::from_array(&directions[d]);
                     let next = V::from_array(&directions[(d + 1) % DIRECTIONS]);
@@ -181,7 +186,8 @@ impl<'a> Disc<'a> {
 }
 
 multiversion! {
-    /// The descriptor at a point of the frame, pixels. `None` if all gradients around it are 0.
+    /// Computes the SIFT descriptor at a point of the frame, in pixels. Returns `None` if all gradients around the
+    /// point are 0, or if one of them is not finite.
     pub(super) fn descriptor(
         gradients: &PolarGradients,
         at: &Point2<f64>,
@@ -190,8 +196,8 @@ multiversion! {
 
 #[inline(always)]
 fn descriptor_by<V: F32x8>(gradients: &PolarGradients, at: &Point2<f64>) -> Option<SiftDescriptor> {
-    // Even pixels' centres are the centres of the next level's pixels, so that positions relative to the
-    // first pixel's centre are scaled.
+    // A pixel of a level has the same centre as every second pixel of the next finer level. Positions relative to
+    // the centre of the first pixel are therefore only scaled.
     let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
     let disc = Disc::new(gradients, [at.x as f32, at.y as f32]);
     let angle = disc.main_direction::<V>()?;
@@ -209,7 +215,7 @@ fn descriptor_by<V: F32x8>(gradients: &PolarGradients, at: &Point2<f64>) -> Opti
 }
 
 multiversion! {
-    /// The squared Euclidean distance of two descriptors, 0 to 2.
+    /// Returns the squared Euclidean distance between two descriptors, 0 to 2.
     pub(super) fn squared_distance(a: &SiftDescriptor, b: &SiftDescriptor) -> f32 = squared_distance_by::<V>
 }
 
@@ -226,8 +232,8 @@ fn squared_distance_by<V: F32x8>(a: &SiftDescriptor, b: &SiftDescriptor) -> f32 
     (sums[0] + sums[1]).sum() as f32
 }
 
-/// The position, 0 to [`BINS`], of the peak of a circular histogram after smoothing; interpolated by a
-/// parabola between bins. `None` if all bins are 0.
+/// Returns the position, 0 to [`BINS`], of the peak of a circular histogram after smoothing. A parabola through
+/// three bins gives the position between bins. Returns `None` if all bins are 0.
 fn peak(mut histogram: [f32; BINS]) -> Option<f32> {
     for _ in 0..2 {
         let raw = histogram;
@@ -238,12 +244,12 @@ fn peak(mut histogram: [f32; BINS]) -> Option<f32> {
     let largest = (0..BINS).max_by(|&a, &b| histogram[a].total_cmp(&histogram[b]))?;
     let [before, at, after] = [BINS - 1, 0, 1].map(|k| histogram[(largest + k) % BINS]);
     let curvature = before - 2.0 * at + after;
-    // The curvature is not negative only if all three bins are equal.
+    // The curvature at the largest bin is negative unless all three bins are equal.
     let shift = if curvature < 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
     (at > 0.0).then_some(largest as f32 + 0.5 + shift)
 }
 
-/// Normalizes to length 1; `None` if all entries are 0.
+/// Normalizes a descriptor to Euclidean length 1. Returns `None` if all values are 0.
 #[inline(always)]
 fn normalize<V: F32x8>(cells: &mut [V; CELLS * CELLS]) -> Option<()> {
     let mut squares = V::zero();
@@ -267,7 +273,7 @@ mod tests {
     use crate::registration::Pyramid;
     use crate::simd::Scalar;
 
-    /// A pattern that is rotated by `angle` around the image's middle.
+    /// Builds the pyramid of a pattern that is rotated by `angle` (radians) around the image's middle.
     fn turned(angle: f32) -> Pyramid {
         let (sin, cos) = angle.sin_cos();
         let value = |k: usize| {
@@ -279,7 +285,8 @@ mod tests {
         Pyramid::new(&Image::from_data(64, 64, 1, (0..64 * 64).map(value).collect()), 1, 16)
     }
 
-    /// Reference implementation of the descriptor, as simple as possible: sample by sample, entry by entry.
+    /// Reference implementation of the descriptor, as simple as possible: sample by sample, value by value. Returns
+    /// the main direction in radians, and the values.
     fn naive(pyramid: &Pyramid, at: &Point2<f64>) -> Option<(f32, Vec<f32>)> {
         let gradients = polar_gradients(pyramid);
         let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
@@ -323,7 +330,7 @@ mod tests {
         Some((angle / TURN * TAU, normalized(clipped)))
     }
 
-    /// Points include some at and beyond the image's border, and levels smaller than a window.
+    /// Some points are at the image's border, and some levels are smaller than the disc of samples.
     #[test]
     fn descriptors_agree_with_a_naive_reference() {
         let mut random = Random::new(5);

@@ -1,5 +1,5 @@
-//! §4.1: the bidirectional temporal flow of a camera. Each correspondence is labelled by its direction:
-//! forward, backward or both.
+//! §4.1: the bidirectional temporal flow of a camera. Each correspondence is labelled with the direction in which
+//! it was found: forward, backward or both.
 
 use super::consensus::{Moved, Support, consensus};
 use super::guided_flow::{extensions, guided_flow};
@@ -11,24 +11,24 @@ use crate::capture::{CaptureError, FrameTimes};
 use nalgebra::{Matrix2, Point2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// The direction of the bidirectional flow (§4.1) in which a correspondence was found. Eq. (9) warps the
-/// earlier frame with the forward flow, and the later frame with the backward flow.
+/// The direction of the bidirectional flow (§4.1) in which a correspondence was found. Eq. (9) warps the earlier
+/// frame by the forward flow and the later frame by the backward flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FlowDirection {
-    /// A corner of the earlier frame, tracked to the later one.
+    /// A corner of the earlier frame was tracked to the later frame.
     Forward,
-    /// A corner of the later frame, tracked to the earlier one.
+    /// A corner of the later frame was tracked to the earlier frame.
     Backward,
-    /// Found in both directions: two correspondences are close to each other at both ends, and the forward
-    /// one is used.
+    /// A forward and a backward correspondence were found that are close to each other in both frames. The forward
+    /// correspondence is used.
     Both,
 }
 
-/// A temporal correspondence of one camera between its frames k and k + 1 (§4.1). It is extended to the
-/// frames k − 1 and k + 2 where the feature could be tracked. Positions are in pixels.
+/// A temporal correspondence of one camera between its frames k and k + 1 (§4.1). Where the feature could be
+/// tracked further, the track also has its positions in the frames k − 1 and k + 2. Positions are in pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Track {
-    /// The direction in which the track was found.
+    /// Direction in which the correspondence between frames k and k + 1 was found.
     pub direction: FlowDirection,
     /// Position in frame k − 1; `None` if the feature was lost or there is no such frame.
     pub before: Option<Point2<f64>>,
@@ -38,8 +38,8 @@ pub struct Track {
     pub later: Point2<f64>,
     /// Position in frame k + 2; `None` if the feature was lost or there is no such frame.
     pub after: Option<Point2<f64>>,
-    /// The linear part of the motion around the feature, from frame k to frame k + 1; the identity where the
-    /// window is only translated.
+    /// Linear part (2×2 matrix) of the affine motion around the feature, from frame k to frame k + 1. It is the
+    /// identity if the window was tracked by translation only.
     pub deformation: Matrix2<f64>,
     /// Mean absolute difference of the grey values (0 to 1) of the windows in frames k and k + 1.
     pub residual: f64,
@@ -48,37 +48,40 @@ pub struct Track {
 }
 
 impl Track {
-    /// Whether the track belongs to the forward flow, which warps the earlier frame in eq. (9).
+    /// Returns whether the track belongs to the forward flow, by which eq. (9) warps the earlier frame.
     pub fn in_forward_set(&self) -> bool {
         self.direction != FlowDirection::Backward
     }
 
-    /// Whether the track belongs to the backward flow, which warps the later frame in eq. (9).
+    /// Returns whether the track belongs to the backward flow, by which eq. (9) warps the later frame.
     pub fn in_backward_set(&self) -> bool {
         self.direction != FlowDirection::Forward
     }
 
-    /// The displacement from frame k to frame k + 1, pixels.
+    /// Returns the displacement from frame k to frame k + 1, in pixels.
     pub fn motion(&self) -> Vector2<f64> {
         self.later - self.earlier
     }
 
-    /// The start for tracking to frame k − 1; the initial guess assumes constant affine motion.
+    /// Returns the start for tracking the feature from frame k to frame k − 1. The initial guess assumes constant
+    /// affine motion.
     fn backward(&self) -> AffineStart {
         let inverse = self.deformation.try_inverse().unwrap_or_else(Matrix2::identity);
         let guess = self.earlier - inverse * self.motion();
         AffineStart { from: self.earlier, guess, deformation: inverse }
     }
 
-    /// The start for tracking to frame k + 2; the initial guess assumes constant affine motion.
+    /// Returns the start for tracking the feature from frame k + 1 to frame k + 2. The initial guess assumes
+    /// constant affine motion.
     fn forward(&self) -> AffineStart {
         let guess = self.later + self.deformation * self.motion();
         AffineStart { from: self.later, guess, deformation: self.deformation }
     }
 
-    /// Removes the extension beyond a kink of the motion, as where a body bounces, since a polynomial through
-    /// a kink deviates from the trajectory between frames k and k + 1. A kink is a large change of the
-    /// acceleration. `times_s` are the times of frames k − 1 to k + 2, seconds.
+    /// Removes the position in frame k − 1 or k + 2 if the trajectory has a kink before it, for example where a
+    /// body bounces. A polynomial through a kink would deviate from the trajectory between frames k and k + 1. A
+    /// kink is a change of the acceleration by more than [`MAX_JERK_PX`] allows. `times_s` are the times of frames
+    /// k − 1 to k + 2, in seconds.
     fn drop_kink(&mut self, times_s: &[f64]) {
         let (Some(before), Some(after)) = (self.before, self.after) else { return };
         let positions = [before, self.earlier, self.later, after];
@@ -95,11 +98,11 @@ impl Track {
         }
     }
 
-    /// The trajectory through the two to four known positions: the straight line of eq. (2), and curves
+    /// Returns the trajectory through the two to four known positions: the straight line of eq. (2), or a curve
     /// beyond the paper.
     ///
-    /// `times` are those of the camera's frames and `k` is the index of the earlier frame. Every position has the
-    /// time of its own row. `None` if the times do not strictly ascend.
+    /// `times` are the times of the camera's frames, and `k` is the index of the earlier frame. Every position has
+    /// the time at which its image row was exposed. Returns `None` if the times do not strictly ascend.
     ///
     /// # Panics
     /// If `times` has no entry for frame k + 1.
@@ -116,19 +119,20 @@ impl Track {
     }
 }
 
-/// Constant part of the maximum change of a smooth motion's acceleration from one frame to the next, pixels
-/// per squared frame interval. [`JERK_FRACTION`] of the smaller acceleration is added.
+/// Constant term, in pixels per squared frame interval, of the maximum change of a smooth motion's acceleration
+/// from one frame to the next. The maximum is this value plus [`JERK_FRACTION`] times the smaller of the two
+/// accelerations.
 const MAX_JERK_PX: f64 = 12.0;
 const JERK_FRACTION: f64 = 0.5;
-/// Maximum distance, at both ends, between a forward and a backward correspondence that are merged, pixels.
+/// Maximum distance, in both frames, between a forward and a backward correspondence that are merged, in pixels.
 const MERGE_DISTANCE_PX: f64 = 1.0;
 
-/// The bidirectional temporal flow (§4.1) between frames `k` and `k + 1` of a camera, from the corners of
-/// both.
+/// Computes the bidirectional temporal flow (§4.1) between frames `k` and `k + 1` of a camera, from the corners of
+/// both frames.
 ///
-/// Correspondences of both directions are merged. Those whose motion differs from their neighbours' are
-/// removed ([`neighbor_consensus`]), and the others are extended to the frames before and after where these
-/// exist. The order does not depend on the number of threads.
+/// Correspondences that are found in both directions are merged. A correspondence whose motion differs from the
+/// motion of its neighbours is removed ([`neighbor_consensus`]). The remaining correspondences are extended to the
+/// frames `k − 1` and `k + 2`, if these exist. The order of the result does not depend on the number of threads.
 ///
 /// # Errors
 /// If one of the frames cannot be read.
@@ -147,8 +151,8 @@ pub fn temporal_flow(
     temporal_flow_of(frames, camera, k, [of_earlier, of_later])
 }
 
-/// [`temporal_flow`] from given points of frame `k` and of frame `k + 1`, pixels, instead of the frames'
-/// corners.
+/// Computes [`temporal_flow`] from given points of frame `k` and of frame `k + 1`, in pixels, instead of the
+/// frames' corners.
 ///
 /// # Errors
 /// If one of the frames cannot be read.
@@ -191,7 +195,8 @@ pub fn temporal_flow_of(
     Ok(tracks)
 }
 
-/// One direction of the bidirectional flow: tracks `corners`, pixels of `source`, to `target`.
+/// Computes one direction of the bidirectional flow: tracks `corners`, in pixels of `source`, to `target`. Returns
+/// the matches of the corners that are not lost.
 fn directed_flow(
     source: &Frame,
     target: &Frame,
@@ -205,12 +210,12 @@ fn directed_flow(
     matches.into_iter().flatten().collect()
 }
 
-/// The correspondences of both directions. Two are merged if they are within [`MERGE_DISTANCE_PX`] at both
-/// ends.
+/// Merges the correspondences of both directions into tracks. A forward and a backward correspondence become one
+/// track if they are within [`MERGE_DISTANCE_PX`] of each other in both frames.
 fn merged(forward: &[Match], backward: &[Match]) -> Vec<Track> {
     let track = |direction, m: &Match| {
         let (earlier, later, deformation) = if direction == FlowDirection::Backward {
-            // A match's change of area is bounded, so that the inverse exists.
+            // The change of area of a match is bounded, so that the inverse exists.
             let inverse = m.deformation.try_inverse().unwrap_or_else(Matrix2::identity);
             (m.target, m.source, inverse)
         } else {
@@ -230,7 +235,7 @@ fn merged(forward: &[Match], backward: &[Match]) -> Vec<Track> {
     let mut tracks: Vec<Track> = forward.iter().map(|m| track(FlowDirection::Forward, m)).collect();
     let at_earlier = Neighbors::new(forward.iter().map(|m| m.source));
     for m in backward {
-        // The nearest first; of equally near ones, the one of lower index.
+        // Sorted by distance; equally near correspondences are sorted by index.
         let near = at_earlier.nearest(&m.target, usize::MAX, MERGE_DISTANCE_PX);
         let is_twin = |k: &usize| (forward[*k].target - m.source).norm() <= MERGE_DISTANCE_PX;
         match near.into_iter().find(is_twin) {
@@ -241,9 +246,9 @@ fn merged(forward: &[Match], backward: &[Match]) -> Vec<Track> {
     tracks
 }
 
-/// For each track, whether its motion agrees with enough neighbours; also true if it has too few neighbours
-/// to tell. A track that differs from its neighbours is a mismatch, since a surface has more than one
-/// feature.
+/// Returns, for each track, whether its motion agrees with the motion of its neighbours. Also `true` if the track
+/// has too few neighbours for a comparison. A track that disagrees is a mismatch, assuming that every surface has
+/// several features.
 pub fn neighbor_consensus(tracks: &[Track], options: &RegistrationOptions) -> Vec<bool> {
     let moved =
         |t: &Track| Some(Moved { at: t.earlier, motion: t.motion(), deformation: t.deformation });
@@ -269,8 +274,8 @@ mod tests {
     #[test]
     fn a_correspondence_of_both_directions_is_merged_and_labelled() {
         let forward = [a_match(10.0, 3.0), a_match(20.0, 3.0)];
-        // The first is a forward match reversed; the second starts at the end of a forward match, but ends
-        // elsewhere.
+        // The first backward match is the reverse of a forward match. The second starts at the end of a forward
+        // match, but ends elsewhere.
         let backward = [a_match(13.2, -3.1), a_match(23.1, -9.0)];
         let tracks = merged(&forward, &backward);
         let directions: Vec<_> = tracks.iter().map(|t| t.direction).collect();
@@ -292,7 +297,7 @@ mod tests {
         assert!(tracks.iter().all(|t| (t.motion().x - 5.0).abs() < 1e-9));
     }
 
-    /// At the turning point of a swing all four positions remain; at a bounce, the one beyond the kink is
+    /// At the turning point of a swing, all four positions remain. At a bounce, the position beyond the kink is
     /// removed.
     #[test]
     fn a_kink_drops_the_position_beyond_it() {
@@ -324,16 +329,16 @@ mod tests {
         let times = FrameTimes::global(&[0.0, 1.0, 2.0]);
         let curved = track.trajectory(times, 1).unwrap();
         assert!((curved.at(1.5).x - 11.375).abs() < 1e-12);
-        // Frame 0 has no frame before it, so that the track's position there is ignored.
+        // No frame precedes frame 0, so that the track's position `before` is ignored.
         assert!((track.trajectory(times, 0).unwrap().at(0.5).x - 11.5).abs() < 1e-12);
     }
 
-    /// A point that moves at constant velocity through a rolling shutter's rows.
+    /// A point moves at constant velocity in the image of a camera with a rolling shutter.
     #[test]
     fn positions_have_the_times_of_their_rows() {
         let rows = RowTimes::new(0.8, 101);
         let at = |t: f64| Point2::new(20.0 + 7.0 * t, 30.0 + 20.0 * t);
-        // The time at which the point is in the row that is exposed: t = k + offset(y(t)), linear in t.
+        // The time at which the point's row is exposed in frame k: t = k + offset(y(t)), which is linear in t.
         let seen = |k: f64| {
             let t = (k + rows.offset_s(30.0)) / (1.0 - 20.0 * rows.s_per_px());
             assert!((t - k - rows.offset_s(at(t).y)).abs() < 1e-12);

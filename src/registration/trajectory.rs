@@ -1,13 +1,14 @@
-//! A feature's trajectory in one camera through a few frames: eq. (2), and curves beyond the paper.
+//! The trajectory of a feature in the image of one camera, through two to four frames: the straight line of eq.
+//! (2), and curves beyond the paper.
 //!
-//! The trajectory is the polynomial through all samples. Two samples give the paper's straight line, three
-//! and four a quadratic and a cubic. A straight line would bias temporal offsets by the trajectory's
-//! curvature.
+//! The trajectory is the polynomial through all samples. Two samples give the paper's straight line, three samples
+//! a quadratic, and four samples a cubic. With straight lines, the curvature of the true trajectory would bias the
+//! estimated temporal offsets between cameras.
 
 use nalgebra::{Point2, Vector2};
 
-/// A feature's image position as a function of time: the interpolating polynomial of two to four
-/// samples. Positions in pixels, times in seconds.
+/// Image position of a feature as a function of time: the interpolating polynomial of two to four samples.
+/// Positions are in pixels, times in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trajectory {
     times_s: [f64; Trajectory::MAX],
@@ -19,10 +20,10 @@ impl Trajectory {
     /// Maximum number of samples.
     pub const MAX: usize = 4;
 
-    /// The trajectory through samples `(time in seconds, position in pixels)`, in order of time.
+    /// Creates the trajectory through samples `(time in seconds, position in pixels)`, in order of time.
     ///
-    /// `None` for fewer than two or more than four samples, and for times that do not strictly ascend, since
-    /// [`Self::at`] divides by their differences.
+    /// Returns `None` for fewer than two or more than four samples. Also returns `None` if the times do not
+    /// strictly ascend, since [`Self::at`] divides by their differences.
     pub fn new(samples: impl IntoIterator<Item = (f64, Point2<f64>)>) -> Option<Self> {
         let mut trajectory =
             Self { times_s: [0.0; Self::MAX], positions: [Point2::origin(); Self::MAX], len: 0 };
@@ -39,8 +40,8 @@ impl Trajectory {
         (trajectory.len >= 2).then_some(trajectory)
     }
 
-    /// The Lagrange basis polynomial of sample `i` at a time in seconds, without the factor of sample
-    /// `skipped`. With `skipped` equal to `i`, it has all factors.
+    /// Returns the Lagrange basis polynomial of sample `i` at a time in seconds, without the factor that belongs to
+    /// sample `skipped`. If `skipped` equals `i`, all factors are included.
     fn weight(&self, time_s: f64, i: usize, skipped: usize) -> f64 {
         (0..self.len)
             .filter(|&j| j != i && j != skipped)
@@ -48,14 +49,14 @@ impl Trajectory {
             .product()
     }
 
-    /// The position, pixels, at a time in seconds; eq. (2) if there are two samples. Outside the samples'
-    /// times it is an extrapolation.
+    /// Returns the position, in pixels, at a time in seconds. For two samples, this is eq. (2). Outside the time
+    /// range of the samples, the polynomial is extrapolated.
     pub fn at(&self, time_s: f64) -> Point2<f64> {
         let terms = (0..self.len).map(|i| self.positions[i].coords * self.weight(time_s, i, i));
         Point2::from(terms.fold(Vector2::zeros(), |sum, term| sum + term))
     }
 
-    /// The velocity at a time in seconds, pixels per second.
+    /// Returns the velocity, in pixels per second, at a time in seconds.
     pub fn velocity(&self, time_s: f64) -> Vector2<f64> {
         let mut sum = Vector2::zeros();
         for i in 0..self.len {

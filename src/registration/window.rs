@@ -1,47 +1,47 @@
-//! Windows of a pyramid level at sub-pixel positions, by bilinear interpolation.
+//! Reads windows of a pyramid level at sub-pixel positions, by bilinear interpolation.
 
 use super::pyramid::PyramidLevel;
 use crate::simd::{F32x8, LANES};
 use nalgebra::Vector2;
 
-/// For a linearly interpolated sample along one axis, the fraction, 0..=1, of its weight that is on pixels
-/// inside an image of `size` pixels; the padding carries no information. `v` is the position in pixels, with
-/// the first pixel's centre at 0.
+/// Returns the fraction, 0..=1, of a linearly interpolated sample's weight that is on pixels inside the image,
+/// along one axis. The rest of the weight is on padding, which carries no information. `v` is the sample's position
+/// in pixels, with the centre of the first pixel at 0. `size` is the size of the image in pixels.
 #[inline(always)]
 pub fn fraction_inside(v: f64, size: usize) -> f32 {
     (1.0 + v.min(size as f64 - 1.0 - v)).clamp(0.0, 1.0) as f32
 }
 
-/// A window of a row-major plane at a sub-pixel position, to be read row by row.
+/// A window of a row-major plane at a sub-pixel position. It is read row by row through [`Columns`].
 #[derive(Clone, Copy)]
 pub struct Window<'a> {
     plane: &'a [f32],
     base: usize,
     stride: usize,
-    /// Number of samples of a row.
+    /// Number of samples in each row of the window.
     row: usize,
     rows: usize,
-    /// The fractional part of the position, x and y, in 0..1.
+    /// Fractional part (x, y) of the window's position, each in 0..1.
     within: [f32; 2],
 }
 
-/// Reads a strip of a [`Window`], 8·B columns wide, row by row.
+/// Reader of a strip of a [`Window`]. The strip is 8·B columns wide and is read row by row.
 pub struct Columns<'a, V, const B: usize> {
     plane: &'a [f32],
     stride: usize,
-    /// Index of the next row's first sample.
+    /// Index in the plane of the first sample of the next row to read.
     next: usize,
-    /// Index of the last row's first sample.
+    /// Index in the plane of the first sample of the last row that may be read.
     end: usize,
     within: [V; 2],
-    /// The row read last, interpolated horizontally.
+    /// The plane's row that was read last, interpolated horizontally.
     above: [V; B],
 }
 
 impl<'a> Window<'a> {
-    /// The window around `p` in a level, with `rows` rows of `row` samples and its top-left sample `radius`
-    /// pixels to the left of and above `p`. `p` is in pixels, with the first pixel's centre at (0, 0). `None`
-    /// if `p` is more than a pixel outside the image.
+    /// Returns the window around `p` in a level. The window has `rows` rows of `row` samples. Its top-left sample
+    /// is `radius` pixels to the left of `p` and `radius` pixels above. `p` is in pixels, with the centre of the
+    /// first pixel at (0, 0). Returns `None` if `p` is more than a pixel outside the image.
     ///
     /// # Panics
     /// If the window and its bilinear neighbours are not inside the padded level.
@@ -63,7 +63,7 @@ impl<'a> Window<'a> {
         Some(Self { plane, base, stride, row, rows, within: [(p.x - x) as f32, (p.y - y) as f32] })
     }
 
-    /// The strip of 8·B columns from column `x` on, from the top row down.
+    /// Returns a reader of the strip of 8·B columns that starts at column `x`. The reader starts at the top row.
     ///
     /// # Panics
     /// If the strip is not inside the window.
@@ -84,15 +84,15 @@ impl<'a> Window<'a> {
 }
 
 impl<V: F32x8, const B: usize> Columns<'_, V, B> {
-    /// The plane's next row, interpolated horizontally.
+    /// Reads the next row of the plane, interpolated horizontally.
     #[inline(always)]
     fn next_plane_row(&mut self) -> [V; B] {
         assert!(self.next <= self.end);
         let mut row = [V::zero(); B];
         for (b, out) in row.iter_mut().enumerate() {
             let at = self.next + b * LANES;
-            // SAFETY: `end` is the last row, and `Window::around` and `Window::columns` checked that
-            // it and the columns are inside.
+            // SAFETY: the assertion checks that the row is not after `end`. `Window::around` and `Window::columns`
+            // checked that row `end` and the strip's columns are inside the plane.
             let [left, right] = unsafe {
                 [V::load_unchecked(self.plane, at), V::load_unchecked(self.plane, at + 1)]
             };
@@ -102,7 +102,7 @@ impl<V: F32x8, const B: usize> Columns<'_, V, B> {
         row
     }
 
-    /// The strip's next row, interpolated both ways.
+    /// Reads the next row of the strip, interpolated horizontally and vertically.
     ///
     /// # Panics
     /// If all rows have been read.

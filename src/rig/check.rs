@@ -1,4 +1,4 @@
-//! Checks a rig file: every field is within its limits, and no two fields contradict each other.
+//! Checks a rig file: every field must be within its limits, and fields must not contradict each other.
 
 use super::limits::*;
 use super::{Rig, RigCamera, RigView};
@@ -12,7 +12,7 @@ use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-/// The error of an invalid rig file: one sentence with the file and the field.
+/// Error of an invalid rig file: one sentence with the file's path and the field.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {source}")]
 pub struct RigError {
@@ -20,13 +20,13 @@ pub struct RigError {
     source: JsonError,
 }
 
-/// An invalid value of a field or an option. Field and reason together are one sentence.
+/// Invalid value of a field or an option. The field and the reason together are one sentence.
 #[derive(Debug, PartialEq, thiserror::Error)]
 #[error("{field} {reason}")]
 pub struct FieldError {
-    /// Path of the field, such as `cameras[1].rate_hz`, or the option's name in words.
+    /// Path of the field, such as `cameras[1].rate_hz`, or the option in words, such as `the list of rates`.
     pub field: String,
-    /// The end of the sentence, such as "must be a number from …".
+    /// Rest of the sentence, such as "must be a number from …".
     pub reason: String,
 }
 
@@ -38,16 +38,16 @@ impl Rig {
             .map_err(|source| RigError { path: path.to_owned(), source })
     }
 
-    /// Parses and checks the text of a rig file. The error is one sentence that starts with the field, if it
-    /// is known.
+    /// Parses and checks the text of a rig file. The error is one sentence. It starts with the field, if the field is
+    /// known.
     pub fn parse(text: &str) -> Result<Self, String> {
         let rig: Self = json::parse(text)?;
         rig.check().map_err(|wrong| wrong.to_string())?;
         Ok(rig)
     }
 
-    /// Checks every field against [`super::limits`], and fields against each other. The error is for the
-    /// first invalid field, in the file's order.
+    /// Checks every field against [`super::limits`], and fields against each other. The error is that of the first
+    /// invalid field, in the order of the file.
     pub fn check(&self) -> FieldCheck {
         if self.format != FORMAT {
             return wrong("format", format!("must be {FORMAT:?}, not {:?}", self.format));
@@ -136,7 +136,8 @@ fn camera(at: &str, camera: &RigCamera, reference: &str) -> FieldCheck {
     distortion(at, camera)
 }
 
-/// Checks that the fields of a clock don't contradict each other.
+/// Checks that the fields of a camera's clock don't contradict each other. `at` is the camera's path in the file, such
+/// as `cameras[1]`.
 fn clock(at: &str, camera: &RigCamera, is_reference: bool) -> FieldCheck {
     let known = if is_reference { "the reference camera" } else { "a camera with a shared clock" };
     if is_reference || camera.clock_shared {
@@ -210,7 +211,7 @@ fn pose(at: &str, pose: &PoseFormat) -> FieldCheck {
 }
 
 impl RigCamera {
-    /// The camera's pose and its lens without distortion.
+    /// Returns the camera as a virtual camera: with its pose, and its lens without distortion.
     pub fn view(&self) -> RigView {
         RigView {
             id: self.id.clone(),

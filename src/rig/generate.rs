@@ -12,21 +12,21 @@ use nalgebra::{UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::num::NonZeroUsize;
 
-/// Arrangement of the cameras. All look along the rig's +z, except in an arc.
+/// Arrangement of a rig's cameras. All cameras look along the rig's +z axis, except in an arc.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum RigLayout {
-    /// From left to right.
+    /// Cameras in a line, from left to right.
     Line { count: NonZeroUsize },
-    /// Row by row, from the top left.
+    /// Cameras in a grid, row by row from the top left.
     Grid { rows: NonZeroUsize, columns: NonZeroUsize },
-    /// From left to right on a circle around a point straight ahead, at which all cameras look. The spacing
-    /// is measured along the arc.
+    /// Cameras on a circle, from left to right. All look at the centre of the circle, which is `distance_m` metres
+    /// straight ahead. Their spacing is measured along the arc.
     Arc { count: NonZeroUsize, distance_m: f64 },
 }
 
 impl RigLayout {
-    /// Number of cameras; saturates instead of overflowing.
+    /// Returns the number of cameras. Saturates instead of overflowing.
     fn count(&self) -> usize {
         match self {
             Self::Line { count } | Self::Arc { count, .. } => count.get(),
@@ -35,28 +35,29 @@ impl RigLayout {
     }
 }
 
-/// Times of the first frames, after the scene's start.
+/// Times from the scene's start to the cameras' first frames.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Delays {
-    /// All at the scene's start.
+    /// All cameras start at the scene's start.
     None,
-    /// Uniformly random within one frame interval of each camera.
+    /// The delay of each camera is uniformly random within one of its frame intervals.
     Random,
-    /// Given in seconds; the entries are assigned to the cameras in turn.
+    /// Delays in seconds, which the cameras take in turn.
     Listed(Vec<f64>),
 }
 
-/// Whether lost frames show as gaps in the cameras' time stamps.
+/// Whether lost frames leave gaps in the cameras' time stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LossStamps {
-    /// All losses leave gaps.
+    /// Every lost frame leaves a gap in the time stamps.
     #[default]
     Stamped,
-    /// No loss leaves a trace.
+    /// No lost frame leaves a gap in the time stamps.
     Hidden,
-    /// In every second camera, losses leave gaps; in the others they leave no trace.
+    /// In every second camera, from the first on, lost frames leave gaps in the time stamps. In the other cameras, they
+    /// don't.
     Mixed,
 }
 
@@ -66,64 +67,65 @@ methods!(LossStamps {
     Mixed = "mixed": "Either in turn, by camera",
 });
 
-/// How frames are lost: the settings for all cameras except the reference, which loses none.
+/// Lost frames: the settings for all cameras except the reference camera, which loses none.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Loss {
-    /// Number of lost frames of each camera.
+    /// Number of frames that each camera loses.
     pub count: usize,
-    /// Lost frames are drawn from the frames 1 to `within − 1`.
+    /// The numbers of the lost frames are drawn at random from 1 to `within − 1`. Frame 0 is never lost.
     pub within: usize,
-    /// Whether time stamps show the losses.
+    /// Whether lost frames leave gaps in the time stamps.
     pub stamps: LossStamps,
 }
 
-/// Parameters of a generated rig.
+/// Options of a generated rig.
 ///
-/// Entries of a list are assigned to cameras in turn, cyclically. No list may be empty.
+/// Cameras take the entries of a list in turn, and start again from its first entry after the last. No list may be
+/// empty.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigOptions {
     pub name: String,
     pub layout: RigLayout,
-    /// Distance between neighbours' centres.
+    /// Distance between the centres of neighbouring cameras, metres.
     pub spacing_m: f64,
-    /// Widths and heights of the images, pixels.
+    /// Widths and heights of the cameras' images, pixels.
     pub sizes_px: Vec<(u32, u32)>,
-    /// Focal lengths, millimetres.
+    /// Focal lengths of the cameras, millimetres.
     pub lenses_mm: Vec<f64>,
-    /// Size of all sensors along their longer side, millimetres.
+    /// Length of all sensors along their longer side, millimetres.
     pub sensor_width_mm: f64,
     /// Distortion of all lenses.
     pub distortion: RigDistortion,
-    /// Frame rates, hertz.
+    /// Frame rates of the cameras, hertz.
     pub rates_hz: Vec<f64>,
     /// Times of the cameras' first frames.
     pub delays: Delays,
-    /// Standard deviations of the exposures' random errors in time, seconds.
+    /// Standard deviations of the random errors in the times of exposures, seconds.
     pub jitters_s: Vec<f64>,
-    /// Whether cameras stamp their frames with the jitter.
+    /// Whether the cameras' time stamps include the jitter, the random errors in the times of exposures.
     pub jitter_stamped: bool,
-    /// Maximum absolute drift, parts per million. Drifts are uniformly random within it; the reference has
-    /// none.
+    /// Maximum absolute drift of the cameras' clocks, parts per million. The drift of each clock is uniformly random
+    /// between minus this value and this value. The reference camera's clock has no drift.
     pub max_drift_ppm: f64,
-    /// Lost frames, if any.
+    /// Settings for lost frames. `None` if no frames are lost.
     pub loss: Option<Loss>,
     /// Whether all cameras share one clock.
     pub clock_shared: bool,
-    /// Durations for which the shutters are open, seconds.
+    /// Times for which the cameras' shutters are open, seconds.
     pub exposures_s: Vec<f64>,
-    /// Readout times of the rolling shutters, seconds; 0 for a global shutter.
+    /// Readout times of the cameras' rolling shutters, seconds. 0 for a global shutter.
     pub readouts_s: Vec<f64>,
-    /// Factors on the light, applied before display encoding.
+    /// Gains of the cameras: factors on the linear light, before display encoding.
     pub gains: Vec<f64>,
-    /// Standard deviations of the noise, as fractions of full scale.
+    /// Standard deviations of the cameras' sensor noise, in display-encoded values from 0 to 1.
     pub noises: Vec<f64>,
-    /// Colour or grey cameras.
+    /// Whether each camera records colours or luminance alone.
     pub colors: Vec<RigColor>,
     /// Bits per channel of all images, 8 or 16.
     pub bit_depth: u32,
-    /// Seed of random delays, drifts and losses; also the field `seed` of the rig file.
+    /// Seed of random delays, drifts and losses. It is also written into the field `seed` of the rig file.
     pub seed: u64,
 }
 
@@ -156,7 +158,7 @@ impl Default for RigOptions {
     }
 }
 
-/// A camera's pose in the rig's frame: its centre, and a rotation about the vertical axis.
+/// Pose of a camera in the rig's frame: its centre, metres, and its rotation about the vertical axis.
 #[derive(Clone, Copy)]
 struct Stand {
     center: Vector3<f64>,
@@ -164,17 +166,19 @@ struct Stand {
     yaw_rad: f64,
 }
 
-/// Steps per unit to which poses are rounded, so that files are equal on platforms with different sine
-/// functions.
+/// Number of rounding steps per metre of a translation, and per unit of a quaternion. The rounding makes files equal on
+/// platforms with different sine functions.
 const POSE_STEPS: f64 = 1e9;
-/// Number of steps per second; delays are rounded to whole steps.
+/// Number of rounding steps per second of a delay. Delays are thus rounded to microseconds.
 const TIME_STEPS: f64 = 1e6;
-/// Number of steps per ppm; drifts are rounded to whole steps.
+/// Number of rounding steps per ppm of a drift. Drifts are thus rounded to 0.001 ppm.
 const DRIFT_STEPS: f64 = 1e3;
 
 impl RigOptions {
-    /// Generates and checks the rig. The error is for the first invalid option, or the first invalid field of
-    /// the rig.
+    /// Generates and checks the rig.
+    ///
+    /// # Errors
+    /// The first invalid option, or the first invalid field of the rig.
     pub fn generate(&self) -> Result<Rig, FieldError> {
         self.check()?;
         let stands = self.stands();
@@ -285,7 +289,7 @@ impl RigOptions {
         }
     }
 
-    /// Camera `i` of the rig; its delay, drift and losses are set later.
+    /// Returns camera `i` of the rig. Its frame rate, delay, drift and losses are set by the caller.
     fn camera(&self, i: usize, stand: &Stand) -> RigCamera {
         let (width, height) = turn(&self.sizes_px, i);
         RigCamera {
@@ -316,11 +320,12 @@ impl RigOptions {
         }
     }
 
-    /// Two virtual views with the reference's lens: one between the cameras, and one away from their line.
+    /// Returns two virtual cameras with the reference camera's lens. The first is halfway between neighbouring cameras
+    /// near the rig's centre. The second is to the left of the first, above it, and in front of it.
     fn views(&self, like: &RigCamera, stands: &[Stand], reference: usize) -> Vec<RigView> {
         let beside = 0.5 * self.spacing_m;
         let between = match self.layout {
-            // If a camera stands in the middle, the view is halfway to its neighbour.
+            // If a camera stands in the middle, the virtual camera is halfway to its neighbour.
             RigLayout::Line { count } if count.get() % 2 == 1 => Stand::ahead(beside, 0.0),
             RigLayout::Grid { rows, columns } => {
                 let aside = |n: usize| if n % 2 == 1 { beside } else { 0.0 };
@@ -331,7 +336,7 @@ impl RigOptions {
             }
             _ => Stand::ahead(0.0, 0.0),
         };
-        // To the left of the view `between`, above it and in front of it.
+        // The second virtual camera is to the left of `between`, above it, and in front of it.
         let off = Vector3::new(-1.0, -0.4, 0.5) * self.spacing_m;
         let above = Stand { center: between.center + off, yaw_rad: stands[reference].yaw_rad };
         [("between", between), ("above", above)]
@@ -355,7 +360,7 @@ impl Loss {
 }
 
 impl Stand {
-    /// A camera at (x, y, 0) that looks along +z.
+    /// Returns the pose of a camera at (x, y, 0) that looks along +z.
     fn ahead(x: f64, y: f64) -> Self {
         Self { center: Vector3::new(x, y, 0.0), yaw_rad: 0.0 }
     }
@@ -371,13 +376,14 @@ impl Stand {
     }
 }
 
-/// A camera on the circle around the point `distance_m` ahead of the rig's centre; it looks at this point.
+/// Returns the pose of a camera that looks at the point `distance_m` metres ahead of the rig's centre. The camera is on
+/// the circle around this point through the rig's centre, at `angle` radians to the right of the rig's centre.
 fn on_arc(angle: f64, distance_m: f64) -> Stand {
     let center = Vector3::new(angle.sin(), 0.0, 1.0 - angle.cos()) * distance_m;
     Stand { center, yaw_rad: angle }
 }
 
-/// Index of the camera nearest to the rig's centre; of equally near ones, the first.
+/// Returns the index of the camera nearest to the rig's centre. If several are equally near, returns the first.
 fn reference(stands: &[Stand]) -> usize {
     let distance = |s: &Stand| s.center.norm();
     let nearest = stands.iter().map(distance).fold(f64::INFINITY, f64::min);
@@ -385,7 +391,7 @@ fn reference(stands: &[Stand]) -> usize {
     stands.iter().position(|s| distance(s) <= nearest * (1.0 + 1e-9)).unwrap_or(0)
 }
 
-/// Draws distinct frames from 1 to `within − 1`, in ascending order.
+/// Draws the numbers of a camera's lost frames: distinct, from 1 to `within − 1`, in ascending order.
 fn draw(random: &mut Random, loss: Loss) -> Vec<u32> {
     let mut remaining: Vec<u32> = (1..loss.within as u32).collect();
     let mut lost: Vec<u32> = (0..loss.count)
@@ -395,12 +401,12 @@ fn draw(random: &mut Random, loss: Loss) -> Vec<u32> {
     lost
 }
 
-/// The entry for a camera of a list that is used cyclically.
+/// Returns a camera's entry of a list. The cameras take the entries in turn, cyclically.
 fn turn<T: Clone>(list: &[T], camera: usize) -> T {
     list[camera % list.len()].clone()
 }
 
-/// Rounds to the nearest multiple of 1 / `steps`; −0 becomes 0.
+/// Rounds a value to the nearest multiple of 1 / `steps`. −0 becomes 0.
 fn round(value: f64, steps: f64) -> f64 {
     (value * steps).round() / steps + 0.0
 }

@@ -1,60 +1,59 @@
-//! The limits of a rig's fields, for the JSON Schema and the checks.
+//! Limits of a rig's fields, for the JSON Schema and the checks.
 //!
-//! They prevent divisions by 0, and the use of terabytes of memory because of a typing error. Further limits
-//! are those of captures and cameras: [`MAX_DRIFT_PPM`], [`MAX_FRAMES`](crate::capture::MAX_FRAMES),
+//! The limits prevent divisions by 0. They also keep a typing error in a rig from taking terabytes of memory.
+//! Further limits are those of captures and cameras: [`MAX_DRIFT_PPM`], [`MAX_FRAMES`](crate::capture::MAX_FRAMES),
 //! [`MAX_PIXELS`](crate::raster::MAX_PIXELS), [`MAX_QUATERNION_ERROR`](crate::camera::MAX_QUATERNION_ERROR).
 
 use crate::capture::MAX_DRIFT_PPM;
 use std::ops::RangeInclusive;
 
-/// The value of a rig file's field `format`.
+/// Value of the field `format` in rig files.
 pub const FORMAT: &str = "stlfr-rig";
-/// The value of a rig file's field `version`.
+/// Value of the field `version` in rig files.
 pub const VERSION: u32 = 1;
-/// Regular expression of ids and names, which must be valid names of folders and files on every system.
+/// Regular expression for ids and names. They must be valid names of folders and files on every system.
 pub const IDENTIFIER: &str = r"^[A-Za-z0-9][A-Za-z0-9_-]*$";
-/// Ids that no camera can have, because captures contain folders with these names.
+/// Ids and names that are not allowed, because captures contain folders with these names.
 pub const RESERVED: [&str; 3] = ["truth", "colmap", "review"];
-/// Maximum seed. JSON readers that parse numbers as doubles represent integers up to it exactly.
+/// Maximum seed. Up to this number, JSON readers that parse numbers as doubles represent all integers exactly.
 pub const MAX_SEED: u64 = 1 << 53;
 /// Maximum number of cameras of a generated rig.
 pub const MAX_CAMERAS: usize = 1000;
 
-/// Width and height of an image, pixels; their product is limited by
-/// [`MAX_PIXELS`](crate::raster::MAX_PIXELS).
+/// Allowed width and height of an image, pixels. Their product is limited by [`MAX_PIXELS`](crate::raster::MAX_PIXELS).
 pub const SIZE_PX: RangeInclusive<u32> = 8..=16_384;
-/// Focal length, millimetres.
+/// Allowed focal length of a lens, millimetres.
 pub const LENS_MM: RangeInclusive<f64> = 1.0..=5000.0;
-/// Length of the sensor's longer side, millimetres.
+/// Allowed length of the sensor's longer side, millimetres.
 pub const SENSOR_MM: RangeInclusive<f64> = 1.0..=500.0;
-/// Lens shift, as a fraction of the image's longer side.
+/// Allowed lens shift, as a fraction of the image's longer side.
 pub const SHIFT: RangeInclusive<f64> = -10.0..=10.0;
-/// Each coordinate of a translation, metres.
+/// Allowed value of each coordinate of a translation, metres.
 pub const LENGTH_M: RangeInclusive<f64> = -1e6..=1e6;
-/// Frame rate, hertz.
+/// Allowed frame rate of a camera, hertz.
 pub const RATE_HZ: RangeInclusive<f64> = 1e-3..=1e5;
-/// Delay of a camera's first frame, seconds after the scene's start.
+/// Allowed time from the scene's start to a camera's first frame, seconds.
 pub const TIME_S: RangeInclusive<f64> = -1e6..=1e6;
-/// Drift of a clock, ppm: at most the drift that can be estimated.
+/// Allowed drift of a clock, parts per million: at most the drift that can be estimated.
 pub const DRIFT_PPM: RangeInclusive<f64> = -MAX_DRIFT_PPM..=MAX_DRIFT_PPM;
-/// Nominal number of a lost frame.
+/// Allowed number of a lost frame. Frames are numbered from 0, and frame 0 is never lost.
 pub const LOST_FRAME: RangeInclusive<u32> = 1..=1_000_000_000;
-/// Factor on the light, applied before display encoding.
+/// Allowed gain of a camera: factor on the linear light, before display encoding.
 pub const GAIN: RangeInclusive<f64> = 0.01..=100.0;
-/// Rate of change of the logarithm of the gain, per second.
+/// Allowed rate of change of the logarithm of the gain, per second.
 pub const GAIN_DRIFT_PER_S: RangeInclusive<f64> = -10.0..=10.0;
-/// Standard deviation of the sensor's noise in display-encoded values, as a fraction of full scale.
+/// Allowed standard deviation of the sensor's noise, in display-encoded values, as a fraction of full scale.
 pub const NOISE: RangeInclusive<f64> = 0.0..=0.5;
-/// Each coefficient of the distortion.
+/// Allowed value of each distortion coefficient.
 pub const DISTORTION: RangeInclusive<f64> = -10.0..=10.0;
 
-/// Maximum standard deviation of the jitter, as a fraction of a frame interval. With more, two frames of a
-/// camera could swap.
+/// Maximum standard deviation of the jitter (the random errors in the times of exposures), as a fraction of a frame
+/// interval. With more jitter, two frames of a camera could change their order.
 pub const MAX_JITTER_FRAMES: f64 = 0.1;
-/// Maximum size of the pinhole image that covers the view of a distorted lens, relative to the size of the
-/// lens's own image.
+/// Maximum width of the undistorted image that covers the view of a distorted lens, as a multiple of the width of the
+/// lens's own image. The same limit holds for the height.
 pub const MAX_SPREAD: f64 = 2.0;
-/// Number of points on each side of the image's border at which a distortion is checked.
+/// Number of intervals into which each side of the image's border is divided. A distortion is checked at their ends.
 pub const BORDER_STEPS: u32 = 16;
-/// Maximum number of frames of a recording whose lost frames are chosen at random.
+/// Maximum number of frames from which the lost frames of a camera are drawn at random.
 pub const MAX_LOSS_WITHIN: usize = 100_000;

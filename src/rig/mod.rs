@@ -1,11 +1,11 @@
-//! Simulated camera arrays: the rig file that Blender films with, its checks, its JSON Schema, and
-//! the generator of `stlfr rig`.
+//! Simulated camera arrays, called rigs: the rig file from which Blender films, its checks, its JSON Schema, and the
+//! generator of `stlfr rig`.
 //!
-//! - [`Rig::parse`] and [`Rig::read`]: a checked rig from JSON.
-//! - [`RigOptions::generate`]: a rig from a few numbers; [`Rig::to_json`] writes it.
-//! - [`limits`]: the range of every field.
+//! - [`Rig::parse`] and [`Rig::read`] read a rig from JSON, and check it.
+//! - [`RigOptions::generate`] generates a rig from a few numbers. [`Rig::to_json`] writes it.
+//! - [`limits`] has the allowed range of every field.
 //!
-//! Known limit: jitter is drawn in Blender, when a rig films.
+//! Known limit: the random jitter is drawn by Blender when a rig films, not by the generator.
 
 mod check;
 mod format;
@@ -17,7 +17,7 @@ pub use check::{FieldError, RigError};
 pub use format::{Rig, RigCamera, RigColor, RigDistortion, RigView};
 pub use generate::{Delays, Loss, LossStamps, RigLayout, RigOptions};
 
-/// The JSON Schema of a rig file.
+/// Returns the JSON Schema of a rig file.
 pub fn schema() -> serde_json::Value {
     schemars::schema_for!(Rig).into()
 }

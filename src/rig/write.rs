@@ -1,4 +1,4 @@
-//! Writes rig files for human readers: three or four lines per camera.
+//! Writes rig files that people can read: three or four lines per camera.
 
 use super::Rig;
 use serde::Serialize;
@@ -44,9 +44,10 @@ fn entries(list: &[impl Serialize]) -> String {
 }
 
 impl Rig {
-    /// The rig file's text.
+    /// Returns the text of the rig file.
     pub fn to_json(&self) -> String {
-        // The text before the cameras: that of a rig without cameras and views, cut off there.
+        // The text before the cameras is that of a rig without cameras and views, cut off before its empty list of
+        // cameras.
         let bare = Self { cameras: Vec::new(), views: Vec::new(), ..self.clone() };
         let head = spaced(&bare).replace(r#" "cameras": []}"#, "").split_off(1);
         let mut text = format!("{{\n  {head}\n  \"cameras\": [\n{}\n  ]", entries(&self.cameras));

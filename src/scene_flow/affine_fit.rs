@@ -1,5 +1,5 @@
-//! A least-squares plane through the inverse depths and velocities around a pixel, which proposes an element
-//! with gradients.
+//! Fits linear functions of the pixel's position to the inverse depths and velocities around a pixel, by weighted least
+//! squares. The result is a surface element with gradients, which is proposed for this pixel.
 
 use super::element::Element;
 use super::map::ElementMap;
@@ -9,30 +9,32 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Half-width of the window of the fit, pixels of the pyramid level.
 const RADIUS: i32 = 3;
-/// Maximum distance ([`PatchMatcher::distance`]) of a neighbour that belongs to the same surface, pixels of
-/// the pyramid level.
+/// Maximum distance ([`PatchMatcher::distance`]) between the pixel's surface element and an element of the window
+/// that belongs to the same surface, pixels of the pyramid level.
 const MAX_DISTANCE_PX: f32 = 2.0;
-/// Colour difference at which the colour term of a neighbour's weight falls to 1/e.
+/// Colour difference between a neighbour and the pixel at which the colour term of the neighbour's weight falls to
+/// 1/e.
 const COLOR: f32 = 0.16;
-/// Added to the colour term, so that neighbours of any colour have some weight.
+/// Constant that is added to the colour term of a neighbour's weight, so that neighbours of any colour have some
+/// weight.
 const MIN_COLOR_WEIGHT: f32 = 0.05;
-/// Ridge regularization of the gradients towards 0: a surface parallel to the image in pure translation.
-/// Squared pixels of the pyramid level.
+/// Weight of the ridge regularization that pulls the gradients towards 0, squared pixels of the pyramid level.
+/// Gradients of 0 are a surface parallel to the image in pure translation.
 const FLATNESS: f64 = 0.3;
-/// Maximum magnitude of the disparity's gradient, pixels of disparity per pixel.
+/// Maximum magnitude of each component of the disparity's gradient, pixels of disparity per pixel.
 const MAX_DISPARITY_GRADIENT: f32 = 1.6;
-/// Maximum magnitude of the velocity's gradient, pixels per frame per pixel.
+/// Maximum magnitude of each component of the velocity's gradient, pixels per frame per pixel.
 const MAX_MOTION_GRADIENT: f32 = 1.0;
 
 impl PatchMatcher<'_> {
-    /// The least-squares fit to the elements around pixel `(x, y)` of the map. `None` if the normal equations
-    /// are singular.
+    /// Returns the least-squares fit to the surface elements around pixel `(x, y)` of the scene flow map. `None` if
+    /// the normal equations are singular.
     pub fn affine_fit(&self, map: &ElementMap, x: usize, y: usize) -> Option<Element> {
         let (width, height) = (self.own.width as i32, self.own.height as i32);
         let own = map.elements[y * self.own.width + x];
         let center = self.own.pixel(x, y);
         let mut normal = Matrix3::<f64>::zeros();
-        // Right-hand sides: inverse depth, and the two components of the velocity.
+        // The right-hand sides for the inverse depth and for the two components of the velocity.
         let mut right = [Vector3::<f64>::zeros(); 3];
         let (mut rate, mut acceleration, mut weights) = (0.0f32, [0.0f32; 2], 0.0f32);
         for dy in (-RADIUS).max(-(y as i32))..=RADIUS.min(height - 1 - y as i32) {
@@ -65,7 +67,7 @@ impl PatchMatcher<'_> {
         normal[(2, 2)] += flatness;
         let inverse = normal.try_inverse()?;
         let [q, u, v] = right.map(|right| (inverse * right).map(|v| v as f32));
-        // `weights` is positive: the element itself contributes.
+        // `weights` is positive, since the pixel's own element contributes.
         let max_depth_gradient = MAX_DISPARITY_GRADIENT / self.disparity_px;
         let clamped = |v: f32, max: f32| v.clamp(-max, max);
         Some(Element {

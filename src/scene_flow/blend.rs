@@ -11,64 +11,68 @@ use crate::raster::{Image, Sampling, sample};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Half-width in depth, pixels of disparity, of a cluster: a group of candidates for one surface.
+/// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates (surface elements of
+/// different scene flow maps) for the same surface at a pixel of the view.
 const CLUSTER_PX: f32 = 1.5;
-/// Weight above which a cluster occludes a heavier one behind it, as a fraction of the weight of all
-/// candidates at the pixel.
+/// Weight above which a cluster occludes a heavier cluster behind it, as a fraction of the weight of all surface
+/// elements at the pixel.
 const FRONT: f32 = 0.12;
-/// Weight from which a cluster is opaque, as a fraction of the weight of all candidates. Opacity rises
-/// linearly from 0 at [`FRONT`] to 1.
+/// Weight from which a cluster is opaque, as a fraction of the weight of all surface elements at the pixel. The
+/// opacity rises linearly with the weight, from 0 at [`FRONT`] to 1 at this weight.
 const OPAQUE: f32 = 0.25;
-/// Factor on both weights for a cluster that moves, where it is known what stands still: it is in front of no still pixel of
-/// any frame, so that little weight suffices.
+/// Factor on [`FRONT`] and [`OPAQUE`] for a cluster that is known to move. A small weight suffices for such a cluster,
+/// since its source pixels are known not to show static background.
 const MOVING: f32 = 0.25;
-/// Number of the eight neighbours of a hole in a moving body that show the body.
+/// A pixel counts as a hole in a moving body if at least this number of its eight neighbours show the body.
 const CLOSING: usize = 5;
-/// Maximum distance of a hole's pixels from its border, pixels. Holes that are farther from it stay open.
+/// Maximum distance of a pixel of a hole from the hole's border, pixels. Pixels farther inside stay open.
 const CLOSED_PX: usize = 4;
-/// Weight above which a cluster is visible through a transparent one in front, as a fraction of the weight
-/// of all candidates.
+/// Weight above which a cluster is visible through a transparent cluster in front of it, as a fraction of the weight
+/// of all surface elements at the pixel.
 const BEHIND: f32 = 0.05;
-/// Minimum weight of a candidate in the mean of its cluster, as a fraction of the largest weight in the
-/// cluster.
+/// Minimum weight of a candidate (surface element of one scene flow map) in the mean of its cluster, as a fraction of
+/// the largest weight in the cluster.
 const MIN_SHARE: f32 = 0.02;
-/// Distance of a colour from the mean at which its weight falls to a quarter; colours are RGB of 0 to 1.
+/// Distance of a colour from the mean colour of its cluster at which the colour's weight falls to a quarter. Colours
+/// are RGB from 0 to 1.
 const COLOR: f32 = 0.06;
 
-/// Maximum number of a view's pixels that are blended at once. At eight maps, this takes about 60 MB.
+/// Maximum number of a view's pixels that are blended at once. With eight scene flow maps, blending them takes about
+/// 60 MB.
 const BAND_PIXELS: usize = 5 << 16;
-/// Number of pixels from which a view is blended in bands of half the size.
+/// Minimum number of pixels of a large view. To save memory, a large view is blended in bands of half of
+/// [`BAND_PIXELS`].
 const LARGE_PIXELS: usize = 1 << 23;
 
 /// Colour and depth of the surface that a pixel of the view shows.
 #[derive(Clone, Copy)]
 struct Pixel {
     color: [f32; 3],
-    /// 1/m.
+    /// Inverse depth of the surface, 1/m.
     inverse_depth: f32,
-    /// Whether it is known to move.
+    /// Whether the surface is known to move.
     is_moving: bool,
 }
 
-/// What the maps show at a pixel of the view.
+/// What the scene flow maps show at a pixel of the view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shown {
     /// No splat covers the pixel.
     Nothing,
-    /// No splat covers the pixel, which got the values of a neighbour.
+    /// No splat covers the pixel. It has been filled with the values of a neighbouring pixel.
     Filled,
     Something,
-    /// Something that is known to move.
+    /// A surface that is known to move.
     Moving,
 }
 
 /// Colours and depths of all pixels of a view, row by row.
 struct Pixels {
     colors: Vec<[f32; 3]>,
-    /// 1/m; 0 where the depth is unknown.
+    /// Inverse depth of each pixel, 1/m; 0 where the depth is unknown.
     inverse_depths: Vec<f32>,
     shown: Vec<Shown>,
-    /// `None` if motion isn't needed.
+    /// Motion of the surface at each pixel; `None` if the motion isn't requested.
     motions: Option<MotionMap>,
 }
 
@@ -82,8 +86,10 @@ impl Pixels {
         }
     }
 
-    /// Closes the holes of moving bodies through which something else shows, inwards ring by ring. A pixel gets the mean
-    /// of its neighbours that show the body, and the motion of one of them.
+    /// Closes holes in moving bodies: pixels that show a farther surface, although most of their neighbours show the
+    /// body. Holes are closed from the border inwards, one ring of pixels at a time. A closed pixel gets the mean
+    /// colour and inverse depth of its neighbours that show the body, and the motion of one of them. `width` is the
+    /// width of the view, pixels.
     fn close(&mut self, width: usize) {
         let height = self.shown.len() / width;
         let is_body = |shown: &[Shown], n: usize| shown[n] == Shown::Moving;
@@ -119,8 +125,9 @@ impl Pixels {
         }
     }
 
-    /// Fills the holes, pixels that no map covers, inwards ring by ring. A pixel copies its farthest filled
-    /// neighbour, since holes are disoccluded background.
+    /// Fills the holes of the view (pixels that no scene flow map covers) from the border inwards, one ring of pixels
+    /// at a time. Holes are disoccluded background. A pixel therefore copies the values of the neighbour with the
+    /// largest depth, among those that are covered or already filled. `width` is the width of the view, pixels.
     fn fill(&mut self, width: usize) {
         let height = self.shown.len() / width;
         let around = |k: u32| {
@@ -162,34 +169,34 @@ impl Pixels {
     }
 }
 
-/// The element that one map shows at a pixel of the view.
+/// Surface element that one scene flow map shows at a pixel of the view.
 struct ColorCandidate<'a> {
     frame: &'a FlowFrame,
     inverse_depth: f32,
     source: [f32; 2],
     weight: f32,
-    /// Whether the source is known to move.
+    /// Whether the source pixel is known to show a moving body.
     is_moving: bool,
 }
 
 impl ColorCandidate<'_> {
-    /// The candidate's factor on [`FRONT`].
+    /// Returns the factor by which the weight threshold [`FRONT`] is multiplied for this candidate.
     fn front_factor(&self) -> f32 {
         if self.is_moving { MOVING } else { 1.0 }
     }
 }
 
-/// A view with its depth map, and the motion of its surfaces if it was asked for.
+/// Rendered view with its depth map, and with the motion of its surfaces if requested.
 pub struct FlowView {
     pub rendered: Rendered,
     pub depths: DepthMap,
     pub motions: Option<MotionMap>,
 }
 
-/// One row of the view: colours, inverse depths, and what is shown.
+/// One row of the view: colours, inverse depths, and what each pixel shows.
 type BlendedRow<'a> = (&'a mut [[f32; 3]], &'a mut [f32], &'a mut [Shown]);
 
-/// Blends the rows `rows` of a view into `pixels`, as [`blend`] describes.
+/// Blends the rows `rows` of a view at `time` into `pixels`, as [`blend`] describes.
 fn blend_rows(
     mapped: &[MappedFrame],
     confidences: &[Vec<u8>],
@@ -242,12 +249,14 @@ fn blend_rows(
     pixels.motions.iter_mut().for_each(|motions| motions.extend(rows.iter().flatten().copied()));
 }
 
-/// The largest disparity of the maps at an inverse depth of 1/m, pixels.
+/// Returns the disparity of a point at a depth of 1 m, pixels. If it differs between the scene flow maps, returns the
+/// largest.
 fn disparity_px(mapped: &[MappedFrame]) -> f32 {
     mapped.iter().map(|m| m.map.disparity_px).fold(0.0, f32::max)
 }
 
-/// The mean motion, at pixel `k` of the rows, of the elements within `reach` of an inverse depth, 1/m.
+/// Returns the weighted mean motion of the surface that pixel `k` of the blended rows shows. It is the mean over
+/// surface elements whose inverse depth differs from `inverse_depth` by less than `reach`, both in 1/m.
 fn motion_of<'a>(
     splats: impl Iterator<Item = &'a (&'a MappedFrame<'a>, Splat)>,
     k: usize,
@@ -269,18 +278,18 @@ fn motion_of<'a>(
     }
 }
 
-/// Whether a position in a frame is known to show something that moves.
+/// Returns whether a position in a frame, pixels, is known to show a moving body.
 fn shows_motion(frame: &FlowFrame, [x, y]: [f32; 2]) -> bool {
     let (width, height) = (frame.view.width, frame.view.height);
     let inside = |at: f32, size: usize| (at as usize).min(size - 1); // saturates at 0
     frame.is_moving(inside(y, height) * width + inside(x, width))
 }
 
-/// The view at `time`, in frames of the reference camera since the capture's start. `confidences` are those
-/// of the maps, as [`confidences`](super::confidences) returns them.
+/// Renders the view at `time`, in frame periods of the reference camera since the capture's start. `confidences` are
+/// the confidences of the scene flow maps, as [`confidences`](super::confidences) returns them.
 ///
-/// A hole that lies inside some camera's image is filled with the background beside it. Pixels outside all
-/// images are not covered. `with_motion` says whether the view has the motion of its surfaces.
+/// A hole that lies inside at least one camera's image is filled with the background beside it. Pixels outside all
+/// images stay black and have no depth. If `with_motion` is true, the result has the motion of the surfaces too.
 pub fn blend(
     mapped: &[MappedFrame],
     confidences: &[Vec<u8>],
@@ -291,7 +300,7 @@ pub fn blend(
     let (width, height) = (view.width, view.height);
     let motions = with_motion.then(|| MotionMap::empty(disparity_px(mapped), width * height));
     let mut pixels = Pixels::new(width * height, motions);
-    // A large view needs the memory for its pixels.
+    // The pixels of a large view need much memory, so its bands are smaller.
     let band_pixels = if width * height < LARGE_PIXELS { BAND_PIXELS } else { BAND_PIXELS / 2 };
     let rows_at_once = (band_pixels / width.max(1)).max(1);
     for first in (0..height).step_by(rows_at_once) {
@@ -316,7 +325,7 @@ pub fn blend(
     });
     let Pixels { colors, inverse_depths: mut depths, motions, .. } = pixels;
     let coverage = depths.iter().map(|q| *q > 0.0).collect();
-    // An unknown depth, 0 here, becomes infinite, and the depth map turns infinite into NaN.
+    // An unknown depth is an inverse depth of 0. Its reciprocal is infinite, which the depth map turns into NaN.
     depths.iter_mut().for_each(|q| *q = 1.0 / *q);
     let is_gray = mapped.iter().all(|m| !m.frame.is_color);
     let image = if is_gray {
@@ -331,9 +340,10 @@ pub fn blend(
     }
 }
 
-/// The frames that give the background colours with which holes of the view are filled.
+/// Frames that give the background colours with which holes of the view are filled.
 struct Behind<'a> {
-    /// In order of distance between the frame's camera and the view.
+    /// The frames, each with the projection from the view, in order of distance between the frame's camera and the
+    /// view.
     frames: Vec<(MappedFrame<'a>, Projection)>,
 }
 
@@ -348,9 +358,10 @@ impl<'a> Behind<'a> {
         Self { frames }
     }
 
-    /// Colours a hole at `[x, y]`, a position in the undistorted view, by its depth. The colour is that of
-    /// the nearest frame in which nothing occludes the point at this depth; motion is neglected. If the
-    /// point is occluded in all frames, the pixel stays as given. `None` if the point is outside all images.
+    /// Colours a pixel of a hole. `pixel` already has the depth of the background, and `[x, y]` is its position in the
+    /// view without lens distortion. The colour is taken from the frame that shows the point at this depth unoccluded.
+    /// If there are several such frames, the one whose camera is nearest to the view is taken. Motion is neglected. If
+    /// the point is occluded in all frames, the pixel keeps its colour. `None` if the point is outside all images.
     fn fill(&self, mut pixel: Pixel, [x, y]: [f32; 2]) -> Option<Pixel> {
         let mut is_filmed = false;
         for (MappedFrame { frame, map }, projection) in &self.frames {
@@ -375,11 +386,13 @@ impl<'a> Behind<'a> {
     }
 }
 
-/// Colours of a cluster's candidates, RGB of 0 to 1, with their weights.
+/// Colours of a cluster's candidates, RGB from 0 to 1, with their weights.
 type WeightedColors = Vec<([f32; 3], f32)>;
 
-/// The mean of the frontmost cluster with enough weight, composited over the cluster behind if it is not
-/// opaque. `reach` is a cluster's half-width, 1/m. `None` without candidates. `colors` is a reusable buffer.
+/// Returns colour and depth of a pixel: the means of the frontmost cluster with a sufficient weight ([`FRONT`]), or
+/// else of the heaviest cluster. If this cluster isn't opaque, its colour is composited over the colour of the cluster
+/// behind it. `reach` is the half-width of a cluster in inverse depth, 1/m. `colors` is a reusable buffer. `None`
+/// without candidates.
 fn pixel_of(
     candidates: &[ColorCandidate],
     reach: f32,
@@ -424,8 +437,8 @@ fn pixel_of(
     Some(pixel)
 }
 
-/// The robust mean of the candidates within `reach` of inverse depth `q`: two reweighting steps reduce the
-/// weight of outlying colours. `None` if there are none.
+/// Returns the robust mean of the candidates within `reach` of the inverse depth `q`, both in 1/m. Two reweighting
+/// steps reduce the weight of outlying colours. `None` if there are no such candidates.
 fn mean_of(
     candidates: &[ColorCandidate],
     q: f32,
@@ -461,7 +474,8 @@ fn mean_of(
     Some(Pixel { color, inverse_depth: depths / weights, is_moving: 2.0 * moving > weights })
 }
 
-/// The mean of the colours, weighted by their weight times `factor`; both are positive.
+/// Returns the weighted mean of the colours. The weight of a colour is its own weight times `factor(colour)`. Both
+/// numbers must be positive.
 #[inline(always)]
 fn weighted_mean(colors: &WeightedColors, factor: impl Fn(&[f32; 3]) -> f32) -> [f32; 3] {
     let (mut sum, mut weights) = ([0.0f32; 3], 0.0f32);

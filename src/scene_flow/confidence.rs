@@ -1,34 +1,38 @@
-//! Confidence of each element of a view's frames: the fraction of the other frames' maps that agree with it.
+//! Confidence of each surface element of a view's frames: the fraction of the other frames' maps that agree with the
+//! element.
 
 use super::geometry::Projection;
 use super::map::MappedFrame;
 use super::timing::TimeBetween;
 use rayon::prelude::*;
 
-/// Maximum time between two frames whose maps are compared, frames of the reference camera.
+/// Maximum time between two frames whose scene flow maps are compared, in frame periods of the reference camera.
 const MAX_CONFIRMING_DT: f32 = 0.8;
-/// Maximum difference in disparity between an element and one that confirms it, pixels.
+/// Maximum difference in disparity between a surface element and an element of another scene flow map that confirms
+/// it, pixels.
 const MAX_DISPARITY_ERROR_PX: f32 = 1.5;
-/// Constant part of the maximum difference in velocity between an element and one that confirms it, pixels
-/// per frame.
+/// Constant part of the maximum difference in velocity between a surface element and an element of another scene flow
+/// map that confirms it, pixels per frame.
 const MAX_MOTION_ERROR_PX: f32 = 2.0;
-/// Part of the maximum difference in velocity that is proportional to the element's speed, as a fraction of
-/// the speed.
+/// Proportional part of the maximum difference in velocity between a surface element and an element of another scene
+/// flow map that confirms it, as a fraction of the element's speed.
 const MAX_MOTION_ERROR: f32 = 0.15;
-/// Weight of a map in which the element is occluded, relative to a map that shows another surface there.
+/// Weight of a scene flow map in the count of compared maps if the surface element is occluded in this map. All other
+/// compared maps have the weight 1.
 const HIDDEN: f32 = 0.3;
-/// Prior count of confirming maps, so that an element without comparable maps has a confidence too.
+/// Number that is added to the count of confirming scene flow maps in the numerator of a confidence, so that a
+/// surface element without comparable maps has a confidence too.
 const PRIOR_CONFIRMED: f32 = 0.1;
-/// Prior count of compared maps.
+/// Number that is added to the count of compared scene flow maps in the denominator of a confidence.
 const PRIOR_ALL: f32 = 0.5;
 
-/// The confidence of each pixel of each map, in the order of `mapped` and row by row: 1 to 255, where 255
-/// means that all comparable maps confirm the element.
+/// Returns the confidence of each pixel of each scene flow map, in the order of `mapped` and row by row, from 1 to 255.
+/// It increases with the fraction of the comparable maps that confirm the pixel's surface element.
 ///
-/// A map is comparable if its frame is near in time and the element projects into its image. `mapped` should
-/// be the frames around the view's instant: frames before and after the instant must then agree on the
-/// motion between them. These confidences give views that are 1 dB better than confidences from all frames
-/// near each frame.
+/// A map is comparable if its frame is near in time and the element projects into its image. `mapped` should contain
+/// only the frames around the view's instant. Frames before and after the instant must then agree on the motion between
+/// them. With this restriction, the PSNR of views is 1 dB higher than with confidences from all frames that are near in
+/// time.
 pub fn confidences(mapped: &[MappedFrame]) -> Vec<Vec<u8>> {
     (0..mapped.len()).into_par_iter().map(|of| confidence(mapped, of)).collect()
 }

@@ -1,6 +1,6 @@
-//! Consistency of an element with the maps of the other frames, as a cost during estimation. Beside a body,
-//! an end camera of the rig sees background that no other camera sees. Without this cost, its matches there
-//! are wrong, and lie in front of the surfaces that the others see.
+//! Consistency of an element with the maps of the other frames, as a cost during estimation. Beside a body, an end
+//! camera of the rig sees background that no other camera sees. Without this cost, the matches of this background are
+//! wrong, and lie in front of the surfaces that the other cameras see.
 
 use super::element::Element;
 use super::frame::FlowFrame;
@@ -8,22 +8,24 @@ use super::geometry::Projection;
 use super::map::ElementMap;
 use super::timing::TimeBetween;
 
-/// Maximum time between two frames whose maps are compared, frames of the reference camera.
+/// Maximum time between two frames whose scene flow maps are compared, in frame periods of the reference camera.
 const MAX_DT: f32 = 0.8;
-/// Maximum motion of an element until the other map's frame, pixels. For larger motions, a small error of the
-/// velocity would move the element off a thin body.
+/// Maximum motion of a surface element between its frame and the other scene flow map's frame, pixels. If the motion
+/// is larger, the map is not compared, since a small error of the velocity would move the element off a thin body.
 const MAX_MOTION_PX: f32 = 8.0;
-/// Maximum difference of an element from one map, in disparity plus half a frame's motion, pixels; larger
-/// ones are truncated.
+/// Value at which the difference between a surface element and another scene flow map is truncated, pixels. The
+/// difference is that of the disparities, plus that of the displacements during half a frame period.
 const MAX_DIFFERENCE_PX: f32 = 4.0;
-/// Disparity by which a map's element must be in front to occlude an element, pixels.
+/// Difference in disparity from which a surface element of a scene flow map occludes an element behind it, pixels.
 const HIDING_PX: f32 = 1.0;
-/// Difference that is assumed from a map in which the element is occluded, pixels.
+/// Difference that is assumed between a surface element and a scene flow map in which the element is occluded,
+/// pixels.
 const HIDDEN_PX: f32 = 0.3;
-/// Prior count of maps with a difference of 0, so that one map alone has little influence.
+/// Number of fictitious scene flow maps, with a difference of 0, that are included in the mean difference. They reduce
+/// the influence of a single map.
 const PRIOR_MAPS: f32 = 2.0;
 
-/// A copy of a map's inverse depths and velocities, row by row.
+/// Copy of a scene flow map's inverse depths and velocities, row by row.
 pub struct Snapshot {
     width: usize,
     height: usize,
@@ -46,22 +48,22 @@ impl Snapshot {
     }
 }
 
-/// Another frame's map, with its time and projection relative to the frame that is estimated.
+/// Scene flow map of another frame, with the time and the projection from the estimated frame to that frame.
 struct OtherMap<'a> {
     time: TimeBetween,
     projection: Projection,
     map: &'a Snapshot,
 }
 
-/// The maps of the other frames, as they were before the current pass.
+/// Scene flow maps of the other frames, as they were before the current pass.
 pub struct OtherMaps<'a> {
     maps: Vec<OtherMap<'a>>,
     disparity_px: f32,
 }
 
 impl<'a> OtherMaps<'a> {
-    /// The maps with which the map of frame `of` is compared. `disparity_px` is the disparity, pixels, of an inverse
-    /// depth of 1/m.
+    /// Collects the scene flow maps with which the map of frame `of` is compared: those of other frames near in time.
+    /// `disparity_px` is the disparity of a point at a depth of 1 m, pixels.
     pub fn new(
         frames: &[&FlowFrame],
         snapshots: &'a [Snapshot],
@@ -77,9 +79,10 @@ impl<'a> OtherMaps<'a> {
         Self { maps: snapshots.iter().enumerate().filter_map(other).collect(), disparity_px }
     }
 
-    /// The mean difference, pixels, of an element at pixel `[x, y]` of the frame from the other maps, where
-    /// it projects into them. Each difference is the sum of the differences in disparity and in half a
-    /// frame's motion. 0 if the element projects into no other image.
+    /// Returns the mean difference, pixels, between a surface element at pixel `[x, y]` of its frame and the other
+    /// scene flow maps into which it projects. The difference from one map is the difference between the disparities,
+    /// plus the difference between the displacements during half a frame period. The mean includes [`PRIOR_MAPS`] maps
+    /// with a difference of 0.
     pub fn difference(&self, e: &Element, [x, y]: [f32; 2]) -> f32 {
         let (mut sum, mut count) = (0.0, 0.0);
         let speed = e.speed();
@@ -98,7 +101,8 @@ impl<'a> OtherMaps<'a> {
         sum / (count + PRIOR_MAPS)
     }
 
-    /// The smallest difference of `here` from the four pixels around `[u, v]`, a position inside the map.
+    /// Returns the smallest difference, pixels, between the surface element `here` and the elements of the four
+    /// pixels around `[u, v]`, a position inside the scene flow map.
     fn least_difference(&self, map: &Snapshot, [u, v]: [f32; 2], here: &Element) -> f32 {
         let around = |at: f32, size: usize| {
             let first = (at - 0.5) as usize; // saturates

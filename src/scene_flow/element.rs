@@ -1,32 +1,32 @@
-//! A surface element as one frame sees it: depth, motion, and how both change across the image.
+//! A surface element in one frame: its depth, its motion, and how both change across the image.
 
 use super::geometry::Projection;
 
-/// A small piece of a surface at a pixel of a frame: its inverse depth, and its path through the frame's
-/// camera.
+/// Small piece of a surface at a pixel of a frame: its inverse depth, and its path in the image of the frame's camera.
 ///
-/// Pixels are those of the full image, times are frames of the reference camera, inverse depths are 1/m.
-/// After a time `t` the element is at `pixel + velocity t + acceleration t²/2`, with the inverse depth
-/// `inverse_depth + inverse_depth_rate t`. These paths are polynomials in the image, where motion is
-/// measured, rather than in space.
+/// Pixels are those of the full-resolution image, times are in frame periods of the reference camera, and inverse
+/// depths are in 1/m. After a time `t` the element is at `pixel + velocity t + acceleration t²/2`, with the inverse
+/// depth `inverse_depth + inverse_depth_rate t`. The paths are polynomials in the image, where motion is measured, not
+/// in space.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Element {
+    /// Inverse depth, 1/m.
     pub inverse_depth: f32,
-    /// Pixels per frame.
+    /// Velocity in the image, pixels per frame of the reference camera.
     pub velocity: [f32; 2],
-    /// Pixels per frame squared.
+    /// Acceleration in the image, pixels per squared frame of the reference camera.
     pub acceleration: [f32; 2],
-    /// 1/m per frame.
+    /// Rate of change of the inverse depth, 1/m per frame of the reference camera.
     pub inverse_depth_rate: f32,
-    /// Change of the inverse depth per pixel to the right, and per pixel down.
+    /// Change of the inverse depth, 1/m: first per pixel to the right, then per pixel down.
     pub inverse_depth_gradient: [f32; 2],
-    /// Change of the velocity per pixel to the right, and per pixel down.
+    /// Change of both velocity components, pixels per frame: first per pixel to the right, then per pixel down.
     pub velocity_gradient: [[f32; 2]; 2],
 }
 
 impl Element {
-    /// The element of the same surface at a pixel `dx` to the right and `dy` down: inverse depth and velocity
-    /// extrapolated by their gradients.
+    /// Returns the element of the same surface at a pixel `dx` to the right and `dy` down. Inverse depth and velocity
+    /// are extrapolated by their gradients.
     #[inline(always)]
     pub fn at(&self, dx: f32, dy: f32) -> Self {
         let [qx, qy] = self.inverse_depth_gradient;
@@ -41,7 +41,7 @@ impl Element {
         }
     }
 
-    /// The same element without motion.
+    /// Returns the same element without motion.
     pub fn still(&self) -> Self {
         Self {
             velocity: [0.0; 2],
@@ -52,14 +52,14 @@ impl Element {
         }
     }
 
-    /// Magnitude of the velocity, pixels per frame.
+    /// Returns the magnitude of the velocity, pixels per frame.
     #[inline(always)]
     pub fn speed(&self) -> f32 {
-        // Squares of pixels don't overflow, so that `hypot` isn't needed.
+        // The squares of speeds in pixels don't overflow, so `hypot` isn't needed.
         (self.velocity[0] * self.velocity[0] + self.velocity[1] * self.velocity[1]).sqrt()
     }
 
-    /// The position `[x, y]` and the inverse depth, after `dt` frames, of the element at pixel `(x, y)`.
+    /// Returns the position and the inverse depth, `[x, y, q]`, of the element at pixel `(x, y)` after `dt` frames.
     #[inline(always)]
     pub fn moved(&self, x: f32, y: f32, dt: f32) -> [f32; 3] {
         let half = 0.5 * dt * dt;
@@ -70,8 +70,9 @@ impl Element {
         ]
     }
 
-    /// The element at pixel `(x, y)` as another frame, `dt` frames later, sees it: its pixel there, and the
-    /// element there. Gradients and acceleration are copied, since the cameras stand close together.
+    /// Transfers the element at pixel `(x, y)` to another frame, `dt` frames later. Returns its pixel in the other
+    /// frame, and the element in the other frame. Gradients and acceleration are copied, since the cameras stand
+    /// close together.
     #[inline(always)]
     pub fn transferred(
         &self,
@@ -97,11 +98,11 @@ impl Element {
     }
 }
 
-/// Standard errors of one pixel's element.
+/// Standard errors of the surface element at one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ElementErrors {
-    /// Pixels of disparity, at the baseline of the map.
+    /// Standard error of the disparity, pixels, at a baseline of twice the distance between neighbouring cameras.
     pub disparity_px: f32,
-    /// Of the velocity's larger principal component, pixels per frame.
+    /// Standard error of the velocity in the direction in which it is largest, pixels per frame.
     pub velocity_px: f32,
 }

@@ -1,4 +1,4 @@
-//! Estimates the maps of several frames together, from coarse to fine.
+//! Estimates the maps of depth and motion of several frames together, from coarse to fine.
 
 use super::consistency::{OtherMaps, Snapshot};
 use super::element::Element;
@@ -10,33 +10,35 @@ use super::transfer::Proposals;
 use crate::random::Random;
 use rayon::prelude::*;
 
-/// Number of passes at each level, finest level first; the last entry is for all coarser levels.
+/// Number of PatchMatch passes at each pyramid level, finest level first. The last entry is for all coarser levels.
 const PASSES: [usize; 4] = [2, 2, 3, 4];
-/// Number of random elements per pixel in each pass, finest level first; the last entry is for all coarser
-/// levels.
+/// Number of random surface elements that are tried per pixel in each pass, by pyramid level, finest level first. The
+/// last entry is for all coarser levels.
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
 
-/// The coarsest level at which the last pass compares the maps with each other ([`OtherMaps`]).
+/// Coarsest pyramid level at which scene flow maps of different frames are compared with each other ([`OtherMaps`]);
+/// level 0 is the finest. The maps are compared in the last pass at a level.
 const COARSEST_COMPARED: usize = 1;
 
-/// Frames whose maps are estimated together. The maps propose elements to each other.
+/// Estimation of the scene flow maps of several frames together. The maps propose surface elements to each other.
 pub struct Estimation<'a> {
-    /// The frames whose maps are estimated, each with the frames that it is matched with; at most 16 of these
-    /// are used.
+    /// The frames whose scene flow maps are estimated. Each is paired with the frames with which it is matched, of
+    /// which at most 16 are used.
     pub frames: &'a [(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)],
     pub limits: Limits,
-    /// Baseline to which all disparities refer, metres: twice the distance of neighbouring cameras.
+    /// Baseline to which all disparities refer, metres: twice the distance between neighbouring cameras.
     pub baseline_m: f64,
 }
 
 impl Estimation<'_> {
-    /// The frames' maps, in their order; independent of the number of threads. `proceed` is called before
-    /// every pass. If it returns false, the result is empty.
+    /// Estimates the frames' scene flow maps, and returns them in the order of [`Self::frames`]. The maps do not
+    /// depend on the number of threads. `proceed` is called before every pass. If it returns false, the estimation
+    /// ends with an empty result.
     pub fn run(&self, proceed: &(dyn Fn() -> bool + Sync)) -> Vec<FlowMap> {
         let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| f.frame).collect();
         let disparities_px: Vec<f32> = frames.iter().map(|f| self.disparity_px(f)).collect();
         let observations: Vec<Vec<ObservingFrame>> = self.frames.iter().map(observations).collect();
-        // Cameras of different sizes have different numbers of levels. The smallest is used for all.
+        // Images of different sizes have different numbers of pyramid levels. The smallest number is used for all.
         let levels = self.frames.iter().flat_map(|(f, others)| others.iter().chain([f]));
         let levels = levels.map(|f| f.levels.len()).min().unwrap_or(0);
         let mut maps: Vec<ElementMap> = Vec::new();
@@ -101,13 +103,13 @@ impl Estimation<'_> {
         }
     }
 
-    /// Disparity of an inverse depth of 1/m at the baseline, pixels.
+    /// Returns the disparity of a point at a depth of 1 m in a frame, pixels, at the baseline [`Self::baseline_m`].
     fn disparity_px(&self, frame: &FlowFrame) -> f32 {
         (frame.view.focal_px() * self.baseline_m) as f32
     }
 
-    /// The initial map of frame `f` at a level: the elements of the coarser level, or random depths without
-    /// motion at the coarsest.
+    /// Returns the initial scene flow map of frame `f` at a pyramid level. Its surface elements are those of the
+    /// coarser level. At the coarsest level, they have random depths and no motion.
     fn begin(&self, f: usize, level: usize, coarser: Option<&ElementMap>) -> ElementMap {
         let image = &self.frames[f].0.levels[level];
         let (width, height) = (image.width, image.height);
@@ -131,14 +133,14 @@ impl Estimation<'_> {
     }
 }
 
-/// The frames that frame `f` is matched with, at most [`MAX_OBSERVATIONS`].
+/// Returns the frames with which frame `f` is matched, at most [`MAX_OBSERVATIONS`].
 fn observations<'a>(
     (f, others): &(PyramidFrame<'a>, Vec<PyramidFrame<'a>>),
 ) -> Vec<ObservingFrame<'a>> {
     others.iter().filter_map(|o| ObservingFrame::new(*f, *o)).take(MAX_OBSERVATIONS).collect()
 }
 
-/// The index of the pixel of a coarser map that contains pixel `(x, y)` of the next finer level.
+/// Returns the index of the pixel of a coarser scene flow map that contains pixel `(x, y)` of the next finer level.
 fn parent(coarser: &ElementMap, x: usize, y: usize) -> usize {
     (y / 2).min(coarser.height - 1) * coarser.width + (x / 2).min(coarser.width - 1)
 }

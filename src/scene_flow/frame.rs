@@ -1,32 +1,32 @@
-//! Frames for matching: an image pyramid of brightness, colour and gradients.
+//! Frames for matching, with an image pyramid of brightness, colour and gradients.
 
 use super::still::{CompactImage, StillImage};
 use crate::camera::{Camera, CameraModel};
 use crate::raster::Image;
 use nalgebra::Point2;
 
-/// Weights of a sample's channels: brightness, red minus blue, and the two gradients of brightness. Gradients
-/// locate outlines, and tolerate remaining differences in exposure.
+/// Weights of the four channels of a [`MatchingSample`]: brightness, red minus blue, and the two gradients of
+/// brightness. Gradients locate outlines, and tolerate remaining differences in exposure.
 pub const WEIGHTS: [f32; 4] = [1.0, 0.5, 1.5, 1.5];
 /// Weights of red, green and blue in brightness.
 const LUMA: [f32; 3] = [0.3, 0.59, 0.11];
 
-/// The features of a pixel that matching compares: brightness, red minus blue, and the horizontal and
-/// vertical gradient of brightness, each multiplied by its channel's weight.
+/// Features of a pixel that matching compares: brightness, red minus blue, and the horizontal and vertical gradient
+/// of brightness. Each is multiplied by its weight ([`WEIGHTS`]).
 pub type MatchingSample = [f32; 4];
 
-/// One level of the pyramid: a sample for each pixel, row by row.
+/// One level of an image pyramid for matching: a sample for each pixel, row by row.
 pub struct MatchingImage {
     pub width: usize,
     pub height: usize,
     samples: Vec<MatchingSample>,
-    /// For each pixel, whether all of it shows what stands still. Empty: unknown.
+    /// For each pixel, whether it shows only static background. Empty if this is unknown.
     still: Vec<bool>,
 }
 
 impl MatchingImage {
-    /// The pyramid of an image, finest level first. Each level has half the width and height of the one
-    /// before.
+    /// Returns the pyramid of an image, finest level first. Each level has half the width and height of the next
+    /// finer level.
     pub fn pyramid(image: &Image, levels: usize) -> Vec<Self> {
         let (mut width, mut height) = (image.width(), image.height());
         let rgb = image.to_rgb();
@@ -62,13 +62,13 @@ impl MatchingImage {
         Self { width, height, samples, still: Vec::new() }
     }
 
-    /// Whether a pixel shows what stands still; `None` if that is unknown of the whole image.
+    /// Returns whether a pixel shows only static background. `None` if this is unknown for the whole image.
     #[inline(always)]
     pub fn is_still(&self, x: usize, y: usize) -> Option<bool> {
         self.still.get(y * self.width + x).copied()
     }
 
-    /// Size in memory, bytes.
+    /// Returns the size of the level in memory, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.samples.as_slice()) + self.still.len()
     }
@@ -78,15 +78,15 @@ impl MatchingImage {
         self.samples[y * self.width + x]
     }
 
-    /// Largest position `[x, y]` at which a bilinear sample can be read; (0, 0) is the centre of the first
-    /// pixel.
+    /// Returns the largest position `[x, y]` at which a bilinear sample can be read, pixels; (0, 0) is the centre of
+    /// the first pixel.
     #[inline(always)]
     pub fn limit(&self) -> [f32; 2] {
-        // Slightly less than one pixel before the last, so that rounding never reaches beyond the image.
+        // Slightly less than the centre of the last pixel, so that rounding never reaches beyond the image.
         [self.width, self.height].map(|size| (size as f32 - 1.001).max(0.0))
     }
 
-    /// The 2×2 pixels whose top-left one is `(x, y)`: the upper row, then the lower row.
+    /// Returns the 2×2 pixels whose top-left pixel is `(x, y)`: the upper row, then the lower row.
     #[inline(always)]
     pub fn quad(&self, x: usize, y: usize) -> [&[MatchingSample]; 2] {
         let k = y * self.width + x;
@@ -94,7 +94,7 @@ impl MatchingImage {
     }
 }
 
-/// The means of 2×2 pixels; an odd last row or column is dropped.
+/// Returns an image at half its size: the mean of each block of 2×2 pixels. An odd last row or column is dropped.
 fn halved(width: usize, height: usize, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let (columns, rows) = (width / 2, height / 2);
     let mean = |k: usize| {
@@ -106,7 +106,7 @@ fn halved(width: usize, height: usize, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
     (0..columns * rows).map(mean).collect()
 }
 
-/// Whether each 2×2 pixels stand still, all four.
+/// Returns, for each block of 2×2 pixels of the finer level, whether all four pixels show only static background.
 fn halved_still(finer: &MatchingImage) -> Vec<bool> {
     let (columns, rows) = (finer.width / 2, finer.height / 2);
     let all = |k: usize| {
@@ -116,22 +116,22 @@ fn halved_still(finer: &MatchingImage) -> Vec<bool> {
     (0..columns * rows).map(all).collect()
 }
 
-/// A camera's frame at its own time, resampled to a pinhole camera.
+/// Frame of a camera at its own time, resampled to a pinhole camera.
 pub struct FlowFrame {
-    /// The pinhole camera.
+    /// Pinhole camera to which the image is resampled.
     pub view: Camera,
-    /// Time in frames of the reference camera, since the capture's start. With a rolling shutter, that of the middle
-    /// row.
+    /// Time since the capture's start, in frame periods of the reference camera. With a rolling shutter, it is the
+    /// time of the middle row.
     pub time: f64,
-    /// Time from one row to the next, in frames of the reference camera; 0 for a global shutter. It holds for the rows
-    /// of the pinhole camera, and so only approximately for a lens with distortion.
+    /// Time from one row to the next, in frame periods of the reference camera; 0 for a global shutter. The rows are
+    /// those of the pinhole camera, so the time is only approximate for a lens with distortion.
     pub row_time: f64,
     pub is_color: bool,
-    /// Corrected by the camera's gain to the reference camera's exposure; 3 channels.
+    /// Image of the pinhole camera with 3 channels, corrected to the reference camera's exposure.
     pub image: Image,
-    /// For each pixel, whether it lies inside the camera's original image. `None`: all do.
+    /// For each pixel, whether it lies inside the camera's original image. `None` if all pixels do.
     pub is_filmed: Option<Vec<bool>>,
-    /// For each pixel, whether it shows what stands still over the whole recording. `None`: unknown.
+    /// For each pixel, whether it shows static background. `None` if this is unknown.
     pub still: Option<Vec<bool>>,
 }
 
@@ -142,20 +142,20 @@ pub struct PyramidFrame<'a> {
     pub levels: &'a [MatchingImage],
 }
 
-/// Minimum shorter side of a pyramid level, pixels.
+/// Minimum length of the shorter side of a pyramid level, pixels.
 const MIN_SIDE_PX: usize = 48;
 /// Maximum number of pyramid levels.
 const MAX_LEVELS: usize = 5;
 
-/// The number of pyramid levels for images of this size.
+/// Returns the number of pyramid levels for images of this size, pixels.
 pub fn levels(width: usize, height: usize) -> usize {
     let halvings = (width.min(height) / MIN_SIDE_PX).max(1).ilog2() as usize;
     (halvings + 1).min(MAX_LEVELS)
 }
 
 impl FlowFrame {
-    /// A frame from a camera's image, which is already corrected to the reference camera's exposure. `time`
-    /// is in frames of the reference camera. The shutter is global.
+    /// Creates a frame from a camera's image. The image must already be corrected to the reference camera's exposure.
+    /// `time` is in frame periods of the reference camera. The shutter is global.
     pub fn new(camera: &Camera, image: &Image, time: f64) -> Self {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let view = Camera { model: CameraModel::Pinhole { fx, fy, cx, cy }, ..camera.clone() };
@@ -170,12 +170,14 @@ impl FlowFrame {
         Self { view, time, row_time: 0.0, is_color, image, is_filmed, still: None }
     }
 
-    /// The frame of a rolling shutter, with a time from one row to the next in frames of the reference camera.
+    /// Returns the frame with a rolling shutter. `row_time` is the time from one row to the next, in frame periods of
+    /// the reference camera.
     pub fn with_row_time(self, row_time: f64) -> Self {
         Self { row_time, ..self }
     }
 
-    /// The frame with the knowledge of what stands still before its camera. Unchanged if nothing is known to.
+    /// Compares the frame with the static background `still` of its camera. Returns the frame with a mask of the pixels
+    /// that show this background. If the background is unknown at all pixels, the frame is returned unchanged.
     pub fn with_still(self, still: &StillImage) -> Self {
         if still.is_empty() {
             return self;
@@ -184,7 +186,7 @@ impl FlowFrame {
         Self { still, ..self }
     }
 
-    /// The pyramid of the image, finest level first.
+    /// Returns the pyramid of the frame's image, finest level first.
     pub fn pyramid(&self) -> Vec<MatchingImage> {
         let levels = levels(self.view.width, self.view.height);
         let mut pyramid = MatchingImage::pyramid(&self.image, levels);
@@ -197,12 +199,12 @@ impl FlowFrame {
         pyramid
     }
 
-    /// Whether pixel `k` is known to show something that moves.
+    /// Returns whether pixel `k` is known to show a moving body instead of static background.
     pub fn is_moving(&self, k: usize) -> bool {
         self.still.as_ref().is_some_and(|still| !still[k])
     }
 
-    /// Size in memory, bytes.
+    /// Returns the size of the image and the masks in memory, bytes.
     pub fn bytes(&self) -> usize {
         let masks = [&self.is_filmed, &self.still];
         let masks: usize = masks.into_iter().flatten().map(Vec::len).sum();
@@ -210,8 +212,8 @@ impl FlowFrame {
     }
 }
 
-/// Resamples an image to a pinhole camera, and returns for each pixel whether it lies inside the original
-/// image.
+/// Resamples a camera's image to a pinhole camera. Returns the resampled image and, for each of its pixels, whether
+/// it lies inside the original image.
 fn undistorted(camera: &Camera, pinhole: &Camera, image: &Image) -> (Image, Vec<bool>) {
     let (width, height) = (camera.width, camera.height);
     let mut out = Image::filled(width, height, 3, 0.0);

@@ -4,39 +4,44 @@ use super::element::Element;
 use super::matching::{MatchedElement, ObservingFrame, PatchMatcher};
 use nalgebra::{Matrix6, Vector6};
 
-/// Weight of the prior, which damps the step and shrinks rate and acceleration, relative to the normal
-/// equations of a patch whose gradients are all 1 per pixel.
+/// Weight of the prior of a Gauss–Newton step. It is a fraction of the weight that a patch has in the normal equations
+/// if its brightness gradients are all 1 per pixel. The prior damps the step, and pulls the acceleration and the
+/// inverse depth's rate of change towards 0.
 const PRIOR: f64 = 1e-6;
-/// Factor by which the step of the inverse depth's rate is damped more than that of the inverse depth.
+/// Weight with which a Gauss–Newton step damps the inverse depth's rate of change, as a multiple of the weight with
+/// which it damps the inverse depth.
 const RATE_STIFFNESS: f64 = 16.0;
-/// Weight with which the rate of the inverse depth is shrunk to 0, as a multiple of its damping. For the
-/// acceleration, this multiple is 1.
+/// Weight with which the inverse depth's rate of change is pulled towards 0, as a multiple of the weight with which
+/// this rate is damped. For the acceleration, this multiple is 1.
 const RATE_PULL: f64 = 10.0;
-/// Maximum step, pixels of the pyramid level.
+/// Maximum change of the disparity, pixels, and of the velocity, pixels per frame, in one Gauss–Newton step. A larger
+/// step is scaled down. Pixels are those of the pyramid level.
 const MAX_STEP_PX: f32 = 3.0;
-/// Maximum magnitude of the acceleration, pixels per frame squared.
+/// Maximum magnitude of each component of the acceleration, pixels per squared frame.
 const MAX_ACCELERATION: f32 = 40.0;
-/// Maximum magnitude of the rate of the inverse depth, pixels of disparity per frame.
+/// Maximum magnitude of the inverse depth's rate of change, pixels of disparity per frame.
 const MAX_RATE_PX: f32 = 12.0;
-/// Step of the finite difference for the derivative of a position by the inverse depth, pixels of disparity.
+/// Step of the finite difference that gives the derivative of a position by the inverse depth, pixels of disparity.
 const DISPARITY_STEP_PX: f32 = 1.0;
 
 impl PatchMatcher<'_> {
-    /// The element after one Gauss–Newton step. `None` if the normal equations have no finite solution.
+    /// Returns the surface element after one Gauss–Newton step. `None` if the normal equations have no finite
+    /// solution.
     pub fn step(&self, matched: &MatchedElement) -> Option<Element> {
         let &MatchedElement { element: e, pixel: (x, y), patch, cost, .. } = matched;
         let mut normal = Matrix6::<f64>::zeros();
         let mut gradient = Vector6::<f64>::zeros();
         let s = self.scale;
         let (px, py) = ((x as f32 + 0.5) * s, (y as f32 + 0.5) * s);
-        // Frames with a much larger cost see another surface, and are left out.
+        // Frames with a much larger cost see another surface. They are left out.
         let max_cost = 2.0 * cost + 0.02;
         self.for_each_gradient(matched, max_cost, |o, [xx, xy, yy], [rx, ry]| {
-            // With rolling shutters, the change of the row, and so of the time, by the unknowns is neglected.
+            // With rolling shutters, a change of the unknowns also changes the row, and so the time. This effect is
+            // neglected.
             let dt = o.time.of_element(e, (px, py), &o.projection);
             let by_depth = self.by_inverse_depth(e, [px, py], o).map(|d| d / s);
             let (by_velocity, by_acceleration) = (dt / s, 0.5 * dt * dt / s);
-            // The Jacobian: derivative of the position in the observing frame, pixels of the level, by each
+            // The Jacobian: the derivatives of the position in the observing frame, pixels of the level, by each
             // unknown.
             let columns = [
                 by_depth,
@@ -76,8 +81,8 @@ impl PatchMatcher<'_> {
         })
     }
 
-    /// The derivative of an element's position in an observing frame, pixels, by its inverse depth, 1/m.
-    /// `[x, y]` is its pixel of the full image.
+    /// Returns the derivative of a surface element's position in an observing frame, pixels, by the element's inverse
+    /// depth, 1/m. `[x, y]` is the element's pixel in the full-resolution image.
     #[inline(always)]
     pub fn by_inverse_depth(&self, e: &Element, [x, y]: [f32; 2], o: &ObservingFrame) -> [f32; 2] {
         let [mx, my, q] = e.moved(x, y, o.time.of_element(e, (x, y), &o.projection));
@@ -87,8 +92,8 @@ impl PatchMatcher<'_> {
         [(u1 - u) / step, (v1 - v) / step]
     }
 
-    /// Adds the prior to the normal equations: damping of all unknowns, and a pull of the rate and the
-    /// acceleration towards 0.
+    /// Adds the prior to the normal equations: damping of all unknowns, and a pull of the inverse depth's rate and of
+    /// the acceleration towards 0.
     fn add_prior(
         &self,
         e: &Element,

@@ -3,21 +3,21 @@
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2};
 
-/// Maps a pixel `(x, y)` with inverse depth `q` of one pinhole camera to another: the homogeneous pixel there
-/// is `A (x, y, 1) + q b`. A and b are computed in f64. In f32, a pixel of an image 4,000 wide is exact to
-/// 0.0005.
+/// Mapping of a pixel `(x, y)` with inverse depth `q` from one pinhole camera to another. The homogeneous pixel in
+/// the other camera is `A (x, y, 1) + q b`. A and b are computed in f64, and stored in f32. In f32, a position in an
+/// image 4,000 pixels wide is exact to 0.0005 pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct Projection {
     a: [[f32; 3]; 3],
     b: [f32; 3],
 }
 
-/// Smallest third homogeneous coordinate. Points with a smaller one are behind the camera or almost in its
-/// plane, and outside every image.
+/// Smallest third homogeneous coordinate of a valid projected point. A point with a smaller one is behind the camera
+/// or almost in its principal plane, and outside every image.
 const MIN_RATIO: f32 = 1e-6;
 
 impl Projection {
-    /// The projection from one camera to another, without their lens distortion. `None` if the intrinsic
+    /// Computes the projection from one camera to another, both without lens distortion. `None` if the intrinsic
     /// matrix of `from` is singular.
     pub fn new(from: &Camera, to: &Camera) -> Option<Self> {
         let to_from = to.cam_from_world * from.cam_from_world.inverse();
@@ -28,8 +28,8 @@ impl Projection {
         Some(Self { a, b: [b.x as f32, b.y as f32, b.z as f32] })
     }
 
-    /// The pixel `[u, v]` and the inverse depth in the other camera. A point behind the camera gets a pixel
-    /// far outside the image, and the inverse depth 0.
+    /// Projects a pixel with inverse depth `q` to the other camera. Returns its pixel and inverse depth there, `[u,
+    /// v, q]`. A point behind the camera gets a pixel far outside the image, and the inverse depth 0.
     #[inline(always)]
     pub fn project(&self, x: f32, y: f32, q: f32) -> [f32; 3] {
         let row = |i: usize| {
@@ -50,7 +50,8 @@ fn intrinsic_matrix(camera: &Camera) -> Matrix3<f64> {
     Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
 }
 
-/// The position of a pixel in a pinhole camera of the same intrinsics. `None` where the lens model can't be inverted.
+/// Returns the undistorted position of a pixel of a view: its position in a pinhole camera with the same intrinsics.
+/// `None` where the lens model can't be inverted.
 pub fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
     if view.model.is_pinhole() {
         return Some([x, y]);
@@ -60,7 +61,8 @@ pub fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
     Some([(cx + fx * ray.x) as f32, (cy + fy * ray.y) as f32])
 }
 
-/// The inverse of [`undistorted`]. `None` beyond the range in which the lens model is monotonic.
+/// Applies a view's lens distortion to a position of a pinhole camera with the same intrinsics. This is the inverse
+/// of [`undistorted`]. `None` beyond the range in which the lens model is monotonic.
 pub fn distorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
     if view.model.is_pinhole() {
         return Some([x, y]);

@@ -1,91 +1,94 @@
-//! Maps of depth and motion: while they are estimated, and as they are stored.
+//! Maps of a frame's depth and motion: [`ElementMap`] during estimation, and [`FlowMap`] for rendering and storage.
 
 use super::element::{Element, ElementErrors};
 use super::frame::FlowFrame;
 
-/// A frame's surface elements during estimation, one for each pixel of a pyramid level.
+/// Surface elements of a frame during estimation, one for each pixel of a pyramid level.
 #[derive(Clone)]
 pub struct ElementMap {
     pub width: usize,
     pub height: usize,
-    /// Side of a pixel of the map, in pixels of the full image.
+    /// Side of a pixel of the map, in pixels of the full-resolution image.
     pub scale: f32,
     pub elements: Vec<Element>,
-    /// Matching costs of the elements, without smoothness and consistency.
+    /// Matching cost of each surface element, without the smoothness and consistency costs.
     pub costs: Vec<f32>,
 }
 
 impl ElementMap {
-    /// The centre of the map's pixel `k`, pixels of the full image.
+    /// Returns the centre of the map's pixel `k`, in pixels of the full-resolution image.
     pub fn center(&self, k: usize) -> [f32; 2] {
         [k % self.width, k / self.width].map(|v| (v as f32 + 0.5) * self.scale)
     }
 
-    /// The index of the map's pixel that contains a position of the full image. `None` outside the map.
+    /// Returns the index of the map's pixel that contains a position of the full-resolution image. `None` outside the
+    /// map.
     pub fn index(&self, [x, y]: [f32; 2]) -> Option<usize> {
         let (u, v) = (x / self.scale, y / self.scale);
         let is_inside = u >= 0.0 && v >= 0.0 && u < self.width as f32 && v < self.height as f32;
         is_inside.then(|| v as usize * self.width + u as usize)
     }
 
-    /// The element of pixel `k`, extrapolated to a position near it, pixels of the full image.
+    /// Returns the surface element of pixel `k`, extrapolated to a nearby position of the full-resolution image,
+    /// pixels.
     pub fn element_at(&self, k: usize, [x, y]: [f32; 2]) -> Element {
         let [cx, cy] = self.center(k);
         self.elements[k].at(x - cx, y - cy)
     }
 }
 
-/// Quantization steps per pixel of velocity, acceleration, and change of disparity.
+/// Quantization steps per pixel of a velocity, of an acceleration, and of a disparity's rate of change.
 const STEPS: f32 = 64.0;
-/// Number of quantization steps in the range of inverse depths.
+/// Number of quantization steps in the search range of inverse depths.
 const DEPTH_STEPS: f32 = u16::MAX as f32;
-/// Maximum difference of two neighbours on one surface, pixels: the sum of the differences in disparity and
-/// in motion.
+/// Maximum difference between neighbouring surface elements of the same surface, pixels: the difference in disparity
+/// plus the difference in motion over [`JUMP_FRAMES`].
 const MAX_JUMP_PX: f32 = 1.0;
-/// Duration of the motion that counts in a difference of two neighbours, frames ([`MAX_JUMP_PX`]).
+/// Time over which the motions of two neighbouring surface elements are compared, frames ([`MAX_JUMP_PX`]).
 const JUMP_FRAMES: f32 = 0.5;
 
-/// Number of quantization steps of a standard error per factor of two.
+/// Number of quantization steps over which a standard error doubles.
 const STEPS_PER_OCTAVE: f32 = 2.0;
 /// Smallest standard error that can be stored, pixels.
 const MIN_ERROR_PX: f32 = 1.0 / 256.0;
 
-/// A frame's depth and motion with their standard errors, quantized for rendering and storage: 16 bytes per
-/// pixel, and about a third of that on disk.
+/// Depth and motion of a frame with their standard errors, quantized for rendering and storage. A pixel takes 16
+/// bytes in memory, and about a third of that on disk.
 ///
-/// Velocities, accelerations and rates of disparity are rounded to 1/64 pixel, inverse depths to 1/65535 of
-/// the search range, and standard errors to a power of √2.
+/// Velocities, accelerations and rates of disparity are rounded to 1/64 pixel, inverse depths to 1/65535 of the
+/// search range, and standard errors to a power of √2.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FlowMap {
     pub width: usize,
     pub height: usize,
-    /// Disparity of an inverse depth of 1/m, pixels, at a baseline of twice the distance of neighbouring
-    /// cameras.
+    /// Disparity of a point at a depth of 1 m, pixels, at a baseline of twice the distance between neighbouring
+    /// cameras. It is the factor from an inverse depth, 1/m, to a disparity.
     pub disparity_px: f32,
     /// Search range of inverse depths: minimum and maximum, 1/m.
     pub(super) inverse_depth: [f32; 2],
     pub(super) pixels: Vec<FlowPixel>,
 }
 
-/// The quantized element of a pixel.
+/// Quantized surface element of one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FlowPixel {
     inverse_depth: u16,
     velocity: [i16; 2],
     acceleration: [i16; 2],
     rate: i16,
-    /// Whether the neighbour on each side belongs to another surface: bit 0 left, 1 right, 2 above, 3 below.
+    /// Bit mask of the sides on which the neighbouring pixel belongs to another surface: bit 0 left, 1 right, 2
+    /// above, 3 below.
     edges: u8,
-    /// The standard errors of the disparity and of the velocity, on a logarithmic scale.
+    /// Standard errors of the disparity and of the velocity, as codes on a logarithmic scale.
     errors: [u8; 2],
 }
 
 impl FlowPixel {
-    /// Number of channels of 16 bits.
+    /// Number of 16-bit channels of a pixel.
     pub(super) const CHANNELS: usize = 6;
-    /// Number of channels of 8 bits.
+    /// Number of 8-bit channels of a pixel.
     pub(super) const BYTE_CHANNELS: usize = 3;
-    /// Size on disk before compression, bytes.
+    /// Size of a pixel on disk before compression, bytes.
     pub(super) const BYTES: usize = 2 * Self::CHANNELS + Self::BYTE_CHANNELS;
 
     pub(super) fn new(
@@ -113,26 +116,28 @@ impl FlowPixel {
         [self.edges, self.errors[0], self.errors[1]]
     }
 
-    /// The standard errors of the element at the map's frame.
+    /// Returns the standard errors of the pixel's surface element at the time of the map's frame.
     #[inline(always)]
     pub fn errors(&self) -> ElementErrors {
         let [disparity_px, velocity_px] = self.errors.map(error_from_code);
         ElementErrors { disparity_px, velocity_px }
     }
 
-    /// Whether the neighbour on a side belongs to another surface: 0 left, 1 right, 2 above, 3 below.
+    /// Returns whether the neighbouring pixel on a side belongs to another surface. `side` is 0 for left, 1 for
+    /// right, 2 for above, 3 for below.
     pub fn is_edge(&self, side: usize) -> bool {
         self.edges & (1 << side) != 0
     }
 }
 
 impl FlowMap {
-    /// Quantizes an estimated map of the finest level. Its inverse depths lie in the range `inverse_depth`. All
-    /// standard errors are the smallest that can be stored.
+    /// Quantizes an estimated map of the finest pyramid level. `inverse_depth` is the search range, minimum and
+    /// maximum in 1/m, which contains all inverse depths of the map. All standard errors are set to the smallest one
+    /// that can be stored.
     pub fn new(map: &ElementMap, inverse_depth: [f32; 2], disparity_px: f32) -> Self {
         let rounded = |v: f32| (v * STEPS).round() as i16; // saturates
         let [min, max] = inverse_depth;
-        // If the range is empty, all depths equal its minimum.
+        // If minimum and maximum are equal, all inverse depths equal the minimum.
         let per_step = (max - min).max(f32::MIN_POSITIVE) / DEPTH_STEPS;
         let pixel = |(k, e): (usize, &Element)| {
             let (x, y) = (k % map.width, k / map.width);
@@ -157,7 +162,7 @@ impl FlowMap {
         Self { width: map.width, height: map.height, disparity_px, inverse_depth, pixels }
     }
 
-    /// The map with the standard errors of its elements, row by row.
+    /// Returns the map with the given standard errors of its surface elements, one for each pixel, row by row.
     pub(super) fn with_errors(mut self, errors: &[ElementErrors]) -> Self {
         for (pixel, errors) in self.pixels.iter_mut().zip(errors) {
             pixel.errors = [errors.disparity_px, errors.velocity_px].map(code_from_error);
@@ -169,7 +174,7 @@ impl FlowMap {
         &self.pixels
     }
 
-    /// The centre of pixel `k`, pixels.
+    /// Returns the centre of pixel `k`, pixels.
     pub fn center(&self, k: usize) -> [f32; 2] {
         [(k % self.width) as f32 + 0.5, (k / self.width) as f32 + 0.5]
     }
@@ -186,14 +191,14 @@ impl FlowMap {
         }
     }
 
-    /// Size in memory, bytes.
+    /// Returns the size of the map's pixels in memory, bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(self.pixels.as_slice())
     }
 }
 
 fn code_from_error(error_px: f32) -> u8 {
-    // Casts saturate, and NaN is 0. A maximum that is positive keeps the logarithm finite.
+    // Casts saturate, and turn NaN into 0. The lower bound of 1 keeps the logarithm finite.
     (STEPS_PER_OCTAVE * (error_px / MIN_ERROR_PX).max(1.0).log2()).round() as u8
 }
 
@@ -208,7 +213,7 @@ fn is_jump(a: &Element, b: &Element, disparity_px: f32) -> bool {
     disparity + JUMP_FRAMES * motion > MAX_JUMP_PX
 }
 
-/// A frame with its map of depth and motion.
+/// A frame and its map of depth and motion.
 #[derive(Clone, Copy)]
 pub struct MappedFrame<'a> {
     pub frame: &'a FlowFrame,

@@ -1,4 +1,5 @@
-//! Matching cost of a surface element: how well the frames of all cameras, each at its own time, agree on it.
+//! Matching cost of a surface element: how well the element agrees with the frames of all cameras, each at its own
+//! time.
 
 use super::element::Element;
 use super::frame::{MatchingImage, MatchingSample, PyramidFrame, WEIGHTS};
@@ -7,28 +8,31 @@ use super::patch::Patch;
 use super::timing::TimeBetween;
 use crate::simd::{F32x8, LANES, multiversion};
 
-/// Maximum difference of each channel of a sample. Larger ones, due to occlusion, are truncated.
+/// Maximum absolute difference in each channel between two matching samples. Larger differences, which occlusions
+/// cause, are truncated.
 const TRUNCATION: MatchingSample = [0.12, 0.084, 0.084, 0.084];
 /// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
 const RESIDUAL: f32 = 0.05;
-/// Fraction of the observing frames whose costs are averaged: the frames with the smallest costs. The element
-/// may be occluded in the others.
+/// Fraction of the observing frames whose costs are averaged. The frames with the smallest costs are used. In the
+/// others, the surface element may be occluded.
 const BEST_FRACTION: f32 = 0.55;
 /// Minimum number of observing frames whose costs are averaged.
 const MIN_BEST: usize = 3;
-/// Upper bound of the costs of elements inside an image. Larger costs mark elements outside it.
+/// Limit between two kinds of costs. In a frame whose image contains the surface element, the matching cost is smaller.
+/// A larger value marks a frame with the element outside its image.
 const OUTSIDE: f32 = 1.0;
-/// Cost of an observing frame in which the element is outside the image, if that frame is among those
-/// averaged. It lies between the costs of a match and of a mismatch.
+/// Cost of an observing frame in which the surface element is outside the image, if that frame is among the averaged
+/// ones. The value lies between the cost of a match and the cost of a mismatch.
 const OUTSIDE_COST: f32 = 0.19;
-/// Added cost of an element that is outside all images. If it is outside some, that fraction of it is added.
+/// Cost that is added for a surface element outside the images of all observing frames. If the element is outside
+/// some of the images, the same fraction of this cost is added.
 const OUTSIDE_PENALTY: f32 = 0.02;
-/// Maximum number of observing frames per frame.
+/// Maximum number of observing frames for each matched frame.
 pub const MAX_OBSERVATIONS: usize = 16;
 
-/// A frame that observes the elements of the matched frame.
+/// A frame in which the surface elements of the matched frame are observed.
 pub struct ObservingFrame<'a> {
-    /// Time of this frame after the matched frame.
+    /// Time from a pixel of the matched frame to a pixel of this frame.
     pub time: TimeBetween,
     pub projection: Projection,
     pub levels: &'a [MatchingImage],
@@ -36,7 +40,8 @@ pub struct ObservingFrame<'a> {
 }
 
 impl<'a> ObservingFrame<'a> {
-    /// The frame `by` as an observer of the frame `of`. `None` if the intrinsic matrix of `of` is singular.
+    /// Creates the observing frame `by` for the matched frame `of`. `None` if the intrinsic matrix of `of` is
+    /// singular.
     pub fn new(of: PyramidFrame, by: PyramidFrame<'a>) -> Option<Self> {
         let mut truncation = TRUNCATION;
         if !(of.frame.is_color && by.frame.is_color) {
@@ -51,15 +56,15 @@ impl<'a> ObservingFrame<'a> {
     }
 }
 
-/// The cost in each observing frame.
+/// Matching cost of a surface element in each observing frame.
 pub type Costs = [f32; MAX_OBSERVATIONS];
 
-/// An element at a pixel of the level, with its patch and costs.
+/// A surface element at a pixel of the pyramid level, with its patch and matching costs.
 pub struct MatchedElement<'a> {
     pub element: &'a Element,
     pub pixel: (usize, usize),
     pub patch: &'a Patch,
-    /// The cost in each observing frame; `cost` combines them.
+    /// Matching cost in each observing frame. [`Self::cost`] combines these costs.
     pub costs: &'a Costs,
     pub cost: f32,
 }
@@ -69,22 +74,23 @@ pub struct PatchMatcher<'a> {
     pub own: &'a MatchingImage,
     pub observations: &'a [ObservingFrame<'a>],
     pub level: usize,
-    /// Side of a pixel of the level, in pixels of the full image.
+    /// Side of a pixel of the pyramid level, in pixels of the full-resolution image.
     pub scale: f32,
-    /// Disparity of an inverse depth of 1/m, pixels, at a baseline of twice the distance of neighbouring
-    /// cameras.
+    /// Disparity of a point at a depth of 1 m, pixels, at a baseline of twice the distance between neighbouring
+    /// cameras. It is the factor from an inverse depth, 1/m, to a disparity.
     pub disparity_px: f32,
 }
 
-/// Position of a patch in an observing frame, pixels of the level; (0, 0) is the centre of the first pixel.
-/// `right` and `down` are its change for a step of one pixel of the level in the matched frame.
+/// Position of a patch in an observing frame, in pixels of the pyramid level; (0, 0) is the centre of the first
+/// pixel. `right` and `down` are the changes of this position for a step of one pixel of the level to the right, and
+/// down, in the matched frame.
 struct Footprint {
     center: [f32; 2],
     right: [f32; 2],
     down: [f32; 2],
 }
 
-/// An element at a position `(x, y)` of the matched frame, pixels of the full image.
+/// A surface element at a position `(x, y)` of the matched frame, in pixels of the full-resolution image.
 struct PlacedElement<'a> {
     matcher: &'a PatchMatcher<'a>,
     element: &'a Element,
@@ -117,11 +123,11 @@ impl PlacedElement<'_> {
     }
 }
 
-/// The costs of the observing frames so far, ascending.
+/// Matching costs of a surface element in the observing frames evaluated so far, ascending.
 struct SortedCosts {
     sorted: [f32; MAX_OBSERVATIONS],
     count: usize,
-    /// Number of these frames in which the element is inside the image.
+    /// Number of observing frames evaluated so far whose image contains the surface element.
     inside: usize,
 }
 
@@ -138,8 +144,10 @@ impl SortedCosts {
         self.inside += usize::from(cost < OUTSIDE);
     }
 
-    /// Mean of the smallest costs among all `n` observing frames. Frames without a cost yet are assumed to
-    /// cost 0, so that the result is a lower bound.
+    /// Returns the mean of the smallest costs among all `n` observing frames, plus the cost [`OUTSIDE_PENALTY`] for
+    /// frames with the element outside their image. The costs of such frames are replaced by [`OUTSIDE_COST`]. At the
+    /// finest level, all other costs are truncated to this value. Frames that are not evaluated yet are assumed to cost
+    /// 0, so that the result is a lower bound.
     #[inline(always)]
     fn mean(&self, n: usize, is_finest: bool) -> f32 {
         let free = n - self.count;
@@ -149,8 +157,8 @@ impl SortedCosts {
         let mut k = 0;
         while k + free < best {
             let cost = self.sorted[k];
-            // At the finest level, a mismatch costs as much as an element outside the image. At coarser
-            // levels it costs more, since it may still improve.
+            // At the finest level, a mismatch costs at most as much as an element outside the image. At coarser
+            // levels it may cost more, since finer levels may still improve it.
             let counts = cost < OUTSIDE && !is_finest;
             sum += if counts { cost } else { cost.min(OUTSIDE_COST) };
             k += 1;
@@ -160,7 +168,7 @@ impl SortedCosts {
     }
 }
 
-/// Implements [`PatchMatcher::cost`].
+/// Computes the matching cost of a surface element, as [`PatchMatcher::cost`] describes.
 #[inline(always)]
 fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut Costs) -> f32 {
     let matcher = placed.matcher;
@@ -187,7 +195,7 @@ fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut
     sorted.mean(n, is_finest)
 }
 
-/// Sum of the weighted, truncated differences between a patch's samples and an image at the patch's
+/// Returns the sum of the weighted, truncated differences between a patch's samples and an image at the patch's
 /// footprint. Positions outside the image are clamped to its border.
 #[inline(always)]
 fn differences<V: F32x8>(
@@ -210,7 +218,7 @@ fn differences<V: F32x8>(
     sum.sum() as f32
 }
 
-/// Sums over the patch for the normal equations: of the products of gradients, `xx`, `xy`, `yy`, and of
+/// Returns sums over the patch for the normal equations: of the products of image gradients, `xx`, `xy`, `yy`, and of
 /// gradient times residual, `x`, `y`. Positions outside the image have weight 0.
 #[inline(always)]
 fn gradient_sums<V: F32x8>(
@@ -226,7 +234,7 @@ fn gradient_sums<V: F32x8>(
     let narrowing = V::splat(1.0 / (WEIGHTS[0] * RESIDUAL));
     for first in (0..patch.count).step_by(LANES) {
         let places = footprint.places::<V>(image, patch, first);
-        // One array per channel.
+        // One array for each channel.
         let mut sampled = [[0.0f32; LANES]; 4];
         for l in (0..LANES.min(patch.count - first)).step_by(2) {
             let two = places.two_samples(image, l).to_array();
@@ -262,8 +270,8 @@ fn gradient_sums<V: F32x8>(
     [sums[0] as f32, sums[1] as f32, sums[2] as f32, sums[3] as f32 * by, sums[4] as f32 * by]
 }
 
-/// The positions of eight pixels of a patch in an image: `u` and `v`, and after clamping to the image their
-/// integer and fractional parts.
+/// Positions of eight pixels of a patch in an image. `u` and `v` are the positions. `columns`, `rows`, `fx` and `fy`
+/// are their integer and fractional parts after clamping to the image.
 struct Places<V> {
     u: V,
     v: V,
@@ -274,7 +282,7 @@ struct Places<V> {
 }
 
 impl Footprint {
-    /// The positions of eight pixels of a patch, from index `first` on.
+    /// Returns the positions of eight pixels of a patch in an image, from the patch's pixel `first` on.
     #[inline(always)]
     fn places<V: F32x8>(&self, image: &MatchingImage, patch: &Patch, first: usize) -> Places<V> {
         let [max_u, max_v] = image.limit();
@@ -291,7 +299,7 @@ impl Footprint {
 }
 
 impl<V: F32x8> Places<V> {
-    /// Bilinear samples at the positions `l` and `l + 1`, four channels each.
+    /// Returns the bilinear samples of an image at the positions `l` and `l + 1`, four channels each.
     #[inline(always)]
     fn two_samples(&self, image: &MatchingImage, l: usize) -> V {
         let Self { columns, rows, fx, fy, .. } = self;
@@ -305,7 +313,8 @@ impl<V: F32x8> Places<V> {
     }
 }
 
-/// The samples of pixel `(x, y)` and of its right neighbour, interpolated by `fraction` to the row below.
+/// Returns the samples of pixel `(x, y)` and of its right neighbour, four channels each. They are interpolated by
+/// `fraction` towards the row below.
 #[inline(always)]
 fn between_rows<V: F32x8>(image: &MatchingImage, [x, y]: [i32; 2], fraction: f32) -> [f32; LANES] {
     let [upper, lower] = image.quad(x as usize, y as usize);
@@ -313,7 +322,7 @@ fn between_rows<V: F32x8>(image: &MatchingImage, [x, y]: [i32; 2], fraction: f32
     (upper + (lower - upper) * V::splat(fraction)).to_array()
 }
 
-/// Eight channels: four of the sample `first`, four of the next.
+/// Returns eight channels: the four of the sample `first`, then the four of the next sample.
 #[inline(always)]
 fn eight(samples: &[MatchingSample], first: usize) -> [f32; LANES] {
     let [a, b] = [samples[first], samples[first + 1]];
@@ -329,15 +338,15 @@ multiversion! {
 }
 
 impl PatchMatcher<'_> {
-    /// Fills `patch` with the pixels around `(x, y)`, pixels of the level.
+    /// Fills `patch` with the pixels around pixel `(x, y)` of the pyramid level.
     #[inline]
     pub fn fill_patch(&self, x: usize, y: usize, patch: &mut Patch) {
         patch.fill(self.own, (x, y), self.level == 0);
     }
 
-    /// The cost of an element at pixel `(x, y)` of the level: the mean of the smallest costs in the observing
-    /// frames. `costs` is filled with the cost in each. As soon as the mean certainly exceeds `limit`, the
-    /// result is infinite.
+    /// Returns the matching cost of a surface element at pixel `(x, y)` of the pyramid level: the mean of the
+    /// smallest costs in the observing frames. Fills `costs` with the cost in each observing frame. Returns infinity
+    /// as soon as the mean is certain to exceed `limit`.
     #[inline(always)]
     pub fn cost(
         &self,
@@ -350,8 +359,8 @@ impl PatchMatcher<'_> {
         cost_below(&self.placed(e, x, y), patch, limit, costs)
     }
 
-    /// The fraction of the observing frames that show what stands still where they would show the element, among those
-    /// that have it in their image.
+    /// Returns the fraction of the observing frames that show static background at the surface element's projection.
+    /// Frames whose image does not contain the projection don't count.
     #[inline(always)]
     pub fn still_fraction(&self, e: &Element, (x, y): (usize, usize)) -> f32 {
         let (mut still, mut inside) = (0u32, 0u32);
@@ -378,9 +387,9 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Calls `f` for every observing frame whose cost is at most `max_cost`, with its terms of the normal
-    /// equations: sums over the patch of products of image gradients, `[xx, xy, yy]`, and of gradient times
-    /// residual, `[x, y]`. Gradients are per pixel of the level.
+    /// Calls `f` for every observing frame whose cost is at most `max_cost`, with the frame's terms of the normal
+    /// equations. The terms are sums over the patch: of products of image gradients, `[xx, xy, yy]`, and of gradient
+    /// times brightness residual, `[x, y]`. Gradients are per pixel of the pyramid level.
     pub fn for_each_gradient(
         &self,
         matched: &MatchedElement,
@@ -396,8 +405,8 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// A distance between two elements at one pixel, in pixels of the level: a weighted sum of the
-    /// differences in disparity, velocity, rate and acceleration.
+    /// Returns a distance between two surface elements at one pixel, in pixels of the pyramid level: a weighted sum
+    /// of the differences in disparity, velocity, rate of disparity and acceleration.
     #[inline(always)]
     pub fn distance(&self, a: &Element, b: &Element) -> f32 {
         let change = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs() + (a[1] - b[1]).abs();

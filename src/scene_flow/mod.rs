@@ -1,33 +1,34 @@
-//! Beyond the paper: depth and motion of every frame, estimated together from the frames of all cameras, each
-//! at its own time. A view is rendered by moving the surface points of the frames nearest to its instant, and
-//! blending them.
+//! Scene flow, beyond the paper: estimates depth and motion for every frame, from the frames of all cameras, each at
+//! its own time. A view is rendered from the frames nearest in time to its instant: their surface points are moved to
+//! the instant and blended.
 //!
 //! ```text
 //! frames ── pyramids ── PatchMatch, coarse to fine ── FlowMap of each frame ── splat ── blend(view)
 //! ```
 //!
-//! No frame is synchronized first. Cameras that film at different times sample motion more densely, and the
-//! motion between two samples is small. Related work: Klose, Lipski, Magnor, *Reconstructing Shape and Motion
-//! from Asynchronous Cameras* (VMV 2010); Bleyer, Rhemann, Rother, *PatchMatch Stereo* (BMVC 2011); Taniai et
-//! al., *Fast Multi-frame Stereo Scene Flow* (CVPR 2017).
+//! The frames are not synchronized first. Cameras that film at different times sample motion more densely, so the
+//! motion between two samples is smaller. Related work: Klose, Lipski, Magnor, *Reconstructing Shape and Motion from
+//! Asynchronous Cameras* (VMV 2010); Bleyer, Rhemann, Rother, *PatchMatch Stereo* (BMVC 2011); Taniai et al., *Fast
+//! Multi-frame Stereo Scene Flow* (CVPR 2017).
 //!
-//! Known limits: outlines are off by one or two pixels. Edges parallel to the line of cameras have no
-//! disparity, and their depth is found only where they move.
+//! Known limits: outlines are off by one or two pixels. Edges parallel to the line of cameras have no disparity, so
+//! their depth is found only where they move.
 //!
-//! | file | step |
+//! | file | content |
 //! |---|---|
-//! | `frame.rs` | a frame without distortion, and the pyramid that is matched |
+//! | `frame.rs` | a frame without lens distortion, and its image pyramid |
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
-//! | `still.rs` | what stands still before a camera |
+//! | `timing.rs` | the time between pixels of two frames, with rolling shutters |
+//! | `still.rs` | the static background of a camera |
 //! | `element.rs` | a surface element: depth, path, slant |
-//! | `patch.rs`, `matching.rs` | the matching cost of an element in all frames |
+//! | `patch.rs`, `matching.rs` | the matching cost of an element over all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
-//! | `sweep.rs` | a pass of PatchMatch over a map |
-//! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of contradicting them |
+//! | `sweep.rs` | one pass of PatchMatch over a map |
+//! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of contradicting these maps |
 //! | `estimate.rs` | the order of these steps, for several frames together |
 //! | `uncertainty.rs` | standard errors of depth and velocity |
-//! | `map.rs`, `packed.rs` | a frame's depth and motion, and how they are stored |
-//! | `confidence.rs` | how far the maps of a view's frames agree |
+//! | `map.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
+//! | `confidence.rs` | the fraction of the other maps that agree with an element |
 //! | `splat.rs`, `blend.rs` | rendering of a view from several maps |
 //! | `motion.rs` | the motion of the surfaces in a view |
 

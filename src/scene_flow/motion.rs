@@ -1,35 +1,39 @@
-//! Motion of the surfaces that a view shows.
+//! Motion of the surfaces that a rendered view shows.
 
-/// Quantization steps per pixel of motion. Larger: bodies faster than 512 pixels a frame
-/// saturate. Smaller: motion is off by more than 1/128 pixel.
+/// Quantization steps per pixel of motion. With this number, speeds of up to 512 pixels per frame can be stored, with
+/// errors of at most 1/128 pixel.
 const STEPS: f32 = 64.0;
 
-/// Motion of a surface in a view, per frame of the reference camera.
+/// Motion of a surface point in a view, per frame of the reference camera.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SurfaceMotion {
-    /// Pixels of the view without its lens distortion.
+    /// Velocity in pixels of the view without its lens distortion, per frame of the reference camera.
     pub velocity: [f32; 2],
-    /// 1/m.
+    /// Rate of change of the inverse depth, 1/m per frame of the reference camera.
     pub inverse_depth_rate: f32,
 }
 
-/// Quantization steps per pixel of change of disparity per frame: rates beyond 16 pixels saturate.
+/// Quantization steps per pixel of a disparity's rate of change, which is in pixels per frame. Rates beyond 16 pixels
+/// per frame saturate.
 const RATE_STEPS: f32 = 8.0;
 
-/// The quantized motion of a pixel: two numbers of 16 bits and one of 8, as bytes, so that no memory is padded.
+/// Quantized motion of one pixel: two 16-bit numbers for the velocity and an 8-bit number for the inverse depth's
+/// rate of change. They are stored as bytes, so that no memory is lost to padding.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct QuantizedMotion([u8; 5]);
 
 /// The motion of the surface at every pixel of a view at an instant, quantized to 5 bytes per pixel, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotionMap {
-    /// Disparity of an inverse depth of 1/m, pixels: the unit in which rates are quantized.
+    /// Disparity of a point at a depth of 1 m, pixels. It is the factor from an inverse depth, 1/m, to a disparity.
+    /// Rates of inverse depth are quantized as rates of disparity.
     disparity_px: f32,
     pixels: Vec<QuantizedMotion>,
 }
 
 impl MotionMap {
-    /// A map without pixels, to be extended by up to `count`.
+    /// Creates a map without pixels, with memory for `count` of them. `disparity_px` is the disparity of a point at a
+    /// depth of 1 m, pixels.
     pub fn empty(disparity_px: f32, count: usize) -> Self {
         let disparity_px = disparity_px.max(f32::MIN_POSITIVE);
         Self { disparity_px, pixels: Vec::with_capacity(count) }
@@ -51,7 +55,7 @@ impl MotionMap {
         QuantizedMotion([a, b, c, d, rate as u8])
     }
 
-    /// The motion of pixel `k`.
+    /// Returns the motion of pixel `k`.
     pub fn motion(&self, k: usize) -> SurfaceMotion {
         let QuantizedMotion([a, b, c, d, rate]) = self.pixels[k];
         let velocity = [[a, b], [c, d]].map(|v| f32::from(i16::from_le_bytes(v)) / STEPS);

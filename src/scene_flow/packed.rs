@@ -1,4 +1,4 @@
-//! The stored form of a map: compressed without loss.
+//! Stored form of a map of depth and motion, compressed without loss.
 
 use super::map::{FlowMap, FlowPixel};
 use crate::camera::Camera;
@@ -9,11 +9,12 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::io::{Read, Write};
 
-/// Compression level of Deflate. Higher levels take three times as long, and save a twentieth.
+/// Compression level of Deflate. Higher levels take three times as long, and save a twentieth of the size.
 const LEVEL: u32 = 3;
 
-/// A map with compressed pixels. The bytes are in planes: channel by channel, all low bytes before all high
-/// bytes. Each value is stored as its difference from the previous pixel's.
+/// Scene flow map with compressed pixels. The bytes are compressed in planes, channel by channel. A 16-bit channel
+/// has all its low bytes before all its high bytes, and each value is stored as the difference from the previous
+/// pixel's value. The 8-bit channels follow as they are.
 #[derive(Serialize, Deserialize)]
 struct PackedMap {
     width: usize,
@@ -49,7 +50,7 @@ impl PackedMap {
         Self { width, height, disparity_px, inverse_depth, deflated: deflated.unwrap_or_default() }
     }
 
-    /// The decompressed map; `None` if the bytes are damaged.
+    /// Returns the decompressed scene flow map. `None` if the bytes are damaged.
     fn unpacked(self) -> Option<FlowMap> {
         let Self { width, height, disparity_px, inverse_depth, deflated } = self;
         let count = width.checked_mul(height)?;
@@ -79,7 +80,7 @@ impl PackedMap {
 }
 
 impl FlowMap {
-    /// Upper bound on the size of a camera's stored map, bytes.
+    /// Returns an upper bound on the size of a camera's stored scene flow map, bytes.
     pub fn max_stored_bytes(camera: &Camera) -> usize {
         let bytes = camera.width * camera.height * FlowPixel::BYTES;
         // Deflate adds at most 5 bytes per 16 KiB of incompressible data.

@@ -1,34 +1,34 @@
-//! The pixels around a pixel that probably belong to its surface.
+//! Patches: the neighbourhood of a pixel, reduced to the pixels that probably belong to the same surface.
 
 use super::frame::{MatchingImage, MatchingSample, WEIGHTS};
 use crate::simd::LANES;
 
-/// Colour difference from the patch's centre at which a pixel's weight falls to 1/e.
+/// Colour difference from the centre of the patch at which the colour term of a pixel's weight falls to 1/e.
 const PATCH_COLOR: f32 = 0.08;
-/// Half-width of a patch at the finest level, and the step between its pixels; both in pixels.
+/// Half-width of a patch at the finest pyramid level, and the step between its pixels; both in pixels.
 const PATCH_FINEST: (i32, i32) = (4, 2);
-/// Half-width of a patch at all other levels, and the step between its pixels; both in pixels of the level.
+/// Half-width of a patch at all coarser pyramid levels, and the step between its pixels; both in pixels of the level.
 const PATCH_COARSE: (i32, i32) = (2, 1);
-/// Minimum weight of a pixel in a patch. Pixels below it are left out: they are on another surface, or far
-/// away.
+/// Minimum weight of a pixel in a patch. Pixels with a smaller weight are left out. They are on another surface, or
+/// far from the centre.
 const MIN_WEIGHT: f32 = 0.05;
 /// Maximum number of pixels in a patch.
 const PATCH_PIXELS: usize = 25;
 /// Length of a patch's arrays: [`PATCH_PIXELS`] rounded up to whole SIMD vectors.
 const PADDED_PIXELS: usize = PATCH_PIXELS.next_multiple_of(LANES);
 
-/// The pixels around a pixel, weighted by how likely they belong to its surface. Entries from `count` on have
+/// Pixels around a centre pixel, weighted by how likely they belong to the same surface. Entries from `count` on have
 /// weight 0.
 pub struct Patch {
     pub offset_x: [f32; PADDED_PIXELS],
     pub offset_y: [f32; PADDED_PIXELS],
     pub samples: [MatchingSample; PADDED_PIXELS],
-    /// Each pixel's weight, repeated for every channel.
+    /// Weight of each pixel of the patch, repeated for every channel of its sample.
     pub weights: [MatchingSample; PADDED_PIXELS],
-    /// Each pixel's weight.
+    /// Weight of each pixel of the patch.
     pub weight: [f32; PADDED_PIXELS],
     pub count: usize,
-    /// The reciprocal of the sum of all weights.
+    /// Reciprocal of the sum of the weights of all pixels of the patch.
     pub normalization: f32,
 }
 
@@ -45,12 +45,13 @@ impl Patch {
         }
     }
 
-    /// The sum of all weights.
+    /// Returns the sum of the weights of all pixels of the patch.
     pub fn weight(&self) -> f32 {
         1.0 / self.normalization
     }
 
-    /// The weighted sums over the patch of the products of its gradients of brightness: `[xx, xy, yy]`.
+    /// Returns the structure tensor of the patch, `[xx, xy, yy]`: the weighted sums of the products of the brightness
+    /// gradients.
     pub fn structure(&self) -> [f32; 3] {
         let mut sums = [0.0; 3];
         for (sample, weight) in self.samples[..self.count].iter().zip(&self.weight) {
@@ -62,7 +63,7 @@ impl Patch {
         sums
     }
 
-    /// Fills the patch with the pixels around `(x, y)` of an image of the pyramid.
+    /// Fills the patch with the pixels around pixel `(x, y)` of a pyramid level.
     #[inline]
     pub fn fill(&mut self, image: &MatchingImage, (x, y): (usize, usize), is_finest: bool) {
         let (radius, step) = if is_finest { PATCH_FINEST } else { PATCH_COARSE };
@@ -97,7 +98,7 @@ impl Patch {
     }
 }
 
-/// Sum of the absolute differences in brightness and in red minus blue.
+/// Returns the sum of the absolute differences of two samples in brightness and in red minus blue.
 #[inline(always)]
 pub fn color_difference(a: &MatchingSample, b: &MatchingSample) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).abs()

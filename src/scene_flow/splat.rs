@@ -1,4 +1,4 @@
-//! Splats a map: its elements are moved to an instant and projected into a view.
+//! Splats a map into a view: the map's elements are moved to an instant and projected into the view.
 
 use super::geometry::{Projection, distorted};
 use super::map::{FlowMap, FlowPixel, MappedFrame};
@@ -8,70 +8,75 @@ use crate::camera::Camera;
 use crate::simd::multiversion;
 use std::ops::Range;
 
-/// Half-width of a splat, pixels of the frame. Splats of neighbours overlap slightly.
+/// Half-width of a splat, pixels of the frame. Splats of neighbouring pixels overlap slightly.
 const HALF_WIDTH: f32 = 0.55;
-/// Half-width of a splat towards a neighbour on another surface, pixels of the frame.
+/// Half-width of a splat towards a neighbouring pixel on another surface, pixels of the frame.
 const HALF_WIDTH_AT_EDGE: f32 = 0.5;
-/// Minimum and maximum magnification of a splat by the change of depth from the frame to the view. The ratio
-/// of the focal lengths is a further factor.
+/// Minimum and maximum magnification of a splat due to the change of depth from the frame to the view. The ratio of
+/// the focal lengths is a further factor.
 const SCALES: [f32; 2] = [0.8, 8.0];
-/// Difference in disparity from which a nearer element occludes another, pixels.
+/// Difference in disparity from which a nearer surface element occludes a farther one, pixels.
 const HIDING_PX: f32 = 0.5;
-/// Constant part of the expected error of an element's position, pixels.
+/// Constant part of the expected error of a surface element's position, pixels.
 const ERROR_PX: f32 = 0.2;
-/// Expected error, pixels, per pixel of disparity between the frame's camera and the view.
+/// Expected error of a surface element's position due to the distance of the cameras, pixels, per pixel of disparity
+/// between the frame's camera and the view.
 const ERROR_BY_BASELINE: f32 = 0.005;
-/// Expected errors per frame of time between the frame and the instant: a constant part, pixels, and a part
-/// per unit of speed (pixel per frame).
+/// Expected error of a surface element's position due to the time between the frame and the view's instant. The first
+/// number is in pixels per frame period of this time. The second number is a fraction of the distance that the element
+/// moves in this time. The two parts are added.
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
-/// Expected error as a fraction of acceleration times squared time, since paths are not parabolas.
+/// Expected error of a surface element's position as a fraction of acceleration times squared time, since real paths
+/// are not parabolas.
 const ERROR_BY_CURVATURE: f32 = 0.1;
-/// Expected error due to the distance of the cameras and to the time from frame to instant, pixels, below
-/// which a frame's weight rises steeply. So a view from a camera's own place at a frame's own time is that
-/// frame.
+/// Expected error of a surface element's position below which the frame's weight rises steeply, pixels. This error
+/// includes the parts due to the distance of the cameras and to the time between the frame and the view's instant. A
+/// view at a camera's own position and a frame's own time thus shows that frame.
 const EXACT_PX: f32 = 0.01;
 
-/// A map rendered into some rows of a view. Its fields have one value per pixel, row by row.
+/// Scene flow map rendered into some rows of a view. Its public fields have one value per pixel, row by row.
 pub struct Splat {
-    /// Inverse depth in the view, 1/m.
+    /// Inverse depth of each pixel in the view, 1/m.
     pub inverse_depths: Vec<f32>,
-    /// Position in the frame from which the colour is read, pixels.
+    /// Position in the frame from which each pixel's colour is read, pixels.
     pub sources: Vec<[f32; 2]>,
-    /// Blending weight, from confidence and expected error; 0 where the map covers nothing.
+    /// Blending weight of each pixel, from confidence and expected error; 0 where the scene flow map covers nothing.
     pub weights: Vec<f32>,
-    /// Distance of the pixel's centre from the projection of its element (maximum norm), pixels.
+    /// Distance between each pixel's centre and the projection of its surface element (maximum norm), pixels.
     distances: Vec<f32>,
     projection: Projection,
-    /// For each row of the map, the time from the row to the instant, in frames of the reference camera.
+    /// For each row of the scene flow map, the time from the row to the view's instant, in frame periods of the
+    /// reference camera.
     row_dt: Vec<f32>,
     width: usize,
     rows: Range<usize>,
-    /// Difference in inverse depth from which a nearer element occludes another, 1/m.
+    /// Difference in inverse depth from which a nearer surface element occludes a farther one, 1/m.
     hiding: f32,
 }
 
-/// The mapping from a row of a frame to a view at an instant.
+/// Mapping from one row of a frame to a view at an instant.
 #[derive(Clone, Copy)]
 struct ToView {
     projection: Projection,
-    /// Time from the row to the instant, in frames of the reference camera.
+    /// Time from the row to the view's instant, in frame periods of the reference camera.
     dt: f32,
-    /// Ratio of the view's focal length to the frame's.
+    /// Ratio of the view's focal length to the focal length of the frame's camera.
     zoom: f32,
-    /// Expected error due to the distance between the cameras, pixels at an inverse depth of 1/m.
+    /// Expected error of the position of a point at a depth of 1 m, due to the distance between the cameras, pixels.
     place_error: f32,
 }
 
-/// The elements of one row of a map, projected into the view. Positions are pixels.
+/// Surface elements of one row of a scene flow map, projected into the view. Positions are pixels.
 struct Row {
     x: Vec<f32>,
     y: Vec<f32>,
     inverse_depth: Vec<f32>,
-    /// Size of the splat, relative to its size in the frame.
+    /// Size of each splat, relative to its size in the frame.
     scale: Vec<f32>,
     weight: Vec<f32>,
-    /// Magnitude of the velocity, pixels per frame, then of the acceleration, pixels per frame squared.
+    /// Magnitude of each surface element's velocity, pixels per frame.
     speed: Vec<f32>,
+    /// Magnitude of each surface element's acceleration, pixels per squared frame.
     acceleration: Vec<f32>,
 }
 
@@ -89,7 +94,8 @@ impl Row {
         }
     }
 
-    /// Moves the elements of row `y` by `dt` frames. Positions are in the frame's own camera, pixels.
+    /// Moves the surface elements of row `y` of a scene flow map by `dt` frames. The resulting positions are in the
+    /// frame's own camera, pixels.
     #[inline(always)]
     fn move_elements(&mut self, map: &FlowMap, y: usize, dt: f32) {
         let pixels = &map.pixels()[y * map.width..][..self.x.len()];
@@ -103,7 +109,7 @@ impl Row {
         }
     }
 
-    /// Projects the moved elements into the view, and computes their scales and weights.
+    /// Projects the moved surface elements into the view, and computes their scales and weights.
     #[inline(always)]
     fn project(&mut self, to: &ToView, confidences: &[u8]) {
         let n = self.x.len();
@@ -115,7 +121,7 @@ impl Row {
             let q = inverse_depth[k];
             let [u, v, q_there] = to.projection.project(x[k], y[k], q);
             (x[k], y[k], inverse_depth[k]) = (u, v, q_there);
-            // Inverse depths that the rate has made negative are behind the camera.
+            // Negative inverse depths, which the rate can cause, are behind the camera.
             let nearing = q_there / q.max(f32::MIN_POSITIVE);
             scale[k] = to.zoom * nearing.clamp(SCALES[0], SCALES[1]);
             let place = to.place_error * q_there;
@@ -141,8 +147,9 @@ multiversion! {
 }
 
 impl Splat {
-    /// Splats a map into the rows `rows` of a view at `time`, in frames of the reference camera since the
-    /// capture's start. `None` if the intrinsic matrix of the frame's camera is singular.
+    /// Splats a scene flow map into the rows `rows` of a view at `time`, in frame periods of the reference camera
+    /// since the capture's start. `confidences` are the confidences of the map's pixels. `None` if the intrinsic
+    /// matrix of the frame's camera is singular.
     pub fn new(
         mapped: MappedFrame,
         confidences: &[u8],
@@ -187,7 +194,8 @@ impl Splat {
         Some(splat)
     }
 
-    /// The motion in the view, at its instant, of the element at a position of the frame, pixels.
+    /// Returns the motion, in the view and at the view's instant, of the surface element at a position of the frame,
+    /// pixels.
     pub fn motion(&self, map: &FlowMap, [x, y]: [f32; 2]) -> SurfaceMotion {
         let column = (x.max(0.0) as usize).min(map.width - 1);
         let row = (y.max(0.0) as usize).min(map.height - 1);
@@ -211,7 +219,7 @@ impl Splat {
         }
     }
 
-    /// Adds the splat of element `x` of a row. Parts outside the view are clipped.
+    /// Adds the splat of surface element `x` of row `y`. Parts outside the view are clipped.
     #[inline(always)]
     fn add(&mut self, row: &Row, x: usize, y: usize, pixel: &FlowPixel) {
         let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);
@@ -239,8 +247,8 @@ impl Splat {
     }
 }
 
-/// Applies the view's lens distortion to positions of a pinhole camera. Positions beyond the range in which
-/// the lens model is monotonic get weight 0.
+/// Applies the view's lens distortion to the positions in `row`, which are those of a pinhole camera. Positions beyond
+/// the range in which the lens model is monotonic get the weight 0.
 fn distort(row: &mut Row, view: &Camera) {
     for x in 0..row.x.len() {
         match distorted(view, [row.x[x], row.y[x]]) {
@@ -250,9 +258,9 @@ fn distort(row: &mut Row, view: &Camera) {
     }
 }
 
-/// The pixels of `range` whose centres lie in `from..=to`.
+/// Returns the pixels of `range` whose centres lie in `from..=to`.
 #[inline(always)]
 fn pixels_between(from: f32, to: f32, range: Range<usize>) -> Range<usize> {
-    // Casts saturate, so that a splat left of the image is empty.
+    // Casts saturate, so a splat to the left of the image has no pixels.
     ((from + 0.5) as usize).max(range.start)..((to + 0.5) as usize).min(range.end)
 }

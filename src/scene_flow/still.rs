@@ -1,28 +1,31 @@
-//! What stands still before a camera, from frames of its whole recording. A pixel stands still if many of the frames
-//! show one colour there; where a frame shows another colour, something has moved in front.
+//! Static background of a camera (a background model), from frames of the camera's whole recording. A pixel has a
+//! static background if at least a third of the frames show one colour there. Where a frame shows another colour, a
+//! moving body is in front of the background.
 
 use crate::raster::Image;
 use rayon::prelude::*;
 
-/// Maximum difference of a channel between two colours that count as equal, of 255.
+/// Maximum difference in each channel between two colours that count as equal, in steps of 1/255.
 const TOLERANCE: u8 = 10;
-/// Minimum fraction of the frames that show the colour of a pixel that stands still. With a larger one, what is hidden
-/// for most of the recording is unknown; with a smaller one, a plain body that passes slowly stands still.
+/// Minimum fraction of the frames that show the background colour of a pixel. If the fraction were larger, a
+/// background that is hidden for most of the recording would stay unknown. If it were smaller, a plain body that
+/// passes slowly would count as background.
 const MIN_SUPPORT: f64 = 1.0 / 3.0;
-/// Minimum number of moving pixels among the 3×3 around a moving pixel, itself included. Others are noise.
+/// Minimum number of moving pixels in the 3×3 neighbourhood of a moving pixel, the pixel included. A moving pixel
+/// with fewer is noise.
 const MIN_MOVING: usize = 3;
 
-/// A colour of 8 bits a channel.
+/// Colour with 8 bits per channel: red, green, blue.
 type Rgb8 = [u8; 3];
 
-/// The colours of what stands still in a camera's image, row by row.
+/// Colours of the static background in a camera's image, row by row.
 pub struct StillImage {
     width: usize,
-    /// `None` where nothing stands still, or where it is hidden for most of the recording.
+    /// Background colour of each pixel; `None` if less than a third of the frames show one colour there.
     colors: Vec<Option<Rgb8>>,
 }
 
-/// An image with 8 bits a channel, of which many are compared at once.
+/// Image with 8 bits per channel, compact since many images are compared at once.
 pub struct CompactImage {
     width: usize,
     pixels: Vec<Rgb8>,
@@ -42,7 +45,8 @@ fn is_equal(a: Rgb8, b: Rgb8) -> bool {
 }
 
 impl StillImage {
-    /// From frames of one camera, spread over the recording. Nothing stands still in fewer than three.
+    /// Computes the static background from frames of one camera, spread over its recording. With fewer than three
+    /// frames, no pixel has a background.
     pub fn new(frames: &[CompactImage]) -> Self {
         let width = frames.first().map_or(0, |f| f.width);
         let pixels = frames.first().map_or(0, |f| f.pixels.len());
@@ -67,17 +71,18 @@ impl StillImage {
         Self { width, colors: (0..pixels).into_par_iter().map(color).collect() }
     }
 
-    /// Whether nothing is known to stand still.
+    /// Returns whether no pixel has a known background.
     pub fn is_empty(&self) -> bool {
         self.colors.iter().all(Option::is_none)
     }
 
-    /// Number of pixels.
+    /// Returns the number of pixels of the image.
     pub fn pixels(&self) -> usize {
         self.colors.len()
     }
 
-    /// For each pixel of a frame, whether it shows what stands still. Pixels beside moving ones don't: they mix both.
+    /// Returns, for each pixel of a frame, whether it shows static background. Pixels beside a moving body count as
+    /// background, although they may mix the colours of both: counted as body, they widen its outline.
     pub fn shown_in(&self, frame: &CompactImage) -> Vec<bool> {
         let moving: Vec<bool> = self
             .colors
@@ -85,13 +90,11 @@ impl StillImage {
             .zip(&frame.pixels)
             .map(|(still, own)| still.is_none_or(|still| !is_equal(still, *own)))
             .collect();
-        let kept: Vec<bool> = (0..moving.len())
-            .map(|k| moving[k] && self.moving_around(&moving, k) >= MIN_MOVING)
-            .collect();
-        (0..kept.len()).map(|k| self.moving_around(&kept, k) == 0).collect()
+        let is_noise = |k: usize| self.moving_around(&moving, k) < MIN_MOVING;
+        (0..moving.len()).map(|k| !moving[k] || is_noise(k)).collect()
     }
 
-    /// Number of moving pixels among the 3×3 around a pixel.
+    /// Returns the number of moving pixels in the 3×3 neighbourhood of pixel `k`, the pixel included.
     fn moving_around(&self, moving: &[bool], k: usize) -> usize {
         let (width, height) = (self.width, moving.len() / self.width);
         let (x, y) = (k % width, k / width);
@@ -105,7 +108,7 @@ impl StillImage {
 mod tests {
     use super::*;
 
-    /// A wall of noise-free stripes before which a bright square moves by 4 pixels a frame.
+    /// Returns frames of a wall with noise-free stripes, before which a bright square moves by 4 pixels per frame.
     fn frames(count: usize) -> Vec<CompactImage> {
         let value = |frame: usize, k: usize| {
             let (x, y) = (k % 40, k / 40);
@@ -126,9 +129,9 @@ mod tests {
         assert!(still.colors.iter().all(|c| c.is_some_and(|[r, _, _]| r < 100)));
         let shown = still.shown_in(&frames[2]);
         let at = |x: usize, y: usize| shown[y * 40 + x];
-        // The body of frame 2 covers the columns 8 to 13; beside it, a pixel may mix both.
-        assert!(!at(8, 8) && !at(13, 5) && !at(7, 8) && !at(14, 8));
-        assert!(at(6, 8) && at(15, 8) && at(20, 8) && at(10, 2) && at(10, 14));
+        // The body in frame 2 covers the columns 8 to 13.
+        assert!(!at(8, 8) && !at(13, 5) && !at(8, 5) && !at(13, 11));
+        assert!(at(7, 8) && at(14, 8) && at(20, 8) && at(10, 2) && at(10, 14));
     }
 
     #[test]

@@ -1,6 +1,6 @@
-//! One pass of PatchMatch (Barnes et al. 2009; Bleyer et al. 2011) over a map. Each pixel's element competes
-//! with proposals from its neighbours, from the maps of other frames, from random sampling, from an affine
-//! fit and from a Gauss–Newton step. The element of least cost wins.
+//! One pass of PatchMatch (Barnes et al. 2009; Bleyer et al. 2011) over a map. At each pixel, the current element
+//! competes with proposals from neighbouring pixels, from the maps of other frames, from random sampling, from an
+//! affine fit and from a Gauss–Newton step. The element with the lowest cost wins.
 
 use super::consistency::OtherMaps;
 use super::element::Element;
@@ -10,54 +10,60 @@ use super::patch::{Patch, color_difference};
 use super::transfer::Proposals;
 use crate::random::Random;
 
-/// Smoothness cost per pixel of distance ([`PatchMatcher::distance`]) between the elements of two neighbours.
+/// Smoothness cost per pixel of distance ([`PatchMatcher::distance`]) between the surface elements of two
+/// neighbouring pixels.
 const SMOOTHNESS: f32 = 0.004;
-/// Distance between two neighbours' elements at which the smoothness cost is truncated, pixels of the level.
+/// Distance between the surface elements of two neighbouring pixels at which the smoothness cost is truncated, pixels
+/// of the pyramid level.
 const MAX_ROUGHNESS_PX: f32 = 2.0;
-/// Colour difference of two neighbours at which the colour term of the smoothness weight falls to 1/e.
+/// Colour difference of two neighbouring pixels at which the colour term of the smoothness weight falls to 1/e.
 const COLOR: f32 = 0.08;
-/// Added to the colour term, so that neighbours of any colour have some smoothness.
+/// Constant that is added to the colour term of the smoothness weight, so that neighbours of any colour have some
+/// smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Matching cost below which a pixel's element is good: no random elements are tried, and the pixel can be settled,
-/// so that later passes skip it.
+/// Matching cost below which a pixel's surface element is good. For such a pixel, no random elements are tried. Later
+/// passes skip the pixel if its element is also static and its neighbours have nearly the same element.
 const MATCHED: f32 = 0.012;
-/// Distance ([`PatchMatcher::distance`]) below which two elements count as equal, pixels of the level.
+/// Distance ([`PatchMatcher::distance`]) below which two surface elements count as equal, pixels of the pyramid
+/// level.
 const SAME_PX: f32 = 0.08;
-/// Speed below which an element counts as static, pixels per frame. It is also the maximum distance between
-/// the elements of a settled pixel and its neighbours, pixels of the level.
+/// Speed below which a surface element counts as static, pixels per frame. It is also the distance, in pixels of the
+/// pyramid level, below which the elements of two neighbouring pixels count as nearly the same.
 const STILL_PX: f32 = 0.3;
-/// Speed from which, at the finest level, an element's copy without motion is not tried, pixels per frame.
+/// Maximum speed, pixels per frame, of a surface element whose copy without motion is tried at the finest level.
 const MAX_SPEED_TO_REST_PX: f32 = 4.0;
-/// At coarse levels, the fraction of random elements that are drawn from the whole search range. The others
-/// are near the current element.
+/// Fraction of the random surface elements that are drawn from the whole search range at coarse levels. The other
+/// random elements are near the current element.
 const ANYWHERE: f32 = 0.7;
-/// Fraction of the random elements from the whole range that are static.
+/// Fraction of the random surface elements from the whole search range that have no motion.
 const AT_REST: f32 = 0.15;
-/// Fraction of the random elements from the whole range that have the pixel's current depth.
+/// Fraction of the random surface elements from the whole search range that keep the pixel's current depth.
 const KEEP_DEPTH: f32 = 0.3;
-/// Maximum size of a random change of an element, pixels of the level.
+/// Maximum size of a random change of a surface element's disparity, pixels of the pyramid level. The velocity
+/// changes by up to twice this size.
 const MAX_CHANCE_PX: f32 = 4.0;
-/// Finest level at which random elements are drawn from the whole search range.
+/// Finest pyramid level at which random surface elements are drawn from the whole search range.
 const COARSE_LEVEL: usize = 2;
 
-/// Cost per pixel of difference from the other frames' maps ([`OtherMaps::difference`]).
+/// Cost per pixel of difference between a surface element and the other frames' scene flow maps
+/// ([`OtherMaps::difference`]).
 const INCONSISTENCY: f32 = 0.02;
-/// Difference from the other frames' maps up to which an element is consistent, pixels: then the maps add no
-/// cost.
+/// Difference between a surface element and the other frames' scene flow maps up to which the element is consistent,
+/// pixels. Then the maps add no cost.
 const CONSISTENT_PX: f32 = 1.5;
 
-/// Cost of a moving element that projects onto what stands still in all other frames' images. If it does in some, that
-/// fraction of it.
+/// Cost of a moving surface element that projects onto static background in all observing frames. If it does so in
+/// some of them, the same fraction of this cost is added.
 const SILHOUETTE: f32 = 0.3;
 
-/// Cost of the nearest depth for a pixel that shows what stands still, rising from 0 at the farthest: where a plain
-/// background matches at many depths, it is behind all bodies.
+/// Cost of the nearest depth for a pixel that shows static background. The cost is linear in the inverse depth, and 0
+/// at the farthest depth. A plain background that matches at many depths is thus put behind all bodies.
 const NEARNESS: f32 = 0.01;
 
-/// The search range.
+/// Search range of depths and speeds.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Minimum and maximum inverse depth, 1/m.
+    /// Minimum and maximum of the inverse depth, 1/m.
     pub inverse_depth: [f32; 2],
     /// Maximum speed, pixels per frame.
     pub max_speed: f32,
@@ -70,16 +76,16 @@ impl Limits {
     }
 }
 
-/// The parameters of one pass.
+/// Parameters of one pass of PatchMatch over a scene flow map.
 pub struct Pass<'a> {
     pub limits: Limits,
-    /// Number of passes already done at this level.
+    /// Number of passes already done at this pyramid level.
     pub turn: usize,
     pub is_last: bool,
-    /// Number of random elements per pixel.
+    /// Number of random surface elements that are tried per pixel.
     pub chances: usize,
     pub proposals: Option<&'a Proposals>,
-    /// The maps of the other frames, if this pass has a consistency cost.
+    /// Scene flow maps of the other frames; `None` if this pass has no consistency cost.
     pub others: Option<OtherMaps<'a>>,
     pub seed: u64,
 }
@@ -90,7 +96,7 @@ impl Pass<'_> {
     }
 }
 
-/// The best element of a pixel so far, with its costs.
+/// Best surface element found so far for a pixel, with its costs.
 struct Best<'a, 'b> {
     matcher: &'a PatchMatcher<'b>,
     map: &'a ElementMap,
@@ -101,16 +107,16 @@ struct Best<'a, 'b> {
     match_cost: f32,
     cost: f32,
     costs: Costs,
-    /// The maps of the other frames, if they contradict the pixel's initial element. Else the pixel has no
-    /// consistency cost.
+    /// Scene flow maps of the other frames, if they contradict the pixel's initial surface element. Otherwise `None`,
+    /// and the pixel has no consistency cost.
     others: Option<&'a OtherMaps<'a>>,
-    /// Whether the pixel shows what stands still; `None` if that is unknown.
+    /// Whether the pixel shows static background; `None` if this is unknown.
     is_still: Option<bool>,
 }
 
 impl Best<'_, '_> {
-    /// Replaces the element by the proposal if the total cost of match, smoothness and consistency is then
-    /// lower.
+    /// Replaces the pixel's surface element by the proposal if this lowers the total cost: the sum of the costs of
+    /// matching, smoothness, consistency and static background.
     #[inline(always)]
     fn consider(&mut self, proposal: Element) {
         if !self.limits.contain(&proposal) {
@@ -136,8 +142,9 @@ impl Best<'_, '_> {
         }
     }
 
-    /// The cost by what stands still: of a moving element in front of it in other frames, and of a still one that is
-    /// near.
+    /// Returns the cost of a surface element due to the mask of static background. A moving element has a cost if it
+    /// projects onto static background in other frames. A static element has a cost that increases with its nearness.
+    /// The cost is 0 if the mask is unknown.
     #[inline(always)]
     fn still_cost(&self, e: &Element) -> f32 {
         let [min, max] = self.limits.inverse_depth;
@@ -148,8 +155,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers the elements of two adjacent pixels that this pass has visited already, and at coarse levels
-    /// of two farther ones.
+    /// Tries the surface elements of two adjacent pixels that this pass has already visited, and at coarse levels the
+    /// elements of two pixels farther away.
     fn consider_neighbors(&mut self, pass: &Pass) {
         let (x, y) = self.pixel;
         let sign = if pass.is_backward() { 1 } else { -1 };
@@ -164,7 +171,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers the element without its motion, unless it is so fast that it can't be at rest.
+    /// Tries the current surface element without its motion. At the finest level, this is skipped for a fast element,
+    /// which can't be at rest.
     fn consider_rest(&mut self) {
         let speed = self.element.speed();
         if speed > 0.0 && (self.matcher.level > 0 || speed < MAX_SPEED_TO_REST_PX) {
@@ -172,7 +180,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers the elements that other frames' maps propose for pixel `k`.
+    /// Tries the surface elements that other frames' scene flow maps propose for pixel `k`.
     fn consider_proposals(&mut self, pass: &Pass, k: usize) {
         for proposal in pass.proposals.iter().flat_map(|p| p.at(k)) {
             if self.differs(&proposal) {
@@ -181,7 +189,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers the affine fit to the neighbours, except in a level's first pass.
+    /// Tries the affine fit to the neighbouring surface elements, except in the first pass at a level.
     fn consider_fit(&mut self, pass: &Pass) {
         let (x, y) = self.pixel;
         if pass.turn > 0
@@ -192,7 +200,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers a Gauss–Newton step from the current element.
+    /// Tries the surface element after a Gauss–Newton step from the current element.
     fn consider_step(&mut self) {
         if let Some(step) = self.matcher.step(&self.matched())
             && self.matcher.distance(&step, &self.element) > 0.1 * SAME_PX
@@ -201,15 +209,16 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Considers a Gauss–Newton step if one is due: in the last pass, if this pass has changed the element
-    /// (before it: `before`), and in the first pass for a settled pixel, which later passes skip.
+    /// Tries a Gauss–Newton step in three cases: in the last pass; if this pass has changed the surface element from
+    /// `before`; and in the first pass, for a settled pixel. A settled pixel is well matched and static, and later
+    /// passes skip it.
     fn step_if_due(&mut self, before: &Element, is_settled: bool, pass: &Pass) {
         let has_changed = self.matcher.distance(before, &self.element) > 0.0;
         if !(pass.is_last || has_changed || (is_settled && pass.turn == 0)) {
             return;
         }
         if pass.turn > 0 && !has_changed {
-            // The costs in the observing frames are missing: the previous pass stored only their mean.
+            // The costs in the single observing frames are unknown, since the previous pass stored only their mean.
             let element = self.element;
             self.matcher.cost(&element, self.pixel, self.patch, f32::INFINITY, &mut self.costs);
         }
@@ -227,7 +236,8 @@ impl Best<'_, '_> {
 }
 
 impl PatchMatcher<'_> {
-    /// The smoothness cost of an element: truncated, colour-weighted distances from the four neighbours.
+    /// Returns the smoothness cost of a surface element: the weighted sum of its truncated distances from the
+    /// elements of the four neighbouring pixels. The weights depend on the colour difference.
     #[inline(always)]
     fn roughness(&self, map: &ElementMap, e: &Element, x: usize, y: usize) -> f32 {
         let center = self.own.pixel(x, y);
@@ -251,15 +261,16 @@ impl PatchMatcher<'_> {
         (u < self.own.width && v < self.own.height).then_some((u, v))
     }
 
-    /// The element of the neighbour `(u, v)`, which is `(dx, dy)` away, extrapolated to the pixel.
+    /// Returns the surface element of the neighbour `(u, v)`, which is `(dx, dy)` away from the pixel, extrapolated
+    /// to the pixel.
     #[inline(always)]
     fn continued(&self, map: &ElementMap, (u, v): (usize, usize), (dx, dy): (i32, i32)) -> Element {
         let element = &map.elements[v * self.own.width + u];
         element.at(-dx as f32 * self.scale, -dy as f32 * self.scale)
     }
 
-    /// Whether a pixel is settled: well matched and static, with neighbours that have nearly the same
-    /// element.
+    /// Returns whether a pixel is settled: its surface element is well matched and static, and its neighbours have
+    /// nearly the same element.
     fn is_settled(&self, map: &ElementMap, x: usize, y: usize) -> bool {
         let k = y * self.own.width + x;
         let own = &map.elements[k];
@@ -273,9 +284,9 @@ impl PatchMatcher<'_> {
             })
     }
 
-    /// Copies to a pixel the element of the top-left pixel of its 2×2 block, if that pixel is settled;
-    /// returns whether it did. The four pixels began with one element of the coarser level. Requires a
-    /// forward pass.
+    /// Copies the surface element of the top-left pixel of a 2×2 block to another pixel of the block, if the top-left
+    /// pixel is settled. Returns whether the element was copied. All four pixels began with one element of the
+    /// coarser level. The pass must be forward, so that it has already visited the top-left pixel.
     fn is_copied(&self, map: &mut ElementMap, x: usize, y: usize) -> bool {
         let (dx, dy) = (x % 2, y % 2);
         let first = (y - dy) * self.own.width + x - dx;
@@ -291,8 +302,8 @@ impl PatchMatcher<'_> {
         is_copied
     }
 
-    /// Whether a pixel shows what stands still, as do all pixels of its 2×2 block: these keep the element of the coarser
-    /// level.
+    /// Returns whether all pixels of the 2×2 block that contains pixel `(x, y)` show static background. These pixels
+    /// keep the surface element of the coarser level.
     fn is_inherited(&self, x: usize, y: usize) -> bool {
         let (u, v) = (x - x % 2, y - y % 2);
         let block = [(u, v), (u + 1, v), (u, v + 1), (u + 1, v + 1)];
@@ -326,7 +337,8 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Runs one pass over a map, in place. Odd passes visit the pixels in reverse order.
+    /// Runs one pass of PatchMatch over a scene flow map, in place. A pass with an odd `turn` visits the pixels in
+    /// reverse order.
     pub fn pass(&self, map: &mut ElementMap, pass: &Pass) {
         let (width, pixels) = (map.width, map.elements.len());
         let mut random = Random::new(pass.seed);
@@ -349,7 +361,7 @@ impl PatchMatcher<'_> {
             let before = map.elements[k];
             let element = if is_still == Some(true) { before.still() } else { before };
             let mut costs = [0.0; MAX_OBSERVATIONS];
-            // After a level's first pass, matching costs are known from the pass before.
+            // After the first pass at a level, the matching cost is known from the previous pass.
             let match_cost = if pass.turn > 0 {
                 map.costs[k]
             } else {
@@ -388,7 +400,8 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Whether two elements put a patch at noticeably different positions.
+    /// Returns whether two surface elements of one pixel differ noticeably, either at the pixel or at one of two
+    /// corners of its patch. For the corners, the elements are extrapolated by their gradients.
     fn changes_patch(&self, a: &Element, b: &Element) -> bool {
         let r = 3.0 * self.scale;
         self.distance(a, b) > 0.4 * SAME_PX

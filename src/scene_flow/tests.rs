@@ -1,4 +1,4 @@
-//! Scenes in closed form: textured walls that move, filmed by cameras that are not synchronized.
+//! Tests on scenes in closed form: textured walls that move, filmed by cameras that are not synchronized.
 
 use super::frame::levels;
 use super::geometry::Projection;
@@ -28,19 +28,19 @@ fn camera_at(x: f64, y: f64) -> Camera {
 #[derive(Clone, Copy)]
 struct Wall {
     depth_m: f64,
-    /// Metres per frame.
+    /// Velocity parallel to the image planes, metres per frame.
     velocity: [f64; 2],
-    /// Half of its side, metres.
+    /// Half of the square's side, metres.
     half_m: f64,
 }
 
-/// A static wall behind everything else, which fills the image.
+/// Static wall behind everything else, which fills the image.
 const STILL: Wall = Wall { depth_m: 3.0, velocity: [0.0; 2], half_m: f64::INFINITY };
 const MOVING: Wall = Wall { depth_m: 2.0, velocity: [0.06, -0.03], half_m: 0.3 };
 
 impl Wall {
-    /// The position where a camera's ray through `pixel` meets the wall at `time`, in the wall's own
-    /// coordinates, metres. `None` if it misses.
+    /// Returns the position where a camera's ray through `pixel` meets the wall at `time`, in the wall's own
+    /// coordinates, metres. `None` if the ray misses the wall.
     fn hit(&self, camera: &Camera, pixel: [f64; 2], time: f64) -> Option<[f64; 2]> {
         let ray = camera.ray_world(&Point2::from(pixel)).unwrap();
         let point = camera.center() + ray * self.depth_m;
@@ -68,8 +68,8 @@ fn filmed(camera: &Camera, walls: &[Wall], time: f64) -> Image {
     Image::from_data(SIZE[0], SIZE[1], 3, data)
 }
 
-/// Four cameras in a line that film three frames each, with offsets that are multiples of a quarter of a
-/// frame.
+/// Returns the frames of four cameras in a line. Each camera films three frames, with an offset that is a multiple of
+/// a quarter of a frame.
 fn recording(walls: &[Wall]) -> Vec<[FlowFrame; 3]> {
     let frames = |c: usize| {
         let camera = camera_at(SPACING_M * c as f64, 0.0);
@@ -81,7 +81,7 @@ fn recording(walls: &[Wall]) -> Vec<[FlowFrame; 3]> {
     (0..4).map(frames).collect()
 }
 
-/// The maps of all cameras' middle frames.
+/// Returns the maps of all cameras' middle frames.
 fn maps(recording: &[[FlowFrame; 3]]) -> Vec<FlowMap> {
     let matched = |c: usize| {
         let own = &recording[c];

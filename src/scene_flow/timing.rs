@@ -1,14 +1,14 @@
-//! The time from a pixel of one frame to a pixel of another frame, or to an instant: with rolling shutters it depends on
-//! the rows of both.
+//! Computes the time from a pixel of one frame to a pixel of another frame, or to an instant. With rolling shutters,
+//! this time depends on the image rows of both pixels.
 
 use super::element::Element;
 use super::frame::FlowFrame;
 use super::geometry::Projection;
 
-/// The time of a position relative to its frame's: linear in the row.
+/// Time at which an image row is exposed, relative to the frame's time. It is a linear function of the row.
 #[derive(Clone, Copy, Debug)]
 struct Rows {
-    /// Frames of the reference camera per pixel; 0 for a global shutter.
+    /// Time from one row to the next, in frame periods of the reference camera; 0 for a global shutter.
     per_px: f32,
     middle_px: f32,
 }
@@ -24,10 +24,11 @@ impl Rows {
     }
 }
 
-/// Time from the pixels of one frame to those of another, in frames of the reference camera.
+/// Time from a pixel of one frame to a pixel of another frame, in frame periods of the reference camera.
 #[derive(Clone, Copy, Debug)]
 pub struct TimeBetween {
-    /// From middle row to middle row.
+    /// Time from the middle row of the first frame to the middle row of the other frame, in frame periods of the
+    /// reference camera.
     frames: f32,
     own: Rows,
     other: Rows,
@@ -35,23 +36,25 @@ pub struct TimeBetween {
 }
 
 impl TimeBetween {
-    /// The time from `of` to `by`.
+    /// Prepares the computation of times from the pixels of frame `of` to the pixels of frame `by`.
     pub fn new(of: &FlowFrame, by: &FlowFrame) -> Self {
         let frames = (by.time - of.time) as f32;
         let is_global = of.row_time == 0.0 && by.row_time == 0.0;
         Self { frames, own: Rows::of(of), other: Rows::of(by), is_global }
     }
 
-    /// From middle row to middle row.
+    /// Returns the time from the middle row of the first frame to the middle row of the other frame, in frame periods
+    /// of the reference camera.
     #[inline(always)]
     pub fn frames(&self) -> f32 {
         self.frames
     }
 
-    /// The time after which the other frame sees the element at pixel `(x, y)`.
+    /// Returns the time after which the other frame sees the surface element at pixel `(x, y)`, in frame periods of
+    /// the reference camera.
     ///
-    /// The row there depends on the time, and the time on the row: one secant step, which is exact for uniform motion
-    /// that the projection doesn't bend.
+    /// With a rolling shutter, the row at which the other frame sees the element depends on the time, and the time
+    /// depends on the row. One secant step solves for both. The step is exact if that row changes linearly with time.
     #[inline(always)]
     pub fn of_element(&self, e: &Element, (x, y): (f32, f32), projection: &Projection) -> f32 {
         if self.is_global {
@@ -64,19 +67,19 @@ impl TimeBetween {
         let after = |dt: f32| {
             let [mx, my, q] = e.moved(x, y, dt);
             let [_, v, _] = projection.project(mx, my, q);
-            // Rows are inside the image; beyond, the element isn't seen at all.
+            // The row is clamped to the image. Outside, the other frame doesn't see the element at all.
             start + self.other.offset(v.clamp(0.0, 2.0 * self.other.middle_px))
         };
         let first = after(start);
         let second = after(first);
-        // Where the first change is 0, so is the second: the slope is NaN then, and adds nothing.
+        // If the first change is 0, the second change is 0 too. The slope is then NaN, and adds nothing.
         let slope = (second - first) / (first - start);
         let change = (second - first) * if slope.abs() < 0.5 { slope / (1.0 - slope) } else { 0.0 };
         second + change
     }
 }
 
-/// The time from row `y`, pixels, of a frame to an instant, in frames of the reference camera.
+/// Returns the time from row `y`, pixels, of a frame to the instant `time`, in frame periods of the reference camera.
 pub fn until(frame: &FlowFrame, time: f64, y: f32) -> f32 {
     if frame.row_time == 0.0 {
         return (time - frame.time) as f32;
@@ -111,7 +114,7 @@ mod tests {
         assert_eq!((time.frames(), until(&of, 2.0, 7.0)), (0.25, 0.75));
     }
 
-    /// The element is where the other frame's row has its time.
+    /// At the computed time, the surface element is at the row of the other frame that is exposed at this time.
     #[test]
     fn the_time_is_that_of_the_row_that_sees_the_element() {
         let (of, by) = (frame(0.0, 0.0, 0.0, 0.012), frame(0.06, 0.05, 0.3, 0.015));

@@ -1,4 +1,4 @@
-//! Proposals: elements of other frames' maps, transferred to a frame.
+//! Proposals for a frame's map: elements of other frames' maps, transferred to the frame.
 
 use super::element::Element;
 use super::frame::FlowFrame;
@@ -6,28 +6,30 @@ use super::geometry::Projection;
 use super::map::ElementMap;
 use super::timing::TimeBetween;
 
-/// Maximum time between two frames that propose elements to each other, frames of the reference camera.
+/// Maximum time between two frames that propose surface elements to each other, in frame periods of the reference
+/// camera.
 const MAX_PROPOSAL_DT: f32 = 1.1;
-/// Cost that is added per frame of time between the two frames, so that the nearer of two equally good
-/// frames is preferred.
+/// Cost that is added to a proposal per frame period of time between its own frame and the frame for which it is
+/// proposed. Of two equally good surface elements, the one from the frame nearer in time is thus preferred.
 const COST_PER_FRAME: f32 = 0.01;
-/// Upper bound of the cost of an element that is proposed because it is the frontmost.
+/// Upper bound of the matching cost of a surface element that is proposed because it is the frontmost one.
 const MAX_NEAR_COST: f32 = 0.1;
 
-/// Angle between two cameras' axes from which the gradients of an element differ between them, radians. Below it they
-/// are copied.
+/// Angle between the optical axes of two cameras above which a surface element's gradients are computed anew in the
+/// other camera, radians. Below this angle, they are copied.
 const TURNED_RAD: f64 = 0.1;
-/// Minimum area in the other frame of a pixel's element, pixels. A smaller one is seen edge-on, and keeps no gradients.
+/// Minimum area that one pixel of a surface element covers in the other frame, pixels. If the area is smaller, the
+/// surface is seen edge-on, and its gradients in the other frame are set to 0.
 const MIN_AREA: f32 = 0.1;
 
-/// The elements of other frames' maps that project to each pixel of a map: the one of least cost, and the
-/// frontmost one.
+/// Surface elements of other frames' scene flow maps that project to each pixel of a frame's map: the element with
+/// the lowest cost, and the frontmost element.
 pub struct Proposals {
     cheapest: Vec<Option<(f32, Element)>>,
     nearest: Vec<Option<Element>>,
 }
 
-/// The transfer of an element at pixel `(x, y)` to another frame, `dt` frames later.
+/// Transfer of a surface element at pixel `(x, y)` to another frame, `dt` frames later.
 struct Transfer<'a> {
     element: &'a Element,
     x: f32,
@@ -37,8 +39,8 @@ struct Transfer<'a> {
 }
 
 impl Transfer<'_> {
-    /// The element `there` at `pixel` of the other frame with the gradients of the same surface there, from where the
-    /// pixels to the right and below go.
+    /// Returns the transferred surface element `there` with the gradients of its surface in the other frame, where it
+    /// is at `pixel`. The gradients are computed from the transfer of the pixels to the right and below.
     fn with_gradients(&self, pixel: [f32; 2], there: Element) -> Element {
         let step = |dx: f32, dy: f32| {
             let beside = self.element.at(dx, dy);
@@ -58,7 +60,8 @@ impl Transfer<'_> {
                 ..there
             };
         }
-        // The changes along the two steps are those per pixel, times the steps.
+        // The change along each step equals the change per pixel times the step. Solving both equations gives the
+        // change per pixel.
         let per_pixel =
             |k: usize| [(d * right[k] - b * down[k]) / area, (a * down[k] - c * right[k]) / area];
         let [q, u, v] = [0, 1, 2].map(per_pixel);
@@ -75,7 +78,7 @@ impl Proposals {
         self.cheapest[k].map(|(_, e)| e).into_iter().chain(self.nearest[k])
     }
 
-    /// The proposals of all other maps for the map of frame `to`.
+    /// Collects the proposals of all other scene flow maps for the map of frame `to`.
     pub fn new(frames: &[&FlowFrame], maps: &[ElementMap], to: usize) -> Self {
         let target = &maps[to];
         let pixels = target.elements.len();

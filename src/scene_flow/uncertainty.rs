@@ -1,5 +1,5 @@
-//! Standard errors of an element's depth and velocity: those of the least-squares estimate that its patch's
-//! gradients and residuals allow (Gauss–Newton's covariance, as in bundle adjustment).
+//! Standard errors of an element's disparity and velocity. They come from the covariance of the Gauss–Newton
+//! estimate, as in bundle adjustment: from the image gradients and the residuals of the element's patch.
 
 use super::element::ElementErrors;
 use super::map::ElementMap;
@@ -10,23 +10,23 @@ use rayon::prelude::*;
 
 /// Standard deviation of a brightness residual per unit of matching cost.
 const RESIDUAL_BY_COST: f64 = 1.0;
-/// Standard deviation of a brightness residual where images match exactly: 8-bit rounding and interpolation.
+/// Standard deviation of a brightness residual if images match exactly, due to 8-bit rounding and interpolation.
 const MIN_RESIDUAL: f64 = 0.004;
-/// Fraction of the observing frames that see an element.
+/// Assumed fraction of the observing frames that see a surface element.
 const VISIBLE_FRACTION: f64 = 0.55;
-/// Standard errors without any image gradient: of the disparity, pixels, and of each component of the
-/// velocity, pixels per frame.
+/// Standard errors of a surface element without any image gradient: of the disparity, pixels, and of each component
+/// of the velocity, pixels per frame.
 const PRIOR_PX: [f64; 2] = [4.0, 8.0];
-/// Factors from the covariance to the standard errors, for disparity and velocity: residuals of neighbours are
-/// correlated, and smoothness adds information. With these, the median errors on `spin`, `bounce`, `magazine` and
-/// `ball` are 0.3 to 0.9 standard errors.
+/// Factors by which the standard errors of disparity and velocity from the covariance are multiplied. They are needed
+/// because residuals of neighbouring pixels are correlated and smoothness adds information. With these factors, the
+/// median errors on the scenes `spin`, `bounce`, `magazine` and `ball` are 0.3 to 0.9 standard errors.
 const SCALE: [f64; 2] = [0.6, 0.4];
-/// Part of the velocity's standard error per unit of acceleration (pixel per frame squared), frames: paths are
-/// not parabolas.
+/// Part of the velocity's standard error that is due to acceleration, as a multiple of the acceleration; in frame
+/// periods. This part is needed since real paths are not parabolas.
 const BY_ACCELERATION: f32 = 0.05;
 
 impl PatchMatcher<'_> {
-    /// The standard errors of all elements of a map of this level, row by row.
+    /// Returns the standard errors of all surface elements of a scene flow map of this pyramid level, row by row.
     pub fn errors(&self, map: &ElementMap) -> Vec<ElementErrors> {
         let row = |y: usize| {
             let mut patch = Patch::empty();
@@ -60,7 +60,8 @@ impl PatchMatcher<'_> {
             }
             let [a, b] = self.by_inverse_depth(element, center, o).map(|d| f64::from(d) / by_depth);
             let dt = f64::from(dt) / scale;
-            // The position's derivatives by disparity and by the two components of the velocity.
+            // The derivatives of the position in the observing frame by the disparity and by the two components of
+            // the velocity.
             let columns = [[a, b], [dt, 0.0], [0.0, dt]];
             for (i, [a, b]) in columns.into_iter().enumerate() {
                 for (j, [c, d]) in columns.into_iter().enumerate() {
@@ -76,17 +77,17 @@ impl PatchMatcher<'_> {
         let Some(covariance) = information.try_inverse() else { return unknown() };
         let [u, v, uv] = [covariance[(1, 1)], covariance[(2, 2)], covariance[(1, 2)]];
         let larger = 0.5 * (u + v) + (0.25 * (u - v) * (u - v) + uv * uv).sqrt();
-        // Variances are positive but for rounding.
+        // Variances are positive except for rounding errors.
         let [disparity_px, velocity_px] = [(SCALE[0], covariance[(0, 0)]), (SCALE[1], larger)]
             .map(|(scale, variance)| (scale * variance.max(0.0).sqrt()) as f32);
         let [a, b] = element.acceleration.map(|a| BY_ACCELERATION * a);
-        // Accelerations are bounded, so that squares don't overflow.
+        // Accelerations are bounded, so their squares don't overflow.
         let velocity_px = (velocity_px * velocity_px + a * a + b * b).sqrt();
         ElementErrors { disparity_px, velocity_px }
     }
 }
 
-/// The errors of an element of which the images say nothing.
+/// Returns the standard errors of a surface element that no image constrains: the standard errors of the prior.
 fn unknown() -> ElementErrors {
     let [disparity_px, velocity_px] = PRIOR_PX.map(|e| e as f32);
     ElementErrors { disparity_px, velocity_px }

@@ -7,35 +7,36 @@ use crate::raster::Image;
 
 /// Half-width of the census window, pixels.
 const RADIUS: isize = 2;
-/// Minimum difference of two grey values (each 0 to 1) that sets a census bit: half an 8-bit step.
+/// Minimum difference of two grey values, 0 to 1, that sets a census bit: half a step of an 8-bit image.
 const MIN_DIFFERENCE: f32 = 0.5 / 255.0;
-/// Maximum matching cost due to the difference of grey values, in 8-bit steps.
+/// Maximum matching cost due to the difference of grey values, in steps of 8-bit grey values.
 const MAX_GRAY_COST: i32 = 24;
-/// Matching cost of one differing census bit, in 8-bit steps of grey values.
+/// Matching cost of one differing census bit, in steps of 8-bit grey values.
 const BIT_COST: u32 = 2;
 
-/// A pixel's descriptor.
+/// Descriptor of a pixel for stereo matching.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Descriptor {
-    /// Census code, 24 bits.
+    /// Census code of the pixel, 24 bits.
     code: u32,
-    /// Four bytes: the pixel's grey value, the minimum and maximum within half a pixel around it, and 0 (255
-    /// outside the image).
+    /// Four bytes: the pixel's grey value, the minimum and the maximum grey value within half a pixel around it, and 0.
+    /// All bytes are 255 outside the image.
     grays: u32,
 }
 
 impl Descriptor {
-    /// Descriptor of pixels outside the image; its cost is 255.
+    /// Descriptor of a position outside the image. Its matching cost is 255.
     pub const OUTSIDE: Self = Self { code: 0, grays: u32::MAX };
 
     fn new(code: u32, [value, min, max]: [u8; 3]) -> Self {
         Self { code, grays: u32::from_le_bytes([value, min, max, 0]) }
     }
 
-    /// Matching cost: [`BIT_COST`] for every differing census bit, plus the distance of the grey value from
-    /// the other pixel's range, at most [`MAX_GRAY_COST`].
+    /// Returns the matching cost of this pixel and a pixel of another image: [`BIT_COST`] for every differing census
+    /// bit, plus a cost for grey values. The cost for grey values is the distance of this pixel's grey value from the
+    /// other pixel's range of grey values, at most [`MAX_GRAY_COST`].
     ///
-    /// It uses only 32-bit integers and no branches, so that eight pixels are compared at a time.
+    /// The function uses only 32-bit integers and no branches, so that eight pixels are compared at a time.
     #[inline(always)]
     pub fn cost(&self, Self { code, grays }: Self) -> u8 {
         let [min, max] = [8, 16].map(|shift| (grays >> shift & 255) as i32);
@@ -46,7 +47,7 @@ impl Descriptor {
     }
 }
 
-/// A grey image and the descriptors of its pixels.
+/// A camera's grey image, and the descriptors of its pixels.
 #[derive(Clone, Debug)]
 pub(super) struct CensusImage {
     pub camera: Camera,
@@ -60,26 +61,27 @@ impl CensusImage {
         Self { camera, gray, descriptors }
     }
 
-    /// The image at half its width and height; an odd last row or column is dropped. `None` if it would be
-    /// too small.
+    /// Returns the image at half its width and height. An odd last row or column is dropped. `None` if the result would
+    /// have less than 2×2 pixels.
     fn halved(&self) -> Option<Self> {
         Some(Self::new(halved(&self.camera)?, crate::registration::halved(&self.gray)))
     }
 }
 
-/// The camera at half its resolution. `None` if less than 2×2 pixels remain.
+/// Returns the camera at half its resolution. `None` if the result would have less than 2×2 pixels.
 pub(super) fn halved(camera: &Camera) -> Option<Camera> {
     camera.halved().filter(|c| c.width > 1 && c.height > 1)
 }
 
-/// The pyramid of an image with descriptors, from fine to coarse. The image is halved `halvings` times, or
-/// until it is too small; there is at least one level.
+/// Returns the image pyramid of a camera, with descriptors, from fine to coarse. The image is halved `halvings` times,
+/// or until it is too small. There is at least one level.
 pub(super) fn census_pyramid(view: &StereoImage, halvings: usize) -> Vec<CensusImage> {
     let full = CensusImage::new(view.camera.clone(), view.image.to_gray());
     std::iter::successors(Some(full), CensusImage::halved).take(halvings + 1).collect()
 }
 
-/// Descriptors of all pixels, row by row. Outside the image, the nearest border pixel is used.
+/// Computes the descriptors of all pixels, row by row. For positions outside the image, the nearest border pixel is
+/// used.
 fn descriptors(gray: &Image) -> Vec<Descriptor> {
     let (w, h) = (gray.width() as isize, gray.height() as isize);
     let bytes: Vec<u8> =
@@ -124,7 +126,7 @@ mod tests {
         assert_eq!(own.cost(Descriptor::OUTSIDE), 255);
     }
 
-    /// In a constant image, interpolation leaves differences by rounding, which must not set census bits.
+    /// Checks that no census bits are set by the rounding differences that interpolation leaves in a constant image.
     #[test]
     fn rounding_is_no_texture() {
         let filmed = Image::filled(9, 7, 1, 0.8);

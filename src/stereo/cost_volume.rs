@@ -1,5 +1,5 @@
-//! The cost volume: matching cost of every pixel of a camera at every inverse depth, from the images of its
-//! partners, which are the cameras that it is matched with.
+//! Cost volume: the matching cost of every pixel of a reference camera at every depth hypothesis. The costs come from
+//! the images of the camera's partners, which are the cameras that it is matched with.
 
 use super::census::{CensusImage, Descriptor};
 use super::relative_pose::RelativePose;
@@ -8,25 +8,25 @@ use crate::lumigraph::RayRow;
 use crate::simd::multiversion;
 use rayon::prelude::*;
 
-/// Maximum number of depth levels.
+/// Maximum number of depth hypotheses, called levels.
 const MAX_LEVELS: usize = 1024;
-/// Matching cost of a point that no partner sees, equal to that of a poor match.
+/// Matching cost of a point that no partner camera sees. It is equal to the cost of a poor match.
 const UNSEEN_COST: u8 = 40;
 
-/// Depth hypotheses: evenly spaced inverse depths, 1/m. They correspond to even steps of disparity.
+/// Depth hypotheses, called levels: evenly spaced inverse depths, 1/m. They correspond to even steps of disparity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct DepthLevels {
-    /// Smallest inverse depth, that of the farthest surface, 1/m.
+    /// Smallest inverse depth of the levels, 1/m.
     pub first: f32,
-    /// Difference between two successive levels, 1/m.
+    /// Difference between the inverse depths of two successive levels, 1/m.
     pub step: f32,
     /// Number of levels, at least 1.
     pub count: usize,
 }
 
 impl DepthLevels {
-    /// Levels from `low` to `high`, 1/m. They are at most `step` apart, unless this takes more than
-    /// [`MAX_LEVELS`].
+    /// Creates levels from the inverse depth `low` to `high`, 1/m. Successive levels are at most `step` apart, unless
+    /// this takes more than [`MAX_LEVELS`] levels.
     pub fn new([low, high]: [f64; 2], step: f64) -> Self {
         // The step is positive, so that the quotient is finite. An empty range has one level.
         let count = ((high - low) / step).ceil().clamp(0.0, (MAX_LEVELS - 1) as f64) as usize + 1;
@@ -34,19 +34,19 @@ impl DepthLevels {
         Self { first: low as f32, step: step as f32, count }
     }
 
-    /// The inverse depth of a level, 1/m; the level may be fractional.
+    /// Returns the inverse depth of a level, 1/m. The level may be fractional.
     pub fn at(&self, level: f32) -> f32 {
         self.first + self.step * level
     }
 }
 
-/// A reference image, and the partners with which it is matched.
+/// A reference image, and its partners: the images that it is matched with.
 pub(super) struct StereoSet<'a> {
     pub image: &'a CensusImage,
     pub partners: Vec<Partner<'a>>,
 }
 
-/// A partner's image and its pose relative to the reference.
+/// Image of a partner camera, and the camera's pose relative to the reference camera.
 pub(super) struct Partner<'a> {
     pub image: &'a CensusImage,
     pub pose: RelativePose,
@@ -60,10 +60,10 @@ impl<'a> StereoSet<'a> {
     }
 }
 
-/// Matching costs of all depth levels at every pixel of the reference, pixel by pixel.
+/// Computes the matching costs of all levels at every pixel of the reference image, pixel by pixel.
 ///
-/// A cost is the mean over the half of the partners with the smaller costs, since the point may be occluded
-/// in the others.
+/// The cost is the mean over half of the partners that see the point, the half with the smaller costs. The point may be
+/// occluded in the other partners.
 pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     let camera = &set.image.camera;
     let (w, n) = (camera.width, levels.count);
@@ -79,8 +79,9 @@ pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     out
 }
 
-/// Upsamples inverse depths, 1/m, from the resolution of `coarse` to twice that. A pixel's candidates are the
-/// values of the four coarse pixels around it; the one of the smallest cost is taken.
+/// Upsamples the inverse depths `values`, 1/m, from the resolution of the camera `coarse` to twice that resolution,
+/// which is the resolution of `set`. The candidates for a pixel are the values of the four coarse pixels nearest to it.
+/// The candidate with the smallest matching cost is taken.
 pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec<f32> {
     let camera = &set.image.camera;
     let w = camera.width;
@@ -108,7 +109,7 @@ pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec
                     scratch.compare(&set.image.descriptors[y * w + x], image, k);
                 }
                 scratch.better_half(costs);
-                // Of equal costs, the first is that of the nearest coarse pixel.
+                // The first candidate is from the nearest coarse pixel. It is taken if costs are equal.
                 let best = (0..4).min_by_key(|&n| costs[n]).unwrap_or(0);
                 *out = candidates[best];
             }
@@ -118,7 +119,8 @@ pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec
 }
 
 multiversion! {
-    /// Costs of all levels, given by their inverse depths, 1/m, at every pixel of row `y` of the reference.
+    /// Computes the matching costs of all levels at every pixel of row `y` of the reference image. `inverses` are the
+    /// levels' inverse depths, 1/m.
     fn row_costs(
         set: &StereoSet,
         y: usize,
@@ -147,25 +149,25 @@ fn row_costs_by(
     }
 }
 
-/// Buffers for matching the pixels of a row at several inverse depths.
+/// Buffers for matching the pixels of one row at several inverse depths, called levels.
 struct MatchScratch<'a> {
-    /// The row's rays.
+    /// Rays of the row's pixels.
     rays: RayRow<'a>,
-    /// Horizontal positions in a partner's image, by level, pixels.
+    /// Horizontal position in a partner's image for each level, pixels.
     x: Vec<f32>,
-    /// Vertical positions in a partner's image, by level, pixels.
+    /// Vertical position in a partner's image for each level, pixels.
     y: Vec<f32>,
-    /// Indices of the partner's pixels at these positions, by level; [`OUTSIDE`] outside its image.
+    /// Index of the partner's pixel for each level; [`OUTSIDE`] if the position is outside the partner's image.
     at: Vec<u32>,
     descriptors: Vec<Descriptor>,
     partners: usize,
-    /// Costs by level, partner by partner; 255 where a partner doesn't see the point. For three partners
+    /// Matching costs by level, partner by partner; 255 where a partner doesn't see the point. For three partners,
     /// there is a fourth row of 255, so that the code for four partners is used.
     costs: Vec<u8>,
     sorted: Vec<u8>,
 }
 
-/// Index for positions outside the image.
+/// Pixel index that stands for a position outside the image.
 const OUTSIDE: u32 = u32::MAX;
 
 impl<'a> MatchScratch<'a> {
@@ -184,17 +186,17 @@ impl<'a> MatchScratch<'a> {
         }
     }
 
-    /// Computes the matching costs of a pixel with descriptor `own` at the positions `self.x`, `self.y` of
-    /// partner `k`, whose image is `partner`.
+    /// Computes the matching costs of a pixel at the positions `self.x`, `self.y` in the image `partner` of partner
+    /// number `k`. `own` is the pixel's descriptor.
     #[inline(always)]
     fn compare(&mut self, own: &Descriptor, partner: &CensusImage, k: usize) {
         let (w, h) = (partner.gray.width(), partner.gray.height());
         let (wf, hf) = (w as f32, h as f32);
         for ((at, &x), &y) in self.at.iter_mut().zip(&self.x).zip(&self.y) {
-            // Also false for NaN.
+            // The comparisons are also false for NaN.
             let is_seen = (x >= 0.0) & (y >= 0.0) & (x < wf) & (y < hf);
             let (x, y) = if is_seen { (x, y) } else { (0.0, 0.0) };
-            // SAFETY: both are finite and inside the image. `as` would check this again.
+            // SAFETY: x and y are finite and inside the image. `as` would check this again.
             let pixel =
                 unsafe { y.to_int_unchecked::<i32>() * w as i32 + x.to_int_unchecked::<i32>() };
             *at = if is_seen { pixel as u32 } else { OUTSIDE };
@@ -202,15 +204,15 @@ impl<'a> MatchScratch<'a> {
         for (descriptor, &at) in self.descriptors.iter_mut().zip(&self.at) {
             *descriptor = *partner.descriptors.get(at as usize).unwrap_or(&Descriptor::OUTSIDE);
         }
-        // In a separate loop from the loads, so that it vectorizes.
+        // This loop is separate from the loads, so that it vectorizes.
         let n = self.at.len();
         for (cost, other) in self.costs[k * n..(k + 1) * n].iter_mut().zip(&self.descriptors) {
             *cost = own.cost(*other);
         }
     }
 
-    /// Writes the cost of each depth level to `out`: among the partners that see the point, the mean cost of
-    /// the half with the smaller costs.
+    /// Writes the cost of each level to `out`: among the partners that see the point, the mean cost of the half with
+    /// the smaller costs. Of three such partners, two count.
     #[inline(always)]
     fn better_half(&mut self, out: &mut [u8]) {
         let n = out.len();
@@ -259,7 +261,7 @@ mod tests {
         CensusImage::new(camera, Image::from_data(41, 30, 1, data))
     }
 
-    /// The results are equal to the bit with every instruction set.
+    /// Checks that costs are equal to the bit with every instruction set.
     #[test]
     fn costs_depend_on_no_instruction_set() {
         let mut random = Random::new(5);
@@ -286,7 +288,7 @@ mod tests {
             (&[255, 40, 20, 60], 30),
             (&[255, 40, 255, 255], 40),
             (&[255; 4], UNSEEN_COST),
-            // If three see the point, two count.
+            // If three partners see the point, the two smaller costs count.
             (&[40, 20, 60], 30),
             (&[40, 255, 20], 20),
             (&[255, 70, 255], 70),

@@ -1,6 +1,6 @@
-//! Depths of any view, from the depths of all cameras (Merrell et al., ICCV 2007). The cameras' depths are
-//! splatted into the view. At each pixel of the view, each camera thus gives one candidate. The nearest
-//! candidate that enough cameras confirm is taken.
+//! Depth map of any view, fused from the depths of several cameras (Merrell et al., ICCV 2007). The cameras' depths are
+//! splatted into the view. At each pixel of the view, each camera thus gives one candidate depth. Of the candidates
+//! that enough cameras confirm, the nearest is taken.
 
 use super::InverseDepths;
 use super::relative_pose::RelativePose;
@@ -9,29 +9,29 @@ use crate::lumigraph::{DepthMap, RayRow};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// A camera and its inverse depths.
+/// A camera, and the inverse depths of its pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface<'a> {
-    /// Lens and pose.
+    /// Lens and pose of the camera.
     pub camera: &'a Camera,
-    /// Inverse depths of its pixels.
+    /// Inverse depths of the camera's pixels.
     pub depths: &'a InverseDepths,
 }
 
-/// Number of pixels of the view that are fused at once. This takes about 60 MB for eight cameras.
+/// Number of pixels of the view that are fused at once, to limit memory. For eight cameras, about 60 MB are needed.
 const BAND_PIXELS: usize = 1 << 20;
-/// Radius of a splat, in pixels of the view or in pixels of the camera projected into the view, whichever
-/// pixels are larger.
+/// Radius of a splat, pixels of the view. Where the view magnifies the splatted camera's image, the unit is a pixel of
+/// that camera instead.
 const RADIUS_PX: f32 = 0.8;
-/// Maximum ratio of the largest number of votes at a pixel to the votes of the accepted candidate. The
-/// nearest candidate within this ratio is accepted.
+/// A candidate has sufficient votes if it has at least the largest number of votes at the pixel, divided by this value.
+/// The nearest such candidate is accepted.
 const MAX_VOTE_RATIO: i32 = 2;
-/// Minimum of the largest number of votes at a pixel; with fewer, no candidate is accepted. Mismatches beside
-/// outlines have fewer votes.
+/// Minimum number of votes of the best candidate at a pixel. If it has fewer, no candidate is accepted, since
+/// mismatches beside outlines have few votes.
 const MIN_VOTES: i32 = 1;
 
-/// Computes the depths of a view, metres, from those of several cameras. Pixels that no camera sees get the
-/// depth of the background around them.
+/// Computes the depth map of the view `target`, metres, from the depths of several cameras. Pixels that no camera sees
+/// get the depth of the background around them.
 pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     let tolerance = surfaces.iter().map(|s| s.depths.tolerance).fold(0.0, f32::max);
     let (w, h) = (target.width, target.height);
@@ -46,7 +46,8 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     DepthMap::from_data(w, h, filled.iter().map(|v| 1.0 / v).collect())
 }
 
-/// Fuses the rows `rows` of the view. `fused` gets inverse depths, 1/m, NaN where no camera sees a surface.
+/// Fuses the rows `rows` of the view. Writes inverse depths, 1/m, to `fused`, and NaN where no camera sees a surface.
+/// `tolerance` is the maximum difference between two measurements of one surface, 1/m.
 fn fuse_rows(
     target: &Camera,
     surfaces: &[Surface],
@@ -70,7 +71,7 @@ fn fuse_rows(
                     *fused = mean_of(candidates, candidates[0], tolerance);
                     continue;
                 }
-                // In descending order of inverse depth: the nearest first.
+                // The candidates are sorted by descending inverse depth, so that the nearest is first.
                 candidates.sort_by(|a, b| b.total_cmp(a));
                 let ray = [rays.x[x] as f32, rays.y[x] as f32];
                 votes.clear();
@@ -82,9 +83,9 @@ fn fuse_rows(
     );
 }
 
-/// The votes for a surface at a point: the number of cameras that see a surface there, minus the number of
-/// cameras that see through it. The point is on the view's ray (x, y, 1), at inverse depth `inverse`. `poses`
-/// are the poses of the surfaces' cameras relative to the view.
+/// Returns the number of votes for a surface at a point: the number of cameras that see a surface there, minus the
+/// number of cameras that see through the point. The point is on the view's ray (x, y, 1), at the inverse depth
+/// `inverse`, 1/m. `poses` are the poses of the surfaces' cameras relative to the view.
 fn votes_of(
     surfaces: &[Surface],
     poses: &[RelativePose],
@@ -106,16 +107,18 @@ fn votes_of(
     surfaces.iter().zip(poses).map(vote).sum()
 }
 
-/// Whether the candidates, inverse depths in 1/m, need no vote: more than half of the cameras have one, and
-/// all agree within the tolerance, 1/m.
+/// Returns whether the candidates, inverse depths in 1/m, need no vote. This is the case if more than half of the
+/// cameras have a candidate, and all candidates agree within the tolerance, 1/m.
 fn are_one_surface(candidates: &[f32], cameras: usize, tolerance: f32) -> bool {
     let (low, high) =
         candidates.iter().fold((f32::INFINITY, 0.0_f32), |(l, h), v| (l.min(*v), h.max(*v)));
     2 * candidates.len() > cameras && high - low <= tolerance
 }
 
-/// The inverse depth of a pixel from its candidates, which are sorted with the nearest first: the mean of the
-/// candidates on the nearest surface with enough votes. NaN if no candidate has [`MIN_VOTES`].
+/// Chooses the inverse depth of a pixel from its candidates, which are sorted with the nearest first. `votes` are the
+/// numbers of votes of the candidates. Takes the nearest candidate with sufficient votes ([`MAX_VOTE_RATIO`]), and
+/// returns the mean of all candidates that differ from it by at most `tolerance`, 1/m. NaN if no candidate has
+/// [`MIN_VOTES`].
 fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     let most = votes.iter().copied().max().unwrap_or(0);
     match votes.iter().position(|&v| v * MAX_VOTE_RATIO >= most) {
@@ -124,7 +127,8 @@ fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     }
 }
 
-/// The mean of the candidates that differ from the candidate `first` by at most the tolerance; all in 1/m.
+/// Returns the mean of the candidates that differ from the value `first` by at most the tolerance. All are inverse
+/// depths, 1/m.
 fn mean_of(candidates: &[f32], first: f32, tolerance: f32) -> f32 {
     let (mut sum, mut count) = (0.0, 0.0);
     for c in candidates.iter().filter(|c| (*c - first).abs() <= tolerance) {
@@ -133,8 +137,9 @@ fn mean_of(candidates: &[f32], first: f32, tolerance: f32) -> f32 {
     first + sum / count
 }
 
-/// Hole filling: replaces each NaN by the smallest inverse depth among the nearest known values to the left,
-/// to the right, above and below. Surfaces that no camera sees are assumed to be background.
+/// Fills holes: replaces each NaN by an inverse depth of the background. This is the smallest of the nearest known
+/// values to the left, to the right, above and below. Surfaces that no camera sees are assumed to be background.
+/// `width` is the length of a row.
 fn filled_from_background(values: &[f32], width: usize) -> Vec<f32> {
     let mut filled = values.to_vec();
     let mut fill_along = |line: &mut dyn Iterator<Item = usize>| {
@@ -159,19 +164,19 @@ fn filled_from_background(values: &[f32], width: usize) -> Vec<f32> {
     filled
 }
 
-/// The surface point at a camera's pixel, projected into the view.
+/// Surface point of a camera's pixel, projected into the view.
 struct DepthSplat {
-    /// Position in the view, pixels; NaN if the view doesn't see the point.
+    /// Horizontal position of the surface point in the view, pixels; NaN if the view doesn't see the point.
     x: f32,
     y: f32,
-    /// Size of the view's pixels, in pixels of the camera; at most 1.
+    /// Side of a pixel of the view at the depth of the surface point, measured in pixels of the camera; at most 1.
     step: f32,
-    /// Inverse depth in the view, 1/m.
+    /// Inverse depth of the surface point in the view, 1/m.
     inverse: f32,
 }
 
-/// The inverse depth, 1/m, of a camera's nearest surface at every pixel of the rows `rows` of the view, by
-/// splatting with a depth buffer; 0 without a surface.
+/// Splats a camera's surface into the rows `rows` of the view, with a depth buffer. Returns the inverse depth of the
+/// nearest part of the surface at every pixel, 1/m, row by row; 0 without a surface.
 fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32) -> Vec<f32> {
     let (w, h) = (target.width, target.height);
     let camera = surface.camera;
@@ -186,8 +191,8 @@ fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32)
             let rotated = pose.rotated(rays.x[x] as f32, rays.y[x] as f32);
             let q = pose.point(&rotated, inverse);
             let [x, y] = pose.pixel(&q);
-            // Behind the view q.z is not positive, and the pixel is NaN. Close in front of the view, a pixel
-            // would fill it, so that its size is bounded.
+            // Behind the view, q.z is not positive, and the pixel is NaN. Close in front of the view, a pixel of the
+            // camera would fill the view, so that the size of a splat is bounded.
             let step = (q.z * focal_ratio).clamp(1.0 / w.max(h) as f32, 1.0);
             splats.push(DepthSplat { x, y, step, inverse: inverse * (1.0 / q.z) });
         }
@@ -204,8 +209,9 @@ fn splat(target: &Camera, surface: &Surface, rows: Range<usize>, tolerance: f32)
     sums.iter().map(|[sum, weight]| if *weight > 0.0 { sum / weight } else { 0.0 }).collect()
 }
 
-/// For each splat, calls `visit` for the pixels within its radius in the rows `rows` of the view. Arguments
-/// are the pixel's index in these rows, a weight that falls bilinearly with distance, and the splat.
+/// Calls `visit` for all pixels within the radius of each splat, in the rows `rows` of a view with the width `w`.
+/// Arguments of `visit` are the pixel's index in these rows, a weight, and the splat. The weight is bilinear: it falls
+/// linearly with the horizontal and with the vertical distance from the splat's centre.
 fn for_each_pixel(
     splats: &[DepthSplat],
     w: usize,
@@ -214,7 +220,8 @@ fn for_each_pixel(
 ) {
     for splat in splats {
         let radius = RADIUS_PX / splat.step;
-        // The pixels whose centres are within the radius. Casts round down, saturate, and give 0 for NaN.
+        // The range contains the pixels whose centres are within the radius. Casts round down, saturate, and give 0 for
+        // NaN.
         let span = |at: f32, range: &Range<usize>| {
             let first = (at + 0.5 - radius) as usize;
             first.max(range.start)..((at + 0.5 + radius) as usize).min(range.end)
@@ -234,8 +241,8 @@ fn for_each_pixel(
 mod tests {
     use super::*;
 
-    /// A point that only one camera shows, and another sees through, is no surface. The background fills its
-    /// place.
+    /// Checks that a point is no surface if only one camera shows it and another camera sees through it. The background
+    /// fills its place.
     #[test]
     fn a_mismatch_where_no_camera_sees_anything_is_no_surface() {
         let [near, far] = [1.0, 0.5];

@@ -1,5 +1,5 @@
-//! Inverse depths of one camera, from its own image and those of its partners, the cameras that it is matched
-//! with.
+//! Estimation of the inverse depths of one camera, from its own image and the images of its partners, which are the
+//! cameras that it is matched with.
 
 use super::census::{CensusImage, census_pyramid, halved};
 use super::cost_volume::{DepthLevels, StereoSet, cost_volume, upsampled};
@@ -10,42 +10,45 @@ use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
 use rayon::prelude::*;
 
-/// Maximum difference between two cameras' measurements of one surface point, depth levels.
+/// Maximum difference between two cameras' measurements of one surface point, as a multiple of the difference between
+/// successive depth levels.
 const TOLERANCE_LEVELS: f32 = 1.5;
-/// Maximum distance of a camera that a camera is matched with (its partner), as a multiple of the nearest partner's
-/// distance.
+/// Maximum distance between a camera and a partner, which is a camera that it is matched with, as a multiple of the
+/// nearest partner's distance.
 const MAX_PARTNER_DISTANCE: f64 = 2.5;
-/// Maximum size of a cost volume, pixels times levels; each element takes three bytes.
+/// Maximum number of elements of a cost volume, which is the number of pixels times the number of depth levels. Each
+/// element takes three bytes.
 const MAX_COSTS: usize = 1 << 26;
 
-/// Inverse depths of a camera's pixels, row by row; NaN where unknown.
+/// Inverse depths of a camera's pixels, with their tolerance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InverseDepths {
-    /// Inverse depths, 1/m.
+    /// Inverse depths of the pixels, 1/m, row by row; NaN where unknown.
     pub values: Vec<f32>,
     /// Maximum difference between two cameras' measurements of one surface point, 1/m.
     pub tolerance: f32,
 }
 
 impl InverseDepths {
-    /// The depths along the camera's axis, metres.
+    /// Returns the camera's depth map, metres.
     pub fn depth_map(&self, camera: &Camera) -> DepthMap {
         let depths = self.values.iter().map(|v| 1.0 / v).collect();
         DepthMap::from_data(camera.width, camera.height, depths)
     }
 }
 
-/// The images of several cameras at one instant, prepared for matching.
+/// Stereo matcher: the images of several cameras at one instant, prepared for matching.
 pub struct Matcher {
-    /// The pyramid of each image, from fine to coarse.
+    /// Image pyramid of each camera, from fine to coarse.
     pyramids: Vec<Vec<CensusImage>>,
-    /// Indices of each camera's partners, nearest first.
+    /// For each camera, the indices of the cameras that it is matched with, nearest first.
     partners: Vec<Vec<usize>>,
     step_px: f64,
 }
 
 impl Matcher {
-    /// Computes the images' descriptors. `range` is the minimum and maximum inverse depth in any camera, 1/m.
+    /// Prepares images for matching: chooses the partners of each camera, and computes image pyramids and descriptors.
+    /// `range` is the minimum and the maximum inverse depth in any camera, 1/m.
     pub fn new(views: &[StereoImage], range: [f64; 2], options: &StereoOptions) -> Self {
         let cameras: Vec<&Camera> = views.iter().map(|v| v.camera).collect();
         let partners: Vec<Vec<usize>> =
@@ -55,8 +58,8 @@ impl Matcher {
         Self { pyramids, partners, step_px: options.step_px }
     }
 
-    /// Estimates the inverse depths of camera `index`, within the minimum and maximum `range`, 1/m. `None` if
-    /// no other camera stands at another place.
+    /// Estimates the inverse depths of camera `index`. `range` is their minimum and maximum, 1/m. `None` if no other
+    /// camera stands at another place.
     pub fn depths(&self, index: usize, range: [f64; 2]) -> Option<InverseDepths> {
         let (reference, partners) = (&self.pyramids[index], &self.partners[index]);
         let set = |k: usize| {
@@ -82,8 +85,8 @@ impl Matcher {
     }
 }
 
-/// The cameras with which camera `index` is matched: the `count` nearest ones at another place, except those
-/// that are much farther than the nearest.
+/// Returns the indices of the cameras with which camera `index` is matched: the `count` nearest cameras at another
+/// place. Cameras farther than [`MAX_PARTNER_DISTANCE`] times the nearest are left out.
 fn partners(cameras: &[&Camera], index: usize, count: usize) -> Vec<usize> {
     let center = cameras[index].center();
     let distance = |k: &usize| (cameras[*k].center() - center).norm();
@@ -96,8 +99,9 @@ fn partners(cameras: &[&Camera], index: usize, count: usize) -> Vec<usize> {
     order
 }
 
-/// The number of times that all images are halved: at least that of the options, and so many that every cost
-/// volume has at most [`MAX_COSTS`] elements.
+/// Returns the number of times that all images are halved before matching. It is the number in the options, or a larger
+/// number if a cost volume would otherwise have more than [`MAX_COSTS`] elements. Halving stops when an image can't be
+/// halved again.
 fn halvings(
     cameras: &[&Camera],
     partners: &[Vec<usize>],
@@ -121,7 +125,9 @@ fn halvings(
     }
 }
 
-/// The depth hypotheses of a camera, at steps of `step_px` of disparity in its farthest partner.
+/// Returns the depth levels for the camera `own`, which cover the inverse depths `range`, 1/m. `farthest` is the most
+/// distant camera with which `own` is matched. In its image, successive levels differ by a disparity of `step_px`
+/// pixels.
 fn depth_levels(own: &Camera, farthest: &Camera, range: [f64; 2], step_px: f64) -> DepthLevels {
     let baseline = (farthest.center() - own.center()).norm();
     DepthLevels::new(range, step_px / (own.focal_px() * baseline))

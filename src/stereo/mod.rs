@@ -4,16 +4,16 @@
 //! images ── census ── cost volume ── semi-global ── refinement ── InverseDepths of each camera ── fuse(view)
 //! ```
 //!
-//! Known limits: where the background has little texture, foreground extends one or two pixels beyond its
-//! outline. Where synchronization fails, the images have no common geometry, and depths are wrong. Depths are
-//! not smoothed over time.
+//! Known limits: where the background has little texture, foreground depths extend one or two pixels beyond the
+//! foreground's outline. Where synchronization fails, the images have no common geometry, and depths are wrong. Depths
+//! are not smoothed over time.
 //!
 //! | file | step |
 //! |---|---|
-//! | `census.rs` | descriptors of pixels that tolerate brightness changes, over an image pyramid |
-//! | `cost_volume.rs` | matching cost of every pixel at every inverse depth |
-//! | `semi_global.rs` | smoothness except at image edges (Hirschmüller 2008) |
-//! | `refine.rs` | sub-level inverse depths |
+//! | `census.rs` | pixel descriptors that tolerate brightness changes, in an image pyramid |
+//! | `cost_volume.rs` | matching cost of every pixel at every depth hypothesis |
+//! | `semi_global.rs` | smoothing of the costs, except at image edges (Hirschmüller 2008) |
+//! | `refine.rs` | refinement of inverse depths to fractions of a hypothesis step |
 //! | `inverse_depths.rs` | these steps in order, for one camera |
 //! | `fusion.rs` | the depths of a new view, splatted from all cameras (Merrell et al. 2007) |
 
@@ -32,14 +32,15 @@ use crate::camera::Camera;
 use crate::option::options;
 use crate::raster::Image;
 
-/// Number of cameras, in addition to [`StereoOptions::cameras`], that only serve as partners: others are
-/// matched with them, but their own depths are not estimated.
+/// Number of additional cameras that are only partners: other cameras are matched with them, but their own depths are
+/// not estimated. They are the cameras nearest to the view, after the [`StereoOptions::cameras`] whose depths are
+/// estimated.
 pub const FURTHER_CAMERAS: usize = 2;
 
 options! {
-    /// Options of depth per pixel.
+    /// Options of multi-view stereo matching, which estimates depth per pixel.
     pub struct StereoOptions {
-        /// Cameras nearest to the view whose depths are estimated and fused.
+        /// Number of cameras nearest to the view whose depths are estimated and fused.
         cameras: usize [1..=1_000_000, "cameras"] = 6,
         /// Maximum number of neighbours that each camera is matched with.
         partners: usize [1..=1_000_000, "cameras"] = 4,
@@ -50,12 +51,12 @@ options! {
     }
 }
 
-/// A camera and its image at the instant.
+/// One input of stereo matching: a camera, and its image at the matched instant.
 #[derive(Clone, Copy, Debug)]
 pub struct StereoImage<'a> {
-    /// Lens and pose.
+    /// Lens and pose of the camera.
     pub camera: &'a Camera,
-    /// Image of the camera's size.
+    /// The camera's image. Its size must be the camera's.
     pub image: &'a Image,
 }
 

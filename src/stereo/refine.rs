@@ -1,30 +1,30 @@
-//! Refines inverse depths to fractions of a depth level, by Gauss–Newton steps (Lucas and Kanade 1981) that
-//! match the partners' grey values to the reference's.
+//! Refinement of inverse depths to fractions of a depth level, by Gauss–Newton steps (Lucas and Kanade 1981). The steps
+//! minimize the differences between the grey values of the reference image and of the partners' images.
 
 use super::cost_volume::{Partner, StereoSet};
 use crate::lumigraph::RayRow;
 use crate::raster::{Image, Sampling, box_filter, sample};
 use rayon::prelude::*;
 
-/// Half-width of the window over which the normal equations are summed, pixels.
+/// Half-width of the window over which the normal equations of a pixel's inverse depth are summed, pixels.
 const RADIUS: usize = 2;
-/// Number of pixels of the window.
+/// Number of pixels in the window over which normal equations are summed.
 const WINDOW: f32 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f32;
-/// Number of Gauss–Newton steps.
+/// Number of Gauss–Newton steps that refine each inverse depth.
 const STEPS: usize = 2;
-/// Maximum length of a step, depth levels.
+/// Maximum length of a Gauss–Newton step, in depth levels.
 const MAX_STEP: f32 = 0.75;
-/// Maximum difference of the grey values (0 to 1) of a pixel and its partner's. With a larger difference, the
-/// point counts as occluded in the partner.
+/// Maximum difference between the grey values, 0 to 1, of a pixel and of its projection into a partner's image. If the
+/// difference is larger, the point counts as occluded in the partner.
 const MAX_DIFFERENCE: f32 = 0.06;
 /// Standard error of a grey value (0 to 1), due to noise, resampling and synchronization.
 const GRAY_STD_ERR: f32 = 0.01;
-/// Inverse variance of the Gaussian prior on a step, whose mean is 0. Steps are measured in depth levels. The
-/// prior shortens the steps where there is little texture.
+/// Inverse variance of the Gaussian prior on the length of a Gauss–Newton step, in units of 1 / (depth level)². The
+/// prior has a mean of zero, and shortens the steps where there is little texture.
 const PRIOR: f32 = 4.0;
 
-/// Refines a camera's inverse depths, 1/m, row by row, in place. `level` is the difference between two
-/// successive depth levels, 1/m.
+/// Refines a camera's inverse depths, 1/m, row by row, in place. `set` has the reference image and the images it is
+/// matched with. `level` is the difference between two successive depth levels, 1/m.
 pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) {
     let (w, h) = (set.image.camera.width, set.image.camera.height);
     let prior = PRIOR / (level * level);
@@ -35,16 +35,17 @@ pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) {
             box_filter(&plane, w, h, RADIUS)
         });
         for ((value, slope), info) in values.iter_mut().zip(&slope).zip(&info) {
-            // The divisor is positive, since the prior is.
+            // The divisor is positive, since the prior is positive.
             let step = slope / (info + prior / WINDOW);
             *value += step.clamp(-MAX_STEP * level, MAX_STEP * level);
         }
     }
 }
 
-/// At every pixel, the sums over the partners of g·r/σ² and g²/σ², where r is the reference's grey value
-/// minus the partner's, g is the derivative of the partner's grey value by inverse depth, and σ is
-/// [`GRAY_STD_ERR`]. They are the normal equation of the pixel's inverse depth.
+/// Computes the normal equation of each pixel's inverse depth: the sums over the partners of g·r/σ² and g²/σ². Here r
+/// is the reference's grey value minus the partner's grey value, g is the derivative of the partner's grey value with
+/// respect to inverse depth, and σ is [`GRAY_STD_ERR`]. `level` is the difference between two successive depth levels,
+/// 1/m.
 fn normal_equations(values: &[f32], set: &StereoSet, level: f32) -> Vec<[f32; 2]> {
     let camera = &set.image.camera;
     let w = camera.width;
@@ -78,10 +79,10 @@ fn normal_equations(values: &[f32], set: &StereoSet, level: f32) -> Vec<[f32; 2]
     sums
 }
 
-/// The grey value at a position in pixels, bilinear; `None` outside the image.
+/// Returns the bilinearly interpolated grey value at a position in pixels. `None` outside the image.
 fn gray_at(gray: &Image, [x, y]: [f32; 2]) -> Option<f32> {
     let (w, h) = (gray.width(), gray.height());
-    // Also false for NaN.
+    // The comparisons are also false for NaN.
     if !(x >= 0.0 && y >= 0.0 && x < w as f32 && y < h as f32) {
         return None;
     }

@@ -3,10 +3,10 @@
 use crate::camera::{Camera, CameraModel};
 use nalgebra::{Matrix3, Point2, Vector3};
 
-/// The pose of a camera relative to a reference camera.
+/// Transform from the axes of a reference camera to the axes of another camera, with the other camera's lens.
 ///
-/// A point is `r / ρ` in the reference camera's axes, with r = (x, y, 1) its ray and ρ its inverse depth.
-/// Points are multiplied by ρ, so that they are finite at infinity too.
+/// A point of the reference camera is given by its ray r = (x, y, 1) and its inverse depth ρ. Its position in the
+/// reference camera's axes is `r / ρ`. All positions are multiplied by ρ, so that they are finite at infinity too.
 pub(super) struct RelativePose {
     rotation: Matrix3<f32>,
     shift: Vector3<f32>,
@@ -29,20 +29,21 @@ impl RelativePose {
         }
     }
 
-    /// Rotates the ray (x, y, 1) into the other camera's axes.
+    /// Rotates the reference camera's ray (x, y, 1) into the other camera's axes.
     #[inline(always)]
     pub fn rotated(&self, x: f32, y: f32) -> Vector3<f32> {
         self.rotation * Vector3::new(x, y, 1.0)
     }
 
-    /// The point on a rotated ray at inverse depth `inverse`, multiplied by that, in the other camera's axes.
+    /// Returns the point on a rotated ray at the inverse depth `inverse`, 1/m. The point is in the other camera's axes,
+    /// and multiplied by `inverse`.
     #[inline(always)]
     pub fn point(&self, rotated: &Vector3<f32>, inverse: f32) -> Vector3<f32> {
         rotated + self.shift * inverse
     }
 
-    /// Projects a point, multiplied by its inverse depth ([`Self::point`]), into the other camera, pixels.
-    /// NaN or infinite if the camera doesn't see it.
+    /// Projects a point, as returned by [`Self::point`], into the other camera, pixels. The result is NaN or infinite
+    /// if the camera doesn't see the point.
     #[inline(always)]
     pub fn pixel(&self, q: &Vector3<f32>) -> [f32; 2] {
         if !(q.z > 0.0) {
@@ -54,7 +55,7 @@ impl RelativePose {
             return [fx * nx + cx, fy * ny + cy];
         }
         let normalized = Point2::new(f64::from(nx), f64::from(ny));
-        // Outside the range in which the lens polynomial is monotonic, it would map the point back into the
+        // Outside the range in which the lens polynomial is monotonic, the polynomial would map the point back into the
         // image.
         if !self.model.is_short_of_fold(&normalized) {
             return [f32::NAN; 2];
@@ -63,8 +64,8 @@ impl RelativePose {
         [pixel.x as f32, pixel.y as f32]
     }
 
-    /// Projects the points of a ray (x, y, 1) at these inverse depths into the other camera: `xs` and `ys`,
-    /// pixels. NaN or infinite where the camera doesn't see a point.
+    /// Projects the points on the ray (x, y, 1) at the inverse depths `inverses`, 1/m, into the other camera. Writes
+    /// their positions to `xs` and `ys`, pixels. They are NaN or infinite where the camera doesn't see a point.
     #[inline(always)]
     pub fn path(&self, [x, y]: [f32; 2], inverses: &[f32], xs: &mut [f32], ys: &mut [f32]) {
         let rotated = self.rotated(x, y);

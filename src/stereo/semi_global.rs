@@ -4,21 +4,22 @@ use super::cost_volume::DepthLevels;
 use crate::raster::Image;
 use crate::simd::multiversion;
 
-/// Penalty of a change by one level between neighbouring pixels (Hirschmüller's P1), in units of the costs.
+/// Penalty of a change by one depth level between neighbouring pixels (Hirschmüller's P1), in units of the matching
+/// costs.
 const STEP_PENALTY: i16 = 6;
-/// Penalty of a change by more than one level between neighbouring pixels (Hirschmüller's P2) with equal grey
-/// values, in units of the costs.
+/// Penalty of a change by more than one depth level between neighbouring pixels with equal grey values (Hirschmüller's
+/// P2), in units of the matching costs.
 const JUMP_PENALTY: i16 = 70;
-/// Minimum of the penalty P2, which applies at strong image edges, in units of the costs.
+/// Minimum of Hirschmüller's penalty P2, which applies at strong image edges, in units of the matching costs.
 const MIN_JUMP_PENALTY: i16 = 14;
-/// Difference of neighbouring pixels' grey values (0 to 1) at which the penalty P2 is halved.
+/// Difference between neighbouring pixels' grey values, 0 to 1, at which Hirschmüller's penalty P2 is halved.
 const EDGE_DIFFERENCE: f32 = 0.03;
 
-/// A cost larger than that of any path, for levels outside the range.
+/// Cost that stands for depth levels outside the range of levels. It is larger than the cost of any path.
 const UNREACHABLE: i16 = i16::MAX / 4;
 
-/// The costs aggregated along eight directions and summed over them, pixel by pixel and level by level.
-/// `levels` is the number of levels.
+/// Aggregates matching costs along eight directions, and sums the results, pixel by pixel and level by level. `levels`
+/// is the number of depth levels.
 pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
     let mut sums = vec![0_i16; costs.len()];
     for backward in [false, true] {
@@ -28,8 +29,9 @@ pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
 }
 
 multiversion! {
-    /// Adds the costs aggregated along four directions: from the left and from above, or with `backward` from
-    /// the right and from below.
+    /// Adds the costs that are aggregated along four directions to `sums`. The directions are from the left and from
+    /// the three pixels above or, with `backward`, from the right and from the three pixels below. `n` is the number of
+    /// depth levels.
     fn sweep(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) = sweep_by
 }
 
@@ -37,9 +39,9 @@ multiversion! {
 fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) {
     let (w, h) = (gray.width(), gray.height());
     let back = if backward { 1 } else { -1 };
-    // A path consists of its costs by level, with one element of padding before and after them, followed by
-    // their minimum. In a row of paths, the first and the last path have costs of 0; paths start from these
-    // at the image's border.
+    // A path consists of its costs by level, with one element of padding on both sides, and then the minimum of its
+    // costs. A row of paths has one more path at either end, with costs of 0, from which paths at the image's border
+    // start.
     let len = n + 3;
     let mut zero = vec![0; len];
     (zero[0], zero[n + 1]) = (UNREACHABLE, UNREACHABLE);
@@ -70,7 +72,8 @@ fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bo
     }
 }
 
-/// Penalty of a change by more than one level between two neighbouring pixels.
+/// Returns the penalty P2 of a change by more than one depth level between two neighbouring pixels, each given as [x,
+/// y]. The penalty is smaller across an image edge.
 #[inline(always)]
 fn jump_penalty(gray: &Image, [x, y]: [usize; 2], from: [usize; 2]) -> i16 {
     if from[0] >= gray.width() || from[1] >= gray.height() {
@@ -80,9 +83,9 @@ fn jump_penalty(gray: &Image, [x, y]: [usize; 2], from: [usize; 2]) -> i16 {
     ((f32::from(JUMP_PENALTY) / (1.0 + difference / EDGE_DIFFERENCE)) as i16).max(MIN_JUMP_PENALTY)
 }
 
-/// Extends a path by one pixel, whose matching costs by level are `cost`: writes the path's new costs and
-/// their minimum to `out`, and adds these costs to `sum`. `before` are the path's costs at the previous
-/// pixel; `jump` is the penalty P2.
+/// Extends a path by one pixel. `before` are the path's costs at the previous pixel, `jump` is the penalty P2, and
+/// `cost` are the new pixel's matching costs by level. Writes the path's new costs and their minimum to `out`, and adds
+/// the new costs to `sum`.
 #[inline(always)]
 fn extend(before: &[i16], jump: i16, cost: &[u8], out: &mut [i16], sum: &mut [i16]) {
     let n = cost.len();
@@ -101,11 +104,12 @@ fn extend(before: &[i16], jump: i16, cost: &[u8], out: &mut [i16], sum: &mut [i1
     out[n + 2] = min;
 }
 
-/// At every pixel, the inverse depth, 1/m, of the minimum cost, interpolated between levels by a parabola.
+/// Returns, for every pixel, the inverse depth with the smallest sum of aggregated costs, 1/m. A parabola through the
+/// sums of neighbouring levels gives fractions of a level.
 pub(super) fn winner_takes_all(sums: &[i16], levels: &DepthLevels) -> Vec<f32> {
     let n = levels.count;
     let of = |sums: &[i16]| {
-        // First the minimum, then its first index: both searches vectorize.
+        // The minimum is found first, and then its first index, because both searches vectorize.
         let min = sums.iter().copied().min();
         let best = sums.iter().position(|sum| Some(*sum) == min).unwrap_or(0);
         let mut level = best as f32;
@@ -127,7 +131,7 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// The results are equal to the bit with every instruction set.
+    /// Checks that sums are equal to the bit with every instruction set.
     #[test]
     fn sums_depend_on_no_instruction_set() {
         let mut random = Random::new(4);

@@ -14,7 +14,7 @@ const H: usize = 96;
 const FOCAL_PX: f64 = 150.0;
 const WALL_M: f64 = 2.0;
 const BOARD_M: f64 = 1.2;
-/// The left, right, upper and lower edge of the board, metres.
+/// Left, right, upper and lower edge of the test scene's board, metres.
 const BOARD: [f64; 4] = [-0.16, 0.14, -0.12, 0.15];
 
 fn camera_at(center: [f64; 3]) -> Camera {
@@ -26,7 +26,7 @@ fn with_lens(center: [f64; 3], f: f64) -> Camera {
     Camera { width: W, height: H, model, ..pinhole_at(center) }
 }
 
-/// Five cameras on a line, 6 cm apart.
+/// Returns five cameras on a line, 6 cm apart.
 fn cameras() -> Vec<Camera> {
     (0..5).map(|k| camera_at([0.06 * (f64::from(k) - 2.0), 0.0, 0.0])).collect()
 }
@@ -37,7 +37,7 @@ fn texture(x: f64, y: f64, seed: f64) -> f32 {
     (0.5 + 0.14 * sum) as f32
 }
 
-/// Depth and grey value at a pixel of a camera that sees a board in front of a wall.
+/// Returns the depth, metres, and the grey value at pixel (x, y) of a camera that sees a board in front of a wall.
 fn seen(camera: &Camera, x: usize, y: usize) -> (f64, f32) {
     let center = camera.center();
     let rx = (x as f64 + 0.5 - W as f64 / 2.0) / camera.focal_px();
@@ -61,7 +61,7 @@ fn range() -> [f64; 2] {
     [0.9 / WALL_M, 1.1 / BOARD_M]
 }
 
-/// The depths of all five cameras.
+/// Estimates the inverse depths of all five cameras. Returns the cameras and their inverse depths.
 fn depths_of_all(options: &StereoOptions) -> (Vec<Camera>, Vec<InverseDepths>) {
     let cameras = cameras();
     let images: Vec<Image> = cameras.iter().map(film).collect();
@@ -74,8 +74,9 @@ fn depths_of_all(options: &StereoOptions) -> (Vec<Camera>, Vec<InverseDepths>) {
     (cameras, depths)
 }
 
-/// Errors of a camera's inverse depths, sorted, in pixels of disparity at a baseline of 6 cm. Only pixels at
-/// least `margin` away from the image's border and from the board's outline are included.
+/// Returns the absolute errors of a camera's inverse depths, sorted, in pixels of disparity at a baseline of 6 cm.
+/// `inverse` gives the estimated inverse depth of a pixel, 1/m. Only pixels at least `margin` pixels away from the
+/// image's border and from the board's outline are included.
 fn errors(camera: &Camera, inverse: impl Fn(usize) -> f64, margin: usize) -> Vec<f64> {
     let truth = |x: usize, y: usize| 1.0 / seen(camera, x, y).0;
     let mut px = Vec::new();
@@ -115,7 +116,8 @@ fn outlines_are_right_to_two_pixels() {
     }
 }
 
-/// Views from places without a camera. They include the wall behind the board, which no camera sees.
+/// Checks fused depths of views from places without a camera. The views include parts of the wall behind the board that
+/// no camera sees.
 #[test]
 fn the_fused_surface_is_that_of_the_scene_in_any_view() {
     let (cameras, depths) = depths_of_all(&StereoOptions::default());
@@ -131,7 +133,8 @@ fn the_fused_surface_is_that_of_the_scene_in_any_view() {
     }
 }
 
-/// If a camera's pixel covers several pixels of the view, the wall must not show between the board's splats.
+/// Checks views in which one pixel of a camera covers several pixels. The wall must not show between the board's
+/// splats.
 #[test]
 fn the_fused_surface_has_no_holes_where_the_view_enlarges() {
     let (cameras, depths) = depths_of_all(&StereoOptions::default());
@@ -160,7 +163,7 @@ fn without_a_camera_at_another_place_there_is_no_depth() {
     }
 }
 
-/// Flat images, tiny images, and images of NaN; the range of depths may be empty or extend from the sky to
+/// Checks uniform images, tiny images, and images of NaN. The range of depths may be empty, or extend from the sky to
 /// the lens.
 #[test]
 fn whatever_the_images_depths_are_within_the_range() {
@@ -183,7 +186,8 @@ fn whatever_the_images_depths_are_within_the_range() {
     }
 }
 
-/// Reference implementation: Hirschmüller's recursion, direction by direction.
+/// Reference implementation of semi-global matching: Hirschmüller's recursion, direction by direction. `jump` is the
+/// penalty P2 between two pixels.
 fn naive(costs: &[u8], [w, h, n]: [usize; 3], jump: impl Fn(usize, usize) -> i32) -> Vec<i32> {
     let mut sums = vec![0; costs.len()];
     for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)] {
@@ -223,7 +227,7 @@ fn semi_global_matching_equals_the_recursion() {
     let mut random = Random::new(3);
     for (w, h, n) in [(1, 1, 1), (7, 5, 9), (12, 9, 33)] {
         let costs: Vec<u8> = (0..w * h * n).map(|_| (random.unit() * 72.0) as u8).collect();
-        // In a flat image, every jump has the same penalty.
+        // In a uniform image, the penalty P2 is equal everywhere.
         let gray = Image::filled(w, h, 1, 0.5);
         let sums: Vec<i32> = aggregate(&costs, &gray, n).into_iter().map(i32::from).collect();
         assert_eq!(sums, naive(&costs, [w, h, n], |_, _| 70));

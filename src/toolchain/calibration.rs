@@ -1,4 +1,4 @@
-//! Calls the Python programs that check, find and refine calibrations.
+//! Calls the Python programs that check, estimate and refine calibrations.
 
 use super::setup::Environment;
 use super::{ToolchainError, script};
@@ -10,31 +10,34 @@ use serde_json::Value;
 use std::ffi::OsString;
 use std::path::Path;
 
-/// The result of a calibration check.
+/// Result of a calibration check.
 #[derive(Clone, Debug)]
 pub struct Check {
-    /// The measured values: the JSON object that `blender/check.py` prints.
+    /// Measured values: the JSON object that `blender/check.py` prints.
     pub values: Value,
+    /// Verdict that follows from the measured values.
     pub verdict: CheckVerdict,
-    /// The lines of a table of the values. The last line is a sentence with the verdict.
+    /// Lines of a table of the measured values. The last line is a sentence with the verdict.
     pub table: Vec<String>,
 }
 
-/// The result of a calibration check in one word.
+/// Verdict of a calibration check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CheckVerdict {
+    /// The images confirm the calibration.
     Right,
+    /// The images contradict the calibration.
     Off,
-    /// The images do not suffice to tell.
+    /// The images do not suffice for a verdict.
     Unknown,
-    /// The program's own projections differ from pycolmap's or Blender's, so that no verdict is possible.
+    /// The program's own projections differ from those of pycolmap or Blender, so that no verdict is possible.
     Inconsistent,
 }
 
 impl CheckVerdict {
-    /// Whether the check failed: the calibration is wrong, or the program itself is. Images that do not
-    /// suffice are no failure.
+    /// Returns whether the check failed, because the calibration or the program itself is wrong. [`Self::Unknown`] is
+    /// no failure.
     pub fn is_failure(self) -> bool {
         matches!(self, Self::Off | Self::Inconsistent)
     }
@@ -68,19 +71,19 @@ pub fn check(
     Ok(Check { values, verdict, table })
 }
 
-/// The parameters of a calibration that are to be estimated.
+/// A request to estimate or refine a calibration, with the parameters to estimate.
 #[derive(Clone, Debug)]
 pub enum CalibrationRequest {
-    /// All lenses and poses are estimated from the images alone; those of the capture are not read.
+    /// All lenses and poses are estimated from the images alone. The lenses and poses of the capture are not read.
     New {
-        /// COLMAP's name of the lens model.
+        /// Name of the lens model in COLMAP.
         lens: String,
-        /// Focal length of all cameras, pixels, if it is known.
+        /// Focal length of all cameras, pixels. `None` if it is unknown.
         focal_px: Option<f64>,
-        /// Two cameras, and their distance in metres, if it is known.
+        /// Ids of two cameras, and the distance between the two in metres. `None` if no distance is known.
         distance_m: Option<([String; 2], f64)>,
     },
-    /// The capture's poses are refined, and its lens parameters where this is chosen.
+    /// The capture's poses are refined. The lens parameters are refined as the fields say.
     Refinement {
         /// Whether focal lengths are refined.
         focal: bool,
@@ -90,7 +93,8 @@ pub enum CalibrationRequest {
 }
 
 impl CalibrationRequest {
-    /// The arguments of the script. A flag and its value are one word, so that a negative value isn't read as a flag.
+    /// Returns the arguments of the script `blender/calibrate.py`. A flag and its value are one argument, so that a
+    /// negative value isn't read as a flag.
     fn arguments(&self) -> Vec<OsString> {
         match self {
             Self::New { lens, focal_px, distance_m } => {
@@ -113,46 +117,48 @@ impl CalibrationRequest {
     }
 }
 
-/// A calibration estimated from images.
+/// A calibration that was estimated from images.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Calibration {
     /// Lens, pose and errors of each camera, in the capture's order.
     pub cameras: Vec<CameraEstimate>,
     /// Number of scene points from which the calibration was estimated.
     pub points: usize,
-    /// The covariance of all cameras' poses, and of the lens parameters that were estimated.
+    /// Covariance of all cameras' poses and of the estimated lens parameters. `None` if it is unknown.
     pub covariance: Option<CalibrationCovarianceFormat>,
-    /// Sentences for the user.
+    /// Sentences about the calibration that are shown to the user.
     pub notes: Vec<String>,
 }
 
-/// A camera of an estimated calibration. The standard errors of its pose are those of the least certain axis, relative
-/// to the other cameras.
+/// A camera of an estimated calibration. The standard errors of its pose are those along the least certain axis. They
+/// exclude the position, rotation and scale of all cameras together, which images don't determine.
 #[derive(Clone, Debug, Deserialize)]
 pub struct CameraEstimate {
     pub id: String,
     width: u32,
     height: u32,
     model: String,
-    /// The lens model's parameters in COLMAP's order.
+    /// Parameters of the lens model, in COLMAP's order.
     params: Vec<f64>,
     cam_from_world: PoseFormat,
-    /// Number of points that the camera sees.
+    /// Number of scene points that the camera sees.
     pub points: usize,
-    /// Root mean square of the reprojection errors, pixels.
+    /// Root mean square of the camera's reprojection errors, pixels.
     pub error_px: f64,
+    /// Standard error of the camera's orientation, about the least certain axis, degrees.
     pub rotation_std_err_deg: f64,
+    /// Standard error of the camera's centre, along the least certain axis, metres.
     pub position_std_err_m: f64,
-    /// Standard error of the focal length as a fraction of it; 0 if it was given.
+    /// Standard error of the focal length, as a fraction of the focal length. 0 if the focal length was given.
     pub focal_std_err_fraction: f64,
-    /// Angle between the given and the estimated orientation; `None` if no calibration was given.
+    /// Angle between the given and the estimated orientation, degrees. `None` if no calibration was given.
     pub turned_deg: Option<f64>,
-    /// Distance between the given and the estimated centre, metres; `None` if no calibration was given.
+    /// Distance between the given and the estimated camera centre, metres. `None` if no calibration was given.
     pub moved_m: Option<f64>,
 }
 
 impl CameraEstimate {
-    /// Lens and pose as a capture describes them.
+    /// Returns lens and pose in the format of capture.json.
     pub fn format(&self) -> CameraFormat {
         CameraFormat {
             width: self.width,
@@ -163,7 +169,7 @@ impl CameraEstimate {
         }
     }
 
-    /// The first of the focal lengths, pixels.
+    /// Returns the focal length in pixels, which is the horizontal one if the lens model has two.
     pub fn focal_px(&self) -> f64 {
         self.params.first().copied().unwrap_or(f64::NAN)
     }

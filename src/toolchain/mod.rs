@@ -1,8 +1,8 @@
-//! Runs the Python programs: filming, the calibration check, the review in Blender, and the set-up of their
-//! environment. Each is a child process that reports progress on stdout, and errors as one sentence on
+//! Runs the Python programs: for filming, the calibration check, the review in Blender, and the set-up of their
+//! environment. Each program is a child process that reports its progress on stdout, and an error as one sentence on
 //! stderr.
 //!
-//! Known limits: Linux and macOS only. If the parent process is killed, its children are ended only on Linux.
+//! Known limits: Linux and macOS only. If this process is killed, its child processes are ended only on Linux.
 
 mod calibration;
 mod programs;
@@ -15,13 +15,14 @@ pub use calibration::{
 pub use programs::{FilmOptions, FilmedScene, blend_path, build_extension, film, review};
 pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};
 
-/// Why a script or the set-up failed: one sentence, including the command that repairs it if there is one.
+/// Reason why a script or the set-up failed: one sentence. It includes the command that solves the problem, if there is
+/// such a command.
 #[derive(Debug, thiserror::Error)]
 pub enum ToolchainError {
     /// An input is invalid.
     #[error("{0}")]
     BadInput(String),
-    /// The work failed.
+    /// The script or the set-up failed, although its input is valid.
     #[error("{0}")]
     Failure(String),
 }

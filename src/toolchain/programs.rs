@@ -1,5 +1,5 @@
-//! Calls the Python programs, which film a capture, lay out the review of a comparison in Blender, and
-//! package the Blender extension as one file to install.
+//! Calls the Python programs that film a capture, lay out the review of a comparison in Blender, and package the
+//! Blender extension as a file to install.
 
 use super::setup::{self, Environment};
 use super::{ToolchainError, script};
@@ -10,45 +10,45 @@ use crate::progress::Reporter;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Options of filming. For `None`, the filming script's default is used.
+/// Options for filming a capture. If an option is `None`, the filming script's default is used.
 #[derive(Clone, Debug)]
 pub struct FilmOptions {
-    /// The rig file.
+    /// Path of the rig file.
     pub rig: PathBuf,
     pub scene: FilmedScene,
-    /// The capture's folder. Filming that was interrupted is resumed there if the options are the same.
+    /// Folder of the capture. If filming was interrupted, it is resumed there, provided that the options are the same.
     pub capture: PathBuf,
-    /// Width and height in pixels, for all cameras.
+    /// Width and height of all cameras' images, pixels.
     pub size_px: Option<(u32, u32)>,
-    /// Number of frames of the reference camera.
+    /// Number of frames that the reference camera films.
     pub frames: Option<u32>,
     /// Number of render samples per pixel.
     pub samples: Option<u32>,
-    /// `cycles` or `workbench`.
+    /// Blender's render engine: `cycles` or `workbench`.
     pub engine: Option<String>,
-    /// Number of instants at which truth is rendered.
+    /// Number of instants at which ground truth is rendered.
     pub instants: Option<u32>,
-    /// The instants at which truth is rendered, seconds on the reference's clock; if empty, `instants` evenly
-    /// spaced ones.
+    /// Instants at which ground truth is rendered, seconds on the reference camera's clock. If empty, `instants` evenly
+    /// spaced instants are chosen.
     pub instants_s: Vec<f64>,
-    /// Number of points whose true tracks are written.
+    /// Number of scene points whose true tracks are written.
     pub tracks: Option<u32>,
-    /// Number of frames of the true slow-motion video.
+    /// Number of frames of the ground truth's slow-motion video.
     pub truth_video: Option<u32>,
-    /// Whether to write `truth/`.
+    /// Whether to write ground truth into the capture's folder `truth/`.
     pub truth: bool,
     /// Whether to store the frames of each camera as one lossless video.
     pub video: bool,
-    /// The part of the images that is filmed, such as `3-6/100`. `None`: all images, and then the files that
-    /// complete the capture.
+    /// Part of the images to film, such as `3-6/100` for the parts 3 to 6 of 100. With `None`, all images are filmed,
+    /// and then the files that complete the capture are written.
     pub part: Option<String>,
-    /// Time without a sign of life, seconds, after which images that another process has begun are filmed
-    /// here.
+    /// Time, seconds, without a sign of life after which another filming process counts as ended. The images that it
+    /// had begun are then filmed by this process.
     pub silence_s: Option<u32>,
 }
 
 impl FilmOptions {
-    /// Makes the paths independent of the working folder.
+    /// Makes all paths absolute, so that they don't depend on the working folder.
     pub fn make_absolute(&mut self) -> std::io::Result<()> {
         let mut paths = vec![&mut self.rig, &mut self.capture];
         if let FilmedScene::Blend(file) = &mut self.scene {
@@ -60,7 +60,7 @@ impl FilmOptions {
         Ok(())
     }
 
-    /// The arguments of `stlfr capture`, which are also those of the script.
+    /// Returns the arguments of `stlfr capture`. The filming script takes the same arguments.
     pub fn arguments(&self) -> Vec<OsString> {
         let mut arguments =
             vec![self.rig.clone().into(), "-o".into(), self.capture.clone().into_os_string()];
@@ -82,7 +82,7 @@ impl FilmOptions {
             ("--part", self.part.clone()),
             ("--silence", text(self.silence_s)),
         ] {
-            // Flag and value are one argument, so that a negative value isn't taken for a flag.
+            // A flag and its value are one argument, so that a negative value isn't read as a flag.
             arguments.extend(value.map(|value| format!("{flag}={value}").into()));
         }
         for (flag, is_given) in [("--no-truth", !self.truth), ("--video", self.video)] {
@@ -92,12 +92,12 @@ impl FilmOptions {
     }
 }
 
-/// The scene to film.
+/// Scene to film.
 #[derive(Clone, Debug)]
 pub enum FilmedScene {
-    /// A scene of `blender/scenes`, by name.
+    /// Name of a scene in `blender/scenes`.
     Named(String),
-    /// A `.blend` file.
+    /// Path of a `.blend` file.
     Blend(PathBuf),
 }
 
@@ -112,7 +112,8 @@ pub fn film(
     script::run(&mut command, "filming", reporter, |line| reporter.note(line))
 }
 
-/// Writes `review.blend` beside the `review.json` of a comparison.
+/// Lays out a comparison in Blender: writes `review.blend` beside `layout`, the path of the comparison's `review.json`.
+/// Returns the path of `review.blend`.
 pub fn review(
     environment: &Environment,
     layout: &Path,
@@ -124,10 +125,11 @@ pub fn review(
     Ok(layout.with_file_name("review.blend"))
 }
 
-/// Name of the path file inside its temporary folder.
+/// Name of the camera path's file inside its temporary folder.
 const PATH_FILE: &str = "path.json";
 
-/// The animated scene camera of a `.blend` file as a camera path: the text of the path file.
+/// Reads the animated scene camera of a `.blend` file as a camera path. Returns the text of the camera path's JSON
+/// file.
 pub fn blend_path(
     environment: &Environment,
     blend: &Path,
@@ -142,11 +144,11 @@ pub fn blend_path(
     read_text(&file, json::MAX_BYTES).map_err(failed)
 }
 
-/// Name of the extension's zip file inside its temporary folder.
+/// Name of the Blender extension's zip file inside its temporary folder.
 const EXTENSION_FILE: &str = "extension.zip";
 
-/// Writes the extension's zip file for this platform. It contains the wheel of the Python module, and is
-/// validated by Blender's own tool.
+/// Writes the Blender extension for this platform as a zip file. It contains the wheel of the Python module. Blender's
+/// own tool validates it.
 pub fn build_extension(
     environment: &Environment,
     zip: &Path,

@@ -1,6 +1,6 @@
-//! Runs a script of `blender/`. Lines of JSON `{"done", "total", "what"}` on its stdout are progress, and may
-//! have a `note` for the user; other lines are output. An error is one sentence on stderr, with exit code 2
-//! for invalid input.
+//! Runs a Python script of the folder `blender/`. A line of JSON `{"done", "total", "what"}` on its stdout reports
+//! progress, and may have a `note` for the user. Other lines are output. An error is one sentence on stderr. The exit
+//! code is 2 for invalid input.
 
 use super::ToolchainError;
 use super::setup::Environment;
@@ -15,20 +15,21 @@ struct Progress {
     done: usize,
     total: usize,
     what: String,
-    /// A sentence for the user.
+    /// Sentence that is shown to the user; `None` if there is nothing to say.
     #[serde(default)]
     note: Option<String>,
 }
 
-/// A Python command that ignores the user's own packages and environment variables.
+/// Returns the command that runs a script of the folder `blender/`. Python then ignores the user's own packages and
+/// environment variables.
 pub(super) fn command(environment: &Environment, script: &str) -> Command {
     let mut command = Command::new(&environment.python);
     command.arg("-I").arg(environment.project_root.join("blender").join(script));
     command
 }
 
-/// Runs a script to its end, with a progress bar. Lines of output that are not progress are passed to
-/// `on_text`.
+/// Runs a script to its end, with a progress bar. Calls `on_text` with each line of output that doesn't report
+/// progress.
 pub(super) fn run(
     command: &mut Command,
     label: &str,
@@ -58,14 +59,14 @@ pub(super) fn run(
     verdict(&name, &ended)
 }
 
-/// Runs a script to its end, and calls `on_line` with every line of its stdout. Then removes Blender's
-/// temporary folders, which a killed Blender leaves behind.
+/// Runs a script to its end, and calls `on_line` with every line of its stdout. Then removes the script's temporary
+/// folder, in which Blender leaves files if it is killed.
 pub(super) fn ended(command: &mut Command, on_line: impl FnMut(&str)) -> std::io::Result<Ended> {
     let temporary = Temporary::inside(&std::env::temp_dir())?;
     process::run(command.env("TMPDIR", temporary.path()), on_line)
 }
 
-/// Success, or the error that the script reported.
+/// Returns success, or the error that the script reported. `name` is the script's name.
 pub(super) fn verdict(name: &str, ended: &Ended) -> Result<(), ToolchainError> {
     let sentence = || ended.stderr.lines().rev().find(|l| !l.trim().is_empty()).map(str::to_owned);
     match ended.status.code() {

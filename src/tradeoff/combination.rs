@@ -6,15 +6,15 @@ use crate::method::Method;
 use crate::offset::OffsetMethod;
 use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 
-/// The proxies that are measured.
+/// The methods of the geometric proxy that are measured.
 const PROXIES: &[ProxyMethod] = &[ProxyMethod::Plane, ProxyMethod::Mesh, ProxyMethod::Depth];
 
-/// All combinations of sync, proxy and blend methods. Other options are those of `base`.
+/// Returns all combinations of synchronization, proxy and blend methods. All other options are copied from `base`.
 ///
-/// The offset method is varied in [`variations`], like a parameter, since offsets are estimated once and then
-/// take no time. [`SyncMethod::AllCameras`] computes depth per pixel in any case, so that it is combined only
-/// with [`ProxyMethod::Depth`]. [`ProxyMethod::SceneFlow`] is left out: most of its time is spent on frames,
-/// whose results the views of several instants share.
+/// The offset method is varied in [`variations`], like a parameter, because offsets are estimated once and then
+/// take no time per view. [`SyncMethod::AllCameras`] always computes depth per pixel, so that it is combined only
+/// with [`ProxyMethod::Depth`]. [`ProxyMethod::SceneFlow`] is left out, because most of its time is spent on
+/// frames, and views at several instants share the results.
 pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     for &sync in SyncMethod::ALL {
@@ -32,7 +32,7 @@ pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     found
 }
 
-/// The most accurate method of every stage. Other options are those of `base`.
+/// Returns options with the most accurate method of every stage. All other options are copied from `base`.
 pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
     let mut options = base.clone();
     (options.sync, options.proxy.method) = (SyncMethod::Refined, ProxyMethod::Depth);
@@ -41,17 +41,17 @@ pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
     options
 }
 
-/// Which parameters can have an effect on a capture.
+/// Properties of a capture that determine which parameters can have an effect.
 #[derive(Clone, Copy, Debug)]
 pub struct Variable {
-    /// Whether offsets are estimated.
+    /// Whether the temporal offsets between cameras are estimated.
     pub offsets: bool,
-    /// Number of cameras that a view may be blended from.
+    /// Number of the capture's cameras. At most so many cameras can be blended into a view.
     pub cameras: usize,
 }
 
-/// Copies of the options in which one main parameter is changed: one copy for every value of every main
-/// parameter that the options' methods use.
+/// Returns copies of the options in which one main parameter is changed. There is one copy for every other value of
+/// every main parameter that the options' methods use.
 pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     let mut add = |change: &dyn Fn(&mut RenderOptions)| {
@@ -80,12 +80,12 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
             add(&|o| o.interpolation.max_edge_length_px = max_length_px);
         }
     }
-    // A plane at a given depth needs no points.
     if options.proxy.method == ProxyMethod::Depth {
         for (cameras, halvings) in [(4, 1), (4, 0), (6, 1), (6, 0)] {
             add(&|o| (o.proxy.depth.cameras, o.proxy.depth.halvings) = (cameras, halvings));
         }
     }
+    // A proxy plane at a given depth needs no scene points.
     if options.proxy.method != ProxyMethod::Plane || options.proxy.plane_depth_m.is_none() {
         for (cameras, partners) in [(1, 2), (2, 2), (3, 4)] {
             add(&|o| (o.proxy.cameras, o.proxy.partners) = (cameras, partners));
@@ -99,7 +99,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
     found
 }
 
-/// The name of a combination: its methods, and the main parameters whose values are not the defaults.
+/// Returns the name of a combination: its methods, and the main parameters whose values are not the defaults.
 pub fn name(options: &RenderOptions) -> String {
     let default = RenderOptions::default();
     let (sync, proxy, blend) = (options.sync, &options.proxy, &options.blend);

@@ -1,4 +1,5 @@
-//! Measures combinations: the quality once, the time in several runs that alternate between combinations.
+//! Measures combinations of options. Quality is measured once. Time is measured in several runs that alternate
+//! between the combinations.
 
 use super::store::{CachedPoint, Store};
 use super::targets::{Against, Target, TargetScene, View};
@@ -9,7 +10,7 @@ use crate::method::Method;
 use crate::options::RenderOptions;
 use crate::progress::{Reporter, Task, in_words};
 
-/// The targets, the timed view and the cache with which combinations are measured.
+/// The reference images, the timed view and the cache with which combinations of options are measured.
 pub(super) struct Bench<'a> {
     pub store: Store,
     pub targets: Vec<Target>,
@@ -20,19 +21,19 @@ pub(super) struct Bench<'a> {
     pub reporter: &'a Reporter,
 }
 
-/// Time, seconds, that one thread takes per pixel of a view and camera: the mean over all methods on the
-/// scene `magazine`. The expected duration of a measurement is computed from it.
+/// Time, in seconds, that one thread takes per pixel of a view and per camera. It is the mean over all methods on
+/// the scene `magazine`. The expected duration of a measurement is computed from it.
 const SAMPLE_S: f64 = 4e-7;
 
 impl Bench<'_> {
-    /// The kind of reference images that quality is measured against.
+    /// Returns the kind of reference images against which quality is measured.
     pub fn against(&self) -> Against {
         let order = [Against::Truth, Against::HeldOut, Against::MostAccurate];
         let there = |a: &Against| self.targets.iter().any(|t| t.against == *a);
         order.into_iter().find(there).unwrap_or(Against::MostAccurate)
     }
 
-    /// Measures what is not in the cache for these combinations, and returns all their measurements.
+    /// Returns the measurements of these combinations. Measurements that are in the cache are not repeated.
     pub fn measure(
         &self,
         label: &str,
@@ -57,7 +58,7 @@ impl Bench<'_> {
         Ok(points)
     }
 
-    /// Whether a combination can be rendered and has fewer timed runs than required.
+    /// Returns whether a combination can be rendered and has fewer timed runs than required.
     fn is_untimed(&self, point: &CachedPoint) -> bool {
         point.reason.is_none() && point.runs.len() < self.runs
     }
@@ -83,8 +84,8 @@ impl Bench<'_> {
             if lacking.is_empty() {
                 continue;
             }
-            // Sorted, so that successive combinations with the same sync method share cached synchronized
-            // images.
+            // Sorted, so that successive combinations with the same synchronization method share cached
+            // synchronized images.
             lacking.sort_by_key(|&k| points[k].options.sync.name());
             if open.as_ref().is_none_or(|(held_out, _)| *held_out != target.held_out) {
                 open = Some((target.held_out, scene.field(target.held_out)));
@@ -121,8 +122,9 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Times a view of each combination in turns, so that other load on the machine affects all combinations
-    /// alike. Frames are registered before, and no result of the instant is cached.
+    /// Times a view of each combination in turns, so that other load on the machine affects all combinations alike.
+    /// Frames are registered before the timed runs. Before each run, cached results for the view's instant are
+    /// discarded.
     fn time(
         &self,
         field: &LightField,
@@ -155,13 +157,14 @@ impl Bench<'_> {
 }
 
 impl CachedPoint {
-    /// Whether the combination has no score for this target yet, although it can be rendered.
+    /// Returns whether the combination can be rendered but has no score for this target yet.
     fn lacks(&self, target: &Target) -> bool {
         self.reason.is_none() && !self.scores.contains_key(&target.id)
     }
 }
 
-/// Groups of combinations, as indices, that share registered frames and offsets.
+/// Groups the combinations that share registered frames and temporal offsets. Each group holds the combinations'
+/// indices.
 fn groups(points: &[CachedPoint]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (k, CachedPoint { options, .. }) in points.iter().enumerate() {

@@ -1,37 +1,40 @@
-//! The trade-off of speed and accuracy: time and quality of every useful combination of methods and main
-//! parameters on one capture.
+//! The trade-off between speed and accuracy: measures time and quality of every useful combination of methods and
+//! main parameters on one capture.
 //!
-//! [`tradeoff`] measures, and writes into one folder:
+//! [`tradeoff`] measures, and writes these files into one folder:
 //!
-//! - `tradeoff.json`: every combination with its options, quality, time and preparation
-//! - `tradeoff.svg`: time against quality, with a numbered Pareto front
-//! - `recommended.json`: the recommended options, for `--options`
+//! - `tradeoff.json`: every combination with its options, quality, time and preparation time
+//! - `tradeoff.svg`: a chart of quality against time, with a numbered Pareto front
+//! - `recommended.json`: the recommended options, for the command-line argument `--options`
 //!
-//! Measurements are cached with the capture, so that an interrupted run is resumed.
+//! Measurements are cached with the capture, so that an interrupted run can be resumed.
 //!
-//! **Combinations** ([`methods`], [`variations`]): every sync method with every proxy and blend method; the
-//! presets, and the choice of `auto`. Then the points on the Pareto front are varied in rounds: every main
-//! parameter, and the offset method where clocks are unknown, one at a time.
+//! **Combinations** ([`methods`], [`variations`]): first, every synchronization method is combined with every proxy
+//! and blend method. The presets and the methods that `auto` chooses are added. Then the combinations on the Pareto
+//! front are varied in rounds. Each variation changes one main parameter, or the offset method if clocks are
+//! unknown.
 //!
-//! **Quality**: the mean PSNR of the moving part over views of the truth. Without truth, it is that over
-//! frames of held-out cameras, rendered from the other cameras at the frames' own times. PSNR of all pixels
-//! and FLIP are also written. Quality is the same from run to run.
+//! **Quality** is the mean PSNR of the moving part of the image over views with a ground-truth image. Without
+//! ground truth, frames of held-out cameras are the reference images; the other cameras render each of them at the
+//! frame's own time. PSNR of all pixels and FLIP are also written. Quality is the same from run to run.
 //!
-//! **Time**: seconds for one view at a new instant between frames that are already registered: the median of
-//! several runs. Registration and offsets are preparation, and timed separately.
+//! **Time** is the time in seconds for one view at a new instant between frames that are already registered: the
+//! median of several runs. Registration, and estimation of the cameras' temporal offsets, are preparation and timed
+//! separately.
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
 //! | `mod.rs` | the sequence of steps, `tradeoff.json`, the folder of results |
 //! | `combination.rs` | the combinations to measure |
 //! | `targets.rs` | the reference images |
 //! | `measure.rs`, `store.rs` | measuring, and the cache of measurements |
 //! | `pareto.rs` | the Pareto front |
-//! | `summary.rs` | from measurements to points |
-//! | `plot.rs` | the drawing |
+//! | `summary.rs` | conversion of measurements to the points of the trade-off |
+//! | `plot.rs` | the chart |
 //!
-//! Known limits: where clocks are shared, a held-out camera's frame has the time of the others' frames, so
-//! that it measures proxy and blend but not synchronization. Preparation is timed once.
+//! Known limits: if cameras share a clock, a held-out camera's frame has the same time as the other cameras'
+//! frames. Quality then depends on the proxy and blend methods but not on synchronization. Preparation is timed
+//! only once.
 
 mod combination;
 mod measure;
@@ -63,15 +66,15 @@ use store::{CachedPoint, Store};
 use summary::{summarized, trade};
 use targets::TargetScene;
 
-/// The names of the files in a trade-off's folder.
+/// Names of the files in a trade-off's folder.
 pub const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json"];
 
-/// Options of a trade-off.
+/// Options of [`tradeoff`].
 #[derive(Clone, Debug)]
 pub struct TradeoffOptions {
-    /// Number of timed runs of each view.
+    /// Number of timed runs of the view of each combination.
     pub runs: usize,
-    /// Number of rounds in which the points on the Pareto front are varied by single parameters. With 0, only
+    /// Number of rounds in which the combinations on the Pareto front are varied by single parameters. With 0, only
     /// combinations of methods are measured.
     pub rounds: usize,
     /// Options that are common to all combinations.
@@ -81,7 +84,7 @@ pub struct TradeoffOptions {
     pub clock: TimingClock,
 }
 
-/// Which clock the Pareto front is computed from.
+/// The clock whose times the Pareto front is computed from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum TimingClock {
@@ -113,11 +116,11 @@ impl Default for TradeoffOptions {
     }
 }
 
-/// Maximum loss of quality of the recommended point, relative to the best one, decibels. The difference is
-/// invisible.
+/// Maximum difference between the quality of the recommended combination and the best quality, in decibels of PSNR.
+/// A difference of this size is invisible.
 pub const SLACK_DB: f64 = 0.2;
 
-/// Why a trade-off can't be measured: one sentence.
+/// The reason why a trade-off can't be measured, as one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum TradeoffError {
     #[error(transparent)]
@@ -134,7 +137,7 @@ pub enum TradeoffError {
     Nothing { reason: String },
 }
 
-/// `tradeoff.json`.
+/// The content of `tradeoff.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[schemars(title = "stlfr trade-off")]
 #[serde(deny_unknown_fields)]
@@ -142,38 +145,38 @@ pub struct Tradeoff {
     pub format: String,
     pub version: u32,
     pub stlfr: String,
-    /// The capture's name.
+    /// Name of the capture.
     pub capture: String,
     pub cameras: usize,
-    /// Width and height of the timed view.
+    /// Width and height of the timed view, pixels.
     pub size_px: (usize, usize),
-    /// Number of threads with which views are rendered.
+    /// Number of threads that render a view.
     pub threads: usize,
     pub against: Against,
-    /// The clock that the Pareto front is computed from.
+    /// Clock whose times the Pareto front is computed from.
     pub clock: TimingClock,
     /// Number of views over which quality is averaged.
     pub views: usize,
-    /// Planning time of `auto`, seconds.
+    /// Time that `auto` takes to choose its methods, seconds.
     pub planning_s: f64,
-    /// Fastest first; then those that can't be rendered.
+    /// The measured combinations, fastest first. Combinations that can't be rendered are last.
     pub points: Vec<Point>,
-    /// The index of the recommended point: the fastest within 0.2 dB of the best.
+    /// Index, in `points`, of the recommended combination: the fastest whose quality is within 0.2 dB of the best.
     pub recommended: usize,
 }
 
-/// The JSON Schema of `tradeoff.json`.
+/// Returns the JSON Schema of `tradeoff.json`.
 pub fn schema() -> serde_json::Value {
     schemars::schema_for!(Tradeoff).into()
 }
 
 impl Tradeoff {
-    /// The point with this label: a preset's name, or [`AUTO`].
+    /// Returns the point with this label: a preset's name, or [`AUTO`].
     pub fn labelled(&self, label: &str) -> Option<&Point> {
         self.points.iter().find(|p| p.labels.iter().any(|l| l == label))
     }
 
-    /// The points on the Pareto front, fastest first.
+    /// Returns the points on the Pareto front, fastest first.
     pub fn pareto_front(&self) -> impl Iterator<Item = &Point> {
         self.points.iter().filter(|p| p.on_front)
     }
@@ -182,7 +185,8 @@ impl Tradeoff {
 /// Label of the combination that `auto` chooses.
 pub const AUTO: &str = "auto";
 
-/// Measures time and quality of views by many combinations of options, and writes the results into the folder `out`.
+/// Measures time and quality of views for many combinations of options, and writes the results into the folder
+/// `out`.
 pub fn tradeoff(
     capture: &Arc<Capture>,
     options: &TradeoffOptions,
@@ -225,7 +229,7 @@ pub fn tradeoff(
     Ok(tradeoff)
 }
 
-/// Adds combinations that are not in the list yet.
+/// Adds the combinations of `more` that are not in the list yet.
 fn add(wanted: &mut Vec<RenderOptions>, more: impl IntoIterator<Item = RenderOptions>) {
     for options in more {
         if !wanted.contains(&options) {
@@ -285,7 +289,7 @@ fn write_json(path: &Path, value: &impl Serialize) -> Result<(), TradeoffError> 
     crate::host::write_json(path, value).map_err(failed)
 }
 
-/// Refuses an existing folder that contains other files than those of a trade-off.
+/// Returns an error if the folder is a capture, is no folder, or contains files that do not belong to a trade-off.
 fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
     let refused = |reason: String| Err(TradeoffError::Folder { folder: folder.to_owned(), reason });
     if folder.join(CAPTURE_FILE).exists() {

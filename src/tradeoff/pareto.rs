@@ -1,16 +1,16 @@
 //! The Pareto front of time and quality.
 
-/// Time and quality of a point.
+/// Time and quality of a measured combination.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trade {
     pub seconds: f64,
-    /// Quality; larger is better.
+    /// Quality, for example a PSNR. A larger value is better.
     pub quality: f64,
 }
 
-/// The indices of the points that no other point dominates, fastest first. A point dominates another if it is
-/// faster and at least as good, or better and at least as fast. Of equal points, the first is returned;
-/// points that aren't finite never are.
+/// Returns the indices of the points that no other point dominates, fastest first. A point dominates another point
+/// if it is faster and at least as good, or better and at least as fast. Of equal points, only the first is
+/// returned. Points with a value that isn't finite are never returned.
 pub fn pareto_front(points: &[Trade]) -> Vec<usize> {
     let finite = |k: &usize| points[*k].seconds.is_finite() && points[*k].quality.is_finite();
     let mut order: Vec<usize> = (0..points.len()).filter(finite).collect();
@@ -27,7 +27,8 @@ pub fn pareto_front(points: &[Trade]) -> Vec<usize> {
     order
 }
 
-/// The fastest point whose quality is within `slack` of the best; `None` if no point is finite.
+/// Returns the index of the fastest point whose quality is at most `slack` below the best quality. Returns `None`
+/// if no point is finite.
 pub fn fastest_within(points: &[Trade], slack: f64) -> Option<usize> {
     let front = pareto_front(points);
     let best = points[*front.last()?].quality;
@@ -45,7 +46,7 @@ mod tests {
             && (a.seconds < b.seconds || a.quality > b.quality)
     }
 
-    /// The reference applies the definition of dominance, to points with many equal values.
+    /// Compares the front with the definition of dominance, for points with many equal values.
     #[test]
     fn the_front_is_what_nothing_dominates() {
         let mut random = Random::new(11);

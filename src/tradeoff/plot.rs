@@ -1,9 +1,9 @@
-//! The plot of time against quality.
+//! The chart of quality against time.
 
 use super::{Against, Point, Spread, TimingClock, Tradeoff};
 use crate::chart::{self, Chart, ChartPoint, Label, Series};
 
-/// Label of the y axis.
+/// Returns the label of the y axis.
 fn quality(tradeoff: &Tradeoff) -> &'static str {
     let moving = tradeoff.points.iter().any(|p| p.moving.psnr_db.is_some());
     match (tradeoff.against, moving) {
@@ -22,8 +22,8 @@ fn time(tradeoff: &Tradeoff, point: &Point) -> Option<Spread> {
     }
 }
 
-/// The chart as SVG: all points, the Pareto front with numbers, presets and `auto` with their names, and a
-/// key to the numbers.
+/// Returns the chart as SVG. It shows all points, the Pareto front with numbers, the presets and `auto` with their
+/// names, and a legend of the numbers.
 pub(super) fn svg(tradeoff: &Tradeoff) -> String {
     let place = |point: &Point| {
         let (time, y) = (time(tradeoff, point)?, point.quality_db?);
@@ -71,7 +71,8 @@ pub(super) fn svg(tradeoff: &Tradeoff) -> String {
     chart::svg(&[chart], 1)
 }
 
-/// The key: the names of the Pareto front's numbered points, then of the labelled points.
+/// Returns the lines of the legend: the numbered points of the Pareto front, then the labelled points, then the
+/// recommended point.
 fn key(tradeoff: &Tradeoff, front: &[&Point]) -> Vec<String> {
     let line = |mark: &str, point: &Point| {
         let seconds = time(tradeoff, point).map_or(f64::NAN, |s| s.median);

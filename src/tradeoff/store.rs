@@ -1,5 +1,5 @@
-//! Measurements in the capture's cache, with one entry per combination. So an interrupted run is resumed, and
-//! a larger run adds to a smaller one.
+//! Stores measurements in the capture's cache, with one entry per combination. An interrupted run can therefore be
+//! resumed, and a run with more combinations reuses the measurements of an earlier run.
 
 use super::TradeoffError;
 use crate::capture::{Capture, Truth};
@@ -26,25 +26,26 @@ const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 3 };
 #[serde(deny_unknown_fields)]
 pub(super) struct CachedPoint {
     pub options: RenderOptions,
-    /// Scores by the target's id.
+    /// Scores of the rendered views, by the id of the target (the view with a reference image).
     pub scores: BTreeMap<String, RegionScores>,
-    /// Why no view can be rendered; then there are no scores.
+    /// Reason why no view can be rendered; `None` if views can be rendered. If there is a reason, the scores are not
+    /// used.
     pub reason: Option<String>,
-    /// The time of each run of the timed view.
+    /// Time of each run of the timed view.
     pub runs: Vec<Elapsed>,
 }
 
-/// The offsets for one choice of registration options and offset method, with the times of preparation.
+/// Temporal offsets for one choice of registration options and offset method, with the times of the preparation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Prepared {
     pub offsets: Offsets,
-    /// Time of the estimation; `None` if the clocks are known.
+    /// Time to estimate the offsets; `None` if the clocks are known.
     pub offsets_took: Option<Elapsed>,
     pub registration_took: Elapsed,
 }
 
-/// The plan by which `auto` is replaced, and the time of planning.
+/// The options after every `auto` is replaced by a method, and the time to choose the methods.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Planned {
@@ -52,21 +53,21 @@ pub(super) struct Planned {
     pub took: Elapsed,
 }
 
-/// A capture and its cache of measurements. Cache keys contain the options and everything else that
-/// measurements depend on.
+/// A capture and its cache of measurements. The cache keys contain the options and everything else on which the
+/// measurements depend.
 pub(super) struct Store {
     pub capture: Arc<Capture>,
     cache: DiskCache,
     reporter: Reporter,
-    /// Whether the note that the cache can't be written has been shown.
+    /// Whether the user has been notified that the cache can't be written.
     noted: AtomicBool,
 }
 
 impl Store {
-    /// The store of a capture's measurements.
+    /// Opens the store of a capture's measurements.
     ///
     /// # Errors
-    /// If a file of the capture or of the truth can't be read.
+    /// If a file of the capture or of its ground truth can't be read.
     pub fn open(
         capture: &Arc<Capture>,
         truth: Option<&Truth>,
@@ -80,14 +81,15 @@ impl Store {
         }
         let views = truth.map(|truth| &truth.views);
         let cache = capture.cache()?;
-        // Views can't fail to be serialized.
+        // The serialization of views can't fail.
         let conditions = cache.key(POINTS, &(rayon::current_num_threads(), views, hashes));
         let cache = cache.for_content(&conditions.map(|key| key.to_string()).unwrap_or_default());
         let noted = AtomicBool::new(false);
         Ok(Self { capture: capture.clone(), cache, reporter: *reporter, noted })
     }
 
-    /// Offsets and registered frames for these options: from the cache, else computed.
+    /// Returns the temporal offsets for these options, and the times of the preparation. They are loaded from the
+    /// cache or, if they are not cached, computed and measured.
     pub fn prepared(&self, options: &RenderOptions) -> Result<Prepared, TradeoffError> {
         let capture = &self.capture;
         let still_change = options.interpolation.still_change;
@@ -106,7 +108,7 @@ impl Store {
             Offsets::known(capture)
         };
         let offsets_took = estimates.then(|| watch.elapsed());
-        // This light field has no decoded frames, so that the time of registration includes decoding.
+        // This light field has no decoded frames yet, so that the time of registration includes decoding.
         let field = LightField::new(capture.clone(), offsets.clone());
         let middle_s = middle_s(&field);
         let watch = Stopwatch::start();
@@ -117,7 +119,7 @@ impl Store {
         Ok(prepared)
     }
 
-    /// The options `asked` with every `auto` replaced by the planned method, and the time of planning.
+    /// Returns the options `asked` with every `auto` replaced by the planned method, and the time of planning.
     pub fn planned(&self, asked: &RenderOptions) -> Result<Planned, TradeoffError> {
         if asked.auto.stages().is_empty() {
             let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
@@ -137,7 +139,7 @@ impl Store {
         Ok(planned)
     }
 
-    /// The cached measurements of a combination; empty if there are none.
+    /// Returns the cached measurements of a combination. If there are none, returns an entry without measurements.
     pub fn point(&self, options: &RenderOptions) -> CachedPoint {
         let cached = self.load::<CachedPoint>(POINTS, options);
         cached.filter(|cached| cached.options == *options).unwrap_or_else(|| CachedPoint {
@@ -152,12 +154,12 @@ impl Store {
         self.save(POINTS, &point.options, point);
     }
 
-    /// The cached measurement of this kind with these options; `None` if there is none.
+    /// Returns the cached measurement of this kind for these options. Returns `None` if there is none.
     fn load<T: DeserializeOwned>(&self, kind: CacheKind, options: &impl Serialize) -> Option<T> {
         self.cache.load_json(kind, options)
     }
 
-    /// Caches a measurement. If that fails, as in a read-only capture, a note is shown once.
+    /// Caches a measurement. If caching fails, for example because the capture is read-only, a note is shown once.
     fn save(&self, kind: CacheKind, options: &impl Serialize, value: &impl Serialize) {
         let saved = self.cache.save_json(kind, options, value);
         if let Err(error) = saved
@@ -169,8 +171,8 @@ impl Store {
     }
 }
 
-/// The middle of the time span that all cameras cover, seconds; if there is none, that of the reference
-/// camera's span.
+/// Returns the middle of the time span that all cameras cover, in seconds. If there is no such span, returns the
+/// middle of the reference camera's time span.
 pub(super) fn middle_s(field: &LightField) -> f64 {
     let own_span = || field.span_s(field.capture().reference);
     let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();

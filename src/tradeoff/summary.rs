@@ -1,4 +1,4 @@
-//! Turns measurements into points of the trade-off.
+//! Summarizes measurements as points of the trade-off.
 
 use super::measure::Bench;
 use super::pareto::Trade;
@@ -15,41 +15,44 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
-    /// The combination's methods, and the parameters that differ from their defaults.
+    /// Name of the combination: its methods, and the parameters that differ from their defaults.
     pub name: String,
-    /// Names of the presets that equal these options, and `auto` if the plan chose them.
+    /// Names of the presets whose options equal these options. Also `auto`, if `auto` chooses these options.
     pub labels: Vec<String>,
-    /// Options of all stages, as an options file has them.
+    /// Options of all stages, in the format of an options file.
     #[schemars(with = "serde_json::Value")]
     pub options: RenderOptions,
     /// Whether the combination is on the Pareto front.
     pub on_front: bool,
-    /// Why the combination can't be rendered; there are no numbers then.
+    /// Reason why the combination can't be rendered; `None` if it can. If there is a reason, there are no measurements.
     pub reason: Option<String>,
-    /// The quality that the Pareto front is computed from: the moving part's PSNR, all pixels' where
-    /// nothing moves.
+    /// Quality from which the Pareto front is computed: PSNR of the moving part, or of all pixels if nothing moves, in
+    /// decibels. `None` if the quality wasn't measured.
     pub quality_db: Option<f64>,
     pub moving: MeanScores,
     pub whole: MeanScores,
-    /// PSNR against the view that the most accurate methods render, decibels; `None` if the capture has truth.
+    /// PSNR against the view that the most accurate methods render, in decibels. `None` if the capture has ground
+    /// truth, or if the combination can't be rendered.
     pub most_accurate_db: Option<f64>,
-    /// Wall-clock time of one view at a new instant, seconds.
+    /// Wall-clock time of one view at a new instant, seconds. `None` if the combination can't be rendered.
     pub wall_s: Option<Spread>,
-    /// Processor time of this view over all threads, seconds.
+    /// Processor time of one view at a new instant, summed over all threads, seconds. `None` if the combination can't
+    /// be rendered.
     pub cpu_s: Option<Spread>,
     pub preparation: Option<PreparationTime>,
 }
 
-/// Mean scores over all views that have pixels of the measured region.
+/// Mean scores of the moving part, or of all pixels, over all views. Views without such pixels are left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeanScores {
-    /// An identical view counts as 99 dB.
+    /// Mean PSNR in decibels; `None` if no view has a score. A view that is identical to the reference image counts as
+    /// 99 dB.
     pub psnr_db: Option<f64>,
     pub flip: Option<f64>,
 }
 
-/// Statistics of several runs, seconds.
+/// Statistics of the times of several runs, in seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Spread {
@@ -59,13 +62,14 @@ pub struct Spread {
     pub runs: usize,
 }
 
-/// Wall-clock times of preparation, done once for all views between two frames of each camera, seconds.
+/// Wall-clock times of the preparation, in seconds. One preparation suffices for all views at instants between the same
+/// two frames of each camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PreparationTime {
-    /// Estimation of the whole capture's offsets; `None` where clocks are known.
+    /// Time to estimate the temporal offsets of the capture's cameras. `None` if the clocks are known.
     pub offsets_s: Option<f64>,
-    /// Decoding and registering one pair of frames of every camera.
+    /// Time to decode and register one pair of frames of every camera.
     pub registration_s: f64,
 }
 
@@ -78,17 +82,19 @@ impl PreparationTime {
 /// PSNR, in decibels, that replaces the infinite value of identical images in means.
 const IDENTICAL_DB: f64 = 99.0;
 
-/// Step to which qualities are rounded before points are compared, decibels.
+/// Step, in decibels, to which qualities are rounded before combinations are compared.
 const STEP_DB: f64 = 0.01;
 
-/// Time and quality of a combination; NaN where it can't be rendered or wasn't measured.
+/// Returns the time and the quality of a combination, from its measurements `point`. A value is NaN if the combination
+/// can't be rendered or the value wasn't measured.
 pub(super) fn trade(bench: &Bench, point: &CachedPoint) -> Trade {
     let seconds = spread(point, |elapsed| bench.clock.of(elapsed)).map_or(f64::NAN, |s| s.median);
     let quality = quality_db(bench, point).unwrap_or(f64::NAN);
     Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
 }
 
-/// Summarizes a measured combination. `on_front`: whether it is on the Pareto front of all combinations.
+/// Summarizes a measured combination. `on_front` tells whether it is on the Pareto front of all combinations. `labels`
+/// are the names of the presets and `auto`, each with the options that it stands for.
 pub(super) fn summarized(
     bench: &Bench,
     cached: &CachedPoint,
@@ -148,7 +154,8 @@ fn mean(
     }
 }
 
-/// Statistics of the times of a view; `None` if it can't be rendered or wasn't timed.
+/// Returns statistics of the times that the combination took to render a view, over all runs. `seconds` selects
+/// wall-clock time or processor time. `None` if the combination can't be rendered or wasn't timed.
 fn spread(point: &CachedPoint, seconds: impl Fn(&Elapsed) -> f64) -> Option<Spread> {
     if point.reason.is_some() {
         return None;

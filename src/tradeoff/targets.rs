@@ -1,5 +1,5 @@
-//! Reference images for measuring quality: true images, frames of held-out cameras, or the view by the most
-//! accurate methods.
+//! Reference images against which quality is measured: ground truth, frames of held-out cameras, or a view that is
+//! rendered by the most accurate methods.
 
 use super::TradeoffError;
 use super::combination::most_accurate;
@@ -22,44 +22,48 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// The kind of reference images.
+/// The kind of reference images against which quality is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Against {
-    /// True images of new views; without those, of the filming cameras.
+    /// Ground-truth images of views that no camera filmed. If there are none, ground-truth images of the filming
+    /// cameras.
     Truth,
-    /// A camera's own frame, at its own time, rendered from the other cameras.
+    /// Frames of held-out cameras. The view of a frame is rendered from the other cameras at the frame's own time.
     HeldOut,
-    /// The view by the most accurate method of every stage. This measures loss against that method, not accuracy.
+    /// A view that is rendered by the most accurate method of every stage. It measures the loss against these
+    /// methods, not accuracy.
     MostAccurate,
 }
 
-/// A view with a reference image.
+/// A view with a reference image, with which a rendered view is compared.
 pub(super) struct Target {
     pub id: String,
     pub view: View,
     pub against: Against,
-    /// The held-out camera, if the reference image is one of its frames. It isn't used for rendering.
+    /// Index of the held-out camera whose frame is the reference image. This camera isn't used for rendering. `None` if
+    /// the reference image isn't a camera's frame.
     pub held_out: Option<usize>,
     reference: ReferenceImage,
-    /// For each pixel, row by row, whether it moves.
+    /// For each pixel, row by row, whether it shows a moving surface.
     moving: Vec<bool>,
-    /// For each pixel, row by row, whether the view by the most accurate methods covers it.
+    /// For each pixel, row by row, whether the view by the most accurate methods has a colour there.
     covered: Vec<bool>,
     depth: BitDepth,
 }
 
-/// A camera, and a time in seconds from the capture's start.
+/// A camera, and an instant in seconds from the capture's start.
 #[derive(Clone, Debug)]
 pub(super) struct View {
     pub camera: Camera,
     pub time_s: f64,
 }
 
-/// Number of cameras that are held out, one after the other, if there is no truth.
+/// Number of cameras that are held out, one after the other, if there is no ground truth.
 const HELD_OUT: usize = 2;
 
-/// A capture with its truth, from which targets are made.
+/// The capture from which targets are made, the temporal offsets of its cameras, and the options that all combinations
+/// have in common.
 pub(super) struct TargetScene<'a> {
     pub capture: &'a Arc<Capture>,
     pub offsets: &'a Offsets,
@@ -67,8 +71,8 @@ pub(super) struct TargetScene<'a> {
 }
 
 impl Target {
-    /// The scores of a rendered view. Pixels that the most accurate methods don't cover are not measured.
-    /// Pixels that only this view doesn't cover count as black.
+    /// Returns the scores of a rendered view. Pixels that the most accurate methods leave empty are not measured.
+    /// Other pixels that `rendered` leaves empty count as black.
     pub fn score(&self, rendered: &Rendered) -> RegionScores {
         let truth = self.reference.image();
         let image = as_written(&rendered.image, truth.channels(), self.depth);
@@ -78,7 +82,7 @@ impl Target {
 }
 
 impl TargetScene<'_> {
-    /// The light field of all cameras except the held-out one, if there is one.
+    /// Returns the light field of all cameras except the held-out camera, if there is one.
     pub fn field(&self, held_out: Option<usize>) -> LightField {
         let Some(index) = held_out else {
             return LightField::new(self.capture.clone(), self.offsets.clone());
@@ -87,7 +91,7 @@ impl TargetScene<'_> {
         field_of(self.capture, self.offsets, &others)
     }
 
-    /// The targets, and the view that is timed.
+    /// Returns the targets, and the view that is timed.
     pub fn targets(&self, truth: Option<&Truth>) -> Result<(Vec<Target>, View), TradeoffError> {
         let mut found = truth.map_or(Ok(Vec::new()), |truth| self.true_views(truth))?;
         if let Some(first) = found.first() {
@@ -95,7 +99,7 @@ impl TargetScene<'_> {
             return Ok((found, timed));
         }
         found = self.held_out_frames()?;
-        // The view is halfway between the reference camera and its nearest neighbour, in the middle of the
+        // The timed view is halfway between the reference camera and its nearest neighbour, in the middle of the
         // recording.
         let field = self.field(None);
         let camera = halfway_to_neighbor(self.capture, self.capture.reference);
@@ -109,7 +113,8 @@ impl TargetScene<'_> {
         Ok((found, timed))
     }
 
-    /// A target with a true image. `rendered` is the same view by the most accurate methods.
+    /// Creates a target with a ground-truth image. `rendered` is the same view, rendered by the most accurate
+    /// methods.
     fn target(&self, id: String, view: View, truth: TrueImage, rendered: Rendered) -> Target {
         let pixels_per_degree = CompareOptions::default().pixels_per_degree;
         Target {
@@ -124,13 +129,13 @@ impl TargetScene<'_> {
         }
     }
 
-    /// A view by the most accurate methods; `None` if it can't be rendered.
+    /// Renders a view by the most accurate methods. Returns `None` if the view can't be rendered.
     fn rendered(&self, field: &LightField, view: &View) -> Result<Option<Rendered>, TradeoffError> {
         Ok(rendered(field, &view.camera, view.time_s, &most_accurate(self.base))?)
     }
 
-    /// Targets with true images: of views that no camera filmed; if there are none, of the filming cameras'
-    /// views.
+    /// Returns the targets with ground-truth images. If there are ground-truth images of views that no camera
+    /// filmed, only these are used. Otherwise, ground-truth images of the filming cameras' views are used.
     fn true_views(&self, truth: &Truth) -> Result<Vec<Target>, TradeoffError> {
         let field = self.field(None);
         let instants = truths::instants(truth, self.capture)?;
@@ -146,7 +151,9 @@ impl TargetScene<'_> {
         Ok(found)
     }
 
-    /// Targets of held-out cameras: the middle frames of inner cameras.
+    /// Returns one target for each held-out camera. The held-out cameras are the [`HELD_OUT`] nearest to the rig's
+    /// centre that can be rendered. The reference image is a frame at whose time the most other cameras have an image.
+    /// If there are several such frames, it is the middle one.
     fn held_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
         let frames = FrameStore::new(self.capture.clone(), &self.base.registration);

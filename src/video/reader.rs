@@ -180,7 +180,8 @@ fn succeeded(ended: &Ended, folder: &Path, size: [usize; 2]) -> Result<(), Video
     Ok(())
 }
 
-/// Returns the images' size if ffmpeg reported that they are larger than allowed, otherwise `None`.
+/// Returns the size of the images, such as "70000x70000", if ffmpeg reported that they are larger than allowed.
+/// Otherwise returns `None`.
 fn too_large(messages: &str) -> Option<&str> {
     let before = &messages[..messages.find(" exceeds specified max pixel count")?];
     Some(before.rsplit_once("Picture size ")?.1)

@@ -20,7 +20,7 @@ pub enum Codec {
     Vp9,
     /// GIF with a palette of 256 colours per frame. The animation repeats forever.
     Gif,
-    /// Lossless H.264 in MP4, with 8-bit RGB, which video readers of other programs can decode.
+    /// Lossless H.264 in MP4, with 8-bit RGB, for data sets that other programs read.
     H264Lossless,
 }
 
@@ -130,8 +130,8 @@ impl Codec {
 /// file is left.
 pub struct VideoWriter {
     path: PathBuf,
-    /// Pipe to ffmpeg's standard input. This field is declared before the process, so that it is dropped first. Closing
-    /// the pipe makes ffmpeg end.
+    /// Pipe to ffmpeg's standard input; `None` after the end of the video. This field is declared before the process,
+    /// so that it is dropped first. Closing the pipe makes ffmpeg end.
     stdin: Option<ChildStdin>,
     process: Option<Process>,
     size: (usize, usize, usize),

@@ -2,7 +2,7 @@
 
 Run as `.venv/bin/python -I tests/bench/filming.py [SECONDS]`. Each row films the scene `magazine` by Cycles, 640x480 at
 16 samples, for at least so many seconds (120 if not given), and counts the images after the first one: the time until
-that is Blender's start. The command is bound to one core or to two, among which its processes share their threads.
+that is Blender's start, a column of its own. The command is bound to one core or to two, among which its processes share their threads.
 """
 
 from __future__ import annotations
@@ -25,18 +25,24 @@ RUNS = {
 LOOK_S = 0.05
 
 
-def images_an_hour(bound: list[str], workers: str, seconds: float) -> tuple[int, float]:
-    """The images filmed after the first one, and their number in an hour."""
+def images_an_hour(
+    bound: list[str], workers: str, seconds: float
+) -> tuple[float, int, float]:
+    """Seconds until the first image, the number of images after it, and their number in an hour."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "capture"
         command: list[str | Path] = [*bound, sys.executable, "-I"]
         command += [ROOT / "blender/capture.py", ROOT / "rigs/linear8.json", *FILM]
         command += ["--workers", workers, "-o", folder]
         process = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, start_new_session=True
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )
         try:
-            count, first, began_s, passed_s = 0, 0, time.monotonic(), 0.0
+            started_s = time.monotonic()
+            count, first, began_s, passed_s = 0, 0, started_s, 0.0
             while passed_s < seconds and process.poll() is None:
                 time.sleep(LOOK_S)
                 found = len(list(folder.glob("cam*/*.png")))
@@ -47,7 +53,8 @@ def images_an_hour(bound: list[str], workers: str, seconds: float) -> tuple[int,
                 count = found
             if passed_s == 0.0:
                 raise SystemExit("no two images were filmed")
-            return count - first, 3600 * (count - first) / passed_s
+            images = count - first
+            return began_s - started_s, images, 3600 * images / passed_s
         finally:
             os.killpg(process.pid, signal.SIGTERM)
             process.wait()
@@ -56,11 +63,11 @@ def images_an_hour(bound: list[str], workers: str, seconds: float) -> tuple[int,
 def main() -> None:
     """Film, count, print."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 120.0
-    print("| processes | images | images an hour |")
-    print("|---|---|---|")
+    print("| processes | start, s | images | images an hour |")
+    print("|---|---|---|---|")
     for name, (bound, workers) in RUNS.items():
-        images, rate = images_an_hour(bound, workers, seconds)
-        print(f"| {name} | {images} | {rate:.0f} |", flush=True)
+        start_s, images, rate = images_an_hour(bound, workers, seconds)
+        print(f"| {name} | {start_s:.1f} | {images} | {rate:.0f} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,14 @@
 """A capture without one of its cameras, whose images become the truth: what a light field shows where nobody filmed.
 
-    .venv/bin/python -I tests/bench/left_out.py cut CAPTURE CAMERA OUT
-    .venv/bin/python -I tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--way NAME ...]
+    .venv/bin/python tests/bench/left_out.py cut CAPTURE CAMERA OUT
+    .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--way NAME ...]
 
 `cut` writes the capture OUT, in which CAMERA doesn't film. Its true images at the instants of the truth are the views
 `left-out`, the only ones. The clocks are the true ones. Files are linked, not copied.
 
 `score` renders each such view by every way in turn with PROGRAM, in a fresh process and with an empty cache. It prints
 the PSNR of all pixels and of the moving part, processor seconds and the largest memory, and writes the pictures beside
-the truth into PICTURES. The part that moves by more than half a pixel a frame, dilated by 2 pixels, is as in
-`cargo bench --bench picture`, without the mask of what some camera sees.
+the truth into PICTURES.
 """
 
 from __future__ import annotations
@@ -20,11 +19,9 @@ import os
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
-import numpy.typing as npt
+from ground_truth import free_views, psnr_db, read_view, true_picture
 
 WAYS = {
     "nearest frames, mesh": ["--sync", "nearest", "--proxy", "mesh"],
@@ -70,31 +67,19 @@ def run(command: list[str]) -> tuple[int, float, int]:
     return os.waitstatus_to_exitcode(status), seconds, usage.ru_maxrss // 1024
 
 
-def moving_part(motion_px: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-    """The part that moves by more than half a pixel a frame, dilated by 2 pixels."""
-    moving = (motion_px > 0.5).astype(np.uint8)
-    return cv2.dilate(moving, np.ones((5, 5), np.uint8)) > 0
-
-
-def psnr_db(a: Any, b: Any, mask: npt.NDArray[np.bool_]) -> float:
-    """PSNR over a mask of images of 0 to 255."""
-    squared = ((a.astype(np.float64) - b) ** 2)[mask].mean()
-    return float(10 * np.log10(255.0**2 / squared))
-
-
 def score(
     program: Path, capture: Path, pictures: Path, instants: int, ways: list[str]
 ) -> None:
     """Print a line for each instant and way."""
-    truth = json.loads((capture / "truth" / "truth.json").read_text())
-    views = [view for view in truth["views"] if view["like"] is None][:instants]
+    views = free_views(capture)[:instants]
     pictures.mkdir(parents=True, exist_ok=True)
     for view in views:
         camera = pictures / f"{view['id']}.json"
         camera.write_text(json.dumps(view["camera"]))
-        true = cv2.imread(str(capture / "truth" / view["image"]))
-        moving = moving_part(np.load(capture / "truth" / view["motion"]))
-        cv2.imwrite(str(pictures / f"{view['id']}-truth.png"), true)
+        true, moving = true_picture(capture, view)
+        shutil.copy(
+            capture / "truth" / view["image"], pictures / f"{view['id']}-truth.png"
+        )
         print(
             f"{view['id']} at {view['time_s']:.4f} s, {100 * moving.mean():.1f} % moves"
         )
@@ -117,9 +102,7 @@ def score(
             if code:
                 print(f"  {way:24} exit {code}")
                 continue
-            # A pixel that no camera sees is transparent; it counts as black.
-            image = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
-            image = image[..., :3] * (image[..., 3:] > 0 if image.shape[2] == 4 else 1)
+            image = read_view(out)
             everywhere = np.ones_like(moving)
             whole, part = psnr_db(image, true, everywhere), psnr_db(image, true, moving)
             print(

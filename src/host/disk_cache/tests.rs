@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 const NUMBERS: CacheKind = CacheKind { name: "numbers", version: 1 };
 
-/// A cache, and a counter of its notes.
+/// Returns a cache, and a counter of the cache's notes.
 fn cache(folder: &Path) -> (DiskCache, Arc<AtomicUsize>) {
     let notes = Arc::new(AtomicUsize::new(0));
     let count = notes.clone();
@@ -86,7 +86,7 @@ fn entries_unused_for_longest_are_removed_first() {
         age(&cache, n, 10 - u64::from(n));
     }
     cache.load(NUMBERS, &0).unwrap();
-    // The files of an entry count in its size, and are removed together with it.
+    // The size of an entry includes its additional files. They are removed together with the entry.
     let files = cache.files(NUMBERS, &1).unwrap();
     std::fs::create_dir(&files).unwrap();
     std::fs::write(files.join("0.png"), [0; 20]).unwrap();

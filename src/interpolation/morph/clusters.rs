@@ -1,67 +1,71 @@
-//! A treecode (Barnes and Hut 1986) for the sums of eq. (7): far edges are approximated by clusters.
+//! A treecode (Barnes and Hut 1986) for the sums of eq. (7): edges that are far from a position are approximated by
+//! clusters of edges. The sums are computed for square tiles of grid nodes. All nodes of a tile use the same clusters.
 //!
-//! An edge's weight in the sums is its strength, the boost of eq. (8), times a function of distance. An edge's
-//! displacement is linear in the position, so that the strength-weighted sum of a cluster's displacements is one
-//! linear map, without error. Only the function of distance is approximated: for all edges of a cluster, it is that
-//! of an edge of length 0 at the cluster's centre.
+//! An edge's weight in the sums is its strength, the boost of eq. (8), times a function of the distance. An edge's
+//! displacement is affine in the position. The strength-weighted sum of a cluster's displacements is therefore one
+//! affine map, without error. Only the function of the distance is approximated: every edge of the cluster gets the
+//! value for an edge of length 0 at the cluster's centre.
 //!
-//! **The error.** Let `e` be the largest error of this function in a cluster, `d` an edge's displacement, `D′` the
-//! approximate mean, and `W` the exact sum of weights. Then the error of the mean is at most Σ strength·e·|d − D′|
-//! / W. With the approximate sum of weights `W′`, and a reference displacement `D₀` near the tile, this bound can
-//! be computed from sums per cluster:
+//! **The error.** Let `e` be the largest error of this function in a cluster, over all nodes of a tile. Let `d` be the
+//! displacement by an edge, `D′` the approximate mean displacement, and `W` the exact sum of weights. Then the error of
+//! the mean displacement is at most Σ strength·e·|d − D′| / W. Let `W′` be the approximate sum of weights, and `D₀` any
+//! constant displacement, preferably close to D′. Then this bound can be computed from sums per cluster:
 //!
 //! ```text
 //! error ≤ (P + Q·|D′ − D₀|) / (W′ − Q),   P = Σ strength·e·|d − D₀|,   Q = Σ strength·e
 //! ```
 //!
-//! The clusters with the largest terms are opened, that is, replaced by their children, until the bound is at most
-//! [`TOLERANCE_PX`] at every node of a tile.
+//! The clusters with the largest terms are opened, which means that their children replace them. This is repeated until
+//! the bound is at most [`TOLERANCE_PX`] at every node of the tile.
 //!
-//! Known limit: the bound leaves out the rounding of f32, about 1e-4 px.
+//! Known limit: the bound does not include the rounding errors of f32, which are about 1e-4 px.
 
 use super::{A_PX, LANES, Line, WarpSums, line_sums};
 use std::collections::BinaryHeap;
 use std::ops::Range;
 
-/// Maximum error of a displacement, pixels.
+/// Maximum error of a mean displacement, pixels.
 pub(super) const TOLERANCE_PX: f64 = 0.02;
-/// Distance from a tile, in the cluster's radii, beyond which a cluster may approximate its edges.
+/// A cluster may approximate its edges if the distance from the tile to the cluster's centre is more than this multiple
+/// of the cluster's radius.
 const FAR_RADII: f64 = 2.0;
-/// Maximum number of edges of a leaf.
+/// Maximum number of edges in a leaf of the tree.
 const LEAF_SIZE: usize = 8;
 
-/// A cluster of edges: a node of a binary tree over their midpoints.
+/// A cluster of edges: a node of a binary tree over the edges' midpoints.
 struct Cluster {
-    /// The edge that stands for the cluster; its `p` is the cluster's centre.
+    /// A single edge that approximates the cluster. Its `p` is the cluster's centre.
     line: Line,
-    /// Maximum distance of the edges' ends from the centre, pixels.
+    /// Upper bound of the distances from the centre to the edges' ends, pixels.
     radius: f64,
-    /// Σ strength·|displacement at the centre − the cluster's mean displacement|.
+    /// Sum over the cluster's edges of strength·|displacement at the centre − mean displacement at the centre|, pixels.
+    /// The mean is weighted by strength.
     deviation: f64,
-    /// Σ strength·‖linear part of the displacement‖.
+    /// Sum over the cluster's edges of strength·‖linear part of the displacement‖ (Frobenius norm).
     slope: f64,
-    /// The edges' range in [`Clusters::lines`].
+    /// Range of the cluster's edges in [`Clusters::lines`].
     range: Range<usize>,
-    /// Indices of the children; `None` for a leaf.
+    /// Indices of the two child clusters; `None` for a leaf.
     children: Option<[usize; 2]>,
 }
 
-/// The tree of clusters; the last cluster is the root.
+/// The tree of clusters. The last cluster is the root.
 pub(super) struct Clusters {
     lines: Vec<Line>,
     clusters: Vec<Cluster>,
 }
 
-/// The coordinates of a tile of grid nodes, all of which use the same clusters.
+/// A tile of grid nodes: the x coordinates of its columns and the y coordinates of its rows, pixels. All nodes of a
+/// tile use the same clusters.
 pub(super) struct Tile {
     pub xs: [f32; LANES],
     pub ys: Vec<f32>,
-    /// Number of entries of `xs` that are nodes of the grid; the others are padding.
+    /// Number of entries of `xs` that are nodes of the grid. The other entries are padding.
     pub lanes: usize,
 }
 
 impl Tile {
-    /// Lower and upper bound of the distances of the tile's nodes from a point, pixels.
+    /// Returns a lower and an upper bound of the distances from the tile's nodes to a point, pixels.
     fn distances(&self, [px, py]: [f32; 2]) -> (f64, f64) {
         let along = |first: f32, last: f32, p: f32| {
             let (before, after) = (f64::from(first - p), f64::from(p - last));
@@ -73,17 +77,17 @@ impl Tile {
     }
 }
 
-/// A cluster that is far from a tile, with its terms of the error bound.
+/// A cluster that is far from a tile, with its terms of the error bound, which the module's documentation defines.
 #[derive(Clone, Copy)]
 struct FarCluster {
     cluster: usize,
-    /// The cluster's term of P, in the module's documentation.
+    /// The cluster's term of the sum P in the error bound, which the module's documentation defines.
     p: f64,
-    /// The cluster's term of Q, in the module's documentation.
+    /// The cluster's term of the sum Q in the error bound, which the module's documentation defines.
     q: f64,
-    /// Lower bound of the cluster's weight at the tile's nodes.
+    /// Lower bound of the cluster's exact weight at the tile's nodes.
     weight: f64,
-    /// The cluster's term P + Q·|D′ − D₀| of the bound's numerator, for the expected distance |D′ − D₀|.
+    /// The cluster's term of the error bound's numerator P + Q·|D′ − D₀|, for an assumed maximum of |D′ − D₀|.
     bound: f64,
 }
 
@@ -96,7 +100,8 @@ impl Clusters {
         Self { lines: midpoints.into_iter().map(|m| m.line).collect(), clusters }
     }
 
-    /// The sums of eq. (7) at the nodes of a tile, row by row.
+    /// Returns the sums of eq. (7) at the nodes of a tile, one [`WarpSums`] for each row of nodes. The mean
+    /// displacements that follow from these sums have an error of at most [`TOLERANCE_PX`].
     pub fn sums(&self, tile: &Tile) -> Vec<WarpSums> {
         let at = |lines: &[Line]| -> Vec<WarpSums> {
             tile.ys.iter().map(|&y| line_sums(lines, &tile.xs, y)).collect()
@@ -112,7 +117,8 @@ impl Clusters {
         let far_cluster =
             |cluster: usize| self.far_cluster(cluster, tile, reference, near_farthest);
         let mut terms: Vec<FarCluster> = far.into_iter().map(far_cluster).collect();
-        // Bounds are not negative, so that the order of their bits is their order as numbers.
+        // Bounds are not negative. Their bit patterns, read as integers, therefore have the same order as the
+        // numbers.
         let by_bound = |(n, term): (usize, &FarCluster)| (term.bound.to_bits(), term.cluster, n);
         let mut far: BinaryHeap<(u64, usize, usize)> =
             terms.iter().enumerate().map(by_bound).collect();
@@ -125,7 +131,7 @@ impl Clusters {
                 bound += terms[n].bound;
                 weight += terms[n].weight - terms[n].q;
             }
-            // Negated, so that a NaN bound opens clusters too.
+            // The condition is negated, so that clusters are also opened if the bound is NaN.
             while !(bound <= budget * weight) {
                 let Some((.., n)) = far.pop() else { break };
                 let open = terms[n];
@@ -158,13 +164,13 @@ impl Clusters {
             if far.is_empty() || is_within {
                 return all;
             }
-            // |D′ − D₀| is larger than expected: repeat with a smaller tolerance.
+            // |D′ − D₀| is larger than assumed: repeat with half the tolerance.
             budget *= 0.5;
         }
     }
 
-    /// Collects the edges of cluster `k` that are near the tile, and the clusters below it that are far from
-    /// it.
+    /// Collects, within cluster `k`, the edges that are near the tile in `near`, and the clusters that are far from
+    /// the tile in `far`.
     fn near(&self, k: usize, tile: &Tile, near: &mut Vec<Line>, far: &mut Vec<usize>) {
         let cluster = &self.clusters[k];
         let (min, _) = tile.distances(cluster.line.p);
@@ -177,15 +183,15 @@ impl Clusters {
         }
     }
 
-    /// Cluster `k` with its terms of the error bound at a tile, where D₀ is `reference` and |D′ − D₀| is at
-    /// most `farthest`, pixels.
+    /// Returns cluster `k` with its terms of the error bound at a tile. D₀ of the error bound is `reference`, and
+    /// |D′ − D₀| is assumed to be at most `farthest`. Both are in pixels.
     fn far_cluster(&self, k: usize, tile: &Tile, reference: [f32; 2], farthest: f64) -> FarCluster {
         let cluster = &self.clusters[k];
         let line = &cluster.line;
         let strength = f64::from(line.strength);
         let weight = |distance: f64| (f64::from(A_PX) + distance).powi(-4);
         let (min, max) = tile.distances(line.p);
-        // The weight is convex and decreasing in distance, so that its error is largest at the nearest node.
+        // The function of the distance is convex and decreasing, so that its error is largest at the nearest node.
         let error = weight((min - cluster.radius).max(0.0)) - weight(min.max(cluster.radius));
         let from_reference = distance(line.shift, reference);
         let p = error * (strength * from_reference + cluster.deviation + cluster.slope * max);
@@ -195,8 +201,8 @@ impl Clusters {
     }
 }
 
-/// The minimum sum of weights over a tile's nodes, and the maximum distance of a node's mean displacement
-/// from `reference`, pixels.
+/// Returns the minimum sum of weights over a tile's nodes, and the maximum distance, in pixels, of a node's mean
+/// displacement from `reference`.
 fn node_bounds(rows: &[WarpSums], tile: &Tile, reference: [f32; 2]) -> (f64, f64) {
     let (mut weight, mut farthest) = (f64::INFINITY, 0.0_f64);
     for row in rows {
@@ -214,9 +220,9 @@ struct Midpoint {
     line: Line,
 }
 
-/// Builds a tree over edges by median splits, appends its clusters to `clusters`, and returns the root's index. The
-/// edges are reordered so that each cluster's are contiguous. `first` is the index of the first edge in
-/// [`Clusters::lines`].
+/// Builds a tree over edges by median splits, appends its clusters to `clusters`, and returns the index of the root.
+/// The edges are reordered, so that the edges of each cluster are contiguous. `first` is the index that the first of
+/// these edges will have in [`Clusters::lines`].
 fn split(midpoints: &mut [Midpoint], first: usize, clusters: &mut Vec<Cluster>) -> usize {
     let range = first..first + midpoints.len();
     let children = (midpoints.len() > LEAF_SIZE).then(|| {
@@ -239,12 +245,13 @@ fn midpoint(line: &Line) -> [f64; 2] {
         .map(|k| f64::from(line.p[k]) + 0.5 * f64::from(line.length) * f64::from(line.direction[k]))
 }
 
-/// Length of a vector between pixels of an image; its squares do not overflow.
+/// Returns the length of a vector. The components are pixel coordinates or displacements, whose squares do not
+/// overflow.
 fn norm([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
 }
 
-/// Distance of two displacements, pixels.
+/// Returns the distance between two displacements, pixels.
 fn distance(a: [f32; 2], b: [f32; 2]) -> f64 {
     norm([0, 1].map(|k| f64::from(a[k] - b[k])))
 }
@@ -258,7 +265,7 @@ impl Cluster {
         for (strength, edge) in with_strengths() {
             centre = [0, 1].map(|k| centre[k] + strength * edge.at[k]);
         }
-        // Rounded to f32 as in the sums, so that the radius is measured from the same centre.
+        // The centre is rounded to f32 as in the sums, so that the radius is measured from the same centre.
         let centre = centre.map(|sum| f64::from((sum / strength) as f32));
         let (mut maps, mut shifts) = ([0.0; 4], [0.0; 2]);
         let (mut slope, mut radius) = (0.0, 0.0_f64);
@@ -288,7 +295,7 @@ impl Cluster {
     }
 }
 
-/// An edge's displacement at a position, pixels.
+/// Returns an edge's displacement at a position, pixels.
 fn displacement(line: &Line, at: [f64; 2]) -> [f64; 2] {
     let from = [0, 1].map(|k| at[k] - f64::from(line.p[k]));
     let m = line.map.map(f64::from);

@@ -1,9 +1,9 @@
 //! §5.3: Beier and Neely's morph (SIGGRAPH '92) with boosted real edges, eqs. (7) and (8).
 //!
-//! Each edge maps the plane by the similarity that takes its line at the instant to its line in the source
-//! frame. A pixel's source position is the weighted mean of the positions by all edges. The warp is evaluated
-//! at the nodes of a grid, and bilinearly interpolated between them. At a node, near edges are summed one by
-//! one and far ones by [`clusters`].
+//! Each edge defines a similarity transform of the plane, which maps the edge at the instant to the edge in the
+//! source frame. A pixel's source position is the weighted mean of the positions that all edges give. The warp is
+//! evaluated at the nodes of a grid, and interpolated bilinearly between them. At a node, near edges are summed one
+//! by one. Far edges are approximated by [`clusters`].
 
 mod clusters;
 
@@ -13,25 +13,29 @@ use crate::simd::multiversion;
 use clusters::Clusters;
 use rayon::prelude::*;
 
-/// `a` of eq. (7), pixels. The exponents are b = 4 and ρ = 0.
+/// The constant a of eq. (7), pixels. An edge's weight falls with the distance as 1/(a + distance)^b, with b = 4. The
+/// exponent ρ is 0, so that an edge's length has no effect on its weight.
 const A_PX: f32 = 0.5;
-/// Minimum length of an edge, at the instant and in the source, pixels: shorter ones have no direction.
+/// Minimum length of an edge, both at the instant and in the source frame, in pixels. A shorter edge has no
+/// direction.
 const MIN_LENGTH_PX: f64 = 1e-3;
-/// τ of eq. (8): a real edge weighs up to 2^τ times as much as a virtual one.
+/// τ of eq. (8). A real edge weighs up to 2^τ times as much as a virtual edge.
 pub const EDGE_BOOST: f64 = 4.0;
-/// Largest exponent of the boost, eq. (8), for which f32 holds all weights: 2^4 · 2^32 = 7e10.
+/// Largest exponent of the boost, eq. (8). At distance 0, an edge then weighs up to 2^32/a^4 = 7e10, which is within
+/// the range of f32.
 const MAX_BOOST: f64 = 32.0;
-/// Number of nodes that are computed at once: the f32 lanes of an AVX2 register.
+/// Number of grid nodes that are computed at once: the f32 lanes of an AVX2 register.
 const LANES: usize = 8;
 /// Number of grid nodes along each side of a tile. The displacements of all nodes of a tile are sums over the same
 /// clusters of edges.
 const TILE: usize = LANES;
 
-/// The warp (§5.3) from the instant to a source frame of this width and height, by the edges' lines in both.
-/// A real edge weighs up to 2^boost times as much as a virtual one, eq. (8); boosts over 32 count as 32.
+/// Returns the backward warp (§5.3) from the instant to a source frame. It follows from where the edges are at the
+/// instant and in the source frame. `size` is the width and height of the frame in pixels. A real edge weighs up to
+/// 2^boost times as much as a virtual edge, eq. (8). Boosts over 32 count as 32.
 ///
-/// `grid_px` is the distance of the nodes at which the warp is evaluated; 1 is exact. Without edges that have
-/// a direction the warp is the identity.
+/// `grid_px` is the distance between the nodes at which the warp is evaluated. With 1, every pixel is a node. If no
+/// edge has a direction, the warp is the identity.
 pub fn morph_warp(edges: &[Edge], size: [usize; 2], boost: f64, grid_px: usize) -> Warp {
     let [width, height] = size;
     let lines = lines(edges, boost.min(MAX_BOOST));
@@ -60,11 +64,11 @@ pub fn morph_warp(edges: &[Edge], size: [usize; 2], boost: f64, grid_px: usize) 
     warp
 }
 
-/// The grid of nodes at which a warp is evaluated. Nodes lie on pixel centres, the first on the centre of the
-/// top-left pixel; the last may lie beyond the image.
+/// The grid of nodes at which a warp is evaluated. Nodes are at pixel centres, and the first node is at the centre
+/// of the top-left pixel. The last nodes may be outside the image.
 struct NodeGrid {
     step: usize,
-    /// Number of nodes across and down.
+    /// Number of nodes along the x axis and along the y axis.
     nodes: [usize; 2],
 }
 
@@ -73,13 +77,13 @@ impl NodeGrid {
         Self { step, nodes: size.map(|size| (size - 1).div_ceil(step) + 1) }
     }
 
-    /// The coordinate of node `node` along either axis, pixels.
+    /// Returns the coordinate of node number `node` along either axis, in pixels.
     fn at(&self, node: usize) -> f32 {
         (node * self.step) as f32 + 0.5
     }
 
-    /// The indices of the nodes before and after a pixel along an axis (0: x, 1: y), and its fraction of the
-    /// way between them.
+    /// Returns the indices of the nodes before and after a pixel along an axis (0: x, 1: y). The third value is the
+    /// fraction of the distance between these nodes at which the pixel is.
     fn nodes_around(&self, pixel: usize, axis: usize) -> (usize, usize, f32) {
         let before = pixel / self.step;
         let after = (before + 1).min(self.nodes[axis] - 1);
@@ -87,7 +91,8 @@ impl NodeGrid {
     }
 }
 
-/// The displacements, pixels, at the nodes of row `tile_row` of tiles, row by row.
+/// Returns the displacements, in pixels, at the nodes of one row of tiles. `tile_row` is the index of this row of
+/// tiles. The displacements are ordered row by row of nodes.
 fn tile_row(clusters: &Clusters, grid: &NodeGrid, tile_row: usize) -> Vec<[f32; 2]> {
     let [across, down] = grid.nodes;
     let first_row = tile_row * TILE;
@@ -107,22 +112,23 @@ fn tile_row(clusters: &Clusters, grid: &NodeGrid, tile_row: usize) -> Vec<[f32; 
     displacements
 }
 
-/// An edge as the inner loop needs it: its displacement of a position X is map·(X − p) + shift.
+/// An edge in the form that the inner loop needs. The edge displaces a position X by map·(X − p) + shift. `p` is the
+/// edge's first end at the instant, pixels.
 #[derive(Clone, Copy, Debug)]
 struct Line {
     p: [f32; 2],
-    /// Unit direction at the instant.
+    /// Unit direction of the edge at the instant.
     direction: [f32; 2],
     length: f32,
     /// Linear part of the displacement, a 2×2 matrix row by row.
     map: [f32; 4],
-    /// Displacement at `p`, pixels.
+    /// Displacement at the position `p`, pixels.
     shift: [f32; 2],
-    /// The boost of eq. (8); 1 for a virtual edge.
+    /// Boost of eq. (8). It is 1 for a virtual edge.
     strength: f32,
 }
 
-/// The edges as lines with the boost of eq. (8), without those that are too short to have a direction.
+/// Converts edges to lines with the boost of eq. (8). Edges that are too short to have a direction are left out.
 fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
     let fitness = || edges.iter().filter_map(|e| e.mean_fitness);
     let min = fitness().fold(f64::INFINITY, f64::min);
@@ -134,9 +140,11 @@ fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
         if !(length >= MIN_LENGTH_PX && source_length >= MIN_LENGTH_PX) {
             return None;
         }
-        // Beier and Neely's coordinate u along the edge is relative to its length, and their v across it is
-        // in pixels. With the edge vectors e at the instant and e' in the source, their lengths L and L', and
-        // ⊥ for the perpendicular vector: X' = P' + e'·(e·(X−P))/L² + e'⊥·(e⊥·(X−P))/(L·L').
+        // Beier and Neely's coordinate u along the edge is a fraction of the edge's length. Their coordinate v
+        // across the edge is in pixels. Let e be the edge vector at the instant and e' the edge vector in the
+        // source frame, with lengths L and L', and let ⊥ mark perpendicular vectors. Then the source position X' of
+        // a position X is
+        // X' = P' + e'·(e·(X−P))/L² + e'⊥·(e⊥·(X−P))/(L·L').
         let (along, across) = (length * length, length * source_length);
         let map = [
             e_source.x * e.x / along + e_source.y * e.y / across - 1.0,
@@ -162,8 +170,8 @@ fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
     edges.iter().filter_map(line).collect()
 }
 
-/// The sums of eq. (7) at eight positions of a row: the sum of the weights, and of the weighted
-/// displacements.
+/// The sums of eq. (7) at eight positions of a row: the sum of the weights, and the sums of the weighted
+/// displacements along x and y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct WarpSums {
     weights: [f32; LANES],
@@ -178,15 +186,15 @@ impl WarpSums {
         Self { weights: add(self.weights, other.weights), x, y }
     }
 
-    /// The weighted mean displacements, pixels. A line's weight is at least 1/(2^16)^4 ≥ 5e-20, so that the
-    /// divisor isn't 0; without lines the means are NaN.
+    /// Returns the weighted mean displacements, in pixels. Up to a distance of 2^16 pixels, the weight of a line is at
+    /// least 1/(2^16)^4 ≥ 5e-20, so that the sum of weights isn't 0. Without lines, the means are NaN.
     fn means(&self) -> [[f32; 2]; LANES] {
         std::array::from_fn(|l| [self.x[l] / self.weights[l], self.y[l] / self.weights[l]])
     }
 }
 
 multiversion! {
-    /// The sums of eq. (7) over lines at eight positions of a row.
+    /// Computes the sums of eq. (7) over lines at eight positions of a row.
     fn line_sums(lines: &[Line], xs: &[f32; LANES], y: f32) -> WarpSums = line_sums_by
 }
 
@@ -264,7 +272,7 @@ mod tests {
         }
     }
 
-    /// Eq. (7) at one position, in f64.
+    /// Returns the displacement of eq. (7) at one position, computed in f64.
     fn exact_displacement(lines: &[Line], x: f32, y: f32) -> [f64; 2] {
         let mut sums = [0.0; 3];
         for line in lines {
@@ -302,7 +310,8 @@ mod tests {
         }
     }
 
-    /// The edges of triangles over a square image. Some have a boost, and the features' motion has noise.
+    /// Returns edges between features near the nodes of a grid that covers a square image. Some edges have a boost.
+    /// The motion of the features has noise.
     fn many(size: f64, spacing: f64, noise: f64) -> Vec<Edge> {
         let count = (size / spacing) as usize;
         let mut random = Random::new(5);

@@ -1,18 +1,18 @@
-//! Overlapping blocks of pixels, and the weights by which they are blended.
+//! Overlapping blocks of pixels, and the weights with which the blocks are blended.
 
 use nalgebra::Point2;
 use std::ops::Range;
 
-/// Minimum side of a block, pixels. The side is also at least four times the radius of the windows.
+/// Minimum side of a block, pixels. The side is also at least four times the radius of the cost windows.
 const MIN_SIDE_PX: usize = 16;
-/// Ratio of a block's side to its overlap with a neighbour. (With a ratio of 2, images of six scenes are 0.03
-/// dB better in the mean, and take twice as long to refine.)
+/// Ratio of a block's side to its overlap with a neighbouring block. (With a ratio of 2, images of six scenes are
+/// 0.03 dB better on average, and refinement takes twice as long.)
 const SIDES_PER_OVERLAP: usize = 4;
 
 /// A grid of overlapping square blocks of one size that cover an image.
 #[derive(Clone, Copy, Debug)]
 pub struct BlockGrid {
-    /// Width and height of the image.
+    /// Width and height of the image, pixels.
     pub image: [usize; 2],
     /// Side of a block, pixels.
     pub side: usize,
@@ -21,29 +21,29 @@ pub struct BlockGrid {
 }
 
 impl BlockGrid {
-    /// The grid for an image of this width and height; the windows around pixels have radius
-    /// `window_radius_px`.
+    /// Creates the grid for an image of this width and height. `window_radius_px` is the radius of the windows
+    /// around pixels over which costs are averaged.
     pub fn new(image: [usize; 2], window_radius_px: usize) -> Self {
         let side = MIN_SIDE_PX.max(4 * window_radius_px);
         Self { image, side, overlap: side / SIDES_PER_OVERLAP }
     }
 
-    /// Distance between the origins of neighbouring blocks, pixels.
+    /// Returns the distance between the origins of neighbouring blocks, pixels.
     fn step(&self) -> usize {
         self.side - self.overlap
     }
 
-    /// Number of blocks along an axis.
+    /// Returns the number of blocks along an axis (0: x, 1: y).
     fn along_axis(&self, axis: usize) -> usize {
         (self.image[axis] + self.overlap).div_ceil(self.step())
     }
 
-    /// Number of blocks.
+    /// Returns the number of blocks.
     pub fn count(&self) -> usize {
         self.along_axis(0) * self.along_axis(1)
     }
 
-    /// The square of pixels of block number `block`, row by row of blocks.
+    /// Returns the square of pixels of block number `block`. Blocks are numbered row by row.
     pub fn area(&self, block: usize) -> BlockArea {
         let across = self.along_axis(0);
         let at = |n: usize| (n * self.step()) as isize - self.overlap as isize;
@@ -51,8 +51,9 @@ impl BlockGrid {
         BlockArea { origin, side: self.side, image: self.image }
     }
 
-    /// The weights of a block's columns, which are also those of its rows. A pixel's weight is that of its
-    /// column times that of its row. At each pixel, the weights of the overlapping blocks sum to 1.
+    /// Returns the weights of a block's columns. They are also the weights of its rows. The weight of a pixel is the
+    /// product of the weights of its column and of its row. At each pixel of the image, the weights of the overlapping
+    /// blocks sum to 1.
     pub fn weights(&self) -> Vec<f32> {
         let ramp = |k: usize| (k as f32 + 0.5) / self.overlap as f32;
         let weight = |k: usize| match k.checked_sub(self.step()) {
@@ -64,25 +65,26 @@ impl BlockGrid {
     }
 }
 
-/// A block's square of pixels, part of which may be outside the image.
+/// The square of pixels of a block. Part of the square may be outside the image.
 #[derive(Clone, Copy)]
 pub struct BlockArea {
-    /// The top-left pixel, column and row of the image; negative if it is outside.
+    /// Column and row of the square's top-left pixel in the image. Negative to the left of the image and above it.
     pub origin: [isize; 2],
-    /// Pixels along a side.
+    /// Side of the square, pixels.
     pub side: usize,
-    /// Width and height of the image.
+    /// Width and height of the image, pixels.
     pub image: [usize; 2],
 }
 
 impl BlockArea {
-    /// The centre, rounded to half a pixel.
+    /// Returns the centre of the square in pixels. For an odd side, the result is half a pixel smaller along each
+    /// axis.
     pub fn center(self) -> Point2<f64> {
         Point2::from(self.origin.map(|v| (v + self.side as isize / 2) as f64))
     }
 
-    /// The parts of the block's rows that are inside the image: the index in the block of the part's first
-    /// pixel, the range of its columns in the image, and its row in the image.
+    /// Returns the parts of the block's rows that are inside the image. For each part, the three values are the
+    /// index in the block of its first pixel, the range of its columns in the image, and its row in the image.
     pub fn rows(self) -> impl Iterator<Item = (usize, Range<usize>, usize)> {
         let Self { origin, side, image } = self;
         let inside = move |n: usize| {
@@ -95,15 +97,15 @@ impl BlockArea {
         inside(1).map(move |y| (index(y), columns.clone(), y))
     }
 
-    /// The values at the block's pixels, row by row, without pixels outside the image. `values` holds one
+    /// Returns the values at the block's pixels, row by row, without pixels outside the image. `values` holds one
     /// value for each pixel of the image.
     pub fn rows_of<T>(self, values: &[T]) -> impl Iterator<Item = &[T]> {
         let width = self.image[0];
         self.rows().map(move |(_, columns, y)| &values[y * width..][columns])
     }
 
-    /// The values at the block's pixels, row by row, channels interleaved; 0 outside the image. `values`
-    /// holds those of the whole image.
+    /// Returns the values at the block's pixels, row by row, with interleaved channels. Values outside the image
+    /// are 0. `values` holds the values of the whole image.
     pub fn crop(self, values: &[f32], channels: usize) -> Vec<f32> {
         let mut all = vec![0.0; self.side * self.side * channels];
         for (first, columns, y) in self.rows() {

@@ -1,6 +1,5 @@
-//! Costs of motions: differences of motion-compensated frames, averaged over a window. A window's mean
-//! changes little from pixel to pixel, so that costs are computed at a coarser grid of points and
-//! interpolated.
+//! Costs of motions. A cost is the difference of motion-compensated frames, averaged over a window. Such means
+//! change little from pixel to pixel, so that costs are computed on a coarse grid of points and interpolated.
 
 use super::FourFrames;
 use super::motions::{AffineMotion, MotionHypotheses};
@@ -11,28 +10,29 @@ use crate::raster::{Image, box_filter, sample_all};
 use nalgebra::{Point2, Vector2};
 use std::sync::OnceLock;
 
-/// Minimum number of points along a window's radius. (With costs at every pixel, images of six scenes at
-/// 640×480 are 0.02 dB better in the mean, −0.12 to +0.14, and take twice as long to refine.)
+/// Minimum number of cost points along a window's radius. (With costs at every pixel, images of six scenes at
+/// 640×480 are 0.02 dB better on average, from −0.12 to +0.14 dB, and refinement takes twice as long.)
 const MIN_POINTS_IN_RADIUS: usize = 2;
-/// Minimum side of the cells of [`FrameCosts`], pixels. The side is also at least four times the radius of the windows.
+/// Minimum side of the cells of [`FrameCosts`], pixels. The side is also at least four times the radius of the cost
+/// windows.
 const MIN_CELL_PX: usize = 16;
 
-/// A square grid of points at pixel centres; it may extend beyond the image.
+/// A square grid of points at pixel centres. The grid may extend beyond the image.
 #[derive(Clone, Copy)]
 pub struct PointGrid {
-    /// The top-left corner of the first point's pixel.
+    /// Top-left corner of the first point's pixel, in pixels of the image.
     pub corner: Point2<f64>,
-    /// The centre of the affine motions: the position to which their offsets are relative, pixels.
+    /// Position in the image, in pixels, from which offsets are measured in [`AffineMotion::at`].
     pub center: Point2<f64>,
     /// Number of points along a side.
     pub side: usize,
-    /// Distance of neighbouring points, pixels.
+    /// Distance between neighbouring points, pixels.
     pub step: usize,
 }
 
 impl PointGrid {
-    /// The positions in a frame (0 to 3: before, earlier, later, after) to which a motion takes the points,
-    /// pixels, row by row.
+    /// Returns the positions in a frame (0 before, 1 earlier, 2 later, 3 after) to which a motion takes the points,
+    /// in pixels, row by row.
     pub fn positions(&self, motion: &AffineMotion, frame: usize) -> Vec<[f32; 2]> {
         let mut positions = Vec::with_capacity(self.side * self.side);
         for row in 0..self.side {
@@ -49,7 +49,8 @@ impl PointGrid {
         positions
     }
 
-    /// Samples a frame's image (0 to 3) at [`Self::positions`]. The result has one pixel per point.
+    /// Samples the image of a frame (0 before, 1 earlier, 2 later, 3 after) at [`Self::positions`]. The result has
+    /// one pixel per point.
     pub fn sample(&self, image: &Image, motion: &AffineMotion, frame: usize) -> Image {
         let mut samples = vec![0.0; self.side * self.side * image.channels()];
         sample_all(image, self.positions(motion, frame).into_iter(), &mut samples);
@@ -57,37 +58,38 @@ impl PointGrid {
     }
 }
 
-/// The grid of points at which the costs of a block (or of a cell of [`FrameCosts`]) are computed. It covers the block
-/// and the windows around its pixels.
+/// The grid of points at which the costs of a block, or of a cell of [`FrameCosts`], are computed. It covers the
+/// block and the windows around the block's pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct CostPoints {
-    /// Distance of neighbouring points, pixels.
+    /// Distance between neighbouring points, pixels.
     pub step: usize,
-    /// Number of points along a window's radius.
+    /// Radius of the cost windows, as a number of steps between neighbouring points.
     pub radius: usize,
     /// Side of the block, pixels.
     block: usize,
 }
 
 impl CostPoints {
-    /// The points for windows of this radius and blocks of this side, pixels.
+    /// Creates the points for windows of this radius and blocks of this side, both in pixels.
     pub fn new(window_radius_px: usize, block: usize) -> Self {
         let step = (window_radius_px / MIN_POINTS_IN_RADIUS).max(1);
         Self { step, radius: (window_radius_px + step / 2) / step, block }
     }
 
-    /// Distance from the first point to the block's first pixel along each axis, pixels.
+    /// Returns the distance from the first point to the block's first pixel along each axis, pixels.
     pub fn margin_px(&self) -> usize {
         self.radius * self.step
     }
 
-    /// Number of points along a side of the sampled square: the block, and a margin for the windows around its
-    /// outermost points.
+    /// Returns the number of points along each side of the grid. The grid covers the block, and a margin for the
+    /// windows around the block's outermost points.
     pub fn side(&self) -> usize {
         (self.block - 1).div_ceil(self.step) + 1 + 2 * self.radius
     }
 
-    /// For each point, the mean of `values` over the window around it; one value per point, row by row.
+    /// Returns, for each point, the mean of `values` over the window around the point. Both have one value per
+    /// point, row by row.
     pub fn window_means(&self, values: &[f32]) -> Vec<f32> {
         box_filter(values, self.side(), self.side(), self.radius)
     }
@@ -101,7 +103,7 @@ impl CostPoints {
             rows.for_each(|row| out.extend_from_slice(&row[radius..][..self.block]));
             return out;
         }
-        // Where this is the last point, the neighbour has weight 0.
+        // If `k` is the last point, it is returned itself, and its interpolation weight is 0.
         let next = |k: usize| (k + 1).min(side - 1);
         let mut row = vec![0.0; side];
         for y in 0..self.block {
@@ -119,25 +121,26 @@ impl CostPoints {
     }
 }
 
-/// Lower bounds on the cost of motion in the two frames of a pair: for each point of the earlier and of the
-/// later frame, the smallest difference from an adjacent frame, over the motions of nearby tracks.
+/// Costs of the two frames of a pair, computed from the motions of tracks. At each point of the earlier and of the
+/// later frame, the cost is the smallest mean difference between this frame and an adjacent frame, over the motions of
+/// all nearby tracks.
 ///
-/// The costs are the same at all instants. They depend on the inputs of [`Self::new`], on the pair's images,
-/// and on the frames before and after the pair. Only parts of the frames are needed, so that costs are
-/// computed in square cells, each when it is first read.
+/// The costs don't depend on the instant. They depend on the inputs of [`Self::new`], on the pair's images, and on the
+/// frames before and after the pair. Only some parts of the frames need costs. The frames are therefore divided into
+/// square cells, and the costs of a cell are computed when one of them is first read.
 pub struct PairCosts([FrameCosts; 2]);
 
 impl PairCosts {
-    /// The costs of a frame pair of this width and height, for the motions of its tracks. They are computed
-    /// when they are read.
+    /// Creates the costs of a frame pair of this width and height, for the motions of its tracks. Costs are
+    /// computed when they are first read.
     pub fn new(tracked: &TrackedPair, size: [usize; 2], options: &InterpolationOptions) -> Self {
         let earlier = tracked.motions(options.curved, |_, track| track.earlier);
         let later = tracked.motions(options.curved, |_, track| track.later);
         Self::of_motions(size, [earlier, later], options)
     }
 
-    /// [`Self::new`] from two lists of motions: one from the tracks' positions in the earlier frame, the
-    /// other from those in the later frame.
+    /// Creates the costs from the motions of tracks, given twice: first measured from the tracks' positions in the
+    /// earlier frame, then measured from their positions in the later frame. `size` is the frames' width and height.
     pub(super) fn of_motions(
         size: [usize; 2],
         [earlier, later]: [Vec<TrackMotion>; 2],
@@ -155,12 +158,12 @@ impl PairCosts {
         }))
     }
 
-    /// The costs of the earlier frame (`n` = 0) or of the later one (1).
+    /// Returns the costs of the earlier frame (`n` = 0) or of the later frame (`n` = 1).
     pub(super) fn of(&self, n: usize) -> &FrameCosts {
         &self.0[n]
     }
 
-    /// Approximate memory once all cells are computed, bytes.
+    /// Returns the approximate size in memory once all cells are computed, bytes.
     pub fn bytes(&self) -> usize {
         let of_frame = |costs: &FrameCosts| {
             let cell =
@@ -171,20 +174,20 @@ impl PairCosts {
     }
 }
 
-/// The minimum cost at each point of a frame. A cost is the mean difference, over the window around the
-/// point, between this frame and one of the two adjacent frames, compensated by the motion of nearby tracks.
-/// The minimum is over the motions and both adjacent frames. A small minimum means that one of the motions
-/// explains the point.
+/// The minimum cost at each point of a frame. A cost is the mean difference between this frame and an adjacent
+/// frame, over the window around the point. The adjacent frame is compensated by a motion of nearby tracks. The
+/// minimum is over the motions and over both adjacent frames. If it is small, one of the motions agrees with the
+/// frames at the point.
 pub(super) struct FrameCosts {
-    /// The frame's number: 1 the earlier, 2 the later.
+    /// Number of this frame: 1 for the earlier, 2 for the later frame of the pair.
     frame: usize,
-    /// Width and height of the frame.
+    /// Width and height of the frame, pixels.
     size: [usize; 2],
-    /// The motions to be tried, found by a track's position in this frame.
+    /// Motions to be tried, indexed by the tracks' positions in this frame.
     motions: MotionHypotheses,
-    /// The points of a cell: a square of pixels, for all of which the same motions are tried.
+    /// Cost points of a cell. A cell is a square of pixels for which the same motions are tried.
     points: CostPoints,
-    /// The cells of the frame, row by row. Each holds the minimum costs at its points, row by row.
+    /// Cells of the frame, row by row. Each cell holds the minimum costs at its points, row by row.
     cells: Vec<OnceLock<Vec<f32>>>,
 }
 
@@ -193,9 +196,9 @@ impl FrameCosts {
         self.points.block.div_ceil(self.points.step)
     }
 
-    /// The minimum cost, over all motions of nearby tracks, at the point nearest to the pixel position `[x, y]` of this
-    /// frame. Infinite where no track is near. `frames` are the pair that the costs were created for, and the frames
-    /// before and after it.
+    /// Returns the minimum cost over all motions of nearby tracks, at the point nearest to a pixel position of this
+    /// frame. The cost is infinite if no track is near. `frames` are the pair for which the costs were created, and
+    /// the frames before and after the pair.
     pub fn at(&self, frames: &FourFrames, [x, y]: [f32; 2]) -> f32 {
         let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
         let at = [pixel(x, self.size[0]), pixel(y, self.size[1])];
@@ -209,8 +212,8 @@ impl FrameCosts {
         cell[y * self.points_per_side() + x]
     }
 
-    /// The minimum costs at the points of the cell with this top-left corner, row by row. Each point is in the middle
-    /// of the pixels that it represents.
+    /// Returns the minimum costs at the points of a cell, row by row. `corner` is the cell's top-left corner in pixels.
+    /// Each point represents a square of pixels and is at the square's centre, rounded to a pixel.
     fn cell(&self, frames: &FourFrames, corner: Point2<f64>) -> Vec<f32> {
         let images = frames.images();
         // The two adjacent frames: an outer one, and the other frame of the pair.
@@ -252,7 +255,8 @@ mod tests {
 
     const SIZE: usize = 60;
 
-    /// Vertical stripes that are `shift` px to the right. If `square`, a bright square occludes some of them.
+    /// Renders vertical stripes, shifted by `shift` px to the right. If `square`, a bright square occludes some of
+    /// the stripes.
     fn stripes(shift: f32, square: bool) -> Image {
         let value = |k: usize| {
             let (x, y) = ((k % SIZE) as f32, (k / SIZE) as f32);
@@ -297,8 +301,8 @@ mod tests {
         assert!(alone(-5.0, 10.5) == alone(0.5, 10.5));
     }
 
-    /// The image has several cells, and its size is not a multiple of a cell's. For the larger window, costs
-    /// are at every second pixel.
+    /// The image has several cells, and its size is not a multiple of the cell size. For the larger window, costs
+    /// are computed at every second pixel.
     #[test]
     fn costs_equal_direct_ones() {
         let (w, h) = (41, 37);
@@ -350,7 +354,7 @@ mod tests {
         {
             let points = CostPoints::new(radius, block);
             let side = points.side();
-            // At the pixel of the first point, and at others after it.
+            // A plane, evaluated at a position in pixels relative to the block's first pixel.
             let value = |x: f32, y: f32| 0.5 + 0.25 * x - 0.125 * y;
             let at = |k: usize| (k * points.step) as f32 - points.margin_px() as f32;
             let values: Vec<f32> =

@@ -1,5 +1,11 @@
-//! Compositing of four frames: the outer two are averaged with the composite of the middle two where they
-//! agree, which halves the noise variance.
+//! Compositing of four frames. The middle frames are the two frames of the pair; the outer frames are the frame before
+//! and the frame after the pair. Where the outer frames agree with the composite of the middle frames, they are
+//! averaged in, which halves the noise variance.
+//!
+//! Whether they agree is decided by costs. The cost of the middle frames at a pixel is the mean absolute difference
+//! between the two, after motion compensation, over a window. The cost of an outer frame is its mean absolute
+//! difference from the composite over the same window. The excess of an outer frame is its cost minus the cost of the
+//! middle frames.
 
 use super::FourFrames;
 use super::blocks::BlockArea;
@@ -9,29 +15,34 @@ use crate::interpolation::warp::difference;
 use crate::raster::Image;
 use std::cell::OnceCell;
 
-/// Excess of an outer frame's cost over the middle frames' cost, for pixel values of 0 to 1, up to which the
-/// outer frame has full weight.
+/// Largest excess with which an outer frame has its full weight, for pixel values of 0 to 1. The excess is the outer
+/// frame's cost minus the cost of the middle frames.
 const OUTER_SLACK: f32 = 0.01;
-/// Increase of the excess beyond [`OUTER_SLACK`] by which an outer frame's weight falls to 1/e.
+/// Excess of an outer frame beyond [`OUTER_SLACK`] at which its weight is 1/e of its full weight, for pixel values of 0
+/// to 1. The excess is the outer frame's cost minus the cost of the middle frames.
 const OUTER_SOFTNESS: f32 = 0.01;
-/// Maximum mean excess in a static block, as a fraction of [`OUTER_SLACK`].
+/// Largest excess of an outer frame, averaged over a static block, as a fraction of [`OUTER_SLACK`]. The excess is the
+/// outer frame's cost minus the cost of the middle frames.
 const STATIC_EXCESS_FRACTION: f32 = 0.25;
-/// Weights below this fraction of the largest weight are neglected.
+/// Relative weight that is too small to be used. An outer frame is left out of the mean at pixels at which its weight
+/// is at most this value (the weights of a mean sum to 1). A hypothesis is left out of a block if, at every pixel, its
+/// weight is at most this fraction of the largest weight of any hypothesis.
 pub const NEGLIGIBLE_WEIGHT: f32 = 1e-3;
 
 impl FourFrames<'_> {
-    /// The weight of each outer frame where all four agree, at a vertical position, pixels: 0 at a frame's time, so
-    /// that the frame stays as filmed, and 1/4 halfway between two.
+    /// Returns the weight of each outer frame at a vertical position in pixels, if all four frames agree. The
+    /// weight is 0 at a frame's time, so that the frame stays as filmed, and 1/4 halfway between the two middle
+    /// frames.
     pub fn outer_weight(&self, y_px: f64) -> f32 {
         let fraction = self.fractions.at(y_px) as f32;
         0.25 * (4.0 * fraction * (1.0 - fraction))
     }
 }
 
-/// A block of the four frames, compensated by one motion. Frames are sampled on the grid of cost points, and
-/// at the block's pixels when that is first needed.
+/// A block of the four frames, compensated by one motion. The frames are sampled at the cost points. They are also
+/// sampled at the block's pixels when these samples are first needed.
 pub struct CompensatedFrames<'a> {
-    /// The motion, relative to the block's centre.
+    /// Affine motion, relative to the block's centre.
     pub motion: AffineMotion,
     frames: [Option<&'a Image>; 4],
     pixels: PointGrid,
@@ -40,7 +51,8 @@ pub struct CompensatedFrames<'a> {
 }
 
 impl<'a> CompensatedFrames<'a> {
-    /// Samples the frames that are not `None` at `points`.
+    /// Compensates a block of four frames by one motion. `pixels` is the grid of the block's pixels. `points` is
+    /// the grid of cost points, at which the frames that are not `None` are sampled immediately.
     pub fn new(
         motion: AffineMotion,
         frames: [Option<&'a Image>; 4],
@@ -51,12 +63,14 @@ impl<'a> CompensatedFrames<'a> {
         Self { motion, frames, pixels, at_points, at_pixels: Default::default() }
     }
 
-    /// Frame 0 to 3 on the grid of cost points; `None` if it was not given.
+    /// Returns a frame (0 before, 1 earlier, 2 later, 3 after), sampled at the cost points. Returns `None` if the
+    /// frame was not given.
     pub fn at_points(&self, frame: usize) -> Option<&Image> {
         self.at_points[frame].as_ref()
     }
 
-    /// Frame 0 to 3 at the block's pixels; `None` if it was not given.
+    /// Returns a frame (0 before, 1 earlier, 2 later, 3 after), sampled at the block's pixels. Returns `None` if
+    /// the frame was not given.
     pub fn at_pixels(&self, frame: usize) -> Option<&Image> {
         let image = self.frames[frame]?;
         let sample = || self.pixels.sample(image, &self.motion, frame);
@@ -64,17 +78,17 @@ impl<'a> CompensatedFrames<'a> {
     }
 }
 
-/// A block's composite of the two middle frames, at its pixels and on the grid of cost points.
+/// A block's composite of the two middle frames, at the block's pixels and at the cost points.
 pub struct MiddleFrames<'a> {
     pub at_pixels: Image,
     pub at_points: Image,
-    /// Mean difference of the two middle frames over the window around each pixel.
+    /// Mean difference of the two middle frames over the window around each of the block's pixels.
     pub costs: &'a [f32],
 }
 
-/// Averages the outer frames into the composite of the middle frames, with a weight of at most `outer_weight`
-/// each. At each pixel, an outer frame is compensated by the one of the motions for which it differs least
-/// from the composite.
+/// Averages the outer frames into a block's composite of the middle frames. Each outer frame has a weight of at most
+/// `outer_weight`. At each pixel, an outer frame is compensated by that motion among `compensated` for which it differs
+/// least from the composite.
 pub fn fuse(
     MiddleFrames { at_pixels: middle, at_points, costs }: MiddleFrames,
     compensated: &[CompensatedFrames],
@@ -87,7 +101,7 @@ pub fn fuse(
     let mut fused = middle.clone();
     let channels = fused.channels();
     for frame in [0, 3] {
-        // For each pixel the motion of smallest cost, and this cost.
+        // For each pixel: the index of the motion with the smallest cost, and this cost.
         let mut best = vec![(0, f32::INFINITY); costs.len()];
         for (index, frames) in compensated.iter().enumerate() {
             let Some(outer) = frames.at_points(frame) else { continue };
@@ -122,9 +136,13 @@ pub fn fuse(
     fused
 }
 
-/// Whether nothing moves in a block: the outer frames' costs exceed those of the middle frames by at most
-/// [`OUTER_SLACK`] at each pixel, and on average by at most [`STATIC_EXCESS_FRACTION`] of that. `outer_costs`
-/// and `costs` have one value for each pixel of the image.
+/// Returns whether nothing moves in a block. The outer frames are compared without motion compensation. Their excess is
+/// their cost minus the cost of the middle frames. In a static block, the excess of each outer frame is at most
+/// [`OUTER_SLACK`] at every pixel. Averaged over the block, it is at most [`STATIC_EXCESS_FRACTION`] times
+/// [`OUTER_SLACK`]; here a negative excess counts as 0.
+///
+/// `outer_costs` are the costs of the outer frames, and `costs` is the cost of the middle frames. Each has one value
+/// for every pixel of the image. A `None` is skipped.
 pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: BlockArea) -> bool {
     outer_costs.iter().flatten().all(|outer| {
         let (mut sum, mut count) = (0.0, 0.0);
@@ -141,8 +159,8 @@ pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: Block
     })
 }
 
-/// A static block, without motion compensation: `cross_faded`, the cross-fade of the middle frames, averaged
-/// with the outer frames; 0 outside the image.
+/// Returns the colours of a static block. They are a weighted mean of `cross_faded`, which is the cross-fade of the
+/// middle frames, and of the outer frames without motion compensation. The colours are 0 outside the image.
 pub fn static_mean(frames: &FourFrames, cross_faded: &Image, area: BlockArea) -> Vec<f32> {
     let weight = frames.outer_weight(area.center().y);
     let crop = |image: &Image| area.crop(image.data(), image.channels());

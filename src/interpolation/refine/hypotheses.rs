@@ -1,5 +1,5 @@
-//! Hypotheses about a block's pixels: each is a motion with a visibility. A hypothesis has a cost and a
-//! weight at every pixel, and the block's colours are the weighted mean of the hypotheses.
+//! Hypotheses about a block's pixels. A hypothesis is a motion with a visibility, which tells which frames see the
+//! surface. It has a cost and a weight at every pixel. The block's colours are the weighted mean of the hypotheses.
 
 use super::blocks::BlockArea;
 use super::costs::PointGrid;
@@ -11,34 +11,34 @@ use crate::raster::{Image, max_filter};
 use nalgebra::{Point2, Vector2};
 use std::borrow::Cow;
 
-/// Increase of a hypothesis's cost, for pixel values of 0 to 1, by which its weight falls to 1/e.
+/// Increase of a hypothesis's cost by which its weight falls to 1/e, for pixel values of 0 to 1.
 const SOFTNESS: f32 = 0.02;
 /// Minimum weight of a hypothesis, so that the sum of weights is positive.
 const MIN_WEIGHT: f32 = 1e-30;
-/// Prior cost of the hypothesis that only one frame sees the surface, at an instant halfway between the
-/// frames.
+/// Prior cost of the hypothesis that only one middle frame sees the surface, for an instant halfway between the two
+/// middle frames.
 const ONE_FRAME_COST: f32 = 0.1;
-/// Lower bound of the divisor 2f of [`ONE_FRAME_COST`]. f is the time to the frame that misses the surface,
-/// as a fraction of the interval.
+/// Minimum of 2f in the prior cost [`ONE_FRAME_COST`]/(2f), which prevents division by 0. f is the time from the
+/// instant to the frame that does not see the surface, as a fraction of the frame interval.
 const MIN_DOUBLE_FRACTION: f32 = 1e-3;
-/// Weight, in a hypothesis's cost, of the amount by which another motion explains a frame's pixels better.
+/// Weight of one term in a hypothesis's cost: the amount by which another motion has a smaller cost in a middle frame.
 const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 /// Motion below which a surface counts as static, pixels per frame.
 const AT_REST_PX: f32 = 1.0;
 
-/// Which of the two middle frames see the surface, according to a hypothesis.
+/// Visibility of the surface in the two middle frames, according to a hypothesis.
 enum Visibility {
-    /// No surface: the cross-fade of the two warped frames.
+    /// No surface is assumed. The colours are the cross-fade of the two warped frames.
     CrossFade,
-    /// Both middle frames see the surface: the index of its motion, and the difference of the compensated
-    /// frames at the block's pixels.
+    /// Both middle frames see the surface. Holds the index of the motion, and the windowed mean difference of the
+    /// two compensated frames at the block's pixels.
     BothFrames(usize, Vec<f32>),
-    /// Only one middle frame sees the surface: the index of its motion, and the frame's number, 1 earlier or
-    /// 2 later.
+    /// Only one middle frame sees the surface. Holds the index of the motion, and the number of the frame: 1 for
+    /// the earlier frame, 2 for the later frame.
     OneFrame(usize, usize),
 }
 
-/// A hypothesis with its costs and weights at the block's pixels.
+/// A hypothesis, with a cost and a weight for each of the block's pixels.
 struct Hypothesis {
     visibility: Visibility,
     costs: Vec<f32>,
@@ -52,22 +52,22 @@ impl Hypothesis {
     }
 }
 
-/// A block with the motions that are tried in it.
+/// A block, with the motions that are tried for it.
 pub struct BlockHypotheses<'a> {
     shared: &'a SharedInputs<'a>,
     area: BlockArea,
     compensated: Vec<CompensatedFrames<'a>>,
-    /// The grid of points at which costs are computed.
+    /// Grid of points at which costs are computed.
     points: PointGrid,
     /// Mean difference of the two warped frames over the window around each of the block's pixels.
     costs: Vec<f32>,
-    /// Whether the warped frames agree in the block. Then the outer frames are averaged in, and no other
-    /// visibility is tried.
+    /// Whether the two warped frames agree in the block. If they do, the outer frames are averaged in, and no
+    /// hypothesis except the cross-fade is tried.
     agree: bool,
 }
 
 impl<'a> BlockHypotheses<'a> {
-    /// Compensates the frames by each motion.
+    /// Prepares a block: compensates the frames by each motion.
     pub fn new(
         shared: &'a SharedInputs<'a>,
         area: BlockArea,
@@ -90,12 +90,12 @@ impl<'a> BlockHypotheses<'a> {
         Self { shared, area, compensated, points, costs: area.crop(shared.costs, 1), agree }
     }
 
-    /// The instant's place between the middle frames, in the block's middle row.
+    /// Returns the fraction of the frame interval at which the instant is, for the block's middle row.
     fn fraction(&self) -> f32 {
         self.shared.frames.fractions.at(self.area.center().y) as f32
     }
 
-    /// The weighted mean of all hypotheses, with their weights at each pixel.
+    /// Returns the weighted mean of all hypotheses at each pixel.
     pub fn mean(&self) -> RefinedBlock {
         let mut hypotheses = vec![Hypothesis::new(Visibility::CrossFade, self.costs.clone())];
         for index in (0..self.compensated.len()).filter(|_| !self.agree) {
@@ -130,9 +130,9 @@ impl<'a> BlockHypotheses<'a> {
         RefinedBlock { colors, motions }
     }
 
-    /// Adds the three hypotheses of one motion: both middle frames see the surface, and agree; or only the
-    /// earlier does, and agrees with the frame before it; or only the later does, and agrees with the frame
-    /// after it.
+    /// Adds the three hypotheses of one motion. In the first, both middle frames see the surface, and agree. In the
+    /// second, only the earlier one sees it, and agrees with the frame before. In the third, only the later one
+    /// sees it, and agrees with the frame after. `index` is the index of the motion.
     fn add_hypotheses(&self, index: usize, all: &mut Vec<Hypothesis>) {
         let (compensated, points) = (&self.compensated[index], &self.shared.points);
         let cost = |a: usize, b: usize| {
@@ -156,7 +156,7 @@ impl<'a> BlockHypotheses<'a> {
         let fraction = self.fraction();
         for (n, fraction) in [1.0 - fraction, fraction].into_iter().enumerate() {
             let Some(costs) = &one[n] else { continue };
-            // A surface is less likely to be missing in a frame that is nearer to the instant.
+            // A frame that is nearer to the instant is less likely to miss the surface.
             let prior = ONE_FRAME_COST / (2.0 * fraction).max(MIN_DOUBLE_FRACTION);
             let mut costs = at_pixels(costs, &better_explained[n]);
             costs.iter_mut().for_each(|cost| *cost += prior);
@@ -164,10 +164,10 @@ impl<'a> BlockHypotheses<'a> {
         }
     }
 
-    /// For each cost point of the block, the amount by which another motion has a smaller cost than `motion`
-    /// in the middle frame `n` (0 earlier, 1 later); 0 where none has. `costs(k)` is the cost of `motion` at
-    /// point `k`. Each amount is the minimum over a window, because windows at a surface's outline contain
-    /// background.
+    /// Returns, for each cost point of the block, the amount by which another motion has a smaller cost than `motion`
+    /// in middle frame `n` (0: earlier, 1: later). The amount is 0 if no other motion has a smaller cost. `costs(k)` is
+    /// the cost of `motion` at point `k`. Each amount is the minimum over a window, because windows at the outline of a
+    /// surface contain background.
     fn better_explained(
         &self,
         n: usize,
@@ -183,7 +183,7 @@ impl<'a> BlockHypotheses<'a> {
         excess
     }
 
-    /// The block's colours according to a hypothesis.
+    /// Returns the block's colours according to a hypothesis.
     fn colors(&self, hypothesis: &Hypothesis) -> Cow<'_, Image> {
         let given = "the middle frames are compensated unless they agree";
         let (middle, compensated) = match &hypothesis.visibility {
@@ -215,8 +215,9 @@ impl<'a> BlockHypotheses<'a> {
         Cow::Owned(fuse(middle, compensated, &self.shared.points, outer_weight))
     }
 
-    /// The cross-fade of the two warped frames on a square grid of `side`×`side` pixels, `step` apart, from
-    /// pixel `first` on. Outside the image its border is repeated.
+    /// Returns the cross-fade of the two warped frames, sampled on a square grid of `side`×`side` points. The
+    /// points are `step` pixels apart, and the first point is pixel `first`. Outside the image, its border pixels
+    /// are repeated.
     fn cross_faded(&self, first: [isize; 2], side: usize, step: usize) -> Image {
         let image = self.shared.cross_faded;
         let clamp = |at: isize, size: usize| at.clamp(0, size as isize - 1) as usize;
@@ -229,7 +230,7 @@ impl<'a> BlockHypotheses<'a> {
         Image::from_data(side, side, image.channels(), data)
     }
 
-    /// The motions of the block's pixels according to a hypothesis, [`MOTION_CHANNELS`] values per pixel.
+    /// Returns the motions of the block's pixels according to a hypothesis, [`MOTION_CHANNELS`] values per pixel.
     fn motions(&self, hypothesis: &Hypothesis) -> Vec<f32> {
         let (Visibility::BothFrames(index, _) | Visibility::OneFrame(index, _)) =
             hypothesis.visibility
@@ -246,8 +247,8 @@ impl<'a> BlockHypotheses<'a> {
         let motion_px = steps[1].norm() as f32;
         let change_px = change_px(0, 0).max(change_px(3, 1));
         let of_pixel = |(&cost, &of_warps): (&f32, &f32)| {
-            // The frames may show the same static surface although a body occludes it at the instant. The
-            // cost is therefore at least that of the warped frames.
+            // Both frames may show the same static surface although a body occludes it at the instant. The cost is
+            // therefore at least the cost of the warped frames.
             let cost = if motion_px < AT_REST_PX { cost.max(of_warps) } else { cost };
             [motion_px, change_px, cost]
         };
@@ -255,7 +256,7 @@ impl<'a> BlockHypotheses<'a> {
     }
 }
 
-/// Adds pixels' interleaved values, multiplied by the pixels' weights, to `sums`.
+/// Adds the interleaved values of pixels, times the pixels' weights, to `sums`.
 fn add_weighted(sums: &mut [f32], weights: &[f32], values: &[f32]) {
     let channels = sums.len() / weights.len();
     let values = values.chunks_exact(channels);

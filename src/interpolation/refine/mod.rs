@@ -1,28 +1,29 @@
-//! Beyond the paper: motion and visibility per pixel where the two warped frames disagree, and the mean of
-//! four frames, which has less noise, where they agree.
+//! Beyond the paper: refines the image where the two warped frames disagree, by motion and visibility per pixel.
+//! Where they agree, the image is the mean of four frames, which has less noise.
 //!
-//! At a moving outline, the paper's warp interpolates between the motions on both sides, and its cross
-//! dissolve mixes a frame that shows the background with one that does not. This method has these steps, in
-//! the order of the files:
+//! At a moving outline, the paper's warp interpolates between the motions on both sides. Its cross dissolve mixes a
+//! frame that shows the background with a frame that does not. This method has these steps, in the order of the
+//! files:
 //!
 //! 1. [`blocks`]: the image is divided into overlapping blocks, which are blended.
-//! 2. [`motions`]: a block's candidate motions are affine, each fitted to nearby tracks that move alike.
-//! 3. [`costs`]: a motion's cost is the difference of the compensated frames, averaged over a window. It is
-//!    computed on a grid of points, and interpolated between them.
-//! 4. [`hypotheses`]: each motion has three hypotheses of visibility. Either both middle frames see the
-//!    surface, and agree. Or only the earlier does, and agrees with the frame before it. Or only the later
-//!    does, and agrees with the frame after it. The latter two have a prior cost, which grows towards the
-//!    frame that misses the surface. Every hypothesis costs more where another motion explains its pixels
-//!    better. Without this, two similar bodies that take the same position in successive frames are matched
-//!    to each other. A pixel is the mean of all hypotheses and of the warped frames' cross-fade, with weights
-//!    that fall exponentially with cost.
-//! 5. [`four_frames`]: the outer frames are averaged in where they agree with the middle ones. Static blocks
-//!    are the mean of the four frames.
+//! 2. [`motions`]: a block has several candidate motions. Each is affine and fitted to nearby tracks that move
+//!    alike.
+//! 3. [`costs`]: the cost of a motion is the difference of the motion-compensated frames, averaged over a window.
+//!    It is computed on a grid of points, and interpolated between them.
+//! 4. [`hypotheses`]: each motion has three hypotheses of visibility. Either both middle frames see the surface,
+//!    and agree. Or only the earlier one sees it, and agrees with the frame before. Or only the later one sees it,
+//!    and agrees with the frame after. The last two hypotheses have a prior cost, which is larger if the instant is
+//!    nearer to the frame that does not see the surface. Every hypothesis costs more where another motion explains
+//!    its pixels better. Without this, two similar bodies that take the same position in successive frames would be
+//!    matched to each other. A pixel is the weighted mean of all hypotheses and of the cross-fade of the two warped
+//!    frames. Weights fall exponentially with cost.
+//! 5. [`four_frames`]: the outer frames, which are those before and after the pair, are averaged in where they
+//!    agree with the middle frames. Static blocks are the mean of the four frames.
 //!
-//! Each pixel's motion, and its cost, are averaged with the weights of step 4 too.
+//! The motion and the cost of each pixel are means with the weights of step 4 too.
 //!
-//! Known limits: a surface that none of the four frames shows is not found. A surface that only one frame
-//! shows can't be verified. Outlines are accurate to about two pixels, because costs are means over windows.
+//! Known limits: a surface that none of the four frames shows is not found. A surface that only one frame shows
+//! can't be verified. Outlines are accurate to about two pixels, because costs are means over windows.
 
 mod blocks;
 mod costs;
@@ -44,75 +45,79 @@ use hypotheses::BlockHypotheses;
 use motions::MotionHypotheses;
 use rayon::prelude::*;
 
-/// Maximum cost of the two warped frames in a block in which they agree: their mean absolute difference over
-/// the window around each pixel, for pixel values of 0 to 1.
+/// Maximum cost at any pixel of a block in which the two warped frames count as equal, for pixel values of 0 to 1. The
+/// cost is the mean absolute difference of the two warped frames over the window around the pixel.
 const MAX_AGREEING_COST: f32 = 0.03;
-/// Maximum number of motions by which the outer frames are compensated, in a block in which the warped frames
-/// agree.
+/// Maximum number of motions by which the frames before and after the pair are compensated, in a block in which the
+/// two warped frames agree.
 const MAX_AGREEING_MOTIONS: usize = 2;
-/// Channels of an image of motions. Each is the weighted mean over a pixel's hypotheses:
+/// Number of channels of an image of motions. Each channel is the weighted mean over a pixel's hypotheses:
 ///
-/// 1. The motion between the earlier and the later frame, pixels.
-/// 2. The change of the motion from one frame interval to the next, pixels per frame: the larger of the
-///    changes at the two frames. 0 where it is unknown.
-/// 3. The cost of the hypotheses, 0..=1: the mean difference of frames over a window, plus prior costs. For a
-///    static surface it is at least the warped frames' difference. 0 if the frames agree.
+/// 1. The length of the motion between the earlier and the later frame, pixels.
+/// 2. The change of the motion from one frame interval to the next, pixels per frame. It is the larger of the
+///    changes at the earlier and at the later frame, and 0 if it is unknown.
+/// 3. The cost, for pixel values of 0 to 1: the mean difference of the compared frames over a window, plus the
+///    other terms of a hypothesis's cost. For a static surface, it is at least the mean difference of the two
+///    warped frames.
+///
+/// At pixels that are not refined, the channels are those of [`warp_motions`].
 pub(super) const MOTION_CHANNELS: usize = 3;
 
 /// The four frames around an instant. All images have the same size and channels.
 pub(super) struct FourFrames<'a> {
-    /// The frame before the earlier one, if it exists.
+    /// Frame before the pair's earlier frame; `None` if it does not exist.
     pub before: Option<&'a Image>,
-    /// The frame at t.
+    /// The pair's earlier frame, at the time t.
     pub earlier: &'a Image,
-    /// The frame at t + Δt.
+    /// The pair's later frame, at the time t + Δt.
     pub later: &'a Image,
-    /// The frame after the later one, if it exists.
+    /// Frame after the pair's later frame; `None` if it does not exist.
     pub after: Option<&'a Image>,
-    /// (t' − t)/Δt of the instant t' in each row: 0 at the earlier frame, 1 at the later.
+    /// Fraction (t' − t)/Δt of the instant t' in each image row: 0 at the earlier frame, 1 at the later frame.
     pub fractions: RowFractions,
-    /// The tiles of the image that are needed; `None` for all. Tiles far from them are black.
+    /// Tiles of the image that are needed; `None` for the whole image. Tiles far from the needed tiles are black.
     pub parts: Option<&'a Tiles>,
 }
 
 impl<'a> FourFrames<'a> {
-    /// The four frames in order of time: before, earlier, later, after.
+    /// Returns the four frames in order of time: before, earlier, later, after.
     fn images(&self) -> [Option<&'a Image>; 4] {
         [self.before, Some(self.earlier), Some(self.later), self.after]
     }
 }
 
-/// Inputs that all blocks share.
+/// Inputs that are the same for all blocks.
 struct SharedInputs<'a> {
     frames: &'a FourFrames<'a>,
     motions: MotionHypotheses,
     pair_costs: &'a PairCosts,
-    /// The cross-fade of the two warped frames.
+    /// Cross-fade of the two warped frames.
     cross_faded: &'a Image,
-    /// Mean difference of the two warped frames over the window around each pixel.
+    /// Mean difference of the two warped frames over the window around each pixel, one value per pixel, row by row.
     costs: &'a [f32],
-    /// The pixels' motions according to the warps, [`MOTION_CHANNELS`] values per pixel.
+    /// Motions of the pixels according to the warps, [`MOTION_CHANNELS`] values per pixel.
     warp_motions: &'a Image,
-    /// For the frame before and the frame after: its mean difference, without motion compensation, from the
-    /// cross-fade over the window around each pixel. `None` if the frame does not exist or has no weight.
+    /// For the frame before and the frame after the pair: the mean difference between this frame, without motion
+    /// compensation, and the cross-fade, over the window around each pixel. `None` if the frame does not exist or
+    /// has no weight.
     outer_costs: [Option<Vec<f32>>; 2],
     grid: BlockGrid,
     points: CostPoints,
 }
 
-/// A refined block, row by row. Values at pixels outside the image are undefined.
+/// A refined block of pixels, row by row. Values at pixels outside the image are undefined.
 struct RefinedBlock {
     colors: Vec<f32>,
-    /// [`MOTION_CHANNELS`] values per pixel; `None` if the pixels' motions are those of the warps.
+    /// Motions, [`MOTION_CHANNELS`] values per pixel. `None` if the motions of the pixels are those of the warps.
     motions: Option<Vec<f32>>,
 }
 
-/// The image at the instant: the cross dissolve of the two warped frames, refined where they disagree, and
-/// averaged with the outer frames where these agree. Values are in 0..=1. The second image holds the pixels'
-/// motions, [`MOTION_CHANNELS`] per pixel.
+/// Returns the image at the instant, and an image of the pixels' motions with [`MOTION_CHANNELS`] channels. The
+/// image at the instant is the cross dissolve of the two warped frames, refined where they disagree. It is averaged
+/// with the frames before and after the pair where these agree with it. Its values are in 0..=1.
 ///
-/// `warps` take the earlier and the later frame to the instant. `motions` are the tracks' motions from their
-/// positions at the instant. If there are none, only static blocks change.
+/// `warps` map the instant to the earlier and to the later frame. `motions` are the motions of the tracks, measured
+/// from the tracks' positions at the instant. Without tracks, only static blocks differ from the cross dissolve.
 pub(super) fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
@@ -124,8 +129,8 @@ pub(super) fn refined(
     let options = options.scaled_to([w, h]);
     let radius = options.window_radius_px;
     let grid = BlockGrid::new([w, h], radius);
-    // The needed tiles, grown by the blocks that touch them, by the windows around the blocks' pixels, and by
-    // the windows around these windows' pixels.
+    // The needed tiles, grown by the blocks that touch the tiles, by the windows around the blocks' pixels, and by
+    // the windows around the pixels of these windows.
     let near = frames.parts.map(|parts| parts.grown(grid.side + 2 * radius));
     let warped = [(frames.earlier, warps[0]), (frames.later, warps[1])]
         .map(|(image, warp)| warped(image, warp, near.as_ref()));
@@ -159,9 +164,9 @@ pub(super) fn refined(
     (image, motions)
 }
 
-/// An image of the pixels' motions according to two warps, [`MOTION_CHANNELS`] per pixel. A motion is the
-/// distance between the pixel's positions in the two frames; its change is unknown, 0. `costs` has the third
-/// channel, row by row.
+/// Returns an image of the pixels' motions according to two warps, with [`MOTION_CHANNELS`] channels. A motion is
+/// the distance between the pixel's source positions in the two frames. The change of the motion is unknown and set
+/// to 0. `costs` holds the third channel, row by row.
 pub(super) fn warp_motions(warps: [&Warp; 2], costs: &[f32]) -> Image {
     let sources = warps[0].source.iter().zip(&warps[1].source);
     let motions = sources.map(|([ax, ay], [bx, by])| (ax - bx).hypot(ay - by));
@@ -169,8 +174,9 @@ pub(super) fn warp_motions(warps: [&Warp; 2], costs: &[f32]) -> Image {
     Image::from_data(warps[0].width, warps[0].height, MOTION_CHANNELS, data)
 }
 
-/// Refines block number `block`. `None` if the block keeps the cross-fade of the two warped frames: no track
-/// is near, its pixels are not needed, or there is no frame before or after the pair.
+/// Refines block number `block`. Returns `None` if the block keeps the cross-fade of the two warped frames. This is so
+/// in three cases: its pixels are not needed; it has no candidate motions; or the warped frames agree, and neither the
+/// frame before nor the frame after the pair can be used.
 fn refined_block(shared: &SharedInputs, block: usize) -> Option<RefinedBlock> {
     let area = shared.grid.area(block);
     if shared.frames.parts.is_some_and(|parts| !parts.touches(area.origin, area.side)) {
@@ -195,8 +201,8 @@ fn refined_block(shared: &SharedInputs, block: usize) -> Option<RefinedBlock> {
     Some(BlockHypotheses::new(shared, area, motions, agree).mean())
 }
 
-/// A copy of `image` with the refined blocks blended in, by the weights of the grid. `block` returns the
-/// values of a block by its number; for `None`, the image's own values are blended.
+/// Returns a copy of `image` with the refined blocks blended in, by the weights of the grid. `block` returns the
+/// values of a block by its number. For a block without values, the image's own values are blended.
 fn blended<'a>(
     image: &Image,
     block: impl Fn(usize) -> Option<&'a [f32]>,

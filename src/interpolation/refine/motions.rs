@@ -1,22 +1,27 @@
-//! Candidate motions of a block: affine motions, each fitted to nearby tracks that move alike.
+//! Candidate motions of a block. Each is affine and fitted to nearby tracks that move alike.
 
 use crate::interpolation::tracked_pair::TrackMotion;
 use crate::registration::Neighbors;
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
 
-/// Maximum difference between two tracks' motions that are fitted together, pixels per frame.
+/// Maximum difference between the motions of two tracks that are fitted together, pixels per frame.
 const SAME_MOTION_PX: f64 = 1.5;
-/// Minimum number of tracks to which a motion is fitted. With 1, mismatched tracks would be tried too.
+/// Minimum number of tracks to which a motion is fitted. With a minimum of 1, motions of mismatched tracks would be
+/// tried too.
 const MIN_TRACKS: usize = 2;
-/// Maximum number of candidate motions per block; the nearest are taken.
+/// Maximum number of candidate motions per block. The motions with the nearest tracks are used.
 const MAX_MOTIONS: usize = 6;
-/// Power of its distance by which a track's weight falls.
+/// Exponent of the distance in a track's weight: the weight falls with this power of the distance from the block's
+/// centre.
 const DISTANCE_POWER: i32 = 3;
-/// Ridge regularization of the fitted gradient, pixels: the fit is damped as if the tracks had this
-/// additional spread.
+/// Ridge regularization of a fitted motion's derivative by position, pixels. The derivative is damped as if the tracks
+/// were spread out by this additional distance, with equal motions.
 const RIDGE_PX: f64 = 2.0;
 
-/// An affine motion to each of four frames: the displacement of a centre, and its derivative by position.
+/// Four affine motions: from one image to each of the four frames around an instant (before, earlier, later, after).
+/// The first image is the one in which the fitted tracks have their positions: the image at the instant, or a frame of
+/// the pair. A motion consists of the displacement of a centre point, and the derivative of the displacement by
+/// position.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AffineMotion {
     to: [Vector2<f64>; 4],
@@ -24,8 +29,8 @@ pub struct AffineMotion {
 }
 
 impl AffineMotion {
-    /// The least-squares fit to tracks, weighted by nearness to `center`. `None` without tracks, or if a
-    /// coordinate is not finite.
+    /// Fits the four affine motions to tracks by least squares. Tracks nearer to `center` (pixels) have more weight.
+    /// Returns `None` without tracks, or if a coordinate is not finite.
     pub fn fit(tracks: &[&TrackMotion], center: &Point2<f64>) -> Option<Self> {
         let mut normal = Matrix3::zeros();
         let mut right = [Matrix3x2::zeros(); 4];
@@ -38,7 +43,7 @@ impl AffineMotion {
                 *right += weight * row * to.transpose();
             }
         }
-        // With at least one track, the diagonal is positive and the system well-conditioned.
+        // If there is a track, the diagonal is positive, and the system is well-conditioned.
         let ridge = normal[(0, 0)] * RIDGE_PX.powi(2);
         normal[(1, 1)] += ridge;
         normal[(2, 2)] += ridge;
@@ -50,14 +55,14 @@ impl AffineMotion {
         })
     }
 
-    /// The displacement to frame 0 to 3 (before, earlier, later, after) at `from_center`, an offset from the
-    /// centre; both in pixels.
+    /// Returns the displacement to a frame (0 before, 1 earlier, 2 later, 3 after) at the offset `from_center` from
+    /// the centre. Both are in pixels.
     pub fn at(&self, frame: usize, from_center: Vector2<f64>) -> Vector2<f64> {
         self.to[frame] + self.per_px[frame] * from_center
     }
 }
 
-/// Tracks, indexed by position, from which the candidate motions around any point are fitted.
+/// Tracks, indexed by position. The candidate motions around any point are fitted to these tracks.
 pub struct MotionHypotheses {
     pub motions: Vec<TrackMotion>,
     positions: Neighbors,
@@ -65,15 +70,16 @@ pub struct MotionHypotheses {
 }
 
 impl MotionHypotheses {
-    /// Indexes tracks. The motions around a point are fitted to tracks within `search_radius_px` of it.
+    /// Indexes tracks. Candidate motions around a point are fitted to the tracks within `search_radius_px` of the
+    /// point.
     pub fn new(motions: Vec<TrackMotion>, search_radius_px: f64) -> Self {
         let positions = Neighbors::new(motions.iter().map(|m| m.at));
         Self { motions, positions, search_radius_px }
     }
 
-    /// The candidate motions around a point, ordered by the distance of their nearest tracks. Tracks are
-    /// clustered greedily: each track that is not assigned yet starts a cluster with the tracks that move
-    /// alike.
+    /// Returns the candidate motions around a point, ordered by the distance of their nearest tracks. Tracks are
+    /// clustered greedily, nearest track first: each track that is in no cluster yet starts one, which also gets all
+    /// unassigned tracks with a similar motion. A motion is fitted to every cluster of at least two tracks.
     pub fn around(&self, center: &Point2<f64>) -> Vec<AffineMotion> {
         let near = self.positions.nearest(center, usize::MAX, self.search_radius_px);
         let mut assigned = vec![false; near.len()];

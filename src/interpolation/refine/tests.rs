@@ -1,4 +1,4 @@
-//! Tests of the refinement on textured squares, trains and pans in closed form.
+//! Tests of the refinement on synthetic scenes: a textured square, a train and a panning camera.
 
 use super::*;
 use crate::random::Random;
@@ -12,7 +12,8 @@ struct PixelMotion {
     cost: f32,
 }
 
-/// The refined image. The pair costs and the refinement use the motions of one set of tracks.
+/// Returns the refined image and the motion of each pixel. `motions` are used twice: to compute the pair costs, and in
+/// the refinement.
 fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
@@ -49,7 +50,7 @@ fn texture(x: f32, y: f32, seed: f32) -> f32 {
     0.5 + 0.2 * (x * 0.9 + seed).sin() * (y * 0.7).cos() + 0.2 * (x * 0.31 - y * 0.53 + seed).sin()
 }
 
-/// A textured square that moves right by 6 px per frame in front of a static textured wall.
+/// Renders a textured square that moves right by 6 px per frame in front of a static textured wall.
 fn scene(frame: f32) -> Image {
     let left = 30.0 + 6.0 * frame;
     let data = (0..W * H)
@@ -79,7 +80,7 @@ fn motions() -> Vec<TrackMotion> {
     all
 }
 
-/// Tracks at the positions of [`motions`], without motion.
+/// Returns tracks without motion. Their positions are those of the tracks that [`motions`] returns.
 fn at_rest() -> Vec<TrackMotion> {
     motions().into_iter().map(|m| TrackMotion { to: [Vector2::zeros(); 4], ..m }).collect()
 }
@@ -102,7 +103,7 @@ fn outlines_are_right_where_a_cross_fade_shows_both_frames() {
     let truth = scene(0.5);
     let four = around(&frames, 0.5);
     let still = Warp::identity(W, H);
-    // The costs are at every pixel for the first radius, and at every second pixel for the other.
+    // Costs are computed at every pixel for the first radius, and at every second pixel for the second radius.
     for window_radius_px in [2, 4] {
         let options = InterpolationOptions { window_radius_px, ..InterpolationOptions::default() };
         let (result, _) = refined(&four, [&still, &still], &motions(), &options);
@@ -118,7 +119,8 @@ fn noisy(image: &Image, amplitude: f32, random: &mut Random) -> Image {
     Image::from_data(W, H, 1, data)
 }
 
-/// In a static scene, four frames have half the noise variance of two, also without tracks.
+/// In a static scene, the mean of four frames has half the noise variance of the mean of two frames, even without
+/// tracks.
 #[test]
 fn static_scenes_are_averaged() {
     let mut random = Random::new(3);
@@ -133,8 +135,8 @@ fn static_scenes_are_averaged() {
     assert!((2.7..3.3).contains(&(four - two)), "{two} {four}");
 }
 
-/// Two dark wagons in front of a light wall move right by 8 px per frame. The wall is visible only in the gap
-/// of 8 px between them.
+/// Renders two dark wagons in front of a light wall. They move right by 8 px per frame. The wall is visible only in
+/// the gap of 8 px between them.
 fn train(frame: f32) -> Image {
     let left = 12.0 + 8.0 * frame;
     let value = |k: usize| {
@@ -159,7 +161,7 @@ fn motions_of_train() -> Vec<TrackMotion> {
     still.chain(moving).collect()
 }
 
-/// Without motion, both frames are dark at the gap's place, each because of another wagon.
+/// Without motion compensation, both frames are dark at the gap's position, because each shows another wagon there.
 #[test]
 fn what_other_motions_explain_does_not_fill_a_gap() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(train);
@@ -168,7 +170,7 @@ fn what_other_motions_explain_does_not_fill_a_gap() {
     let (result, _) = refined(&four, [&still, &still], &motions, &InterpolationOptions::default());
     let gap = || (20..44).flat_map(|y| (46..51).map(move |x| (x, y)));
     let darkest = gap().map(|(x, y)| result.pixel(x, y)[0]).fold(1.0, f32::min);
-    // The wall is 0.37 or more there.
+    // The wall's values in the gap are at least 0.37.
     assert!(darkest > 0.3, "{darkest}");
 }
 
@@ -189,7 +191,7 @@ fn pixels_move_as_their_tracks_and_cost_more_without() {
     assert!(at(&followed, 5, 5) == PixelMotion::default(), "{:?}", at(&followed, 5, 5));
 }
 
-/// Between the frame before and the earlier frame, the square moved the other way.
+/// From the first to the second of the four frames, the square moves in the opposite direction.
 #[test]
 fn the_change_of_a_bouncing_bodys_motion_is_known() {
     let frames = [1.0, 0.0, 1.0, 2.0].map(scene);
@@ -209,7 +211,7 @@ fn the_change_of_a_bouncing_bodys_motion_is_known() {
     assert!((bouncing.change_px - 12.0).abs() < 0.5, "{bouncing:?}");
 }
 
-/// Outer frames are averaged in along the trajectory, or without compensation where the difference is small.
+/// The outer frames are averaged in with motion compensation, or without compensation if the difference is small.
 #[test]
 fn slow_motion_is_not_blurred() {
     for (step, min_db) in [(0.02, 50.0), (0.08, 45.0), (0.33, 45.0)] {
@@ -286,7 +288,7 @@ fn four_frames_have_less_noise_than_two_and_a_frame_stays_as_filmed() {
     }
 }
 
-/// The tiles are equal to the bit.
+/// The needed tiles are bit-identical to the same tiles of the whole image.
 #[test]
 fn needed_tiles_equal_those_of_the_whole_image() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);

@@ -1,12 +1,13 @@
-//! The temporal activity of a recording in each frame interval: the signal that rough alignment correlates.
-//! It costs far less than tracking.
+//! Measures how much a camera's image changes in each interval between successive frames: the camera's activity.
+//! Rough alignment correlates the activity signals of two cameras. Computing activity costs far less than tracking
+//! features.
 //!
-//! Two successive frames are downsampled to about 80 pixels across. For each cell of a coarse grid, two sums
-//! are computed over its pixels: the energy of the temporal derivative, `Σ I_t²`, and its correlation with
-//! the gradient, `−Σ I_t ∇I`, which points in the direction of motion. The cells are grouped into epipolar
-//! bands, each between two epipolar lines. Corresponding bands of two nearby cameras show the same energy,
-//! and the same motion perpendicular to the epipolar lines. Energy alone does not distinguish a motion from
-//! its reverse.
+//! Two successive frames are downsampled to a width of about 80 pixels. For each cell of a coarse grid, two sums are
+//! computed over the cell's pixels: the energy of the temporal derivative, `Σ I_t²`, and the correlation of the
+//! temporal derivative with the gradient, `−Σ I_t ∇I`. The correlation is a vector in the direction of motion. The
+//! cells are grouped into epipolar bands. A band is the region between two epipolar lines. Corresponding bands of two
+//! nearby cameras have the same energy, and the same motion perpendicular to the epipolar lines. Energy alone does
+//! not distinguish a motion from its reverse.
 //!
 //! Known limit: motion along the epipolar lines contributes only energy.
 
@@ -16,35 +17,36 @@ use crate::registration::FrameStore;
 use nalgebra::{Point2, Vector2};
 use std::collections::BTreeMap;
 
-/// The number of the grid's cells across.
+/// The number of columns of the grid of cells over an image, in which activity is summed.
 const COLUMNS: usize = 16;
-/// The number of the grid's cells down.
+/// The number of rows of the grid of cells over an image, in which activity is summed.
 const ROWS: usize = 12;
-/// The width of the downsampled frames, pixels.
+/// The approximate width of the downsampled frames, pixels.
 const WIDTH: usize = 80;
-/// The number of epipolar bands in which the images of a pair are compared.
+/// The number of epipolar bands into which each image of a pair is divided.
 pub const BANDS: usize = 6;
 
-/// One camera's activity, summed over the epipolar bands of its pairs.
+/// Activity of one camera: how much its image changes in each interval between successive frames.
 #[derive(Clone, Debug, Default)]
 pub struct Activity {
-    /// The middle of each interval on the camera's clock, seconds.
+    /// The middle of each interval between successive frames, seconds on the camera's clock.
     pub times_s: Vec<f64>,
-    /// The total energy of each interval.
+    /// The energy `Σ I_t²` of each interval between successive frames, summed over the whole image, per s².
     pub energies: Vec<f64>,
-    /// By the index of a pair: for each frame interval, the square root of each band's energy, followed by
-    /// the signed square root of each band's motion component (the correlation with the gradient)
-    /// perpendicular to the epipolar lines.
+    /// The activity signals, by the index of a camera pair. For each interval between successive frames, a signal
+    /// holds the square root of each epipolar band's energy, then the signed square root of each band's motion
+    /// perpendicular to the epipolar lines (the correlation `−Σ I_t ∇I`).
     pub signals: BTreeMap<usize, Vec<[f32; 2 * BANDS]>>,
 }
 
-/// By cell, row by row: the energy `Σ I_t²`, per s², and the x and y components of the correlation `−Σ I_t
-/// ∇I`, per second.
+/// The sums of each cell of the grid, row by row: the energy `Σ I_t²`, per s², and the x and y components of the
+/// correlation `−Σ I_t ∇I`, per second. `I_t` is the temporal derivative of the brightness, and `∇I` its gradient.
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {
-    /// The activity of a camera from all its frames, converted to one exposure. `bands` has an entry for each pair of this camera: the
-    /// index of the pair, and this camera's bands in it.
+    /// Computes the activity of a camera from all its frames, converted to one exposure. `bands` has an entry for each
+    /// pair that contains the camera: the index of the pair, and the epipolar bands of this camera's image. Returns an
+    /// error if a frame cannot be read.
     pub fn new(
         frames: &FrameStore,
         camera: usize,
@@ -59,7 +61,7 @@ impl Activity {
             let image = gains.exposed_at(camera, [time_s, times[0]], &image).unwrap_or(image);
             let current = Downsampled::new(&image.to_gray());
             if let Some(before) = before {
-                // The interval is positive, since times ascend.
+                // Frame times ascend strictly, so the interval is positive.
                 let interval = time_s - times[k - 1];
                 activity.times_s.push(time_s - 0.5 * interval);
                 let cells = cells(&before, &current, interval as f32);
@@ -98,11 +100,12 @@ impl Downsampled {
     }
 }
 
-/// The sums of all cells for two successive frames, `interval` seconds apart.
+/// Computes the energy and the motion of all cells of the grid ([`Cells`]) from two successive frames, which are
+/// `interval` seconds apart.
 fn cells(before: &Downsampled, current: &Downsampled, interval: f32) -> Cells {
     let (w, h) = (current.width, current.height);
     let mut cells = [[0.0; 3]; COLUMNS * ROWS];
-    // Border pixels have no gradient; images below 3 × 3 pixels have no activity.
+    // Border pixels have no central difference. Images smaller than 3 × 3 pixels have no activity.
     for y in 1..h.saturating_sub(1) {
         for x in 1..w.saturating_sub(1) {
             let at = y * w + x;
@@ -119,34 +122,36 @@ fn cells(before: &Downsampled, current: &Downsampled, interval: f32) -> Cells {
     cells
 }
 
-/// For each cell of a camera's grid, the index of its epipolar band, and the unit vector perpendicular to the
-/// epipolar line; `None` for a cell outside all bands. Corresponding vectors in both cameras of a pair point
-/// to the same side of the line.
+/// Epipolar bands (image regions between two epipolar lines) of one camera of a pair. There is an entry for each cell
+/// of the grid, row by row: the index of the cell's band, and the unit vector perpendicular to the epipolar line
+/// through the cell's centre; `None` for a cell outside all bands. In both cameras of the pair, the vectors point to
+/// the same side of corresponding epipolar lines.
 #[derive(Clone, Debug)]
 pub struct Bands {
     of_cell: Vec<Option<(usize, Vector2<f64>)>>,
 }
 
 impl Bands {
-    /// The epipolar bands of a pair, for camera a and camera b. `None` for cameras with a common centre.
+    /// Computes the epipolar bands of two cameras, in the order [a, b]. `None` if the cameras have a common centre.
     pub fn of_pair(a: &Camera, b: &Camera) -> Option<[Self; 2]> {
         let (b_from_a, a_from_b) = (EpipolarGeometry::new(a, b)?, EpipolarGeometry::new(b, a)?);
         let middle = |c: &Camera| Point2::new(0.5 * c.width as f64, 0.5 * c.height as f64);
         let (in_a, in_b) = (middle(a), middle(b));
-        // Epipolar lines are identified by their signed distance from the middle of camera b's image. Both
-        // images of a point give the same number.
+        // An epipolar line is identified by its signed distance from the centre of camera b's image. Corresponding
+        // lines of both images get the same number.
         let of_a = |p: &Point2<f64>| Some(b_from_a.line_in_j(p)?.distance(&in_b));
         let of_b = |q: &Point2<f64>| of_a(&a_from_b.line_in_j(q)?.nearest(&in_a));
         let max_distance = cell_centers(b)
             .filter_map(|q| of_b(&q))
             .fold(0.0_f64, |max, distance| max.max(distance.abs()));
-        // Enlarged slightly, so that the outermost lines are inside the outermost bands.
+        // The range is enlarged slightly, so that the outermost lines lie inside the outermost bands.
         let max_distance = max_distance * (1.0 + 1e-3);
         Some([Self::new(a, of_a, max_distance), Self::new(b, of_b, max_distance)])
     }
 
-    /// The signal of a frame interval: the square root of each band's energy, then the signed square root of
-    /// each band's motion component perpendicular to the epipolar lines.
+    /// Returns the activity signal of one interval between frames: the square root of each epipolar band's energy,
+    /// then the signed square root of each band's motion perpendicular to the epipolar lines. `cells` are the
+    /// interval's sums.
     fn signal(&self, cells: &Cells) -> [f32; 2 * BANDS] {
         let mut sums = [0.0; 2 * BANDS];
         for (cell, of_cell) in cells.iter().zip(&self.of_cell) {
@@ -176,7 +181,7 @@ impl Bands {
     }
 }
 
-/// The centres of the grid's cells, row by row, pixels.
+/// Returns the centres of the grid's cells in a camera's image, row by row, pixels.
 fn cell_centers(camera: &Camera) -> impl Iterator<Item = Point2<f64>> {
     let (w, h) = (camera.width as f64, camera.height as f64);
     (0..COLUMNS * ROWS).map(move |k| {

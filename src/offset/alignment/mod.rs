@@ -1,11 +1,12 @@
-//! Rough alignment of recordings that were started by hand, seconds apart: a pair's offset, to about a frame.
+//! Finds the offset between two recordings that started seconds apart, to about one frame.
 //!
-//! Peaks of the normalized cross-correlation of activity signals ([`activity`]) propose a few offsets. Each
-//! is verified by the epipolar candidates, eq. (10), of a few frame triples. The offset with the largest
-//! fraction of inliers is chosen.
+//! Peaks of the normalized cross-correlation of the two cameras' activity signals ([`activity`]) propose a few offsets.
+//! An offset candidate, eq. (10), is the offset that a single feature implies. Each proposed offset is verified by the
+//! offset candidates of a few frame triples (two successive frames of camera a and one frame of camera b). The offset
+//! with the largest fraction of inliers is chosen.
 //!
-//! Known limits: recordings of less than 2 s are assumed to be aligned to about a frame, and periodic motion
-//! has no unique alignment.
+//! Known limits: recordings shorter than 2 s are assumed to be aligned to about one frame, and periodic motion has no
+//! unique alignment.
 
 mod activity;
 
@@ -18,18 +19,22 @@ use crate::capture::CaptureError;
 use activity::{Activity, BANDS, Bands};
 use rayon::prelude::*;
 
-/// The minimum overlap of two recordings in the search, seconds.
+/// The minimum overlap in time of two recordings, seconds. Offsets with a shorter overlap are not searched.
 const MIN_OVERLAP_S: f64 = 2.0;
-/// The maximum number of correlation peaks that are verified.
+/// The maximum number of correlation peaks whose offsets are verified.
 const MAX_CANDIDATES: usize = 5;
-/// The number of frame triples that verify an offset.
+/// The number of frame triples (two frames of one camera, one frame of another) by which an offset is verified.
 const TESTED_FRAMES: usize = 6;
-/// The fraction of the largest agreement at or above which another offset counts as equally plausible. Such
-/// an offset is called a rival.
+/// The minimum agreement (fraction of inliers) of a rival, relative to the largest agreement among the proposed
+/// offsets. A rival is an offset that counts as equally plausible.
 const RIVAL_FRACTION: f64 = 0.8;
 
-/// The activity of each camera from all its frames; empty for a camera without pairs that need alignment.
-/// There are no signals for pairs with a short recording, and for pairs with a common centre.
+/// Computes the activity of each camera from all its frames: how much its image changes in each frame interval. The
+/// result has an entry for each camera.
+///
+/// `pairs` are pairs of camera indices. An activity has a signal for each pair that contains the camera. A pair has
+/// no signals if one of its recordings is too short, if the search is disabled, or if its cameras have a common
+/// centre. Returns an error if a frame cannot be read.
 pub fn activities(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -56,7 +61,8 @@ pub fn activities(
     (0..capture.cameras.len()).into_par_iter().map(activity).collect()
 }
 
-/// Whether both recordings of a pair are longer than the minimum overlap.
+/// Returns whether the offset of a pair can be searched for: the search range is above 0, and both recordings are
+/// longer than [`MIN_OVERLAP_S`].
 fn is_long(recording: &Recording, pair: [usize; 2]) -> bool {
     let duration_s = |c: usize| {
         let times = &recording.clocks[c].times_s;
@@ -65,8 +71,11 @@ fn is_long(recording: &Recording, pair: [usize; 2]) -> bool {
     recording.options.search_s > 0.0 && pair.iter().all(|&c| duration_s(c) > MIN_OVERLAP_S)
 }
 
-/// The offset of a pair to about a frame; 0, the nominal clocks' offset, for short recordings. `n` is the
-/// index of the pair, by which its signals are found in `activities`.
+/// Returns the offset of a pair of cameras [a, b] to about one frame. It is 0, the nominal clocks' offset, for a pair
+/// without signals, such as a pair with a short recording.
+///
+/// `activities` are the activities of a and b, which hold the pair's signals under `n`, the index of the pair. The
+/// inner error is the reason why no offset is chosen. The outer error is a frame that cannot be read.
 pub fn rough_offset(
     recording: &Recording,
     [a, b]: [usize; 2],
@@ -81,7 +90,7 @@ pub fn rough_offset(
     if offsets_s.is_empty() {
         return Ok(Err(PairFailure::NoOverlap));
     }
-    // The nominal clocks' offset of 0 is always verified.
+    // The offset 0, which the nominal clocks imply, is always verified.
     if offsets_s.iter().all(|offset_s| offset_s.abs() > frame_s) {
         offsets_s.push(0.0);
     }
@@ -92,9 +101,12 @@ pub fn rough_offset(
     Ok(choose(&agreements, frame_s))
 }
 
-/// Chooses the offset of largest agreement among (offset in seconds, agreement) pairs. If one of the rivals
-/// ([`RIVAL_FRACTION`]) is within [`NOMINAL_CLOCK_FRAMES`] of 0, the nominal clocks' offset, it is chosen
-/// instead.
+/// Chooses the offset with the largest agreement (fraction of inliers). `agreements` holds (offset in seconds,
+/// agreement). If a rival ([`RIVAL_FRACTION`]) lies within [`NOMINAL_CLOCK_FRAMES`] of 0, the nominal clocks' offset,
+/// the rival is chosen instead. Fails if `agreements` is empty, if the largest agreement is above 0 but below
+/// [`MIN_AGREEMENT`], or if rivals lie more than [`NOMINAL_CLOCK_FRAMES`] from the chosen offset.
+///
+/// `frame_s` is the longer frame period of the two cameras, seconds.
 fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFailure> {
     let max = agreements.iter().map(|a| a.1).fold(0.0, f64::max);
     let rivals: Vec<f64> = agreements
@@ -113,16 +125,19 @@ fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFai
         return Err(PairFailure::NoConsensus);
     }
     if max == 0.0 {
-        // No offset has inliers. The estimation of the pair will determine the reason.
+        // No offset has inliers. The estimation of the pair determines the reason later.
         return Ok(ClockModel::default());
     }
     let is_unique = rivals.iter().all(|&other| near(other, best.0));
     if is_unique { Ok(ClockModel::constant(best.0)) } else { Err(PairFailure::PeriodicMotion) }
 }
 
-/// The number of inliers near an offset, as a fraction of the features that move across their epipolar lines;
-/// 0 if there are fewer inliers than a pair requires. The frame triples are those at camera a's most active
-/// frames, spread over the overlap.
+/// Returns the agreement of the images with a proposed offset `offset_b − offset_a`, seconds: the number of inliers
+/// divided by the number of features that move across their epipolar lines. The agreement is 0 if there are fewer
+/// than [`MIN_INLIERS`] inliers.
+///
+/// The overlap of the recordings is divided into [`TESTED_FRAMES`] parts. Each part contributes the frame triple (two
+/// frames of one camera, one frame of another) at camera a's most active frame in this part.
 fn agreement(
     recording: &Recording,
     [a, b]: [usize; 2],
@@ -149,15 +164,16 @@ fn agreement(
     Ok(if enough { score / across.max(1) as f64 } else { 0.0 })
 }
 
-/// An activity signal ([`Activity::signals`]): for each frame interval, its middle in seconds on the camera's
-/// clock, and 2·[`BANDS`] values (channels).
+/// Activity signal of one camera ([`Activity::signals`]). For each interval between successive frames, it has the
+/// interval's middle, in seconds on the camera's clock, and 2·[`BANDS`] values (channels).
 struct Signal<'a> {
     times_s: &'a [f64],
     values: &'a [[f32; 2 * BANDS]],
 }
 
 impl Signal<'_> {
-    /// The signal at a time on the camera's clock, linearly interpolated; `None` outside its span.
+    /// Interpolates the signal linearly at a time on the camera's clock, seconds. `None` outside the signal's time
+    /// span.
     fn at(&self, time_s: f64) -> Option<[f32; 2 * BANDS]> {
         let after = self.times_s.partition_point(|&t| t < time_s);
         if after == self.times_s.len() || (after == 0 && self.times_s.first() != Some(&time_s)) {
@@ -173,10 +189,11 @@ impl Signal<'_> {
     }
 }
 
-/// The offsets `offset_b − offset_a` at the highest local maxima of the correlation within ±`search_s`,
-/// seconds, highest first.
+/// Returns the offsets `offset_b − offset_a`, seconds, at the highest local maxima of the correlation of two signals,
+/// highest maximum first. Offsets from −`search_s` to `search_s` are tried, in steps of half of `frame_s`. `frame_s` is
+/// the longer frame period of the two cameras, seconds.
 fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<f64> {
-    // A peak is about a frame wide.
+    // A peak of the correlation is about one frame period wide.
     let step = 0.5 * frame_s;
     let max_steps = (search_s / step).ceil();
     // Only shifts at which the recordings overlap are tried, since the search range may have billions of
@@ -197,9 +214,10 @@ fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<f64> {
     peaks.into_iter().take(MAX_CANDIDATES).map(|(_, k)| k as f64 * step).collect()
 }
 
-/// The mean of two normalized cross-correlations, of energy and of motion, each over all bands. Every band is
-/// taken relative to its own mean. `None` if the recordings overlap by less than [`MIN_OVERLAP_S`], or if one
-/// of them is constant.
+/// Returns the correlation of the signals of cameras a and b if `offset_b − offset_a` is `offset_s`, seconds. It is
+/// the mean of two normalized cross-correlations: one of the energy channels, and one of the motion channels. The
+/// mean of each channel over the overlap is subtracted first. `None` if the recordings overlap by less than
+/// [`MIN_OVERLAP_S`], or if one signal is constant.
 fn correlation([a, b]: &[Signal; 2], offset_s: f64) -> Option<f64> {
     let mut overlap: Vec<([f32; 2 * BANDS], [f32; 2 * BANDS])> = Vec::new();
     let (mut first_s, mut last_s) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -232,7 +250,7 @@ fn correlation([a, b]: &[Signal; 2], offset_s: f64) -> Option<f64> {
             sums[2] += q * q;
         }
     }
-    // Energy and motion have different units, so that each is normalized separately.
+    // Energy and motion have different units, so each of them is normalized separately.
     let parts = sums.map(|[both, x, y]| both / (x * y).sqrt());
     let finite: Vec<f64> = parts.into_iter().filter(|p| p.is_finite()).collect();
     (!finite.is_empty()).then(|| finite.iter().sum::<f64>() / finite.len() as f64)
@@ -243,7 +261,7 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// A smooth random signal, sampled at a camera's rate.
+    /// Returns a smooth random signal, sampled at a camera's rate: the sample times, seconds, and the values.
     fn sampled_signal(
         seed: u64,
         rate_hz: f64,

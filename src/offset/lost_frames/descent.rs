@@ -1,22 +1,22 @@
 //! Fits the clock models of all cameras to timing observations by block-coordinate descent.
 //!
-//! The models are fitted in turn, each with all others held fixed, until none changes. For a given offset and
-//! rate, the optimal set of lost frames is a shortest path through a trellis of images and loss counts
-//! (numbers of frames lost up to an image), found by dynamic programming ([`super::fit`]).
+//! One camera's model is fitted at a time, while all other models stay fixed, until no model changes. For a given
+//! offset and rate, the optimal set of lost frames is a shortest path through a trellis of images and loss counts
+//! (numbers of frames lost before an image). Dynamic programming finds this path ([`super::fit`]).
 //!
-//! The objective is a sum of truncated squared residuals plus a penalty per lost frame. An outlier costs 1
-//! under any model; penalties are multiples of this cost. An observation in an interval with lost frames has
-//! a larger standard deviation than others ([`super::fit::robust_loss`]). Further frames lost at the same
-//! image have a smaller penalty than the first.
+//! The objective is a sum of truncated squared residuals plus a penalty for each lost frame. An outlier costs 1 under
+//! any model; penalties are multiples of this cost. An observation in an interval with lost frames has a larger
+//! standard deviation than other observations ([`super::fit::robust_loss`]). Further frames lost at the same image
+//! have a smaller penalty than the first.
 //!
-//! If several cameras lose frames at about the same time, shifting their image times together by a frame
-//! hardly changes the objective. [`super::jumps`] finds such jump moves, for any set of images. A jump move
-//! that lowers the objective is applied. If a jump move raises the objective by less than an outlier costs,
-//! the cameras whose images it shifts are undecided.
+//! If several cameras lose frames at about the same time, shifting their image times together by a frame hardly changes
+//! the objective. Such a shift of the times of any set of images is a jump move ([`super::jumps`]). A jump move that
+//! lowers the objective is applied. If a jump move raises the objective by less than an outlier costs, the cameras
+//! whose images it shifts are undecided.
 //!
-//! Known limits: frames that all cameras lose at the same time leave no trace. If observations contradict
-//! each other, a move of low cost may be missed. The camera that defines the common clock keeps its offset of
-//! 0 even if it is undecided.
+//! Known limits: frames that all cameras lose at the same time leave no trace. If observations contradict each other,
+//! a move of low cost may be missed. The camera that defines the common clock keeps its offset of 0 even if it is
+//! undecided.
 
 use super::fit::{ClockFit, LagObservation, LagProblem, gap_penalty};
 use super::jumps::{Component, Jumps};
@@ -24,33 +24,35 @@ use super::{FittedClock, TimingObservation};
 use crate::offset::clock::{ClockModel, NominalClock};
 use nalgebra::Vector2;
 
-/// The penalty of one lost frame while cameras are added one after the other, as a multiple of an outlier's
-/// cost. It is higher than [`LOSS_PENALTY`], since few cameras are fitted that could contradict a false loss.
+/// The penalty of one lost frame while cameras are added one after the other, as a multiple of an outlier's cost. It
+/// is higher than [`LOSS_PENALTY`], since only few fitted cameras could contradict a false loss.
 const START_LOSS_PENALTY: f64 = 1.8;
 /// The penalty of one lost frame in the final models, as a multiple of an outlier's cost. It is the log odds
 /// against a lost frame at a given image, divided by the log odds against an outlier.
 const LOSS_PENALTY: f64 = 0.75;
-/// The minimum increase of the objective, as a multiple of an outlier's cost, by every jump move of a camera
-/// whose image times count as certain. At 1, the evidence of a single observation is not enough.
+/// The increase of the objective below which a jump move makes the cameras that it shifts undecided, as a multiple of
+/// an outlier's cost. A jump move shifts some image times by whole frames. At 1, the evidence of a single observation
+/// is not sufficient.
 const DECISIVE_OUTLIERS: f64 = 1.0;
-/// The numbers of frames by which jump moves shift image times.
+/// The numbers of frames by which a jump move shifts the times of a set of images.
 const JUMPS: [i32; 4] = [1, -1, 2, -2];
-/// The minimum decrease of the objective by a jump move, as a multiple of an outlier's cost.
+/// The minimum decrease of the objective, as a multiple of an outlier's cost, for which a jump move (a shift of some
+/// image times by whole frames) is applied.
 const MIN_IMPROVEMENT: f64 = 1e-6;
 /// The maximum number of sweeps, each of which updates every camera's model once. It is also the maximum number of
 /// jump moves.
 const MAX_SWEEPS: usize = 12;
-/// The change of an offset, in frames, below which a model has converged.
+/// The change of an offset in one sweep, in frames, below which a clock model has converged.
 const OFFSET_TOLERANCE_FRAMES: f64 = 1e-3;
-/// The fraction of outliers among a camera's observations above which its model is ambiguous.
+/// The fraction of outliers among a camera's observations above which the camera's model is ambiguous.
 const MAX_OUTLIER_FRACTION: f64 = 0.4;
 
-/// Fits the clock model of every camera to all timing observations. `clocks` and the result are by camera;
-/// `reference` is the index of the reference camera.
+/// Fits the clock model of every camera to all timing observations. `clocks` holds the nominal clock of each camera;
+/// `reference` is the index of the reference camera. Returns a model for each camera, `None` for a camera without
+/// observations.
 ///
-/// Cameras that observations connect form a component. The models of a component are relative to the clock of
-/// the reference camera, if that is a member, otherwise to the clock of the component's first camera. The
-/// result is `None` for a camera without observations.
+/// Cameras that are connected by observations form a component. The models of a component are relative to the clock
+/// of one camera: the reference camera if it is a member, otherwise the component's first camera.
 pub fn fit_clock_models(
     clocks: &[NominalClock],
     reference: usize,
@@ -96,8 +98,9 @@ impl<'a> Component<'a> {
         Self { clocks, observations, root, models, loss_penalty: START_LOSS_PENALTY }
     }
 
-    /// The next camera to fit, among the cameras without a model that have an observation together with a
-    /// fitted one. Cameras that lose no frames come first, then the one with the most observations.
+    /// Returns the next camera to fit: a camera without a model that has an observation together with a fitted
+    /// camera. Cameras that lose no frames come first, then the camera with the most such observations. `None` if
+    /// there is no such camera.
     fn next_camera(&self) -> Option<usize> {
         let observation_count = |c: usize| {
             let to_fitted =
@@ -114,10 +117,11 @@ impl<'a> Component<'a> {
             .map(|(_, c)| c)
     }
 
-    /// Fits the clock model of a further camera, given the models fitted so far.
+    /// Fits the clock model of another camera, given the models fitted so far.
     ///
-    /// A fit without constraints may have a loss count that decreases at some image. Instead, all cameras
-    /// fitted so far may have lost a frame at that time. This alternative is used if its total cost is lower.
+    /// A fit without constraints may have a loss count (number of frames missing before an image) that decreases at
+    /// some image. The decrease may mean that all cameras fitted so far lost a frame at that time. These losses are
+    /// added to their models if the total cost is then lower.
     fn add_camera(&mut self, camera: usize) {
         let unconstrained = self.fit(camera, true);
         let before = self.models.clone();
@@ -136,12 +140,12 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// Adds a lost frame to every fitted camera that may lose frames, at each time at which the loss count of
-    /// `fit`, the fit of `camera`, decreases.
+    /// Adds lost frames to every fitted camera that may lose frames: one at each time at which the loss count of
+    /// `fit` (number of frames missing before an image) decreases. `fit` is the fit of `camera`.
     fn attribute_steps_back(&mut self, camera: usize, fit: &ClockFit) {
         let clock = &self.clocks[camera];
-        // On the common clock, which does not include the new losses yet, this image is one frame earlier
-        // than in `fit`, and one more after each further decrease.
+        // The common clock does not include the new losses yet. On it, this image is one frame earlier than in `fit`,
+        // and one more for each earlier decrease.
         let step_time_s = |(n, image): (usize, &usize)| {
             Some(fit.clock.image_time_s(clock, *image)? - (n + 1) as f64 * clock.frame_s)
         };
@@ -156,7 +160,8 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// Sweeps over all cameras, fitting each to all others, until no model changes.
+    /// Fits each camera's model to the models of all other cameras, in repeated sweeps over all cameras, until no
+    /// model changes.
     fn converge(&mut self) {
         for _ in 0..MAX_SWEEPS {
             let mut converged = true;
@@ -173,8 +178,8 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// Whether the cost of a camera's observations, as a multiple of an outlier's, exceeds the fraction
-    /// [`MAX_OUTLIER_FRACTION`] of their number.
+    /// Returns whether the cost of a camera's observations, as a multiple of an outlier's cost, exceeds the fraction
+    /// [`MAX_OUTLIER_FRACTION`] of their number. Penalties of lost frames do not count.
     fn is_ambiguous(&self, camera: usize) -> bool {
         let lost = self.models[camera].as_ref().map_or(0, |model| model.lost_before.len());
         let losses = self.loss_penalty * lost as f64;
@@ -182,7 +187,7 @@ impl<'a> Component<'a> {
         self.fit(camera, false).cost - losses > MAX_OUTLIER_FRACTION * count
     }
 
-    /// Applies jump moves ([`Jumps`]), each followed by [`Self::converge`], until none lowers the objective.
+    /// Applies jump moves ([`Jumps`]), each followed by [`Self::converge`], until no jump move lowers the objective.
     fn improve_by_jumps(&mut self) {
         self.loss_penalty = LOSS_PENALTY;
         self.converge();
@@ -203,8 +208,8 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// For each camera, whether a jump move that shifts some of its images increases the objective by less than
-    /// [`DECISIVE_OUTLIERS`].
+    /// Returns, for each camera, whether its image times are undecided. They are undecided if a jump move (a shift of
+    /// image times by whole frames) of some of its images increases the objective by less than [`DECISIVE_OUTLIERS`].
     fn undecided(&self) -> Vec<bool> {
         let mut undecided = vec![false; self.clocks.len()];
         for frames in JUMPS {
@@ -229,7 +234,7 @@ impl<'a> Component<'a> {
         undecided
     }
 
-    /// The objective, as a multiple of an outlier's cost: the sum of the costs of all observations and of the
+    /// Returns the objective, as a multiple of an outlier's cost: the sum of the costs of all observations and of the
     /// penalties of all lost frames.
     fn total_cost(&self) -> f64 {
         let camera_cost = |(c, model): (usize, &ClockModel)| {
@@ -247,15 +252,15 @@ impl<'a> Component<'a> {
         models.filter_map(|(c, model)| Some((c, model.as_ref()?))).map(camera_cost).sum()
     }
 
-    /// A camera's model relative to the clock of [`Component::root`].
+    /// Returns a camera's model relative to the clock of the camera [`Component::root`].
     fn rebased(&self, camera: usize) -> ClockModel {
         let [model, root] = [camera, self.root].map(|c| self.models[c].clone().unwrap_or_default());
         let (offset_s, rate) = (model.offset_s - root.offset_s, model.rate - root.rate);
         ClockModel { offset_s, rate, ..model }
     }
 
-    /// Fits a camera's clock model, given the models of all others. With `allow_steps_back`, the loss count
-    /// may also decrease ([`LagProblem::allow_steps_back`]).
+    /// Fits a camera's clock model, given the models of all other cameras. If `allow_steps_back` is true, the loss
+    /// count (number of frames missing before an image) may also decrease ([`LagProblem::allow_steps_back`]).
     fn fit(&self, camera: usize, allow_steps_back: bool) -> ClockFit {
         let lags: Vec<LagObservation> =
             self.observations[camera].iter().filter_map(|o| self.lag(camera, o)).collect();
@@ -263,8 +268,8 @@ impl<'a> Component<'a> {
         LagProblem { lags: &lags, clock, loss_penalty, allow_steps_back }.fit()
     }
 
-    /// Converts a timing observation to a lag of `camera`, common time minus nominal time. The common time is
-    /// that of the other camera's model; `None` if that camera has no model yet.
+    /// Converts a timing observation to a lag of `camera`: the time on the common clock minus the camera's nominal
+    /// time. The common time comes from the other camera's model. `None` if the other camera has no model yet.
     fn lag(&self, camera: usize, observation: &TimingObservation) -> Option<LagObservation> {
         let [a, b] = observation.cameras;
         let [k, m] = observation.images;
@@ -292,7 +297,7 @@ impl<'a> Component<'a> {
         })
     }
 
-    /// The time of a camera's image on the common clock, seconds; `None` without a model.
+    /// Returns the time of a camera's image on the common clock, seconds. `None` if the camera has no model.
     fn time_s(&self, camera: usize, image: usize) -> Option<f64> {
         self.models[camera].as_ref()?.image_time_s(&self.clocks[camera], image)
     }

@@ -1,16 +1,16 @@
-//! Jump moves (Veksler 1999). A jump move shifts the times of some images, of one camera or of several, by
-//! the same number of frames, and leaves all other image times unchanged. A minimum cut finds a move of low
-//! cost, the increase of the objective of [`super::descent`], among all sets of images. It is the move of
-//! minimum cost if all terms are submodular.
+//! Jump moves (Veksler 1999). A jump move shifts the times of some images, of one camera or of several, by the same
+//! number of frames, and leaves all other image times unchanged. Its cost is the increase of the objective of
+//! [`super::descent`]. Among all sets of images, a minimum cut finds a set whose move has a low cost. If all terms
+//! are submodular, this cost is the minimum.
 //!
-//! Block-coordinate descent changes one camera's model at a time. If neighbouring cameras lose frames at
-//! about the same time, a better solution may require changes of several models at once, which only a jump
-//! move makes. A move of negative cost is an improvement. The lowest cost of all moves that shift a given
-//! image is its min-marginal (Kohli and Torr, CVIU 112(1), 2008). The move that the minimum cut finds gives
-//! an upper bound. If this bound is near 0, the image's time is undecided.
+//! Block-coordinate descent changes one camera's model at a time. If neighbouring cameras lose frames at about the
+//! same time, a better solution may require simultaneous changes of several models, which only a jump move makes. A
+//! move of negative cost is an improvement. The lowest cost of all moves that shift a given image is the image's
+//! min-marginal (Kohli and Torr, CVIU 112(1), 2008). The cost of the move that the minimum cut finds is an upper
+//! bound of the min-marginal. If this bound is near 0, the image's time is undecided.
 //!
-//! Known limits: moves change offsets only by whole frames, and no rates. Observations that contradict each
-//! other give terms that are not submodular ([`super::min_cut`]), so that a move of lower cost may be missed.
+//! Known limits: moves change offsets only by whole frames, and leave rates unchanged. Observations that contradict
+//! each other give terms that are not submodular ([`super::min_cut`]), so a move of lower cost may be missed.
 
 use super::TimingObservation;
 use super::fit::{gap_penalty, robust_loss};
@@ -18,63 +18,64 @@ use super::min_cut::{Energy, FORBIDDEN, TripleCosts};
 use crate::offset::clock::{ClockModel, NominalClock};
 use std::ops::Range;
 
-/// The cameras of one connected component, and their clock models. Cameras are connected if they have common
+/// Cameras of one connected component, with their clock models. Two cameras are connected if they have common
 /// observations.
 pub struct Component<'a> {
     pub clocks: &'a [NominalClock<'a>],
-    /// For each camera, the observations in which it is one of the two cameras.
+    /// The observations of each camera: those in which it is one of the two cameras.
     pub observations: &'a [Vec<TimingObservation>],
-    /// The camera whose first image keeps its time, which fixes the common clock.
+    /// The index of the camera whose first image keeps its time, which fixes the common clock.
     pub root: usize,
-    /// For each camera, its model. `None` for cameras of other components, and for those that are not fitted yet.
+    /// The clock model of each camera. `None` for a camera of another component, and for a camera that is not fitted
+    /// yet.
     pub models: Vec<Option<ClockModel>>,
     /// The penalty of one lost frame, as a multiple of an outlier's cost.
     pub loss_penalty: f64,
 }
 
 impl Component<'_> {
-    /// The cameras that have a model, ascending.
+    /// Returns the indices of the cameras that have a clock model, ascending.
     pub fn members(&self) -> Vec<usize> {
         (0..self.clocks.len()).filter(|&c| self.models[c].is_some()).collect()
     }
 
-    /// The observations whose second camera has a model. `observations` lists each under both of its cameras;
-    /// here it occurs once.
+    /// Returns each timing observation whose camera b has a fitted clock model. No observation is repeated, although
+    /// `observations` has each of them twice: under its camera a and under its camera b.
     pub fn fitted_observations(&self) -> impl Iterator<Item = &TimingObservation> {
         let as_second = |c: usize| self.observations[c].iter().filter(move |o| o.cameras[1] == c);
         self.members().into_iter().flat_map(as_second)
     }
 }
 
-/// A node of the graph: successive images of a camera, whose times a move shifts together or not at all. They reach
-/// from `image` to the image before the next node's `image`.
+/// Node of the graph of jump moves: successive images of one camera, whose times a jump move shifts together or not
+/// at all. The images extend from `image` to the image before the next node's `image`.
 struct MoveNode {
     camera: usize,
     image: usize,
-    /// The number of frames lost between the previous node's `image` and this one's; 0 for the camera's first
-    /// node.
+    /// The number of frames lost between the `image` of the camera's previous node and this node's `image`; 0 for the
+    /// camera's first node.
     lost: u32,
 }
 
-/// A jump move: the set of nodes whose image times are shifted by [`Jumps::frames`].
+/// Jump move: shifts the image times of a set of nodes by [`Jumps::frames`].
 pub struct Move {
-    /// By node, in the order of [`Jumps::nodes`]: whether its image times are shifted.
+    /// Whether each node's image times are shifted, in the order of [`Jumps::nodes`].
     moves: Vec<bool>,
-    /// The increase of the objective by the move, as a multiple of an outlier's cost.
+    /// The increase of the objective by the jump move, as a multiple of an outlier's cost.
     pub cost: f64,
 }
 
-/// The graph of a component's jump moves by a given number of frames. Each node has a binary label: 1 if its
-/// image times are shifted.
+/// Graph of a component's jump moves (shifts of some image times) by a given number of frames. Each node has a binary
+/// label: 1 if its image times are shifted.
 pub struct Jumps<'a> {
     component: &'a Component<'a>,
     nodes: Vec<MoveNode>,
-    /// For each camera, the range of its nodes in `nodes`, ascending by image.
+    /// The range of each camera's nodes in `nodes`, by camera. The nodes of a camera ascend by image.
     of_camera: Vec<Range<usize>>,
-    /// For each observation: the nodes of its three images, and its cost for each combination of their
-    /// labels, as a multiple of an outlier's cost.
+    /// The energy term of each timing observation: the nodes of its three images, and its cost for each combination of
+    /// their labels (1 for a shifted node), as a multiple of an outlier's cost.
     terms: Vec<([usize; 3], TripleCosts)>,
-    /// The shift of image times by a move, in frame periods of each camera; positive is later.
+    /// The shift of image times by a jump move, in frame periods of each camera. A positive shift makes times later.
     frames: i32,
 }
 
@@ -86,16 +87,16 @@ impl<'a> Jumps<'a> {
         jumps
     }
 
-    /// Index of the node (a group of images, [`MoveNode`]) that contains a camera's image; `None` for a camera without
-    /// nodes.
+    /// Returns the index of the node (a group of images, [`MoveNode`]) that contains a camera's image. `None` if the
+    /// camera has no nodes.
     fn node(&self, camera: usize, image: usize) -> Option<usize> {
         let range = self.of_camera[camera].clone();
         let within = self.nodes[range.clone()].partition_point(|n| n.image <= image);
         (!range.is_empty()).then(|| range.start + within.saturating_sub(1))
     }
 
-    /// The nodes of an observation's three images, and its cost for each combination of their labels. `None`
-    /// if one of its cameras has no model.
+    /// Returns the energy term of a timing observation: the nodes of its three images, and its cost for each
+    /// combination of their labels (1 for a shifted node). `None` if one of its cameras has no model.
     fn term(&self, o: &TimingObservation) -> Option<([usize; 3], TripleCosts)> {
         let ([a, b], [k, m]) = (o.cameras, o.images);
         let [clock_a, clock_b] = o.cameras.map(|c| &self.component.clocks[c]);
@@ -117,9 +118,9 @@ impl<'a> Jumps<'a> {
         Some(([self.node(a, k)?, self.node(a, k + 1)?, self.node(b, m)?], costs))
     }
 
-    /// The camera's nodes from which an alternative to its lost frames would start or end: its first and its
-    /// last node, and the nodes on both sides of each lost frame. If no move of one of them has a low cost,
-    /// the camera is decided.
+    /// Returns the nodes that decide whether a camera's lost frames are certain: its first and last node, and the nodes
+    /// on both sides of each lost frame. A jump move that changes the camera's lost frames shifts at least one of these
+    /// nodes. If all such moves have a high cost, the lost frames are certain.
     pub fn decisive_nodes(&self, camera: usize) -> Vec<usize> {
         let range = self.of_camera[camera].clone();
         let at_loss = range.clone().filter(|n| self.nodes[*n].lost > 0);
@@ -131,8 +132,8 @@ impl<'a> Jumps<'a> {
         decisive
     }
 
-    /// The move of lowest cost that the minimum cut finds. If `containing` is given, the move must shift that
-    /// node. The first node of [`Component::root`] is never shifted. `None` if the minimum cut finds no move
+    /// Returns the jump move of lowest cost that the minimum cut finds. If `containing` is given, the move must shift
+    /// this node. The first node of [`Component::root`] is never shifted. `None` if the minimum cut finds no move
     /// that meets these conditions.
     pub fn cheapest(&self, containing: Option<usize>) -> Option<Move> {
         let mut energy = Energy::new(self.nodes.len());
@@ -145,8 +146,8 @@ impl<'a> Jumps<'a> {
             energy.add_triple(*nodes, costs);
         }
         for (before, after) in self.neighbours() {
-            // The number of frames lost between the two nodes increases if only `up` is shifted, and
-            // decreases if only `down` is.
+            // The number of frames lost between the two nodes increases if only `up` is shifted, and decreases if
+            // only `down` is shifted.
             let (up, down) = if self.frames > 0 { (after, before) } else { (before, after) };
             let (lost, frames) = (self.nodes[after].lost, self.frames.unsigned_abs());
             if let Some(less) = lost.checked_sub(frames) {
@@ -165,13 +166,13 @@ impl<'a> Jumps<'a> {
         is_move.then_some(Move { moves, cost })
     }
 
-    /// All pairs of successive nodes of the same camera, as indices into `nodes`.
+    /// Returns all pairs of successive nodes of the same camera, as indices into `nodes`.
     fn neighbours(&self) -> impl Iterator<Item = (usize, usize)> {
         let same_camera = |n: &usize| self.nodes[*n].camera == self.nodes[n + 1].camera;
         (0..self.nodes.len().saturating_sub(1)).filter(same_camera).map(|n| (n, n + 1))
     }
 
-    /// The increase of the objective, as a multiple of an outlier's cost, if every node n with `moves[n]` is
+    /// Returns the increase of the objective, as a multiple of an outlier's cost, if every node n with `moves[n]` is
     /// shifted. `None` if the number of frames lost between two successive nodes would become negative.
     fn cost(&self, moves: &[bool]) -> Option<f64> {
         let mut cost = 0.0;
@@ -191,20 +192,20 @@ impl<'a> Jumps<'a> {
         gap_penalty(lost, self.component.loss_penalty)
     }
 
-    /// The change of the number of frames lost between two successive nodes, if every node n with `moves[n]`
+    /// Returns the change of the number of frames lost between two successive nodes, if every node n with `moves[n]`
     /// is shifted.
     fn further_losses(&self, moves: &[bool], (before, after): (usize, usize)) -> i32 {
         self.frames * (i32::from(moves[after]) - i32::from(moves[before]))
     }
 
-    /// Sets `marked[c]` for every camera c of which the move shifts at least one node.
+    /// Sets `marked[c]` to true for every camera c with at least one node that the move shifts.
     pub fn mark_moved(&self, of: &Move, marked: &mut [bool]) {
         for (range, marked) in self.of_camera.iter().zip(marked) {
             *marked |= of.moves[range.clone()].contains(&true);
         }
     }
 
-    /// The clock models, by camera, after a move.
+    /// Returns the clock model of each camera after a jump move.
     pub fn apply(&self, of: &Move) -> Vec<Option<ClockModel>> {
         let mut models = self.component.models.clone();
         for (c, range) in self.of_camera.iter().enumerate() {
@@ -233,11 +234,11 @@ impl<'a> Jumps<'a> {
     }
 }
 
-/// Divides the images of all cameras into nodes ([`MoveNode`]). Returns the nodes, and for each camera the range of
-/// their indices.
+/// Divides the images of all cameras into nodes ([`MoveNode`]). Returns the nodes, and the range of each camera's
+/// nodes.
 ///
-/// A camera that cannot lose frames has a single node. For any other camera, a node starts at each observed
-/// image, at the images on both sides of each lost frame, and at its two [`observable_ends`].
+/// A camera that cannot lose frames has a single node. For any other camera, a node starts at each observed image, at
+/// the images on both sides of each lost frame, and at the camera's two [`observable_ends`].
 fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     let mut images: Vec<Vec<usize>> = vec![Vec::new(); component.models.len()];
     for o in component.fitted_observations() {
@@ -246,7 +247,8 @@ fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
         images[b].push(m);
     }
     for (images, model) in images.iter_mut().zip(&component.models) {
-        // The two images around a lost frame start nodes, so that the loss is between successive nodes.
+        // A node starts at each of the two images around a lost frame, so that the loss lies between successive
+        // nodes.
         let lost_before = model.iter().flat_map(|m| &m.lost_before);
         images.extend(lost_before.flat_map(|n| [n.saturating_sub(1), *n]));
     }
@@ -272,9 +274,11 @@ fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     (nodes, of_camera)
 }
 
-/// For each camera, its first and its last image, by index, whose times are within the recordings of the cameras
-/// with which it has common observations, extended by one frame period on both sides. `None` if there is no
-/// such image.
+/// Returns, for each camera, the indices of the first and the last image that other cameras could observe.
+///
+/// The partners of a camera are the cameras with which it has common observations. The two images are the first and the
+/// last one between the start of the partners' first recording and the end of their last recording, extended by one
+/// frame period on both sides. `None` if there is no such image.
 fn observable_ends(component: &Component) -> Vec<Option<[usize; 2]>> {
     let image_times_s = |(model, clock): (&Option<ClockModel>, &NominalClock)| {
         model.as_ref().map_or_else(Vec::new, |m| m.image_times_s(clock))

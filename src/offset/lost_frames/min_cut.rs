@@ -1,29 +1,30 @@
-//! Minimization of an energy of binary variables by a minimum cut (Kolmogorov and Zabih, PAMI 26(2),
-//! 2004), found by Dinic's algorithm.
+//! Minimizes an energy of binary variables by a minimum cut (Kolmogorov and Zabih, PAMI 26(2), 2004). Dinic's
+//! algorithm finds the cut.
 //!
-//! Known limit: terms that are not submodular are replaced by upper bounds. The energy of the resulting
-//! labels is then low, but not always the minimum.
+//! Known limit: terms that are not submodular are replaced by upper bounds. The resulting labels have a low energy,
+//! but not always the minimum.
 
 use petgraph::Direction;
 use petgraph::algo::dinics;
 use petgraph::graph::{DiGraph, NodeIndex};
 use petgraph::visit::EdgeRef;
 
-/// An energy of binary variables (labels 0 and 1): a sum of terms of one, two and three variables.
+/// Energy of binary variables (labels 0 and 1): a sum of terms of one, two and three variables.
 pub struct Energy {
-    /// For each variable, the cost of the label 1; the label 0 costs 0.
+    /// The cost of the label 1 for each variable; the label 0 costs 0.
     unary: Vec<f64>,
-    /// For each edge, two variables, and the cost if the first has the label 1 and the second has the label 0.
+    /// The terms of two variables, as (x, y, cost). The cost applies if variable x has the label 1 and variable y has
+    /// the label 0.
     edges: Vec<(usize, usize, f64)>,
 }
 
-/// The cost of each combination of three variables' labels: `[x][y][z]`.
+/// Cost of each combination of three variables' labels x, y and z, as `[x][y][z]`.
 pub type TripleCosts = [[[f64; 2]; 2]; 2];
 
 /// The cost of a forbidden label, or of a forbidden pair of labels. It is larger than the sum of all other
 /// terms.
 pub const FORBIDDEN: f64 = 1e7;
-/// The capacity that represents a cost of 1. Capacities are integers, so that flows are exact.
+/// The edge capacity that represents a cost of 1. Capacities are integers, so that flows are exact.
 const UNITS: f64 = (1_u64 << 30) as f64;
 
 impl Energy {
@@ -31,17 +32,18 @@ impl Energy {
         Self { unary: vec![0.0; variables], edges: Vec::new() }
     }
 
-    /// Adds a cost for the label 1 of a variable. It may be negative.
+    /// Adds a cost for the label 1 of a variable. The cost may be negative.
     pub fn add_unary(&mut self, variable: usize, cost: f64) {
         self.unary[variable] += cost;
     }
 
-    /// Adds a cost, not negative, that applies if variable x has the label 1 and variable y has the label 0.
+    /// Adds a cost that applies if variable x has the label 1 and variable y has the label 0. The cost must not be
+    /// negative.
     pub fn add_edge(&mut self, x: usize, y: usize, cost: f64) {
         self.edges.push((x, y, cost));
     }
 
-    /// Adds the term `coefficient · x · y`; the coefficient must not be positive.
+    /// Adds the term `coefficient · x · y`. The coefficient must not be positive.
     fn add_product(&mut self, x: usize, y: usize, coefficient: f64) {
         self.unary[x] += coefficient;
         if x != y {
@@ -49,8 +51,8 @@ impl Energy {
         }
     }
 
-    /// Adds a term of three variables; `e` is its cost by their labels. Some of the variables may be the
-    /// same.
+    /// Adds a term of three variables. `e` is its cost for each combination of their labels. Some of the variables
+    /// may be the same.
     pub fn add_triple(&mut self, [x, y, z]: [usize; 3], e: &TripleCosts) {
         let variables = [x, y, z];
         let single = [e[1][0][0], e[0][1][0], e[0][0][1]].map(|v| v - e[0][0][0]);
@@ -65,8 +67,8 @@ impl Energy {
         for (variable, cost) in variables.into_iter().zip(single) {
             self.unary[variable] += cost;
         }
-        // The cubic term c·xyz is replaced by a minimum over an auxiliary binary variable w: of −2cw + cw (x
-        // + y + z) if c is negative, otherwise of cw − cw (x + y + z) + c (xy + xz + yz).
+        // The cubic term c·xyz is replaced by the minimum, over an auxiliary binary variable w, of −2cw + cw (x + y +
+        // z) if c is negative, and of cw − cw (x + y + z) + c (xy + xz + yz) otherwise.
         if cubic.abs() > 1.0 / UNITS {
             let further = self.unary.len();
             self.unary.push(if cubic < 0.0 { -2.0 * cubic } else { cubic });
@@ -79,30 +81,30 @@ impl Energy {
             if coefficient <= 0.0 {
                 self.add_product(variables[i], variables[j], coefficient);
             } else {
-                // The product is not submodular. It is replaced by an upper bound: its coefficient as a cost
-                // of one variable, the one with the higher cost.
+                // The product is not submodular. It is replaced by an upper bound: its coefficient becomes a cost of
+                // the variable whose own cost is higher.
                 let dearer = if single[i] > single[j] { i } else { j };
                 self.unary[variables[dearer]] += coefficient;
             }
         }
     }
 
-    /// Minimizes the energy, and returns the labels of the first `count` variables; `true` is the label 1. Of
-    /// several minima, it returns the one with the fewest labels 1.
+    /// Minimizes the energy, and returns the labels of the first `count` variables; `true` is the label 1. Of several
+    /// minima, the one with the fewest labels 1 is returned.
     pub fn minimize(&self, count: usize) -> Vec<bool> {
         let (source, sink) = (self.unary.len(), self.unary.len() + 1);
         let terminal = |(variable, &cost): (usize, &f64)| match cost > 0.0 {
             true => (variable, sink, cost),
             false => (source, variable, -cost),
         };
-        // An edge of capacity 0 makes sure that both terminals exist.
+        // An edge of capacity 0 makes sure that both terminals, source and sink, exist.
         let edges = std::iter::once((source, sink, 0.0))
             .chain(self.unary.iter().enumerate().map(terminal))
             .chain(self.edges.iter().copied())
             .map(|(x, y, cost)| (x as u32, y as u32, (UNITS * cost).round() as u64));
         let network = DiGraph::<(), u64>::from_edges(edges);
         let (_, flow) = dinics(&network, NodeIndex::new(source), NodeIndex::new(sink));
-        // Variables that can still be reached from the source have the label 1.
+        // The variables that can be reached from the source in the residual network have the label 1.
         let mut reached = vec![false; network.node_count()];
         let mut open = vec![NodeIndex::new(source)];
         while let Some(node) = open.pop() {
@@ -124,8 +126,9 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// Random energies of up to eight variables. All triple terms are truncated distances between two of the
-    /// variables, which are submodular. The labels must have the minimum energy.
+    /// Random energies of up to eight variables. All terms of three variables are truncated squared distances between
+    /// one variable and a weighted mean of the other two, which are submodular. The labels must have the minimum
+    /// energy.
     #[test]
     fn the_minimum_of_submodular_energies_is_found() {
         let random = &mut Random::new(4);

@@ -1,17 +1,17 @@
-//! Detection of lost frames. If a camera drops a frame and its time stamps have no gap, the nominal times of
-//! all later images are one frame period too early.
+//! Detects lost frames. If a camera loses a frame and its time stamps show no gap, the nominal times of all later
+//! images are one frame period too early.
 //!
-//! A frame triple (two successive frames of camera a, one frame of camera b) gives the offset `offset_b −
-//! offset_a` at one instant, eq. (10). Along the recording, this offset increases by a frame period where
-//! camera b lost a frame, and decreases where camera a did. Each such jump is bracketed by bisection, so that
-//! the images on both sides of it are observed. The clock models of all cameras are then fitted to the
-//! observations of all pairs ([`descent`]).
+//! A frame triple (two successive frames of camera a, one frame of camera b) gives the offset `offset_b − offset_a`
+//! at one instant, eq. (10). Along the recording, this offset increases by a frame period where camera b lost a
+//! frame, and decreases by a frame period where camera a lost one. Each such jump is located by bisection, so that
+//! the images on both sides of it are observed. Then the clock models of all cameras are fitted to the observations
+//! of all pairs ([`descent`]).
 //!
-//! Known limits: a frame lost while nothing moves is attributed to the next image that shows motion. A frame
-//! lost after the first or before the last image of a recording may be missed; that image's time is then a
-//! frame off. The offset of a camera is unknown if too few of its observations agree, or if other sets of
-//! lost frames fit nearly as well. The latter happens if several cameras lose frames within a frame or two of
-//! each other, since only relative times are observed.
+//! Known limits: A frame lost while nothing moves is attributed to the next image that shows motion. The loss of a
+//! frame directly after the first image or directly before the last image of a recording may be missed. The time of
+//! that first or last image is then wrong by one frame. The offset of a camera is unknown if too few of its
+//! observations agree, or if other sets of lost frames fit nearly as well. Other sets fit nearly as well if several
+//! cameras lose frames within a frame or two of each other, since only relative times are observed.
 
 mod descent;
 mod fit;
@@ -26,78 +26,85 @@ use crate::progress::Reporter;
 use descent::fit_clock_models;
 use rayon::prelude::*;
 
-/// The relative timing of three images: image `images[1]` of camera `cameras[1]` was taken at
-/// `fraction` of the interval from image `images[0]` of camera `cameras[0]` to its next image.
+/// Relative timing of three images: image `images[1]` of camera `cameras[1]` was taken at `fraction` of the interval
+/// from image `images[0]` of camera `cameras[0]` to the next image of that camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimingObservation {
     pub cameras: [usize; 2],
     pub images: [usize; 2],
-    /// Time of camera `cameras[1]`'s image within the interval, 0 to 1; slightly outside if the trajectory
-    /// was extrapolated.
+    /// The time of the image of camera `cameras[1]`, as a fraction of the interval between the two images of camera
+    /// `cameras[0]`. It is from 0 to 1, or slightly outside this range if the trajectory was extrapolated.
     pub fraction: f64,
 }
 
-/// A camera's clock model, fitted to timing observations. It is relative to the common clock of its
-/// [`Self::component`].
+/// Clock model of one camera, fitted to timing observations. The model is relative to the common clock of the
+/// camera's [`Self::component`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FittedClock {
     pub clock: ClockModel,
-    /// Whether too large a fraction of the camera's observations are outliers of the model.
+    /// Whether the model is unreliable: too large a fraction of the camera's observations are outliers, or the camera
+    /// may lose frames and has no observation.
     pub ambiguous: bool,
-    /// Whether other sets of lost frames, of this camera or of several, explain the observations nearly as
-    /// well. The times of some of its images may then be wrong by whole frames.
+    /// Whether other sets of lost frames, of this camera or of several cameras, explain the observations nearly as
+    /// well. The times of some of this camera's images may then be wrong by whole frames.
     pub undecided: bool,
-    /// Index of the camera's connected component, in the graph whose nodes are cameras and whose edges are
+    /// The index of the camera's connected component, in the graph whose nodes are cameras and whose edges are
     /// observations. Only models of the same component share a common clock.
     pub component: usize,
 }
 
-/// A pair's offset, observed at one frame triple: two successive images of camera a, one of camera b.
+/// Offset of a pair of cameras a and b, observed with one frame triple: two successive images of a and one image of
+/// b.
 #[derive(Clone, Copy, Debug)]
 struct TripleOffset {
     timing: TimingObservation,
     /// `offset_b − offset_a`, seconds.
     offset_s: f64,
-    /// The MSAC score, which is about the number of inliers.
+    /// The MSAC score of the offset, which is about the number of inliers.
     score: f64,
-    /// The score divided by the number of features that move across their epipolar lines.
+    /// The MSAC score divided by the number of features that move across their epipolar lines.
     agreement: f64,
 }
 
-/// The offset hypotheses that are tried at an image, in order of preference: differences from the expected
-/// offset, in frame periods of camera b. The expected offset is the last observed one of enough agreement.
+/// The offsets that are tried at an image, in order of preference: differences from the expected offset, in frame
+/// periods of camera b. The expected offset is the last observed offset whose agreement is at least
+/// [`MIN_AGREEMENT`].
 const STEPS: [f64; 6] = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0];
-/// The offset hypotheses that are tried until the first observation succeeds: differences from the initial
-/// offset, in frame periods of camera b. The initial offset holds for most of the recording. At its start,
-/// before several lost frames, the offset may be different.
+/// The offsets that are tried until the first observation succeeds: differences from the initial offset, in frame
+/// periods of camera b. The initial offset holds for most of the recording. Near the recording's start, before
+/// several lost frames, the offset may be different.
 const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
-/// The minimum score of a frame triple, as a fraction of [`MIN_INLIERS`].
+/// The minimum MSAC score of a frame triple (two frames of one camera, one frame of another), as a fraction of
+/// [`MIN_INLIERS`].
 const MIN_SCORE_FRACTION: f64 = 0.5;
-/// The minimum score of a frame triple, as a fraction of the number of its candidates.
+/// The minimum MSAC score of a frame triple (two frames of one camera, one frame of another), as a fraction of the
+/// number of its offset candidates.
 const MIN_INLIER_FRACTION: f64 = 0.3;
-/// The distance in time of camera b's image from either of camera a's two images, as a fraction of their
-/// interval, within which an observation requires [`MIN_AGREEMENT`]. Occluded features and T-junctions
-/// falsely agree on the time of one of these images.
+/// If camera b's image is nearer in time than this to one of camera a's two images, an observation requires an
+/// agreement of at least [`MIN_AGREEMENT`]. The unit is the interval between camera a's two images. Occluded features
+/// and T-junctions falsely agree on the time of one of these two images.
 const NEAR_FRAME: f64 = 0.2;
-/// The maximum time by which camera b's image may be outside camera a's interval, as a fraction of the
-/// interval.
+/// The maximum time by which camera b's image may be outside the interval between camera a's two images, as a
+/// fraction of this interval.
 const MAX_OUTSIDE: f64 = 0.25;
-/// The minimum change of the offset, in frames, that counts as a jump by whole frames.
+/// The minimum change of the offset between two observations that counts as a jump by whole frames, in frame periods
+/// of camera b.
 const MIN_JUMP_FRAMES: f64 = 0.6;
-/// If the observed offset differs from the expected one by at most this, in frame periods of camera b, and the
-/// observation has [`MIN_AGREEMENT`], no further hypotheses are tried.
+/// The search for a frame triple's offset stops at the first observed offset that is within this distance of the
+/// expected offset, in frame periods of camera b, and whose agreement is at least [`MIN_AGREEMENT`].
 const EXPECTED_WITHIN_FRAMES: f64 = 0.4;
 /// The number of images on either side of a lost frame that are observed again.
 const IMAGES_AROUND_LOSS: usize = 2;
-/// The maximum number of rounds. In each, the frame triples that the fitted clock models predict are observed
-/// too, and the models are fitted again.
+/// The maximum number of rounds of further observations. In each round, the fitted clock models tell which frame
+/// triples (two frames of one camera, one frame of another) are about simultaneous. Such triples are observed too, and
+/// the models are fitted again.
 const MAX_ROUNDS: usize = 3;
 
-/// Detects the lost frames of all cameras. The result is by camera.
+/// Detects the lost frames of all cameras. Returns the fitted clock of each camera.
 ///
-/// `starts` holds, for each of `pairs`, its initial offset or its failure. If both cameras have clock models
-/// of the same component, the initial offset is replaced by the models' offset. A camera that may lose frames
-/// but has no observation is marked as ambiguous.
+/// `starts` holds the initial offset of each of `pairs`, or the reason why there is none. If both cameras of a pair
+/// have clock models of the same component, the initial offset is replaced by the offset between the models. A camera
+/// that may lose frames but has no observation is marked as ambiguous. Returns an error if a frame cannot be read.
 pub fn detect_lost_frames(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -122,8 +129,9 @@ pub fn detect_lost_frames(
     Ok(models.map(|(model, clock)| model.unwrap_or_else(|| unobserved(clock))).collect())
 }
 
-/// Fits the clock models of all cameras to the observations of all pairs, in both directions (either camera
-/// may have the two images). The result is by camera; `None` for a camera without observations.
+/// Fits the clock models of all cameras to the timing observations of all pairs. Each pair is observed in both
+/// directions: with two images of either camera. Returns a model for each camera, `None` for a camera without
+/// observations. Returns an error if a frame cannot be read.
 fn joint_models(
     recording: &Recording,
     pairs: &[[usize; 2]],
@@ -164,7 +172,7 @@ fn joint_models(
     Ok(models)
 }
 
-/// The observations of the offset of an ordered pair of cameras (a, b), `offset_b − offset_a`.
+/// Observed offsets `offset_b − offset_a` of an ordered pair of cameras (a, b) along their recordings.
 struct PairScan<'a, 'b> {
     recording: &'a Recording<'b>,
     cameras: [usize; 2],
@@ -179,8 +187,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Self { recording, cameras, frame_s, offsets: Vec::new() }
     }
 
-    /// Observes the offset at evenly spread images in order of time, then brackets its jumps by bisection.
-    /// `initial_offset_s`, seconds, is `offset_b − offset_a` for most of the recording.
+    /// Observes the pair's offset at evenly spread images in order of time, then locates its jumps by bisection.
+    /// `initial_offset_s` is `offset_b − offset_a` in most of the recording, seconds.
     fn track_offset(&mut self, initial_offset_s: f64) -> Result<(), CaptureError> {
         let mut expected_s = initial_offset_s;
         for k in self.sampled_images() {
@@ -191,7 +199,7 @@ impl<'a, 'b> PairScan<'a, 'b> {
                     && (o.offset_s - expected_s).abs() < EXPECTED_WITHIN_FRAMES * self.frame_s
             };
             if let Some(observed) = self.best_observation(k, tried_s, is_expected)? {
-                // An offset of low agreement is stored as an observation, but does not change the expected
+                // An offset with a low agreement is stored as an observation, but does not change the expected
                 // offset.
                 if self.offsets.is_empty() || observed.agreement >= MIN_AGREEMENT {
                     expected_s = observed.offset_s;
@@ -205,9 +213,10 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(())
     }
 
-    /// Observes the frame triples that the fitted clock models predict, and returns whether any observation
-    /// is new. `clocks` and `models` are by camera. Near the recordings' ends and near lost frames, every
-    /// image of camera a is observed with up to three successive images of camera b.
+    /// Observes further frame triples (two frames of one camera, one frame of another) that are about simultaneous
+    /// according to the fitted clock models. Near the recordings' ends and near lost frames, every image of camera a is
+    /// observed with up to three successive images of camera b. Returns whether any observation is new. `clocks` and
+    /// `models` have an entry for each camera.
     fn observe_again(
         &mut self,
         clocks: &[NominalClock],
@@ -218,8 +227,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         };
         let times_a = model_a.clock.image_times_s(&clocks[self.cameras[0]]);
         let times_b = model_b.clock.image_times_s(&clocks[self.cameras[1]]);
-        // Near a recording's end, and near lost frames, few images give evidence of a loss. All of them are
-        // observed.
+        // Near the ends of a recording and near lost frames, only few images give evidence of a loss. All of these
+        // images are observed.
         let mut decisive_times = Vec::new();
         for (model, times) in [(model_a, &times_a), (model_b, &times_b)] {
             decisive_times.extend([times[0], times[times.len() - 1]]);
@@ -245,16 +254,19 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(self.offsets.len() > count_before)
     }
 
-    /// The indices of the evenly spread images of camera a at which the offset is observed first.
+    /// Returns the indices of the evenly spread images of camera a at which the offset is observed first. More
+    /// images near lost frames are observed later ([`Self::observe_again`]).
     fn sampled_images(&self) -> Vec<usize> {
         let count = self.recording.clocks[self.cameras[0]].times_s.len() - 1;
         spread(count, self.recording.options.max_frames)
     }
 
-    /// The observation of the highest score at images k and k + 1 of camera a; of equal scores, the first.
-    /// For each of `offsets_s`, hypotheses of `offset_b − offset_a` in seconds, the image of camera b nearest
-    /// to the middle of this interval is observed. No further hypotheses are tried once `is_enough` is true
-    /// for the best observation.
+    /// Tries several offsets at images k and k + 1 of camera a. Returns the observation with the highest score, the
+    /// first one if scores are equal. `None` if no offset gives an observation.
+    ///
+    /// `offsets_s` are hypotheses of `offset_b − offset_a`, seconds. Each selects the image of camera b that is
+    /// nearest to the middle between the two images. No further hypotheses are tried once `is_enough` is true for the
+    /// best observation.
     fn best_observation(
         &self,
         k: usize,
@@ -275,8 +287,9 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(best)
     }
 
-    /// The offset observed at images k and k + 1 of camera a and image m of camera b. `None` if too few
-    /// candidates agree, or if they agree on a time outside camera a's interval.
+    /// Observes the offset at images k and k + 1 of camera a and image m of camera b. `None` if too few offset
+    /// candidates agree, or if they agree on a time too far outside the interval between a's two images. Also `None` if
+    /// this time is near one of these two images and the agreement is below [`MIN_AGREEMENT`].
     fn observe(&self, k: usize, m: usize) -> Result<Option<TripleOffset>, CaptureError> {
         let [times, times_b] = self.cameras.map(|c| &self.recording.clocks[c].times_s);
         let triple = self.recording.triple((self.cameras, [k, m]))?;
@@ -289,7 +302,7 @@ impl<'a, 'b> PairScan<'a, 'b> {
         let enough = score >= MIN_SCORE_FRACTION * MIN_INLIERS as f64
             && score >= MIN_INLIER_FRACTION * observations.len() as f64;
         let agreement = score / triple.across.max(1) as f64;
-        // Times ascend strictly, so the interval is positive.
+        // Frame times ascend strictly, so the interval is positive.
         let fraction = (time_s - start) / (end - start);
         let certain =
             agreement >= MIN_AGREEMENT || (fraction - fraction.round()).abs() > NEAR_FRAME;
@@ -298,8 +311,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(valid.then_some(TripleOffset { timing, offset_s, score, agreement }))
     }
 
-    /// If the offsets of two observations differ by a jump, observes images between them by bisection, until
-    /// the jump is between two successive observable images.
+    /// If the offsets of two observations differ by a jump, observes images between them by bisection. The bisection
+    /// ends when no image between the two sides of the jump can be observed.
     fn bisect_jump(&mut self, from: TripleOffset, to: TripleOffset) -> Result<(), CaptureError> {
         let jump = (to.offset_s - from.offset_s) / self.frame_s;
         if jump.abs() < MIN_JUMP_FRAMES || to.timing.images[1] <= from.timing.images[1] {
@@ -311,8 +324,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         self.bisect_jump(between, to)
     }
 
-    /// An observation at an image between those of two given observations, as near to the middle as possible.
-    /// `None` if no image between them can be observed.
+    /// Returns an observation at an image between the images of two given observations, as near to the middle as
+    /// possible. `None` if no image between them can be observed.
     fn observe_between(
         &self,
         from: TripleOffset,

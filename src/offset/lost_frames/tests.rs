@@ -1,4 +1,4 @@
-//! Clock models fitted to simulated timing observations.
+//! Tests of clock models that are fitted to simulated timing observations.
 
 use super::descent::fit_clock_models;
 use super::fit::INLIER_BOUND_FRAMES;
@@ -8,8 +8,8 @@ use crate::random::Random;
 
 const FRAME_S: f64 = 1.0 / 30.0;
 
-/// A row of cameras whose recordings have the same length. Each is observed together with its two neighbours
-/// on either side.
+/// Recordings of a row of cameras, all with the same number of frame periods. Each camera is observed together with
+/// its two neighbours on either side.
 struct Recordings {
     times_s: Vec<Vec<f64>>,
     true_models: Vec<ClockModel>,
@@ -44,7 +44,8 @@ impl Recordings {
             .collect()
     }
 
-    /// All timing observations, with noise. A fraction of them are outliers, off by up to two frames.
+    /// Returns all timing observations, with noise. `outlier_fraction` is the fraction of them that are outliers,
+    /// wrong by up to two frames.
     fn observations(&self, random: &mut Random, outlier_fraction: f64) -> Vec<TimingObservation> {
         let clocks = self.clocks();
         let all: Vec<Vec<f64>> =
@@ -90,7 +91,8 @@ fn no_loss_is_invented_among_hundreds_of_recordings_with_outliers() {
         for (model, truth) in recordings.fit(&observations).into_iter().zip(&recordings.true_models)
         {
             let model = model.unwrap();
-            // With two cameras, both observations at an end may be outliers that agree with each other.
+            // With two cameras, both observations at an end of the recording may be outliers that agree with each
+            // other.
             assert!(model.clock.lost_before.is_empty() || model.undecided, "{n}: {model:?}");
             let error = (model.clock.offset_s - truth.offset_s) / FRAME_S;
             assert!(error.abs() < 0.1, "{n}: {error} frame");
@@ -166,8 +168,8 @@ fn components_do_not_touch_each_other() {
     }
 }
 
-/// One observation is too few to decide on a loss, and two are enough. If one of two is off by half the
-/// inlier bound, they neither prove a loss nor exclude it.
+/// One observation is too few to decide on a loss, and two are sufficient. If one of two observations deviates by 0.6
+/// times the inlier bound, they neither prove a loss nor exclude it.
 #[test]
 fn weak_evidence_of_a_loss_makes_a_model_ambiguous() {
     let times_s: Vec<f64> = (0..20).map(|n| f64::from(n) * FRAME_S).collect();

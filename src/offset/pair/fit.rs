@@ -1,4 +1,4 @@
-//! A pair's offset, rate and standard error from the candidates of its frame triples.
+//! Estimates a pair's offset, rate and standard error from the candidates of its frame triples.
 
 use super::mixture::{Mixture, Observation, consensus_value};
 use super::ransac::{ransac, weighted_least_squares};
@@ -15,31 +15,34 @@ use std::sync::Arc;
 
 /// The RANSAC tolerance d of §7, as a fraction of the frame interval Δt.
 const TOLERANCE_FRACTION: f64 = 0.05;
-/// The product γ·Δt, with γ of eq. (12).
+/// The product γ·Δt: γ is the decay rate of the weights in eq. (12), and Δt the frame interval.
 const GAMMA: f64 = 70.0;
-/// The minimum fraction of inliers among a pair's candidates. Wrong candidates spread over a few frames, so
-/// that every window of 2 × tolerance contains a small fraction of them.
+/// The minimum fraction of inliers among a pair's offset candidates. Wrong candidates are spread over a few frame
+/// periods, so a small fraction of them is within the tolerance of any offset.
 const MIN_INLIER_FRACTION: f64 = 0.15;
-/// The minimum number of moving features, as a fraction of all tracked ones. Fewer may be mismatches.
+/// The minimum number of moving features, as a fraction of all tracked features. If fewer move, they may be
+/// mismatches.
 const MIN_MOVING_FRACTION: f64 = 0.01;
-/// The minimum number of inliers, as a fraction of the moving features. If all motion is along the epipolar
-/// lines, T-junctions and occluded features seem to cross the lines, and agree on wrong times.
+/// The minimum number of inliers, as a fraction of the moving features. If all motion is along the epipolar lines,
+/// T-junctions and occluded features still seem to cross the lines, and agree on wrong times.
 const MIN_ACROSS_FRACTION: f64 = 0.05;
-/// The standard deviation of the part of correspondences' errors across the epipolar lines that is common to
-/// all features, relative to the residuals' standard deviation. It biases the offset in proportion to the
-/// mean signed speed of the features, and does not average out. In filmed scenes it is 0.001 to 0.006 px, at
-/// residuals of 0.03 px.
+/// All correspondences of a pair share an error perpendicular to the epipolar lines. This is the standard deviation of
+/// the shared error, as a fraction of the standard deviation of the inliers' residuals. The shared error does not
+/// average out: it biases the offset in proportion to the mean signed speed of the features. In filmed scenes it is
+/// 0.001 to 0.006 px, at residuals of 0.03 px.
 const COMMON_ERROR_FRACTION: f64 = 0.2;
 
-/// A pair's frame triples, with their candidates.
+/// Frame triples (two frames of one camera, one frame of another) of one pair of cameras, with their offset
+/// candidates.
 pub struct PairTriples {
-    /// The indices of cameras i and j.
+    /// The indices of the pair's two cameras, i and j.
     cameras: [usize; 2],
     triples: Vec<(TripleFrames, Arc<FrameTriple>)>,
 }
 
 impl PairTriples {
-    /// Computes the candidates of a pair's frame triples, or reads them from the recording's cache.
+    /// Computes the offset candidates of a pair's frame triples (two frames of one camera, one frame of another), or
+    /// takes them from the recording's cache. Returns an error if a frame cannot be read.
     pub fn new(
         recording: &Recording,
         cameras: [usize; 2],
@@ -49,12 +52,13 @@ impl PairTriples {
         Ok(Self { cameras, triples: frames.iter().map(triple).collect::<Result<_, _>>()? })
     }
 
-    /// Sums `count` over all triples; `count` returns one of a triple's numbers of features.
+    /// Returns the sum of `count` over all frame triples of the pair. `count` returns a number of features of a triple,
+    /// such as the number of tracked features.
     fn total(&self, count: fn(&FrameTriple) -> usize) -> usize {
         self.triples.iter().map(|(_, triple)| count(triple)).sum()
     }
 
-    /// Why there are too few candidates.
+    /// Returns the reason why there are too few offset candidates.
     fn too_few_candidates(&self) -> PairFailure {
         let tracks = self.total(|t| t.tracks);
         let min_moving = MIN_INLIERS.max((MIN_MOVING_FRACTION * tracks as f64) as usize);
@@ -69,9 +73,9 @@ impl PairTriples {
 }
 
 impl PairTriples {
-    /// Whether one camera is frozen, its frames being copies of one image: nothing that is tracked in it
-    /// moves, while the other camera sees motion. Candidates of the other camera would all agree on the time
-    /// of that image.
+    /// Returns whether one camera of the pair is frozen: all its frames are copies of one image. Then none of the
+    /// features tracked in this camera moves, while features of the other camera do. The other camera's offset
+    /// candidates would all agree on the time of the copied image.
     fn is_frozen(&self) -> bool {
         let count = |camera: usize, count: fn(&FrameTriple) -> usize| -> usize {
             let own = self.triples.iter().filter(|(([a, _], _), _)| *a == camera);
@@ -86,12 +90,13 @@ impl PairTriples {
     }
 }
 
-/// A pair's candidates as observations of a line: the offset as a function of time.
+/// A pair's offset candidates as observations of a line, which is the pair's offset as a function of time.
 struct PairObservations {
     samples: Vec<Sample>,
-    /// In the order of `samples`: `offset_j − offset_i` by time since `center_s` on camera i's clock.
+    /// The observations of `offset_j − offset_i`, in the order of `samples`. Their times are times on camera i's clock
+    /// minus `center_s`, seconds.
     observations: Vec<Observation>,
-    /// The middle of all candidates' times, on camera i's clock, seconds.
+    /// The middle of the time span of all offset candidates, seconds on camera i's clock.
     center_s: f64,
     /// The longer one of the two cameras' frame periods, seconds.
     frame_s: f64,
@@ -120,9 +125,10 @@ impl PairObservations {
     }
 }
 
-/// Estimates a pair's offset, and its rate if `with_rate`, from the candidates of its triples.
+/// Estimates a pair's offset from the offset candidates of its triples, and also its rate if `with_rate` is true.
+/// `initial` is the approximate clock model with which the triples were chosen.
 ///
-/// The failure is the first condition on features, motion and inliers that is not met.
+/// Fails with the first condition on features, motion or inliers that is not met.
 pub fn fit_pair(
     recording: &Recording,
     pair: &PairTriples,
@@ -169,10 +175,11 @@ pub fn fit_pair(
     Ok(estimate)
 }
 
-/// The estimate of a pair from the same candidates without these calibration errors. The clock's rate is fitted anew if
-/// `with_rate`. `frame_s` is the longer one of the two cameras' frame periods, seconds.
+/// Estimates a pair again from the same offset candidates, after subtracting the effect of the given calibration
+/// errors from them. The clock's rate is fitted again if `with_rate` is true. `frame_s` is the longer one of the two
+/// cameras' frame periods, seconds.
 ///
-/// `None` if the candidates don't determine it any more.
+/// `None` if the corrected candidates don't determine the offset.
 pub fn refit_pair(
     pair: &PairEstimate,
     errors: &DVector<f64>,
@@ -204,8 +211,9 @@ pub fn refit_pair(
     Some(refitted)
 }
 
-/// Fits the mixture to a pair's observations, and checks that there are enough features, motion across the
-/// epipolar lines, and inliers.
+/// Fits a mixture model of inliers and outliers ([`Mixture`]) to a pair's observations. Fails if there are too few
+/// features, too few features that move across the epipolar lines, or too few inliers. Also fails if the offset
+/// contradicts the nominal clocks and too few features agree on it.
 fn checked_mixture(
     pair: &PairTriples,
     data: &PairObservations,
@@ -231,8 +239,11 @@ fn checked_mixture(
     Ok(mixture)
 }
 
-/// Fits the mixture, starting at the value of highest consensus. If `with_rate`, the initial rate is
-/// subtracted first, since no single value has a consensus while the offset changes.
+/// Fits a mixture model ([`Mixture`]) with a line through the inliers, starting at the offset with the highest
+/// consensus. `None` if the observations do not determine the line.
+///
+/// If `with_rate` is true, the offset changes with time, and no constant offset is near most observations. The change
+/// at the rate of `initial` is therefore subtracted from the observations before the start is chosen.
 fn fit_line(data: &PairObservations, initial: &ClockModel, with_rate: bool) -> Option<Mixture> {
     let rate = if with_rate { initial.rate } else { 0.0 };
     let relative = |o: &Observation| Observation { value_s: o.value_s - rate * o.at_s, ..*o };
@@ -242,8 +253,8 @@ fn fit_line(data: &PairObservations, initial: &ClockModel, with_rate: bool) -> O
     Some(Mixture { rate: mixture.rate + rate, ..mixture })
 }
 
-/// The estimates from one frame triple: by RANSAC and WLS, eqs. (11) to (13), and by the mixture. `None` for
-/// too few inliers.
+/// Returns two estimates from one frame triple (two frames of one camera, one frame of another): by RANSAC and WLS,
+/// eqs. (11) to (13), and by a mixture model ([`Mixture`]). `None` if the triple has too few inliers.
 fn frame_estimate(
     recording: &Recording,
     pair: &PairTriples,
@@ -271,8 +282,8 @@ fn frame_estimate(
     Some(FrameEstimate { camera, frame, offset_s, by_information_s: mixture.value_s })
 }
 
-/// The mean of the frames' offsets, and its standard error from their scatter; both in seconds. `None` for
-/// fewer than two frames.
+/// Returns the mean of the offsets from single frame triples (two frames of one camera, one frame of another), and
+/// its standard error from their scatter; both in seconds. `None` for fewer than two triples.
 fn mean_of_frames(frames: &[FrameEstimate]) -> Option<(f64, f64)> {
     let n = frames.len() as f64;
     if frames.len() < 2 {
@@ -283,8 +294,8 @@ fn mean_of_frames(frames: &[FrameEstimate]) -> Option<(f64, f64)> {
     Some((mean, (variance / n).sqrt()))
 }
 
-/// The standard error of a pair's offset, seconds: the cluster-robust one, combined with the one due to the
-/// common error. `None` if it can't be determined.
+/// Returns the standard error of a pair's offset, seconds. It combines the cluster-robust standard error with the
+/// standard error due to the correspondences' common error ([`common_error_s`]). `None` if it can't be determined.
 fn std_err(
     estimate: &PairEstimate,
     observations: &[Observation],
@@ -305,9 +316,8 @@ fn std_err(
     (variance > 0.0).then(|| variance.sqrt().hypot(common_error_s(observations, estimate)))
 }
 
-/// The effective number of independent tracker windows that determine the offset at one instant, averaged
-/// over instants with their information as weight. `weights` are those of all triples' samples, in their
-/// order.
+/// Returns the effective number of independent tracker windows that determine the offset at one instant. It is the mean
+/// over all frame triples, weighted by their information. `weights` has the weight of each sample, triple by triple.
 fn independent_windows(pair: &PairTriples, weights: &[f64]) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     let mut weights = weights.iter();
@@ -325,12 +335,12 @@ fn independent_windows(pair: &PairTriples, weights: &[f64]) -> f64 {
     if total > 0.0 { sum / total } else { 0.0 }
 }
 
-/// The standard error due to the correspondences' common error across the epipolar lines
-/// ([`COMMON_ERROR_FRACTION`]), seconds; 0 without information.
+/// Returns the standard error of the offset that results from the shared error of all correspondences across the
+/// epipolar lines ([`COMMON_ERROR_FRACTION`]), seconds; 0 if no observation has any weight.
 fn common_error_s(observations: &[Observation], estimate: &PairEstimate) -> f64 {
     let (mut signed, mut squared) = (0.0, 0.0);
     for (o, (sample, weight)) in observations.iter().zip(estimate.samples.iter()) {
-        // The positive side of the epipolar lines is opposite for triples of the other direction.
+        // The positive side of the epipolar lines is reversed for triples of the other direction.
         let sign = if sample.cameras == estimate.cameras { 1.0 } else { -1.0 };
         signed += sign * weight * o.across_px_s;
         squared += weight * o.across_px_s * o.across_px_s;

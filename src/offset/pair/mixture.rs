@@ -1,24 +1,25 @@
-//! A robust line fit to candidates: maximum likelihood under a mixture model of inliers and outliers, fitted
-//! by expectation maximization (EM).
+//! Fits a line robustly to candidates: maximum likelihood under a mixture model of inliers and outliers, by
+//! expectation maximization (EM).
 //!
-//! Beyond the paper. RANSAC counts candidates within a tolerance in time, although a slow feature's candidate
-//! is far less certain than a fast one's, and the weights of eqs. (11) to (13) depend only on agreement. Here
-//! the error of an inlier is a scale mixture of three Gaussians in pixels, so that a candidate's information
-//! is proportional to the square of its speed across the epipolar line. The time of an outlier is uniformly
-//! distributed. EM starts at the candidate of highest consensus, by MSAC's truncated squares.
+//! Beyond the paper. RANSAC counts all candidates within a tolerance in time alike, although a slow feature's
+//! candidate is far less certain than a fast feature's. The weights of eqs. (11) to (13) depend only on the agreement
+//! of the candidates. Here the error of an inlier is a scale mixture of three Gaussians in pixels, so a candidate's
+//! information is proportional to the square of its speed across the epipolar line. The time of an outlier is
+//! uniformly distributed. EM starts at the candidate with the highest consensus, measured by MSAC's truncated squared
+//! residuals.
 //!
-//! Known limit: EM converges to a local maximum. Of two equally large groups of candidates, the start
-//! decides.
+//! Known limit: EM converges to a local maximum. If two groups of candidates are equally large, the start decides
+//! between them.
 
 use crate::offset::recording::Sample;
 use nalgebra::{Matrix2, Vector2};
 
-/// An observation of the line: a candidate's offset.
+/// Observation to which the line is fitted: the offset that one feature implies, at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// The observed value, seconds.
+    /// The observed offset, seconds.
     pub value_s: f64,
-    /// The time of the observation, which is the line's abscissa, seconds.
+    /// The time of the observation, seconds: the abscissa of the line.
     pub at_s: f64,
     /// The feature's signed speed perpendicular to the epipolar line, pixels per second. It converts a
     /// residual in seconds to pixels.
@@ -26,62 +27,64 @@ pub struct Observation {
 }
 
 impl From<&Sample> for Observation {
-    /// The offset `offset_b − offset_a` that a sample implies, as an observation at time 0.
+    /// Returns the offset `offset_b − offset_a` that a sample implies, as an observation at time 0.
     fn from(sample: &Sample) -> Self {
         Self { value_s: sample.offset_s(), at_s: 0.0, across_px_s: sample.across_px_s }
     }
 }
 
-/// The fitted mixture.
+/// Fitted mixture model: a line (offset over time), and the distribution of the residuals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mixture {
-    /// The line's value at time 0, seconds.
+    /// The line's offset at time 0, seconds.
     pub value_s: f64,
-    /// The line's slope, seconds per second; 0 if it is not fitted.
+    /// The line's slope, seconds per second; 0 if no slope was fitted.
     pub rate: f64,
-    /// The standard deviation of the narrowest component, pixels.
+    /// The standard deviation of the narrowest inlier component, pixels.
     pub sigma_px: f64,
-    /// The expected fraction of inliers, 0 to 1.
+    /// The expected fraction of inliers among the observations, 0 to 1.
     pub inlier_fraction: f64,
     /// The expected number of inliers.
     pub inliers: f64,
-    /// For each observation, the weight of its squared residual, 1 / px².
+    /// The weight of each observation's squared residual, 1 / px².
     pub weights: Vec<f64>,
 }
 
-/// The standard deviations of the inliers' three components, relative to the narrowest. Features on depth
-/// edges and under changing light have several times the error of others, features of thin structures many
-/// times.
+/// The standard deviations of the three inlier components, relative to the narrowest component. Errors of features on
+/// depth edges and under changing light are several times as large as errors of other features. Errors on thin
+/// structures are many times as large.
 const SCALES: [f64; 3] = [1.0, SCALE_RATIO, SCALE_RATIO * SCALE_RATIO];
-/// The ratio of successive scales; its square is an integer, which `gaussians` uses as an exponent.
+/// The ratio of the standard deviations of successive components. Its square is an integer, since `gaussians` uses
+/// the square as an exponent.
 const SCALE_RATIO: f64 = 4.0;
-/// The expected standard deviation of features' distances from their epipolar lines, at which the fit
-/// starts, pixels.
+/// The initial standard deviation of the narrowest inlier component, pixels: the expected distance of features from
+/// their epipolar lines.
 const START_PX: f64 = 0.5;
-/// The minimum standard deviation of the narrowest component, pixels; trackers are not more precise.
+/// The lower bound of the standard deviation of the narrowest component, pixels. Trackers are not more precise.
 const MIN_PX: f64 = 0.01;
-/// The maximum standard deviation of the narrowest component, pixels.
+/// The upper bound of the standard deviation of the narrowest component, pixels.
 const MAX_PX: f64 = 2.0;
-/// The width of the uniform distribution of outliers' times, frames. Only its order of magnitude matters.
+/// The width of the uniform distribution of outliers' times, in frames. Only its order of magnitude matters.
 const OUTLIER_RANGE_FRAMES: f64 = 3.0;
-/// The initial fractions of the three components, then of the outliers.
+/// The initial fractions of the three inlier components and of the outliers, in this order.
 const INITIAL_FRACTIONS: Fractions = [0.5, 0.15, 0.05, 0.3];
-/// The minimum fraction of a component, since a fraction of 0 would remain 0.
+/// The lower bound of a component's fraction. EM would never raise a fraction of 0.
 const MIN_FRACTION: f64 = 1e-3;
 /// The maximum number of EM iterations.
 const MAX_ITERATIONS: usize = 60;
-/// The change of the line, relative to the width of the outliers' distribution, below which EM may have
-/// converged.
+/// The change of the line's coefficients in one EM iteration, relative to the width of the outliers' distribution,
+/// below which the line has converged.
 const LINE_TOLERANCE: f64 = 1e-9;
-/// The relative change of the standard deviation below which EM may have converged.
+/// The relative change of the narrowest component's standard deviation in one EM iteration, below which it has
+/// converged.
 const SIGMA_TOLERANCE: f64 = 1e-4;
-/// The maximum number of observed values that are tried as starts.
+/// The maximum number of observed offsets that are tried as the start of the fit.
 const MAX_STARTS: usize = 400;
-/// The absolute residual at which MSAC truncates squared residuals, pixels.
+/// The absolute residual at which the MSAC score truncates squared residuals, pixels.
 const MSAC_BOUND_PX: f64 = 3.0 * START_PX;
 
-/// The MSAC score of a constant line: the sum over observations of a value that falls from 1, at a residual
-/// of 0, to 0 at [`MSAC_BOUND_PX`].
+/// Returns the MSAC score of a constant line with the offset `value_s`. Each observation contributes a value that
+/// falls from 1, at a residual of 0, to 0 at [`MSAC_BOUND_PX`] and beyond.
 fn score(observations: &[Observation], value_s: f64) -> f64 {
     let squares = observations.iter().map(|o| {
         let r = (o.value_s - value_s) * o.across_px_s / MSAC_BOUND_PX;
@@ -90,8 +93,8 @@ fn score(observations: &[Observation], value_s: f64) -> f64 {
     squares.sum()
 }
 
-/// The observed value of the highest MSAC score, seconds, and that score. `None` without observations.
-/// Of more than 400 observations, evenly spread quantiles are scored.
+/// Returns the observed offset with the highest MSAC score, seconds, and this score. `None` without observations. If
+/// there are more than 400 observations, only evenly spread quantiles of the offsets are tried.
 pub fn consensus_value(observations: &[Observation]) -> Option<(f64, f64)> {
     let mut values: Vec<f64> = observations.iter().map(|o| o.value_s).collect();
     values.sort_by(f64::total_cmp);
@@ -103,11 +106,11 @@ pub fn consensus_value(observations: &[Observation]) -> Option<(f64, f64)> {
 }
 
 impl Mixture {
-    /// Fits the mixture by EM, starting from a constant line. A slope is fitted if `with_rate`. The cameras'
-    /// frames are `frame_s` seconds apart.
+    /// Fits the mixture by EM, starting from a line with the constant offset `start_s`, seconds. A slope is fitted if
+    /// `with_rate` is true. `frame_s` is the frame period, seconds, which determines the range of the outliers' times.
     ///
-    /// `None` if the observations do not determine the line: there are none, all have a speed of 0, or all
-    /// have the same time although a slope is fitted.
+    /// `None` if the observations do not determine the line: there are none, all have a speed of 0, or all have the
+    /// same time although a slope is fitted.
     pub fn fit(
         observations: &[Observation],
         frame_s: f64,
@@ -147,7 +150,7 @@ impl Mixture {
     }
 }
 
-/// The expectation step: the weight of each observation under the current mixture, and the sums
+/// Performs the expectation step. Computes the weight of each observation under the current mixture, and the sums
 /// that the maximization step needs.
 fn expect(
     observations: &[Observation],
@@ -160,14 +163,14 @@ fn expect(
     let outlier = fractions[SCALES.len()] / range_s;
     for o in observations {
         let r = (o.value_s - line.x - line.y * o.at_s) * o.across_px_s;
-        // Densities per second: densities per pixel, times the speed.
+        // A density per second is the density per pixel times the speed.
         let peak = o.across_px_s.abs() / (sigma * std::f64::consts::TAU.sqrt());
         let gaussians = gaussians(r / sigma);
         let densities: [f64; SCALES.len()] =
             std::array::from_fn(|k| fractions[k] * peak / SCALES[k] * gaussians[k]);
-        // Positive, since the fraction of outliers is.
+        // The total is positive, since the fraction of outliers is positive.
         let total = outlier + densities.iter().sum::<f64>();
-        // The expected precision, relative to that of the narrowest component.
+        // The expected precision (inverse variance) of the observation, relative to that of the narrowest component.
         let mut precision = 0.0;
         for (k, density) in densities.iter().enumerate() {
             sums.counts[k] += density / total;
@@ -180,29 +183,29 @@ fn expect(
     sums
 }
 
-/// The components' Gaussians, each with a maximum of 1, at a residual of `z` standard deviations of the
-/// narrowest component.
+/// Returns the three components' Gaussians at a residual of `z` standard deviations of the narrowest component. Each
+/// Gaussian has a maximum of 1.
 fn gaussians(z: f64) -> [f64; SCALES.len()] {
     const POWER: i32 = (SCALE_RATIO * SCALE_RATIO) as i32;
     let z = z / SCALES[2];
-    // Each is a power of the next wider one, which costs less than computing its exponential.
+    // Each Gaussian is a power of the next wider one. A power costs less than another exponential.
     let wide = (-0.5 * z * z).exp();
     let middle = wide.powi(POWER);
     [middle.powi(POWER), middle, wide]
 }
 
-/// The fraction of each component, then that of the outliers.
+/// Fractions of the three inlier components and, last, of the outliers.
 type Fractions = [f64; SCALES.len() + 1];
 
-/// The sums over the observations that the maximization step needs.
+/// Sums over the observations that the maximization step of EM needs.
 #[derive(Default)]
 struct MixtureSums {
-    /// The expected number of observations in each component.
+    /// The expected number of observations in each inlier component and, last, among the outliers.
     counts: Fractions,
-    /// The sum of squared residuals, px². Each is divided by the ratio of its component's variance to the
-    /// narrowest one's.
+    /// The sum of the squared residuals, px². Each is multiplied by the observation's expected precision (inverse
+    /// variance) relative to that of the narrowest component.
     squares: f64,
-    /// For each observation, its weight, 1 / px².
+    /// The weight of each observation's squared residual, 1 / px².
     weights: Vec<f64>,
 }
 
@@ -212,7 +215,8 @@ impl MixtureSums {
     }
 }
 
-/// The weighted least-squares line, as value and slope. `None` if it is not determined.
+/// Returns the weighted least-squares line as (offset at time 0, slope). The slope is 0 unless `with_rate` is true.
+/// `None` if the observations do not determine the line.
 fn weighted_line(
     observations: &[Observation],
     weights: &[f64],
@@ -258,8 +262,9 @@ mod tests {
             .collect()
     }
 
-    /// The standard error of an efficient estimate is √(σ² / Σ v²). In thousands of problems with as many
-    /// outliers as inliers, that of this estimate is at most a quarter larger.
+    /// The standard error of an efficient estimate is √(σ² / Σ v²), where v is the speed of an inlier. In 3000 random
+    /// problems with as many outliers as inliers, the root-mean-square error is at most a quarter larger than this
+    /// standard error.
     #[test]
     fn thousands_of_random_problems_are_solved_efficiently() {
         let random = &mut Random::new(1);
@@ -309,7 +314,7 @@ mod tests {
         let one = Observation { value_s: 0.4, at_s: 1.0, across_px_s: 5.0 };
         let mixture = Mixture::fit(&[one; 3], 1.0, 0.4, false).unwrap();
         assert!((mixture.value_s - 0.4).abs() < 1e-12 && mixture.sigma_px == MIN_PX);
-        // All observations have the same time, so that the slope is undetermined.
+        // All observations have the same time, so the slope is undetermined.
         assert_eq!(Mixture::fit(&[one; 3], 1.0, 0.4, true), None);
         let still = Observation { across_px_s: 0.0, ..one };
         assert_eq!(Mixture::fit(&[still; 3], 1.0, 0.4, false), None);

@@ -1,4 +1,4 @@
-//! Pairs of cameras: their selection, their frame triples, and the separate estimate of each pair.
+//! Pairs of cameras: their selection, their frame triples, and the estimate of each pair alone.
 
 mod fit;
 mod mixture;
@@ -19,38 +19,41 @@ use crate::capture::Capture;
 use nalgebra::DMatrix;
 use std::sync::Arc;
 
-/// The offset between two cameras, (i, j), estimated from their recordings alone.
+/// Offset between two cameras i and j, estimated from their two recordings alone.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PairEstimate {
-    /// The indices of cameras i and j.
+    /// The indices of the pair's two cameras, i and j.
     pub cameras: [usize; 2],
-    /// `offset_j − offset_i` as a function of time on camera i's clock. Its reference time is the middle of
-    /// all candidates' times. Its rate is 0 if neither clock drifts.
+    /// `offset_j − offset_i` as a function of time on camera i's clock. The model's reference time is the middle of
+    /// the time span of all offset candidates. The rate is 0 if neither clock drifts.
     pub clock: ClockModel,
-    /// The standard error of the offset, seconds.
+    /// The standard error of the pair's offset, seconds.
     pub std_err_s: f64,
-    /// The expected number of inliers, rounded.
+    /// The expected number of inliers among the offset candidates, rounded.
     pub inliers: usize,
-    /// The number of candidates, outliers included.
+    /// The number of offset candidates, including outliers.
     pub candidates: usize,
     /// The number of inliers as a fraction of all features that move across their epipolar lines, 0 to 1.
     pub agreement: f64,
-    /// The standard deviation of the inliers' distances from their epipolar lines, pixels.
+    /// The standard deviation of the inliers' distances from their epipolar lines, pixels. It is that of the narrowest
+    /// inlier component of the mixture model.
     pub sigma_px: f64,
-    /// One estimate for each frame triple: two successive frames of camera i and a frame of camera j.
+    /// The estimates from single frame triples: two successive frames of one of the two cameras and a frame of the
+    /// other camera. Triples with too few inliers are left out.
     pub frames: Vec<FrameEstimate>,
-    /// The factor, at least 1, by which standard errors are multiplied because the candidates come from few
-    /// independent tracker windows. Its square is a variance inflation factor.
+    /// The factor, at least 1, by which standard errors are multiplied because the offset candidates come from few
+    /// independent tracker windows. The square of the factor is a variance inflation factor.
     pub(super) std_err_inflation: f64,
-    /// All candidates, each with its weight in the mixture, 1 / px².
+    /// All offset candidates, each with its weight in the mixture model, 1 / px².
     pub(super) samples: Arc<[(Sample, f64)]>,
-    /// How the candidates' offsets change with the calibration's errors; empty where the capture states none.
+    /// The derivatives of the offset candidates by the calibration errors; empty if the capture states no calibration
+    /// errors.
     pub(super) slopes: Arc<SampleSlopes>,
 }
 
 impl PairEstimate {
-    /// Adds to the standard error what the calibration's errors, with covariance `factor · factorᵀ`, cause at the weights
-    /// of the candidates.
+    /// Adds the effect of the calibration errors to the standard error of the pair's offset. The covariance of the
+    /// errors is `factor · factorᵀ`. The weights of the offset candidates stay the same.
     pub(super) fn add_calibration(&mut self, factor: &DMatrix<f64>) {
         let signed = self.samples.iter().map(|(s, weight)| {
             let sign = if s.cameras == self.cameras { 1.0 } else { -1.0 };
@@ -61,26 +64,28 @@ impl PairEstimate {
     }
 }
 
-/// The estimates from one frame triple: two successive frames of `camera`, one frame of the pair's
+/// Estimates of a pair's offset from one frame triple: two successive frames of `camera`, and one frame of the pair's
 /// other camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameEstimate {
-    /// The index of the camera with two frames.
+    /// The index of the camera with two frames in the triple.
     pub camera: usize,
-    /// The index of the earlier one of its two frames.
+    /// The index of the earlier one of the two frames of `camera`.
     pub frame: usize,
-    /// `offset_j − offset_i` by RANSAC and WLS, eqs. (11) to (13), seconds.
+    /// `offset_j − offset_i` of the pair's cameras i and j by RANSAC and weighted least squares, eqs. (11) to (13),
+    /// seconds.
     pub offset_s: f64,
-    /// `offset_j − offset_i` by a mixture model of inliers and outliers, seconds. Every candidate is weighted
-    /// by its information: the squared speed across the epipolar line, divided by the residual's variance.
+    /// `offset_j − offset_i` of the pair's cameras i and j by a mixture model of inliers and outliers, seconds. Every
+    /// offset candidate is weighted by its information: the squared speed across the epipolar line, divided by the
+    /// residual's variance.
     pub by_information_s: f64,
 }
 
-/// Why a pair has no estimate, in the order of the stages. For a camera without any estimated pair, the text
-/// is the reason of its unknown offset.
+/// Reason why a pair has no estimate; the variants are in the order of the stages of the estimation. If all pairs of a
+/// camera fail, the failure at the latest stage is given as the reason why the camera's offset is unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
 pub enum PairFailure {
-    /// By the clocks, no frame of one camera lies between two frames of the other.
+    /// According to the clocks, no frame of one camera lies between two frames of the other camera.
     #[error("its neighbours filmed at other times, by its clock and theirs")]
     NoOverlap,
     /// Too few features can be tracked.
@@ -94,39 +99,40 @@ pub enum PairFailure {
         "too few features move across the epipolar lines of its neighbours: the motion runs along them"
     )]
     MotionAlongEpipolarLines,
-    /// Too few candidates agree on one offset.
+    /// Too few offset candidates agree on one offset.
     #[error("too few features agree on one offset")]
     NoConsensus,
-    /// The offset contradicts the nominal clocks, and too few candidates agree on it to overrule them.
+    /// The estimated offset contradicts the nominal clocks, and too few offset candidates agree on it to overrule the
+    /// clocks.
     #[error("too few features agree on one offset")]
     ContradictsClocks,
-    /// Several offsets, frames apart, have equally many inliers: the motion is periodic.
+    /// Several offsets that are frames apart have about equally many inliers, because the motion is periodic.
     #[error("several offsets, frames apart, fit the motion equally well: it repeats itself")]
     PeriodicMotion,
 }
 
-/// The maximum absolute offset that is consistent with the nominal clocks, frames.
+/// The maximum absolute offset that is consistent with the nominal clocks, in frames.
 pub const NOMINAL_CLOCK_FRAMES: f64 = 1.5;
-/// The minimum agreement ([`PairEstimate::agreement`]) of an offset larger than [`NOMINAL_CLOCK_FRAMES`]. Such an
-/// offset may be wrong by the period of a swinging object, whose features are inliers of both offsets.
+/// The minimum agreement ([`PairEstimate::agreement`]) of an offset that is larger than [`NOMINAL_CLOCK_FRAMES`]. The
+/// features of a swinging object also agree on offsets that are wrong by the period of the swing.
 pub const MIN_AGREEMENT: f64 = 0.5;
-/// The minimum number of inliers of a pair.
+/// The minimum number of inliers of a pair's estimate.
 pub const MIN_INLIERS: usize = 12;
-/// The maximum standard error of a pair that is used, and of an offset that is reported, frames.
+/// The maximum standard error, in frames, of a pair that the joint solution uses, and of an offset that is reported.
 pub const MAX_STD_ERR_FRAMES: f64 = 0.1;
-/// The cosine between two baselines above which their epipolar lines count as parallel.
+/// The absolute cosine of the angle between two baselines above which their epipolar lines count as parallel.
 const MAX_ALIGNMENT: f64 = 0.9;
-/// The number of cameras in other directions with which each camera is paired: on a grid, one of its column
-/// and one of its diagonal.
+/// The number of further cameras with which each camera is paired, in other directions than the cameras chosen
+/// before. On a grid, these are a camera of the same column and a camera of a diagonal.
 const OTHER_DIRECTIONS: usize = 2;
 
-/// The pairs of cameras to estimate, as ascending pairs of indices in ascending order. `clock` holds, by
-/// camera, the index of its clock.
+/// Returns the pairs of cameras whose offsets are estimated, as pairs of camera indices [i, j] with i < j. The pairs
+/// are sorted. `clock` holds the index of each camera's clock.
 ///
-/// Every camera is paired with its `neighbors` nearest cameras, including all at equal distances, and with
-/// the nearest ones in other directions. On a grid, motion along the epipolar lines of the rows is across
-/// those of the columns and diagonals. For [`OffsetMethod::Pairwise`], every camera is paired only with the
-/// reference (§7). Cameras that share a clock or a centre form no pair.
+/// Every camera is paired with its `neighbors` nearest cameras, including all at equal distances, and with the nearest
+/// cameras in other directions. On a grid, motion along the epipolar lines of the rows runs across the epipolar lines
+/// of the columns and diagonals. For [`OffsetMethod::Pairwise`], every camera is paired only with the reference camera
+/// (§7). Cameras that share a clock or a centre form no pair.
 pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs: Vec<[usize; 2]> = Vec::new();
@@ -138,7 +144,8 @@ pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec
             others.retain(|&b| b == capture.reference);
         }
         others.sort_by(|&x, &y| to(x).norm().total_cmp(&to(y).norm()).then(x.cmp(&y)));
-        // Cameras at equal distances count as one: both sides of a line, all diagonals of a grid.
+        // All cameras at the same distance as the last neighbour are included, such as both sides of a line or all
+        // diagonals of a grid.
         let reach = others
             .get(options.neighbors.saturating_sub(1).min(others.len().wrapping_sub(1)))
             .map_or(0.0, |&b| to(b).norm());
@@ -158,8 +165,8 @@ pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec
     pairs
 }
 
-/// Chooses the frame triples of a pair by its approximate offset `initial`, in both directions (two frames of
-/// i and one of j, and the reverse), at most `max_frames` in each.
+/// Chooses the frame triples of a pair of cameras [i, j] by its approximate offset `initial`. A triple has two frames
+/// of i and one frame of j, or the reverse. Each of these two directions has at most `max_frames` triples.
 pub fn choose_triples(
     recording: &Recording,
     [i, j]: [usize; 2],
@@ -171,14 +178,14 @@ pub fn choose_triples(
         let times = &recording.clocks[a].times_s;
         let offset_at = |k: usize| {
             let middle = 0.5 * (times[k] + times[k + 1]);
-            // Rates are so small that they are equal on either clock.
+            // The rate is so small that it is the same on either clock.
             sign * initial.offset_at(if sign > 0.0 { middle } else { middle + initial.offset_s })
         };
         let possible: Vec<(usize, usize)> = (0..times.len() - 1)
             .filter_map(|k| Some((k, recording.image_between([a, b], k, offset_at(k))?)))
             .collect();
-        // All pairs of a camera use the same frames, so that each frame is tracked once. If too few of these
-        // are in the overlap of two recordings, the pair uses frames of its own.
+        // All pairs of a camera use the same frames, so that each frame is tracked once. If too few of these frames
+        // are in the overlap of the two recordings, the pair uses frames of its own.
         let common = spread(times.len() - 1, max_frames);
         let mut chosen: Vec<(usize, usize)> =
             possible.iter().filter(|(k, _)| common.binary_search(k).is_ok()).copied().collect();

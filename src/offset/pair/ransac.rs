@@ -1,13 +1,13 @@
-//! The robust mean of the candidates of one frame triple (§7): exhaustive RANSAC, then weighted least squares
-//! (WLS), eqs. (11) to (13).
+//! Computes the robust mean of the candidates of one frame triple (§7): exhaustive RANSAC, then weighted least
+//! squares (WLS), eqs. (11) to (13).
 //!
-//! Known limit: all candidates have the same weight, whatever the speed of their features.
+//! Known limit: the weights do not depend on the speed of the candidates' features.
 
-/// The largest set of values within `tolerance` of one of them, as a range of `values`.
+/// Returns the largest set of values within `tolerance` of one of the values (the RANSAC inliers), as an index range
+/// of `values`.
 ///
-/// `values` must be ascending and have the tolerance's unit. Every value is tried as the model; of several
-/// with equally many inliers, the first is taken. A negative tolerance counts as 0. Without values the range
-/// is empty.
+/// `values` must be ascending. `tolerance` has the same unit; a negative tolerance counts as 0. Every value is tried
+/// as the model. Of several models with equally many inliers, the first is taken. Without values the range is empty.
 pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
     let tolerance = tolerance.max(0.0);
     let mut best = 0..0;
@@ -26,16 +26,16 @@ pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
     best
 }
 
-/// The maximum number of WLS iterations.
+/// Maximum number of iterations of weighted least squares.
 const MAX_ITERATIONS: usize = 100;
-/// The change of γ times the mean at which WLS has converged.
+/// Convergence threshold of [`weighted_least_squares`]: the change |t̃_new − t̃_old| · γ of the mean t̃ by one iteration.
 const TOLERANCE: f64 = 1e-9;
 
-/// Iterated weighted least squares, eqs. (11) to (13): starting at the mean, the weighted mean with
-/// weights `exp(−γ |t̃ − t̃_k|)`, until it converges.
+/// Returns the mean by iterated weighted least squares, eqs. (11) to (13). The iteration starts at the unweighted mean
+/// t̃. Each step computes the mean of the values t̃_k with the weights `exp(−γ |t̃ − t̃_k|)`, until it converges.
 ///
-/// `gamma` has the inverse unit of `values`; at 0 the result is the mean. `None` without values. If
-/// all weights underflow, the result is the mean of the last iteration.
+/// `gamma` is γ, in the inverse unit of `values`; at 0 the result is the unweighted mean. `None` if there are no
+/// values. If all weights underflow, the result is the mean of the last iteration.
 pub fn weighted_least_squares(values: &[f64], gamma: f64) -> Option<f64> {
     if values.is_empty() {
         return None;

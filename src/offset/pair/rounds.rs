@@ -1,13 +1,13 @@
-//! Estimation of all pairs, in rounds: frame triples are chosen by the current offset, and the offset is
-//! estimated from them.
+//! Estimates all pairs in rounds: frame triples are chosen by the current offset, and the offset is estimated from
+//! them.
 //!
-//! §7 requires camera j's frame to lie between two frames of camera i. Which frame does depends on the
-//! offset, so that triples and offset are determined in turn. The initial offset is right only to about a
-//! frame, so that about half of the triples that it chooses are wrong. In a longer recording, the first round
-//! therefore has only a few triples, in the recording's middle.
+//! §7 requires camera j's frame to lie between two frames of camera i. Which frame of j lies there depends on the
+//! offset, so triples and offset are determined in turn. The initial offset is right only to about a frame, so about
+//! half of the triples that it chooses are wrong. In a longer recording, the first round therefore has only a few
+//! triples, in the recording's middle.
 //!
-//! A round computes the candidates of a group of pairs together. Large rigs are split into groups whose
-//! frames fit the cache. Results do not depend on the groups.
+//! A round computes the candidates of a group of pairs together. Large rigs are split into groups whose frames fit
+//! the cache. Results do not depend on the groups.
 
 use super::fit::{PairTriples, fit_pair};
 use super::time_order::{FRAMES_AT_ONCE, compute_triples};
@@ -20,36 +20,39 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The maximum number of rounds that use all triples of a pair, counted from one initial offset.
+/// The maximum number of rounds that use all frame triples of a pair. A round chooses triples, and estimates the
+/// offset from them. The count restarts with each new initial offset.
 const MAX_ROUNDS: usize = 5;
-/// The number of triples in each direction in the first round.
+/// The number of frame triples in each direction in a pair's first round. A direction is the choice of the camera
+/// that has two frames.
 const FIRST_TRIPLES: usize = 4;
 
-/// The state of a pair (i, j) between two rounds. It has triples of both directions: camera i's tracks with
-/// camera j's frames, and the reverse.
+/// State of a pair of cameras (i, j) between two rounds. It has triples of both directions: two frames of i with one
+/// frame of j, and the reverse.
 pub struct PairRounds {
     cameras: [usize; 2],
-    /// The offset to about a frame, or the reason why there is none.
+    /// The pair's offset to about one frame, or the reason why there is none.
     start: Result<ClockModel, PairFailure>,
-    /// The offset by which the next round's triples are chosen.
+    /// The offset by which the frame triples of the next round are chosen.
     initial: ClockModel,
     with_rate: bool,
     stage: RoundStage,
-    /// The number of remaining rounds that use all triples of the pair.
+    /// The number of remaining rounds that use all frame triples of the pair.
     rounds: usize,
-    /// The triples of the last round.
+    /// The frame triples of the last round.
     frames: Vec<TripleFrames>,
     estimate: Result<PairEstimate, PairFailure>,
 }
 
-/// Which triples the next round has, and by which offset they are chosen at first.
+/// Which frame triples the next round of a pair uses, and which offset chose them first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RoundStage {
-    /// The triples in the recording's middle, chosen by [`PairRounds::start`].
+    /// The next round uses the frame triples in the middle of the recording, chosen by [`PairRounds::start`].
     Middle,
-    /// All triples, first chosen by the estimate from the middle.
+    /// The next round uses all frame triples. They were first chosen by the offset estimated from the recording's
+    /// middle.
     FromMiddle,
-    /// All triples, first chosen by [`PairRounds::start`].
+    /// The next round uses all frame triples. They were first chosen by [`PairRounds::start`].
     FromStart,
     Finished,
 }
@@ -72,7 +75,7 @@ impl PairRounds {
         }
     }
 
-    /// Chooses the triples of the next round.
+    /// Chooses the frame triples of the pair's next round, or ends its rounds.
     fn choose(&mut self, recording: &Recording) {
         if self.stage == RoundStage::Finished {
             return;
@@ -93,7 +96,7 @@ impl PairRounds {
         self.frames = frames;
     }
 
-    /// Estimates the offset from the chosen triples.
+    /// Estimates the pair's offset from the chosen frame triples. Returns an error if a frame cannot be read.
     fn fit(&mut self, recording: &Recording) -> Result<(), CaptureError> {
         let Ok(start) = self.start.clone() else { return Ok(()) };
         if self.stage == RoundStage::Finished {
@@ -122,8 +125,8 @@ impl PairRounds {
         Ok(())
     }
 
-    /// The expected number of frame triples in a round that uses all triples of the pair; 0 for a pair
-    /// without a start.
+    /// Returns the expected number of frame triples (two frames of one camera, one frame of another) in a round that
+    /// uses all triples of the pair; 0 for a pair without an initial offset.
     fn expected_triples(&self, recording: &Recording) -> usize {
         let max_frames = recording.options.max_frames;
         let count = |c: usize| (recording.clocks[c].times_s.len() - 1).min(max_frames);
@@ -131,16 +134,17 @@ impl PairRounds {
     }
 }
 
-/// Whether an estimate has a small standard error, and differs from the start by at most one frame period,
-/// which is the possible error of the start.
+/// Returns whether an estimate has a standard error of at most [`MAX_STD_ERR_FRAMES`], and differs from the initial
+/// offset `start` by at most one frame period, the possible error of `start`.
 fn is_near(recording: &Recording, start: &ClockModel, pair: &PairEstimate) -> bool {
     let [i, j] = pair.cameras.map(|c| recording.clocks[c].frame_s());
     pair.std_err_s <= MAX_STD_ERR_FRAMES * i.min(j)
         && (pair.clock.offset_s - start.offset_at(pair.clock.reference_s)).abs() <= i.max(j)
 }
 
-/// The [`FIRST_TRIPLES`] triples in the middle of each direction. `i` is the camera with two frames in the
-/// first direction. `None` if a direction has at most twice that number of triples.
+/// Returns [`FIRST_TRIPLES`] frame triples of each direction, from the middle of the recording. `frames` holds all
+/// triples: first those with two frames of camera `i`, then those with two frames of the other camera. `None` if one of
+/// the two directions has at most 2·[`FIRST_TRIPLES`] triples.
 fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     let (forward, backward) = frames.split_at(frames.partition_point(|([a, _], _)| *a == i));
     let mut chosen = Vec::new();
@@ -154,8 +158,7 @@ fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     Some(chosen)
 }
 
-/// Estimates every pair; the results are in the order of `pairs`. The error is that of a frame that
-/// cannot be read.
+/// Estimates every pair. The results are in the order of `pairs`. Returns an error if a frame cannot be read.
 pub fn estimate_pairs(
     recording: &Recording,
     mut pairs: Vec<PairRounds>,
@@ -196,8 +199,8 @@ pub fn estimate_pairs(
     Ok(pairs.into_iter().map(|pair| pair.estimate).collect())
 }
 
-/// The number of pairs, from the first on, that form a group: their frames at an instant fit the frame cache,
-/// and their candidates of two rounds fit the candidate cache. At least 1.
+/// Returns how many pairs, counted from the start of `pairs`, form the next group; at least 1. The group's frames at
+/// one instant fit the frame cache. Its offset candidates of two rounds fit the cache of candidates.
 fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     let options = recording.options;
     // The factor 4 is for two directions and two rounds.
@@ -211,8 +214,8 @@ fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     pairs[..max_pairs].iter().take_while(fits).count().max(1)
 }
 
-/// For each camera, its clock's offset, seconds, relative to that of one camera of the group. It is 0 for cameras
-/// that no pair with an initial offset connects to others.
+/// Returns the offset of each camera's clock, seconds. Cameras that are connected by pairs with an initial offset have
+/// offsets relative to one of these cameras. The offset is 0 for a camera without such a pair.
 fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
     let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_ok()).collect();
     let mut clocks_s: Vec<Option<f64>> = vec![None; cameras];
@@ -254,8 +257,8 @@ mod tests {
 
     const DELAYS_FRAMES: [f64; 3] = [0.3, 0.0, -0.2];
 
-    /// Writes a capture of three cameras in a row, in front of a plane that moves upwards and decelerates.
-    /// Their clocks have these rates.
+    /// Writes a capture of three cameras in a row, in front of a plane that moves upwards and decelerates. `rates`
+    /// are the rates of the cameras' clocks.
     fn write_capture(folder: &Path, rates: [f64; 3]) -> Arc<Capture> {
         let (w, h, rate_hz) = (128, 96, 30.0);
         let mut cameras = Vec::new();
@@ -290,7 +293,7 @@ mod tests {
         Arc::new(Capture::open(folder).unwrap())
     }
 
-    /// Reference implementation: pair by pair, all triples in every round.
+    /// Reference implementation: estimates one pair alone, with all its triples in every round.
     fn naive(recording: &Recording, cameras: [usize; 2]) -> Result<PairEstimate, PairFailure> {
         let mut initial = ClockModel::default();
         let mut estimate = Err(PairFailure::NoOverlap);
@@ -314,7 +317,7 @@ mod tests {
         let capture = write_capture(folder.path(), [0.0; 3]);
         let options = OffsetOptions::default();
         let (pairs, frame_s) = ([[0, 1], [0, 2], [1, 2]], capture.frame_s());
-        // All pairs are in one group, then each is in its own.
+        // All pairs are in one group in the first run, and each pair is in its own group in the second.
         for max_bytes in [192 << 20, 0] {
             let registration = RegistrationOptions::default();
             let frames = FrameStore::with_memo(
@@ -337,7 +340,7 @@ mod tests {
         }
     }
 
-    /// Calls `test` with the recording of a capture whose clocks have these rates.
+    /// Calls `test` with the recording of a capture whose cameras' clocks have the rates `rates`.
     fn with_recording(rates: [f64; 3], test: impl FnOnce(&Recording)) {
         let folder = tempfile::tempdir().unwrap();
         let capture = write_capture(folder.path(), rates);
@@ -455,7 +458,7 @@ mod tests {
         let computed = || {
             count.fetch_add(1, Ordering::Relaxed);
         };
-        // With more threads, two could decode the same frame at once.
+        // With more threads, two of them could decode the same frame at once.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         for _ in 0..2 {
             pool.install(|| compute_triples(&recording, triples.clone(), &clocks_s, &computed))

@@ -1,21 +1,22 @@
 //! Computes the candidates of many frame triples in order of time.
 //!
-//! Pairs share cameras. In order of time, a frame that is read for one pair is still cached when the other
-//! pairs of its group need it. Results do not depend on the order.
+//! Several pairs share a camera. In order of time, a frame that is read for one pair is still cached when the other
+//! pairs of its group need it. The results do not depend on the order.
 
 use crate::capture::{CaptureError, Clock};
 use crate::offset::recording::{Recording, TripleFrames};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// The number of a camera's frames that its tracks at an instant read: the two frames between which features are
-/// tracked, the frame before these two, and the frame after them.
+/// The number of frames of a camera that are read to compute its tracks at one instant: the two frames between which
+/// features are tracked, the frame before these two, and the frame after them.
 pub const FRAMES_AT_ONCE: usize = 4;
 
-/// Computes and caches the candidates of the triples that are not cached yet, in order of time.
+/// Computes and caches the offset candidates of the frame triples (two frames of one camera, one frame of another)
+/// that are not cached yet, in order of time.
 ///
-/// `clocks_s` are the offsets of the cameras' clocks, seconds, by which times are compared. `computed` is
-/// called after each triple.
+/// `clocks_s` holds the offset of each camera's clock, seconds, with which the times of different cameras are
+/// compared. `computed` is called after each triple. Returns an error if a frame cannot be read.
 pub fn compute_triples(
     recording: &Recording,
     mut triples: Vec<TripleFrames>,
@@ -45,8 +46,9 @@ pub fn compute_triples(
     candidates(&before)
 }
 
-/// Groups triples by instant, in order of time. An instant is an interval as long as the shortest frame
-/// period of the triples' cameras.
+/// Groups frame triples (two frames of one camera, one frame of another) by instant, in order of time. An instant is
+/// an interval as long as the shortest frame period of the triples' cameras. `clocks_s` holds the offset of each
+/// camera's clock, seconds.
 fn instants(
     clocks: &[Clock],
     triples: Vec<TripleFrames>,
@@ -58,7 +60,7 @@ fn instants(
     let timed = |triple: TripleFrames| {
         let ([a, _], [k, _]) = triple;
         let time_s = clocks[a].times_s[k] + clocks_s[a];
-        // Times are often near multiples of half a frame period. A quarter is added, so that rounding errors
+        // Times are often near multiples of half a frame period. A quarter period is added, so that rounding errors
         // do not put simultaneous triples into different instants.
         let instant = (time_s / period_s + 0.25).floor() as i64;
         (instant, time_s, triple)

@@ -1,9 +1,9 @@
-//! Eq. (10): one candidate for the temporal offset per feature, from three frames.
+//! Computes one candidate for the temporal offset per feature, from three frames (eq. (10)).
 //!
-//! A feature is tracked through two frames of camera i and has a correspondence in one frame of
-//! camera j. The candidate is the time at which its trajectory in camera i crosses the epipolar line
-//! of that correspondence. The paper's trajectory is straight. Beyond it, curved trajectories are
-//! quadratic or cubic, through three or four frames of camera i.
+//! A feature is tracked through two frames of camera i and has a correspondence in one frame of camera j. The
+//! candidate is the time at which the feature's trajectory in camera i crosses the epipolar line of the
+//! correspondence. The paper's trajectory is straight. Beyond the paper, trajectories may be quadratic or cubic
+//! curves through the feature's positions in three or four frames of camera i.
 //!
 //! Known limit: a feature that moves along its epipolar line has no candidate.
 
@@ -12,88 +12,92 @@ use crate::capture::FrameTimes;
 use crate::registration::{Track, Trajectory};
 use nalgebra::Point2;
 
-/// One feature's candidate.
+/// One feature's candidate for the temporal offset between cameras i and j.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
-    /// `t̃`, seconds: the time of camera j's frame, relative to camera i's earlier frame.
+    /// `t̃` of eq. (10), seconds: the time of camera j's frame after camera i's earlier frame.
     pub time_s: f64,
-    /// The feature's signed speed perpendicular to the epipolar line, where its trajectory crosses the line,
-    /// pixels per second; negative if it moves towards the line's negative side. A perpendicular error of one
-    /// pixel is an error of `1 / across_px_s` seconds in `time_s`.
+    /// The feature's signed speed perpendicular to the epipolar line, at the crossing of the trajectory and the line,
+    /// pixels per second. It is negative if the feature moves towards the line's negative side. A perpendicular error
+    /// of one pixel is an error of `1 / across_px_s` seconds in `time_s`.
     pub across_px_s: f64,
-    /// Where the trajectory crosses the epipolar line, undistorted pixels of camera i.
+    /// The position at which the trajectory crosses the epipolar line, undistorted pixels of camera i.
     pub place: Point2<f64>,
-    /// The expected deviation of the true motion from the fitted curve, perpendicular to the epipolar line,
-    /// pixels. For straight trajectories it is not estimated, and is 0.
+    /// The expected deviation of the true motion from the fitted curve, perpendicular to the epipolar line, pixels; 0
+    /// for straight trajectories, for which the deviation is not estimated.
     pub trajectory_error_px: f64,
 }
 
 impl Candidate {
-    /// The signed speed perpendicular to the epipolar line, pixels per second, reduced where the trajectory
-    /// is uncertain. Its square is proportional to the candidate's information.
+    /// Returns the signed speed perpendicular to the epipolar line, pixels per second, reduced if the trajectory is
+    /// uncertain. The square of this speed is proportional to the offset candidate's information.
     pub fn effective_speed_px_s(&self) -> f64 {
         self.across_px_s / 1.0_f64.hypot(self.trajectory_error_px / TRAJECTORY_SIGMA_PX)
     }
 }
 
-/// The trajectory error at which a candidate's information is halved, pixels: the localization error
-/// of good features.
+/// The trajectory error at which an offset candidate's information is halved, pixels. It equals the localization
+/// error of good features.
 const TRAJECTORY_SIGMA_PX: f64 = 0.03;
-/// The expected error of a trajectory, as a fraction of the contribution of its highest-order term. At video
-/// rates, each order of motion contributes about this fraction of the order before.
+/// The expected error of a trajectory, as a fraction of the contribution of its highest-order term. At video rates,
+/// each polynomial order of a motion contributes about this fraction of what the next lower order contributes.
 const NEXT_ORDER_FRACTION: f64 = 0.2;
-/// The constant part of the maximum prediction error of a trajectory, pixels. The prediction error is the
-/// distance of its last sample from the extrapolation of the others.
+/// The constant part of the maximum prediction error of a trajectory, pixels. The prediction error is the distance of
+/// the trajectory's last sample from the extrapolation of the other samples.
 const MAX_PREDICTION_ERROR_PX: f64 = 1.0;
-/// The part of the maximum prediction error that is proportional to a trajectory's largest step, as a
-/// fraction. Features with larger errors are rejected: features of the background that a moving body
-/// occludes, which would support a wrong time.
+/// The proportional part of the maximum prediction error of a trajectory, as a fraction of the trajectory's largest
+/// step between two frames. Features with larger errors are rejected. They are mostly background features that a
+/// moving body occludes, and would support a wrong time.
 const MAX_PREDICTION_ERROR_FRACTION: f64 = 0.3;
-/// The maximum number of Newton steps.
+/// The maximum number of Newton steps to the crossing of a trajectory and an epipolar line.
 const MAX_NEWTON_STEPS: usize = 4;
-/// The step, as a fraction of the interval, at which Newton's method has converged.
+/// The size of a Newton step, as a fraction of the interval between the two frames, below which Newton's method has
+/// converged.
 const NEWTON_TOLERANCE: f64 = 1e-9;
-/// The minimum speed perpendicular to the epipolar line where the trajectory crosses it, as a fraction of
+/// The minimum speed perpendicular to the epipolar line during Newton's method, as a fraction of
 /// [`ThreeFrames::min_across_px`] per frame interval.
 const MIN_SLOPE_FRACTION: f64 = 0.5;
-/// The relative rounding error that is tolerated when a motion's length is compared with
+/// The relative rounding error that is tolerated when the length of a motion is compared with
 /// [`ThreeFrames::min_across_px`].
 const ROUNDING: f64 = 1e-9;
 
 /// Two successive frames of camera i and one frame of camera j.
 pub struct ThreeFrames<'a> {
-    /// The camera with two frames.
+    /// Camera i, which has two frames.
     pub camera_i: &'a Camera,
-    /// The camera with one frame.
+    /// Camera j, which has one frame.
     pub camera_j: &'a Camera,
-    /// The times of camera i's frames on its own clock. Every position has the time of its row.
+    /// The times of camera i's frames on its own clock. With a rolling shutter, each position has the time of its
+    /// image row.
     pub times_i: FrameTimes<'a>,
-    /// The index of the earlier one of camera i's two frames; it must not be the last frame.
+    /// The index of the earlier one of camera i's two frames. It must not be the index of camera i's last frame.
     pub index_i: usize,
-    /// Whether trajectories are curves, which also pass through the feature's positions in the frames before
-    /// and after the two, if these exist.
+    /// Whether trajectories are curves instead of straight lines. A curve also passes through the feature's positions
+    /// in the frames before and after camera i's two frames, if these exist.
     pub curved: bool,
-    /// The minimum motion of a feature between the two frames, perpendicular to its epipolar line, pixels.
-    /// Features that move less have no candidate.
+    /// The minimum motion of a feature between camera i's two frames, perpendicular to its epipolar line, pixels.
+    /// Features that move less have no offset candidate.
     pub min_across_px: f64,
 }
 
 impl ThreeFrames<'_> {
-    /// The candidates of all features: where a trajectory in camera i crosses the epipolar line of the
-    /// feature's correspondence in camera j. `in_j` holds these correspondences, pixels.
+    /// Returns the offset candidates of all features. A candidate is the crossing of a feature's trajectory in camera
+    /// i with the epipolar line of its correspondence in camera j. `in_j` holds the correspondence of each of
+    /// `tracks`, pixels.
     ///
-    /// A feature gives no candidate if it has no correspondence, lies at the epipole, moves too little across
-    /// its epipolar line, or crosses that line far from the track's two frames. Cameras with a common centre
-    /// have no epipolar lines, and give no candidates.
+    /// A feature gives no candidate if it has no correspondence, lies at the epipole, moves too little across its
+    /// epipolar line, or crosses that line far from the track's two frames. Cameras with a common centre have no
+    /// epipolar lines, and give no candidates.
     pub fn candidates(&self, tracks: &[&Track], in_j: &[Option<Point2<f64>>]) -> Vec<Candidate> {
         self.crossings(tracks, in_j).into_iter().filter_map(|(_, c)| c).collect()
     }
 
-    /// The features that move by at least `min_across_px` perpendicular to their epipolar lines, as indices
-    /// into `tracks`, each with its candidate.
+    /// Returns the features that move by at least `min_across_px` perpendicular to their epipolar lines, as (index
+    /// into `tracks`, offset candidate).
     ///
-    /// The candidate is `None` if the trajectory does not cross the line near the two frames, or if the
-    /// feature has no correspondence in camera j. In the latter case the line is that of the feature itself.
+    /// The candidate is `None` if the trajectory does not cross the epipolar line near the two frames, or if the
+    /// feature has no correspondence in camera j. A feature without a correspondence is measured against the epipolar
+    /// line through its own position.
     pub fn crossings(
         &self,
         tracks: &[&Track],
@@ -104,8 +108,8 @@ impl ThreeFrames<'_> {
         let Some((i_from_j, j_from_i)) = i_from_j.zip(j_from_i) else { return Vec::new() };
         let line = |track: &Track, p_j: Option<Point2<f64>>| match p_j {
             Some(p_j) => i_from_j.line_in_j(&self.camera_j.model.ideal_from_pixel(&p_j)?),
-            // Any point on the epipolar line of p_i has the same epipolar line in camera i as the
-            // correspondence.
+            // The correspondence lies on the epipolar line of p_i in camera j. All points of that line have the same
+            // epipolar line in camera i, so any of them will do.
             None => {
                 let p_i = self.camera_i.model.ideal_from_pixel(&track.earlier)?;
                 i_from_j.line_in_j(&j_from_i.line_in_j(&p_i)?.nearest(&p_i))
@@ -118,20 +122,21 @@ impl ThreeFrames<'_> {
         tracks.iter().zip(in_j).enumerate().filter_map(crossing).collect()
     }
 
-    /// Whether a feature can have a candidate with any camera j: its trajectory is smooth, and its motion is
-    /// at least `min_across_px` long, so that it suffices for epipolar lines of some direction.
+    /// Returns whether a feature can have an offset candidate with some camera j: its trajectory is smooth, and its
+    /// motion is at least `min_across_px` long. There are then directions of epipolar lines for which the motion
+    /// suffices.
     pub fn can_cross(&self, track: &Track) -> bool {
         let ideal = |p| self.camera_i.model.ideal_from_pixel(p);
         let motion = ideal(&track.earlier).zip(ideal(&track.later)).map(|(from, to)| to - from);
-        // The motion differs between distorted and undistorted pixels. The longer one is compared.
+        // The motion's length differs between distorted and undistorted pixels. The longer one is compared.
         let min_px = (1.0 - ROUNDING) * self.min_across_px;
         motion.is_some_and(|motion| motion.norm().max(track.motion().norm()) >= min_px)
             && self.samples(track).is_some()
     }
 
-    /// A feature's candidate for a given epipolar line: the crossing of trajectory and line, by Newton's
-    /// method. The outer `None` means too little motion across the line, the inner one no crossing near the
-    /// two frames.
+    /// Computes a feature's offset candidate for a given epipolar line: the crossing of trajectory and line, by
+    /// Newton's method. The outer `None` means that the feature moves too little across the line, or has no valid
+    /// trajectory. The inner `None` means that there is no crossing near the two frames.
     fn crossing(&self, line: &EpipolarLine, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let trajectory = Trajectory::new(samples.iter().copied())?;
@@ -141,16 +146,16 @@ impl ThreeFrames<'_> {
         if (far - near).abs() < self.min_across_px {
             return None;
         }
-        // The crossing of the chord. The check above bounds its slope from below.
+        // The first estimate is the crossing of the chord. The check above bounds the chord's slope from below.
         let mut time_s = interval * near / (near - far);
-        // The time span of the four frames. Outside, the trajectory is an extrapolation.
+        // The allowed times are those of the four frames. Outside, the trajectory is an extrapolation.
         let span = -interval..=2.0 * interval;
         if !span.contains(&time_s) {
             return Some(None);
         }
         for _ in 0..MAX_NEWTON_STEPS {
             let slope = line.normal.dot(&trajectory.velocity(start + time_s));
-            // The trajectory reverses its direction near the line, where Newton's method would diverge.
+            // The trajectory reverses its direction near the line. Newton's method would diverge there.
             if slope.abs() * interval < MIN_SLOPE_FRACTION * self.min_across_px {
                 return Some(None);
             }
@@ -170,16 +175,16 @@ impl ThreeFrames<'_> {
             let change = place - lower_order.at(start + time_s);
             NEXT_ORDER_FRACTION * line.normal.dot(&change).abs()
         });
-        // From the frame's time, not that of the feature's row.
+        // The result counts from the frame's time, not from the time of the feature's row.
         let time_s = time_s + (start - self.times_i.times_s[self.index_i]);
         Some(Some(Candidate { time_s, across_px_s, place, trajectory_error_px }))
     }
 
-    /// The trajectory's samples as (time, position): seconds from camera i's earlier frame, and pixels
-    /// without distortion.
+    /// Returns the trajectory's samples as (time, position): seconds on camera i's clock, and undistorted pixels.
     ///
-    /// `None` if trajectories are curved, and the feature is tracked into none of the neighbouring frames
-    /// that exist, or moves abruptly there.
+    /// `None` if a position can't be undistorted. If trajectories are curved and camera i has more than two frames, the
+    /// feature must also be tracked into the frame before or the frame after the two frames, and must not move abruptly
+    /// there. Otherwise the result is `None` too.
     fn samples(&self, track: &Track) -> Option<Vec<(f64, Point2<f64>)>> {
         let k = self.index_i;
         let last = self.times_i.times_s.len() - 1;
@@ -198,8 +203,8 @@ impl ThreeFrames<'_> {
     }
 }
 
-/// The trajectory of the next lower order, through all samples except the one farthest from `time_s`. `None`
-/// for two samples.
+/// Fits the trajectory of the next lower polynomial order, through all samples except the first or the last one,
+/// whichever is farther from `time_s`. `None` if there are only two samples.
 fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Trajectory> {
     let distance = |s: &(f64, Point2<f64>)| (s.0 - time_s).abs();
     let (first, last) = (samples.first()?, samples.last()?);
@@ -210,7 +215,7 @@ fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Traje
     })
 }
 
-/// Whether the last of three or four samples is close to the extrapolation of the others.
+/// Returns whether the last of three or four samples is close to the extrapolation of the other samples.
 fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
     let Some(((time_s, position), others)) = samples.split_last() else { return false };
     let Some(trajectory) = Trajectory::new(others.iter().copied()) else { return false };
@@ -227,7 +232,7 @@ mod tests {
     use crate::registration::FlowDirection;
     use nalgebra::{Isometry3, Matrix2, Point3};
 
-    /// A camera of a row along the x axis, at `x` metres.
+    /// Returns a camera on the x axis, at `x` metres.
     fn camera(x: f64) -> Camera {
         Camera {
             width: 640,
@@ -275,7 +280,8 @@ mod tests {
         }
     }
 
-    /// Positions of a rolling shutter have the times of their rows; the candidate is the true time.
+    /// With a rolling shutter, each position has the time of its image row. The offset candidate equals the true
+    /// time.
     #[test]
     fn candidates_of_rolling_shutters_are_exact() {
         let (i, j) = (camera(0.0), camera(0.06));
@@ -285,7 +291,7 @@ mod tests {
             let at = move |t: f64| {
                 Point3::new(0.1 * (k * 0.7).sin() + 0.01 * t, 0.2 * (k * 0.9).cos() + 0.05 * t, 1.8)
             };
-            // The row depends on the time: iterated to the fixed point.
+            // The row depends on the time, and the time on the row. The time is found by fixed-point iteration.
             let seen = |frame: f64| {
                 let pixel = |t: f64| i.project(&at(t)).unwrap();
                 pixel((0..40).fold(frame, |t, _| frame + rows.offset_s(pixel(t).y)))
@@ -316,8 +322,8 @@ mod tests {
         }
     }
 
-    /// For features of several speeds, far from the image's middle: the number without a crossing, and the
-    /// number with one.
+    /// Counts features of several speeds far from the image's centre: first those that do not cross their epipolar
+    /// lines, then those that do.
     fn crossing_counts(model: CameraModel) -> [usize; 2] {
         let middle = Camera { model, ..camera(0.0) };
         let turned = |angle: f64| Camera {

@@ -1,23 +1,23 @@
-//! Selection of the features to track: those whose neighbourhood changes between two frames.
+//! Selects the features to track: those whose neighbourhood changes between two frames.
 //!
-//! Static features have no candidate (eq. (10)), and in front of a textured background the strongest
-//! corners would all be static.
+//! Static features give no candidate (eq. (10)). In front of a textured background, the strongest corners would all
+//! be static.
 
 use crate::registration::{Frame, PyramidLevel};
 use nalgebra::Point2;
 
-/// The minimum motion that counts as change, pixels; it is estimated from gradients.
+/// The minimum motion around a feature that counts as a change, pixels. The motion is estimated from image gradients.
 const MIN_MOTION_PX: f32 = 0.3;
-/// The half-width of the window around a feature, pixels.
+/// The half-width of the window around a feature in which its motion is estimated, pixels.
 const RADIUS: usize = 4;
-/// The maximum number of static corners that are tracked too. With them, a recording without motion is
-/// distinguished from one without features.
+/// The maximum number of static corners that are tracked besides the moving ones. They distinguish a recording
+/// without motion from a recording without features.
 const MAX_STATIC: usize = 64;
 
-/// Selects the strongest corners around which the image changes from `frame` to `next`, then up to 64 static
-/// ones, at most `count` in all.
+/// Selects at most `count` corners to track: first the strongest corners around which the image changes from `frame`
+/// to `next`, then up to 64 static corners.
 ///
-/// `corners` are pixels inside the image, strongest first. Both groups keep their order.
+/// `corners` are pixels inside the image, strongest first. Both groups keep this order.
 pub fn changing(
     frame: &Frame,
     next: &Frame,
@@ -38,11 +38,10 @@ pub fn changing(
     selected
 }
 
-/// The estimated length of the motion of the window around p between two frames, pixels; 0 without a
-/// gradient. It is the square root of the summed squared temporal change divided by the summed squared
-/// gradient.
+/// Estimates the length of the motion between two frames in the window around p, pixels; 0 if there is no gradient.
+/// The length is the square root of the summed squared temporal change divided by the summed squared gradient.
 fn motion_px([current, next]: [&PyramidLevel; 2], p: &Point2<f64>) -> f32 {
-    // The corner is inside the image; the window is clipped so that its gradients are too.
+    // The corner is inside the image. The window is clipped so that its central differences stay inside too.
     let range = |at: f64, size: usize| {
         let middle = at as usize;
         middle.saturating_sub(RADIUS).max(1)..(middle + RADIUS + 1).min(size.saturating_sub(1))
@@ -55,7 +54,7 @@ fn motion_px([current, next]: [&PyramidLevel; 2], p: &Point2<f64>) -> f32 {
         for x in columns.clone() {
             change += (later[x] - row[x]).powi(2);
             let (dx, dy) = (row[x + 1] - row[x - 1], below[x] - above[x]);
-            // A factor of 1/4, since central differences span two pixels, and of 1/2, since only one of two
+            // The factor is 1/4, since central differences span two pixels, times 1/2, since only one of two
             // directions is along the gradient.
             gradient += 0.125 * (dx * dx + dy * dy);
         }
@@ -69,7 +68,7 @@ mod tests {
     use crate::raster::Image;
     use crate::registration::RegistrationOptions;
 
-    /// A texture whose right half moves by `dx` pixels.
+    /// Returns a frame with a texture whose right half is moved by `dx` pixels.
     fn frame(dx: f64) -> Frame {
         let value = |x: usize, y: usize| {
             let shift = if x >= 64 { dx } else { 0.0 };

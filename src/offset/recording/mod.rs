@@ -1,4 +1,5 @@
-//! The recordings under one hypothesis of the clocks: frames, tracks, and the candidates of frame triples.
+//! Recordings of all cameras under one hypothesis of their clocks: frames, tracks, and the candidates of frame
+//! triples.
 
 mod candidates;
 mod features;
@@ -12,91 +13,95 @@ use crate::registration::{FrameStore, Track, flow, temporal_flow_of};
 use nalgebra::Point2;
 use std::sync::Arc;
 
-/// One feature's candidate for the offset of two cameras, a and b (eq. (10)).
+/// One feature's candidate for the temporal offset between two cameras, a and b (eq. (10)).
 ///
-/// The feature's trajectory in camera a crosses the epipolar line of its image in camera b at
-/// `time_a_s` on a's clock. That image was taken at `time_b_s` on b's clock: the time of the row that shows the feature.
+/// At `time_a_s` on a's clock, the feature's trajectory in camera a crosses the epipolar line of the feature's image
+/// in camera b. Camera b took that image at `time_b_s` on b's clock, which is the time of the image row that shows
+/// the feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// The indices of cameras a and b.
+    /// The indices of the two cameras, a and b.
     pub cameras: [usize; 2],
     pub time_a_s: f64,
     pub time_b_s: f64,
-    /// The feature's signed speed perpendicular to the epipolar line, pixels per second, reduced where its
-    /// trajectory is uncertain. Its square divided by the residual variance is the candidate's information.
+    /// The feature's signed speed perpendicular to the epipolar line, pixels per second, reduced if its trajectory is
+    /// uncertain. The square of this speed, divided by the residual variance, is the offset candidate's information.
     pub across_px_s: f64,
-    /// The cell of a coarse grid over camera a's image. Errors of features in one cell are correlated.
+    /// The index of the cell that contains the feature in a coarse grid over camera a's image. Errors of features in
+    /// the same cell are correlated.
     pub cell: usize,
-    /// The tile of a fine grid over camera a's image, about two of the tracker's windows wide. Features in
-    /// one tile are tracked by nearly the same pixels.
+    /// The index of the tile that contains the feature in a fine grid over camera a's image. A tile is about two of
+    /// the tracker's windows wide. Features in the same tile are tracked by nearly the same pixels.
     pub window: usize,
-    /// Where the two cameras see the feature.
+    /// The positions of the feature in the two cameras' images, and its speed.
     pub sight: Sight,
 }
 
-/// Where the two cameras of a [`Sample`] see its feature at the time of b's image.
+/// Positions and speed of a [`Sample`]'s feature in the images of cameras a and b, at the time of b's image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sight {
-    /// In camera a, on the trajectory, undistorted pixels.
+    /// The feature's position on its trajectory in camera a, undistorted pixels.
     pub ideal_a: Point2<f64>,
-    /// In camera b, pixels.
+    /// The feature's position in camera b's image, pixels.
     pub in_b: Point2<f64>,
-    /// The feature's signed speed perpendicular to the epipolar line, pixels per second.
+    /// The feature's signed speed in camera a, perpendicular to the epipolar line, pixels per second.
     pub across_px_s: f64,
 }
 
 impl Sample {
-    /// `offset_b − offset_a` according to this feature alone, seconds.
+    /// Returns `offset_b − offset_a` according to this feature alone, seconds.
     pub fn offset_s(&self) -> f64 {
         self.time_a_s - self.time_b_s
     }
 }
 
-/// The candidates of a frame triple, and the numbers of features at each stage of their selection.
+/// Offset candidates of a frame triple (two frames of one camera, one frame of another), and the numbers of features
+/// at each stage of their selection.
 #[derive(Clone, Debug, Default)]
 pub struct FrameTriple {
     pub samples: Vec<Sample>,
     /// The number of features tracked between the two frames of camera a.
     pub tracks: usize,
-    /// The number of tracked features that move on a smooth trajectory and have a correspondence in
+    /// The number of tracked features that move on a smooth trajectory in camera a and have a correspondence in
     /// camera b.
     pub moving: usize,
-    /// The number of features that move across their epipolar lines, with or without a candidate.
+    /// The number of features that move across their epipolar lines, with or without an offset candidate.
     pub across: usize,
 }
 
-/// A frame triple: cameras [a, b], then frames [k, m]. It consists of frames k and k + 1 of camera a, and
-/// frame m of camera b.
+/// Frame triple as ([a, b], [k, m]): frames k and k + 1 of camera a, and frame m of camera b.
 pub type TripleFrames = ([usize; 2], [usize; 2]);
 
-/// The minimum motion of a feature between two frames, perpendicular to its epipolar line, to have a
-/// candidate, pixels.
+/// The minimum motion of a feature between two successive frames, perpendicular to its epipolar line, that gives an
+/// offset candidate, pixels.
 const MIN_ACROSS_PX: f64 = 1.0;
-/// The coarse grid's cells across and down.
+/// The numbers of columns and rows of the coarse grid over an image ([`Sample::cell`]).
 const CELLS: [f64; 2] = [8.0, 6.0];
-/// The size of the fine grid's tiles, pixels: about two of the tracker's windows.
+/// The side of a tile of the fine grid over an image ([`Sample::window`]), pixels: about two of the tracker's
+/// windows.
 const WINDOW_PX: f64 = 24.0;
-/// The maximum time by which camera b's frame may be outside camera a's interval, as a fraction of the
-/// interval. Outside the interval, trajectories are extrapolated.
+/// The maximum time by which camera b's frame may be outside the interval between camera a's two frames, as a
+/// fraction of this interval. Outside the interval, trajectories are extrapolated.
 const MAX_OUTSIDE: f64 = 0.5;
-/// The maximum number of cached tracks: 256 MB, enough for 100 cameras with 600 features each.
+/// The maximum number of feature tracks in the cache. They take 256 MB, enough for 100 cameras with 600 features
+/// each.
 const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
-/// The maximum number of cached candidates: 128 MB.
+/// The maximum number of offset candidates in the cache. They take 128 MB.
 pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
 
-/// The recordings of all cameras under one hypothesis of their clocks. Tracks and candidates are
-/// computed on demand and cached.
+/// Recordings of all cameras under one hypothesis of their clocks. Tracks and offset candidates are computed on
+/// demand and cached.
 pub struct Recording<'a> {
     pub frames: &'a FrameStore,
-    /// For each camera, its clock. Frame times are corrected for the lost frames of the hypothesis.
+    /// The clock of each camera. Its frame times are corrected for the lost frames of the hypothesis.
     pub clocks: Vec<Clock>,
     pub options: &'a OffsetOptions,
     track_cache: &'a TrackCache,
     triples: BoundedCache<TripleFrames, Arc<FrameTriple>>,
 }
 
-/// The cached tracks of one estimation, by camera and earlier frame. Tracks do not depend on times, so that
-/// all pairs of a camera and all hypotheses of the clocks share them.
+/// Cache of the feature tracks of one estimation, by (camera, earlier frame). Tracks do not depend on times, so all
+/// pairs of a camera and all hypotheses of the clocks share them.
 pub struct TrackCache(BoundedCache<(usize, usize), Arc<Vec<Track>>>);
 
 impl Default for TrackCache {
@@ -116,10 +121,10 @@ impl<'a> Recording<'a> {
         Self { frames, clocks, options, track_cache, triples }
     }
 
-    /// The tracks of a camera between frames k and k + 1.
+    /// Returns the feature tracks of a camera between frames k and k + 1. Returns an error if a frame cannot be read.
     ///
-    /// If two threads ask for them at the same time, both may compute them, with equal results. Waiting for
-    /// each other could deadlock inside the thread pool.
+    /// If two threads request the same tracks at the same time, both may compute them, with equal results. If one
+    /// thread waited for the other, the thread pool could deadlock.
     pub fn tracks(&self, camera: usize, k: usize) -> Result<Arc<Vec<Track>>, CaptureError> {
         let TrackCache(cache) = self.track_cache;
         if let Some(tracks) = cache.get(&(camera, k)) {
@@ -128,14 +133,15 @@ impl<'a> Recording<'a> {
         let (earlier, later) = (self.frames.get(camera, k)?, self.frames.get(camera, k + 1)?);
         let corners = earlier.corners(self.frames.options());
         let selected = features::changing(&earlier, &later, corners, self.options.max_features);
-        // As in §7, only features selected on I_i(t) are tracked; there is no backward flow.
+        // As in §7, only features selected in the earlier frame are tracked. There is no backward flow.
         let tracks = Arc::new(temporal_flow_of(self.frames, camera, k, [&selected, &[]])?);
         cache.insert((camera, k), tracks.clone(), tracks.len());
         Ok(tracks)
     }
 
-    /// The image of camera b nearest to the middle of frames k and k + 1 of camera a, given
-    /// `offset_s = offset_b − offset_a`. `None` if it is too far outside the interval.
+    /// Returns the index of camera b's image nearest in time to the middle between frames k and k + 1 of camera a,
+    /// given `offset_s = offset_b − offset_a`. `None` if this image is outside the interval between the two frames by
+    /// more than [`MAX_OUTSIDE`].
     pub fn image_between(&self, [a, b]: [usize; 2], k: usize, offset_s: f64) -> Option<usize> {
         let [times, times_b] = [a, b].map(|c| &self.clocks[c].times_s);
         let (start, end) = (times[k], times[k + 1]);
@@ -145,7 +151,8 @@ impl<'a> Recording<'a> {
         (time_s >= start - slack && time_s <= end + slack).then_some(m)
     }
 
-    /// The candidates of frames k and k + 1 of camera a and frame m of camera b.
+    /// Returns the offset candidates of a frame triple: frames k and k + 1 of camera a and frame m of camera b.
+    /// Returns an error if a frame cannot be read.
     pub fn triple(&self, triple: TripleFrames) -> Result<Arc<FrameTriple>, CaptureError> {
         if let Some(cached) = self.triples.get(&triple) {
             return Ok(cached);
@@ -155,12 +162,14 @@ impl<'a> Recording<'a> {
         Ok(computed)
     }
 
-    /// Whether the candidates of a triple are cached; marks them as recently used.
+    /// Returns whether the offset candidates of a frame triple (two frames of one camera, one frame of another) are
+    /// cached, and marks them as recently used.
     pub fn has_triple(&self, triple: TripleFrames) -> bool {
         self.triples.get(&triple).is_some()
     }
 
-    /// Removes the candidates of a pair, in both directions, from the cache.
+    /// Removes all offset candidates of a pair of cameras from the cache: those of triples with two frames of a, and
+    /// those of triples with two frames of b.
     pub fn release_pair(&self, [a, b]: [usize; 2]) {
         self.triples.retain(|(pair, _)| *pair != [a, b] && *pair != [b, a]);
     }
@@ -181,7 +190,8 @@ impl<'a> Recording<'a> {
         // Only these tracks can have a candidate or count as moving.
         let tracks: Vec<&Track> =
             all_tracks.iter().filter(|track| three_frames.can_cross(track)).collect();
-        // The middle of the motion is a good start for the search in any frame of b inside the interval.
+        // The middle of the motion in camera a is a good start for the search in any frame of camera b inside the
+        // interval.
         let starts: Vec<_> =
             tracks.iter().map(|t| (t.earlier, t.earlier + 0.5 * t.motion())).collect();
         let in_b: Vec<_> = flow(&source, &target, &starts, self.frames.options())
@@ -201,7 +211,7 @@ impl<'a> Recording<'a> {
                 window: self.window(a, tracks[track]),
                 sight: Sight {
                     ideal_a: candidate.place,
-                    // A candidate has a correspondence.
+                    // Every candidate has a correspondence, so the default is never used.
                     in_b: in_b[track].unwrap_or_default(),
                     across_px_s: candidate.across_px_s,
                 },
@@ -231,8 +241,8 @@ impl<'a> Recording<'a> {
     }
 }
 
-/// At most `count` of the numbers below `n`, ascending and evenly spread; all of them if there are no
-/// more.
+/// Returns at most `count` of the integers from 0 to `n` − 1, ascending and evenly spread; all of them if `n` is at
+/// most `count`.
 pub fn spread(n: usize, count: usize) -> Vec<usize> {
     if n <= count {
         return (0..n).collect();

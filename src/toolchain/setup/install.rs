@@ -1,4 +1,4 @@
-//! Installs the missing parts of the environment, with progress.
+//! Installs the missing parts of the Python environment, and shows progress.
 
 use super::{Environment, Stamps, entry, file_error, system};
 use crate::host::process::{self, Ended};
@@ -8,18 +8,19 @@ use crate::toolchain::ToolchainError;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Imports all packages in one process, since the module must load together with Blender.
+/// Python program that imports all packages in one process, because the module `stlfr` must be able to load together
+/// with Blender.
 const IMPORTS: &str = "import bpy, pycolmap, numpy, stlfr";
 
 /// Name of the step that builds the Python module.
 const BUILDING: &str = "building the Python module stlfr";
 
-/// An installation in progress. The caller must hold the lock.
+/// An installation of the Python environment in progress. The caller must hold the environment's lock.
 pub(super) struct Installer<'a> {
     root: &'a Path,
     python: &'a Path,
     venv: PathBuf,
-    /// Temporary folder for the wheel that is built.
+    /// Temporary folder for the wheel of the Python module.
     wheels: PathBuf,
     reporter: &'a Reporter,
 }
@@ -31,7 +32,7 @@ impl<'a> Installer<'a> {
         Self { root, python, wheels: venv.join("wheels"), venv, reporter }
     }
 
-    /// Installs everything that the stamps report as missing.
+    /// Installs all parts of the environment that the stamps report as missing.
     pub fn install(&self, stamps: &Stamps) -> Result<(), ToolchainError> {
         let wheel = if stamps.packages.found {
             self.reporter.note("Building the Python module stlfr: its sources have changed.");
@@ -51,10 +52,10 @@ impl<'a> Installer<'a> {
         Ok(())
     }
 
-    /// Creates an empty environment, which replaces an earlier one.
+    /// Creates an empty Python environment, which replaces an earlier one.
     fn make_venv(&self) -> Result<(), ToolchainError> {
         let base_python = system::find_python()?;
-        // The folder is not created by Python, so that missing write permission has its own error.
+        // The folder is created here, not by Python, so that missing write permission has its own error.
         ignore_absent(std::fs::remove_dir_all(&self.venv))
             .and_then(|()| std::fs::create_dir(&self.venv))
             .map_err(|e| file_error(&self.venv, e))?;
@@ -63,8 +64,8 @@ impl<'a> Installer<'a> {
         self.step("making the Python environment", &mut command)
     }
 
-    /// Installs the build tool; then installs the other packages while the module compiles. Returns the path
-    /// of the module's wheel.
+    /// Installs the build tool, and then the other packages while the Python module compiles. Returns the path of the
+    /// module's wheel.
     fn install_packages_and_build(&self) -> Result<PathBuf, ToolchainError> {
         let requirements = self.root.join("blender/requirements.txt");
         let mut tool = self.pip();
@@ -80,8 +81,8 @@ impl<'a> Installer<'a> {
         })
     }
 
-    /// Builds the wheel of the Python module from this source tree, into a folder of the environment. The
-    /// caller removes the folder.
+    /// Builds the wheel of the Python module from this source tree, in a temporary folder of the environment. Returns
+    /// the wheel's path. The caller must remove the folder.
     pub fn build_module(&self) -> Result<PathBuf, ToolchainError> {
         ignore_absent(std::fs::remove_dir_all(&self.wheels))
             .map_err(|e| file_error(&self.wheels, e))?;
@@ -103,7 +104,7 @@ impl<'a> Installer<'a> {
         std::fs::remove_dir_all(&self.wheels).map_err(|e| file_error(&self.wheels, e))
     }
 
-    /// Imports all packages in one process, by which missing system libraries are found.
+    /// Imports all packages in one process, to find missing system libraries.
     fn try_imports(&self) -> Result<(), ToolchainError> {
         let mut command = Command::new(self.python);
         command.args(["-I", "-c", IMPORTS]);
@@ -126,8 +127,11 @@ impl<'a> Installer<'a> {
         self.explained_step(what, command, |_| None)
     }
 
-    /// Runs a command, and shows its last line of output as progress. If it fails, the error is the result of
-    /// `explain` for its stderr; if that is `None`, a sentence that names a log.
+    /// Runs a command. The names of files that it downloads are shown as progress.
+    ///
+    /// # Errors
+    /// If the command fails: the error that `explain` returns for the command's stderr. If `explain` returns `None`: an
+    /// error with the reason, and with the path of a log of all output.
     fn explained_step(
         &self,
         what: &str,
@@ -166,8 +170,8 @@ fn step_failed(what: &str, reason: &str, log: &Path) -> ToolchainError {
     ToolchainError::Failure(format!("{what} failed: {reason} (all of its output is in {log})"))
 }
 
-/// The most informative line of stderr: the last line that contains an error, else the last line. Without
-/// output, the exit status.
+/// Returns the most informative line of stderr: the last line that starts with "error", or else the last line. If
+/// stderr is empty, returns the exit status.
 fn reason(ended: &Ended) -> String {
     let lines = || ended.stderr.lines().rev().map(str::trim).filter(|l| !l.is_empty());
     lines()

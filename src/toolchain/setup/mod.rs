@@ -1,10 +1,10 @@
-//! The pinned Python environment `.venv` of the project. It is created once; its module `stlfr` is rebuilt
-//! when the library's sources change.
+//! Sets up the pinned Python environment `.venv` of the project. The environment is created once. Its module `stlfr` is
+//! built again when the library's sources change.
 //!
-//! Two stamp files record what is complete; each is written after the part that it stands for. The packages'
-//! stamp is a hash of the pinned versions, the Python version and the folder's path; the module's stamp is a
-//! hash of its sources. A part that was interrupted has no stamp, and is installed again. A file lock makes a
-//! second set-up wait.
+//! The environment has two parts, the packages and the module. Each has a stamp file, which is written after the part
+//! is complete. The stamp of the packages is a hash of the pinned versions, the Python version and the folder's path.
+//! The stamp of the module is a hash of its sources. A part whose installation was interrupted has no stamp, and is
+//! installed again. If another process is setting up the environment, a file lock makes this process wait.
 
 mod install;
 mod stamp;
@@ -19,15 +19,16 @@ use std::fs::File;
 use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 
-/// A complete environment.
+/// The Python environment of the project.
 #[derive(Clone, Debug)]
 pub struct Environment {
+    /// Folder of stlfr's sources, which contains the environment.
     pub project_root: PathBuf,
-    /// Path of its Python interpreter.
+    /// Path of the environment's Python interpreter.
     pub python: PathBuf,
 }
 
-/// The error of a failed file operation. Missing write permission has its own sentence.
+/// Returns the error of a failed file operation. If write permission is missing, its sentence says how to get it.
 fn file_error(path: &Path, source: Error) -> ToolchainError {
     ToolchainError::Failure(match source.kind() {
         ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {
@@ -40,28 +41,31 @@ fn file_error(path: &Path, source: Error) -> ToolchainError {
     })
 }
 
-/// The path of the first entry of a folder whose name passes a test.
+/// Returns the path of the first entry of a folder whose name passes a test. `None` if there is no such entry.
 fn entry(folder: &Path, passes: impl Fn(&str) -> bool) -> Option<PathBuf> {
     let mut paths = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
     paths.find(|path| path.file_name().is_some_and(|name| passes(&name.to_string_lossy())))
 }
 
 impl Environment {
-    /// The environment, if its packages are installed; `None` otherwise. Nothing is installed.
+    /// Returns the environment of a project if its packages are installed, otherwise `None`. Nothing is installed.
     pub fn find(project_root: &Path) -> Option<Self> {
         let stamps = Stamps::read(project_root).ok()?;
         stamps.packages.found.then(|| Self::inside(project_root))
     }
 
-    /// The environment of a project, whether complete or not.
+    /// Returns the environment of a project, whether it is complete or not.
     fn inside(project_root: &Path) -> Self {
         let python = project_root.join(".venv/bin/python");
         Self { project_root: project_root.to_owned(), python }
     }
 }
 
-/// The folder of stlfr's sources: `STLFR_HOME` if it is set, else where this program was built, which a portable program
-/// doesn't know.
+/// Returns the folder of stlfr's sources: the value of `STLFR_HOME` if it is set, otherwise the folder in which this
+/// program was built. A program that was built with the feature `portable` needs `STLFR_HOME`.
+///
+/// # Errors
+/// If the folder is unknown, or doesn't contain stlfr's sources.
 pub fn project_root() -> Result<PathBuf, ToolchainError> {
     let built_in = (!cfg!(feature = "portable")).then(|| env!("CARGO_MANIFEST_DIR").into());
     let Some(root) = std::env::var_os("STLFR_HOME").or(built_in).map(PathBuf::from) else {
@@ -78,7 +82,8 @@ pub fn project_root() -> Result<PathBuf, ToolchainError> {
     }
 }
 
-/// The system's ffmpeg, else the one in the project's environment.
+/// Returns the path of the system's ffmpeg, or else of the ffmpeg in the project's environment. `None` if there is
+/// neither.
 pub fn find_ffmpeg() -> Option<PathBuf> {
     ffmpeg_on_path().or_else(|| {
         let binaries = ".venv/lib/python3.11/site-packages/imageio_ffmpeg/binaries";
@@ -86,8 +91,8 @@ pub fn find_ffmpeg() -> Option<PathBuf> {
     })
 }
 
-/// Creates the environment, or the parts that are missing. If it is complete, this takes milliseconds and
-/// does not start Python.
+/// Creates the Python environment, or installs its missing parts. If the environment is complete, this takes
+/// milliseconds and does not start Python.
 pub fn ensure_environment(
     project_root: &Path,
     reporter: &Reporter,
@@ -104,7 +109,8 @@ pub fn ensure_environment(
     Ok(environment)
 }
 
-/// Builds a wheel of the Python module, calls a function with its path, and removes the wheel.
+/// Builds a wheel of the Python module, calls a function with the wheel's path, and removes the wheel. Returns the
+/// function's result.
 pub(super) fn with_wheel<T>(
     environment: &Environment,
     reporter: &Reporter,
@@ -118,7 +124,7 @@ pub(super) fn with_wheel<T>(
     result
 }
 
-/// Locks the environment for one process, until the file is dropped.
+/// Locks the environment for this process until the returned file is dropped. Waits if another process holds the lock.
 fn lock(project_root: &Path, reporter: &Reporter) -> Result<File, ToolchainError> {
     let path = project_root.join(".venv.lock");
     let file = File::create(&path).map_err(|e| file_error(&path, e))?;

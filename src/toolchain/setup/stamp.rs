@@ -1,24 +1,26 @@
-//! Stamps: hashes of everything from which the environment was built.
+//! Stamps: files that mark the parts of the Python environment as complete. A stamp contains a hash of everything from
+//! which its part was built.
 
 use super::file_error;
 use crate::host::{hash_file, ignore_absent, read_bytes, read_text, write_atomically};
 use crate::toolchain::ToolchainError;
 use std::path::{Path, PathBuf};
 
-/// Maximum size of a stamp or a `pyvenv.cfg` that is read, bytes.
+/// Maximum size of a stamp file or a `pyvenv.cfg`, bytes.
 const MAX_STAMP_BYTES: u64 = 64 << 10;
 
-/// The stamps that a source tree's environment must have.
+/// The stamps of a source tree's Python environment: one for its packages, and one for its module `stlfr`.
 pub(super) struct Stamps {
     pub packages: Stamp,
     pub module: Stamp,
 }
 
-/// A stamp file, with the hash that it should contain.
+/// A stamp: a file that marks a part of the Python environment as complete. The file should contain the expected hash
+/// of everything from which this part is built.
 pub(super) struct Stamp {
     path: PathBuf,
     expected: String,
-    /// Whether the file holds the expected hash.
+    /// Whether the stamp's file contains the expected hash. If so, this part of the environment is complete.
     pub found: bool,
 }
 
@@ -34,7 +36,8 @@ impl Stamp {
             .map_err(|e| file_error(&self.path, e))
     }
 
-    /// Removes the stamp's file. Must be called before the stamped part of the environment is replaced.
+    /// Removes the file that marks a part of the Python environment as complete. Must be called before this part is
+    /// replaced.
     pub fn remove(&self) -> Result<(), ToolchainError> {
         ignore_absent(std::fs::remove_file(&self.path)).map_err(|e| file_error(&self.path, e))
     }
@@ -51,8 +54,8 @@ impl Stamps {
         add(&mut packages, &python);
         add_file(&mut packages, &root.join("blender/requirements.txt"))?;
 
-        // The packages are not hashed here: when they are installed again, the folder is replaced, and with
-        // it this stamp.
+        // The hash doesn't include the packages. When the packages are installed again, the environment's folder is
+        // replaced, and with it the module's stamp.
         let mut module = blake3::Hasher::new();
         for file in module_sources(root)? {
             add(&mut module, file.as_os_str().as_encoded_bytes());
@@ -72,7 +75,8 @@ impl Stamps {
     }
 }
 
-/// The source files of the Python module, in a fixed order: all of `src` except the program's `main.rs`.
+/// Returns the files from which the Python module is built, in a fixed order: the files of `src` except `main.rs`, the
+/// files of `blender/module`, and the files of Cargo and `pyproject.toml`.
 fn module_sources(root: &Path) -> Result<Vec<PathBuf>, ToolchainError> {
     let mut files: Vec<PathBuf> =
         ["Cargo.toml", "Cargo.lock", "blender/pyproject.toml"].map(|f| root.join(f)).into();
@@ -112,7 +116,7 @@ fn add_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<(), ToolchainErr
 mod tests {
     use super::*;
 
-    /// A source tree with a complete environment.
+    /// Returns a source tree with a complete environment.
     fn finished() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         for file in [
@@ -135,7 +139,8 @@ mod tests {
         folder
     }
 
-    /// Whether the packages, and the whole environment, still count as complete after `file` has changed.
+    /// Returns whether the packages, and whether the whole environment, still count as complete after `file` has
+    /// changed.
     fn after(file: &str) -> (bool, bool) {
         let folder = finished();
         std::fs::write(folder.path().join(file), "changed").unwrap();

@@ -1,15 +1,15 @@
-//! Requirements on the system: a Python 3.11 that can create environments, and Blender's libraries. If
-//! something is missing, the error names the command that installs it.
+//! Requirements on the system: a Python 3.11 that can create virtual environments, and the system libraries that
+//! Blender needs. If something is missing, the error names the command that installs it.
 
 use crate::toolchain::ToolchainError;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// The Python version that `bpy` is built for.
+/// Python version for which Blender's module `bpy` is built.
 const VERSION: &str = "3.11";
 
-/// A Python program that prints Python's version, and whether `venv` is installed, which Debian packages
-/// separately.
+/// Python program that prints Python's version, and whether `venv` is installed. Debian has a separate package for
+/// `venv`.
 const PROBE: &str = "import sys
 try:
     import ensurepip, venv
@@ -18,7 +18,7 @@ except ImportError:
     able = 'unable'
 print('%d.%d' % sys.version_info[:2], able)";
 
-/// The command that starts a Python 3.11 that can create environments.
+/// Returns the command that starts a Python 3.11 that can create virtual environments.
 pub(super) fn find_python() -> Result<&'static str, ToolchainError> {
     let mut unable = None;
     for python in ["python3.11", "python3", "python"] {
@@ -42,14 +42,14 @@ pub(super) fn find_python() -> Result<&'static str, ToolchainError> {
     }))
 }
 
-/// The command line that installs Debian packages.
+/// Returns the command line that installs Debian packages.
 fn install_line(packages: &[&str]) -> String {
     // SAFETY: geteuid has no preconditions and can't fail.
     let sudo = if unsafe { libc::geteuid() } == 0 { "" } else { "sudo " };
     format!("{sudo}apt-get install -y {}", packages.join(" "))
 }
 
-/// The error for a missing shared library, if the output of an import names one; else `None`.
+/// Returns the error for a missing shared library. `None` if the output of a failed import names no such library.
 pub(super) fn missing_library(root: &Path, stderr: &str) -> Option<ToolchainError> {
     // The line has the form "ImportError: libX.so.1: cannot open shared object file: …".
     let line = stderr.lines().find(|l| l.contains("cannot open shared object file"))?;
