@@ -261,8 +261,9 @@
 //! - `stlfr calibrate` needs cameras that don't move, and a textured static part of the scene. If all cameras look in
 //!   the same direction, the images hardly determine the focal length. It is then close to an initial guess, and the
 //!   command says so.
-//! - Gains and white balances of cameras are corrected by one factor per channel for the whole recording. Changes by
-//!   automatic exposure are not corrected.
+//! - Changes by automatic exposure and white balance are corrected only if the camera sees still, textured surfaces,
+//!   and if the changes differ between cameras. A sudden change is corrected as one of half a second or more. If all
+//!   cameras change alike, it is assumed that the light in the scene changes.
 //! - A rolling shutter's readout time (`readout_s` of a camera's clock) has to be given; it is not estimated. The time
 //!   of a pixel follows from its row in the camera's own, distorted image; with `--proxy scene-flow`, from its row in
 //!   the undistorted image. Cameras must not move. The following assume that all rows of a frame are exposed at the

@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 /// Cache of plans. To make a plan, dozens of views are rendered, which later commands then need not repeat. If a change
 /// of the renderer changes views, the version must be incremented, because plans are chosen by comparing views.
-const PLANS: CacheKind = CacheKind { name: "plans", version: 3 };
+const PLANS: CacheKind = CacheKind { name: "plans", version: 4 };
 
 /// Opens a capture's light field. The offsets of the cameras' clocks are known from the capture, or are read from its
 /// folder, or else are estimated and stored there ([`resolve_offsets`]). Notes on the reporter say which of these

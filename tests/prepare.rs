@@ -134,8 +134,9 @@ fn gains_are_kept_and_their_damage_is_noticed() {
     assert_eq!(gains(folder.path()), expected);
     let file = files(folder.path()).pop().expect("the gains, the last kind");
     let bytes = std::fs::read(&file).unwrap();
-    // A checksum, the number of cameras, three gains a camera, a difference and its standard error.
-    assert_eq!(bytes.len(), 32 + 1 + 8 * (3 * 3 + 2));
+    // A checksum, the number of cameras, three gains a camera, the same number again, the number of a curve's knots a
+    // camera, a difference and its standard error.
+    assert_eq!(bytes.len(), 32 + (1 + 8 * 3 * 3) + (1 + 3) + 8 * 2);
     for at in [0, 31, 32, bytes.len() - 1] {
         let mut damaged = bytes.clone();
         damaged[at] ^= 4;

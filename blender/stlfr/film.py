@@ -150,7 +150,9 @@ class Studio:
                 if is_rolling
                 else self._light(camera, scratch)
             )
-            pixels = sensor.develop(light, camera, image.sensor_seed)
+            is_frame = image.sensor_seed is not None
+            since_s = image.world_time_s - camera.delay_s if is_frame else 0.0
+            pixels = sensor.develop(light, camera, image.sensor_seed, since_s)
             partial = _scratch_file(scratch, ".png")
             partial.write_bytes(png.encoded(pixels))
             move_whole(partial, target)

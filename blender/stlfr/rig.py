@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,8 @@ class RigCamera(RigView):
     `delay_s` is after the scene's start. `drift_ppm` is positive if the reference's clock goes by
     faster. `exposure_s` lies around the frame's time, and so does `readout_s`, from the first row's time to the last
     row's. `gain` multiplies light before it is encoded
-    for display; `noise` is a standard deviation in display-encoded units of 0 to 1.
+    for display; `gain_drift_per_s` is the rate of change of its logarithm for red, green and blue, from the
+    nominal time of the first frame on; `noise` is a standard deviation in display-encoded units of 0 to 1.
     """
 
     distortion: Distortion
@@ -80,6 +82,7 @@ class RigCamera(RigView):
     exposure_s: float
     readout_s: float
     gain: float
+    gain_drift_per_s: tuple[float, float, float]
     noise: float
     color: str
     bit_depth: int
@@ -224,10 +227,16 @@ def _camera(entry: Content) -> RigCamera:
         exposure_s=entry.get("exposure_s", 0.0),
         readout_s=entry.get("readout_s", 0.0),
         gain=entry.get("gain", 1.0),
+        gain_drift_per_s=_per_channel(entry.get("gain_drift_per_s", (0.0, 0.0, 0.0))),
         noise=entry.get("noise", 0.0),
         color=entry.get("color", "rgb"),
         bit_depth=entry.get("bit_depth", 8),
     )
+
+
+def _per_channel(values: Sequence[float]) -> tuple[float, float, float]:
+    red, green, blue = values
+    return red, green, blue
 
 
 def _view(entry: Content) -> dict[str, Any]:

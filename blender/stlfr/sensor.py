@@ -33,6 +33,9 @@ MARGIN_PX = 4
 """Of the wide pinhole's image, all around: as far as the spline reaches, and some more. Larger costs pixels;
 below 3 the spline reaches beyond the image."""
 
+GAIN_LIMITS = (0.01, 100.0)
+"""As of a rig's `gain`."""
+
 REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 SAME_SURFACE = 0.01
@@ -45,6 +48,7 @@ def is_plain(camera: RigCamera) -> bool:
     return (
         camera.distortion.is_none
         and camera.gain == 1.0
+        and not any(camera.gain_drift_per_s)
         and camera.noise == 0.0
         and camera.bit_depth == 8
     )
@@ -60,13 +64,25 @@ def encoded(light: Array) -> Array:
     )
 
 
-def develop(light: Light, camera: RigCamera, noise_seed: int | None) -> Pixels:
+def gains(camera: RigCamera, since_first_s: float) -> Array:
+    """Factors on red, green and blue light, some seconds after the camera's first frame."""
+    drift = np.array(camera.gain_drift_per_s) * since_first_s
+    return np.clip(camera.gain * np.exp(np.clip(drift, -10.0, 10.0)), *GAIN_LIMITS)
+
+
+def develop(
+    light: Light,
+    camera: RigCamera,
+    noise_seed: int | None,
+    since_first_s: float = 0.0,
+) -> Pixels:
     """What the camera records of the light: 8 or 16 bits, H x W x 3, or H x W if it is grey.
 
     A grey camera records Rec. 709's luminance, encoded, as Blender's grey pictures do. The noise is
-    drawn anew for every seed; none without one.
+    drawn anew for every seed; none without one. The gains are those some seconds after the camera's first
+    frame.
     """
-    linear = camera.gain * light.astype(np.float64)
+    linear = gains(camera, since_first_s) * light.astype(np.float64)
     if camera.color == "gray":
         linear = linear @ REC709_LUMINANCE
     values = encoded(linear)

@@ -46,7 +46,9 @@ impl Renderer for ComparedLightField {
         time_s: f64,
     ) -> Result<Arc<Synchronized>, String> {
         let options = RenderOptions { sync, ..self.options.clone() };
-        self.field.synchronized(camera, time_s, &options).map_err(|e| e.to_string())
+        let found = self.field.synchronized(camera, time_s, &options);
+        let image = found.map_err(|e| e.to_string())?;
+        Ok(self.field.exposed_first(camera, time_s, &image, &options).map_or(image, Arc::new))
     }
 
     fn view(&self, view: &ComparedView) -> Result<Rendered, String> {

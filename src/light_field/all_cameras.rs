@@ -60,7 +60,9 @@ impl LightField {
         let images = images_of(self, &source, &cameras, instant, context)?;
         let blended = self.blend(&images, &geometry, filmed, &options.blend);
         let gains = self.gains(&options.registration);
-        let image = gains.as_filmed(camera, &blended.image).unwrap_or(blended.image);
+        let image = gains
+            .as_filmed(camera, self.own_time_s(camera, time_s), &blended.image)
+            .unwrap_or(blended.image);
         let mut result = (*own).clone();
         let channels = result.image.channels();
         let pixels = result.image.data_mut().chunks_exact_mut(channels);

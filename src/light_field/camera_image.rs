@@ -62,7 +62,9 @@ impl CorrectedImage<'_> {
             return Ok(cached);
         }
         let filmed = self.image.get(field, context)?;
-        let image = gains.corrected(self.image.camera, &filmed.image);
+        let CameraImage { camera, time_s, .. } = self.image;
+        let own_s = field.own_time_s(camera, time_s);
+        let image = gains.corrected(camera, own_s, &filmed.image);
         let image = image.map(|image| Arc::new(with_image(&filmed, image)));
         Ok(field.insert(self, image.unwrap_or(filmed)))
     }
@@ -92,8 +94,8 @@ impl RefinementCosts<'_> {
     }
 }
 
-/// Computes a camera's image at an instant. If tiles are given as `parts`, pixels outside these tiles may be wrong or
-/// black.
+/// Computes a camera's image at an instant, with the camera's exposure at this instant. If tiles are given as `parts`,
+/// pixels outside these tiles may be wrong or black.
 pub(super) fn image_in(
     field: &LightField,
     image: &CameraImage,
@@ -104,15 +106,16 @@ pub(super) fn image_in(
     let (frame, later) = field.bracket(camera, time_s)?;
     let registration = &method.registration;
     let frames = field.frames(registration);
-    let earlier_frame = frames.get(camera, frame)?;
     if frame == later {
-        return Ok(Synchronized::filmed(earlier_frame.image.clone()));
+        return Ok(Synchronized::filmed(frames.get(camera, frame)?.image.clone()));
     }
+    let own_s = field.own_time_s(camera, time_s);
+    let exposed_now = |index: usize| frames.get_exposed_at(camera, index, own_s);
     let interpolation = method.interpolation.clone().unwrap_or_default();
     if let Some(options) = &method.all_cameras {
         return field.image_from_all_cameras(image, &interpolation, options, context);
     }
-    let later_frame = frames.get(camera, later)?;
+    let (earlier_frame, later_frame) = (exposed_now(frame)?, exposed_now(later)?);
     let pair_tracks = PairTracks { camera, frame, registration };
     let follows_motion = method.interpolation.is_some()
         && !is_still(field, pair_tracks, interpolation.still_change)?;
@@ -145,7 +148,7 @@ pub(super) fn image_in(
             let costs = costs.get(field)?;
             let outer = |index: Option<usize>| {
                 let index = index.filter(|&k| k < times.times_s.len());
-                index.map(|k| frames.get(camera, k)).transpose()
+                index.map(exposed_now).transpose()
             };
             let (before, after) = (outer(frame.checked_sub(1))?, outer(Some(later + 1))?);
             let around = [before.as_deref(), after.as_deref()];
@@ -170,6 +173,21 @@ impl LightField {
         let method = ImageMethod::new(options.sync, options);
         let image = CameraImage { camera, time_s, method: &method };
         on_workers(|| image.get(self, &Context::unattended()))
+    }
+
+    /// Converts a camera's synchronized image at `time_s`, seconds from the capture's start, to the exposure of the
+    /// camera's first frame, which is the exposure of the truth. Returns `None` if the exposures are the same.
+    pub(crate) fn exposed_first(
+        &self,
+        camera: usize,
+        time_s: f64,
+        image: &Synchronized,
+        options: &RenderOptions,
+    ) -> Option<Synchronized> {
+        let gains = self.gains(&options.registration);
+        let first_s = self.capture().cameras[camera].clock.times_s[0];
+        let own_s = self.own_time_s(camera, time_s);
+        Some(with_image(image, gains.exposed_at(camera, [own_s, first_s], &image.image)?))
     }
 
     /// Returns the synchronized images of all cameras at `time_s`, seconds from the capture's start. They are in the
@@ -253,7 +271,8 @@ pub(super) fn images_of(
         ImageSource::Given(given) => {
             let gains = field.gains(registration);
             let mut all = vec![None; field.capture().cameras.len()];
-            cameras.iter().for_each(|&c| all[c] = given.corrected_of(c, &gains));
+            let first_s = |c: usize| field.capture().cameras[c].clock.times_s[0];
+            cameras.iter().for_each(|&c| all[c] = given.corrected_of(c, first_s(c), &gains));
             Ok(all)
         }
     }

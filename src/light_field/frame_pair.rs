@@ -26,7 +26,9 @@ impl FrameChange<'_> {
         }
         let PairTracks { camera, frame, registration } = self.0;
         let frames = field.frames(registration);
-        let (earlier, later) = (frames.get(camera, frame)?, frames.get(camera, frame + 1)?);
+        let earlier_s = field.capture().cameras[camera].clock.times_s[frame];
+        let earlier = frames.get(camera, frame)?;
+        let later = frames.get_exposed_at(camera, frame + 1, earlier_s)?;
         Ok(field.insert(self, largest_change(&earlier.image, &later.image)))
     }
 }
@@ -58,7 +60,7 @@ impl PairTracks<'_> {
 }
 
 impl StoredStage for PairTracks<'_> {
-    const KIND: CacheKind = CacheKind { name: "tracks", version: 1 };
+    const KIND: CacheKind = CacheKind { name: "tracks", version: 2 };
 }
 
 impl Stage for PairTriangles<'_> {

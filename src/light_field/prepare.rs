@@ -42,7 +42,7 @@ impl LightField {
         let cameras = self.capture().cameras.len();
         let pairs: usize = (0..cameras).map(|c| self.times_s(c).len().saturating_sub(1)).sum();
         let tracks = 2 * options.registration.max_corners;
-        let gains = cameras * size_of::<[f64; 3]>();
+        let gains = Gains::max_stored_bytes(cameras);
         let mut bytes = pairs * (tracks * size_of::<Track>() + ENTRY_BYTES) + gains + ENTRY_BYTES;
         let mut steps = pairs;
         if options.proxy.method == ProxyMethod::SceneFlow {

@@ -45,9 +45,10 @@ impl Undistorted<'_> {
         let &Self { camera, frame, registration } = self;
         let image = field.capture().read_frame(camera, frame)?;
         let gains = field.gains(registration);
-        let image = gains.corrected(camera, &image).unwrap_or(image);
-        let time = field.in_frames(field.times_s(camera)[frame]);
         let filmed = &field.capture().cameras[camera];
+        let own_s = filmed.clock.times_s[frame];
+        let image = gains.corrected(camera, own_s, &image).unwrap_or(image);
+        let time = field.in_frames(field.times_s(camera)[frame]);
         let row_time = field.in_frames(filmed.row_times().s_per_px());
         let flow_frame = FlowFrame::new(&filmed.camera, &image, time).with_row_time(row_time);
         if field.common_place().is_none() {
@@ -112,7 +113,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 3 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 4 };
 }
 
 impl Stage for FlowConfidences<'_> {
@@ -301,19 +302,22 @@ pub(super) fn flow_image(
 ) -> Result<Option<Image>, RenderError> {
     let (frame, later) = field.bracket(camera, request.time_s)?;
     let nearest = field.nearest_frame(camera, request.time_s).unwrap_or(frame);
-    let mut image = field.capture().read_frame(camera, nearest)?;
+    let image = field.capture().read_frame(camera, nearest)?;
     if frame == later {
         return Ok(Some(image));
     }
+    let gains = field.gains(&request.options.registration);
+    let nearest_s = field.capture().cameras[camera].clock.times_s[nearest];
+    let own_s = field.own_time_s(camera, request.time_s);
+    let mut image = gains.exposed_at(camera, [nearest_s, own_s], &image).unwrap_or(image);
     let target = &field.capture().cameras[camera].camera;
     let view = flow_view(field, target, request, context, false)?;
     let Some(FlowView { rendered, .. }) = view else {
         return Ok(None);
     };
-    let gains = field.gains(&request.options.registration);
     let is_gray = image.channels() == 1;
     let view = if is_gray { rendered.image.to_gray() } else { rendered.image.to_rgb() };
-    let view = gains.as_filmed(camera, &view).unwrap_or(view);
+    let view = gains.as_filmed(camera, own_s, &view).unwrap_or(view);
     let channels = image.channels();
     let pixels = image.data_mut().chunks_exact_mut(channels);
     let views = view.data().chunks_exact(channels).zip(&rendered.coverage);

@@ -128,8 +128,8 @@ pub struct GivenImages {
 }
 
 impl GivenImages {
-    /// Wraps images that have each camera's own exposure. `images` has one element per camera, in the capture's order;
-    /// `None` if the camera has no image.
+    /// Wraps images that have each camera's own exposure, that of its first frame. `images` has one element per camera,
+    /// in the capture's order; `None` if the camera has no image.
     pub fn filmed(images: Vec<Option<Arc<Synchronized>>>) -> Self {
         Self { images, are_corrected: false, hash: OnceLock::new() }
     }
@@ -163,9 +163,15 @@ impl GivenImages {
     }
 
     /// Returns a camera's image, gain-corrected to the reference camera's exposure. `None` if the camera has no image.
-    pub(super) fn corrected_of(&self, camera: usize, gains: &Gains) -> Option<Arc<Synchronized>> {
+    /// `first_s` is the time of the camera's first frame, seconds on its own clock.
+    pub(super) fn corrected_of(
+        &self,
+        camera: usize,
+        first_s: f64,
+        gains: &Gains,
+    ) -> Option<Arc<Synchronized>> {
         let given = self.images.get(camera)?.as_ref()?;
-        let image = gains.corrected(camera, &given.image).filter(|_| !self.are_corrected);
+        let image = gains.corrected(camera, first_s, &given.image).filter(|_| !self.are_corrected);
         Some(image.map_or_else(|| given.clone(), |image| Arc::new(with_image(given, image))))
     }
 

@@ -32,8 +32,10 @@ impl StillContent<'_> {
         let gains = field.gains(registration);
         let (count, used) = (filmed.frames.len(), filmed.frames.len().min(MAX_FRAMES));
         let read = |k: usize| {
-            let image = field.capture().read_frame(camera, (2 * k + 1) * count / (2 * used))?;
-            let image = gains.corrected(camera, &image).unwrap_or(image);
+            let frame = (2 * k + 1) * count / (2 * used);
+            let image = field.capture().read_frame(camera, frame)?;
+            let own_s = filmed.clock.times_s[frame];
+            let image = gains.corrected(camera, own_s, &image).unwrap_or(image);
             // Lens distortion is removed, as in the frames that the background is compared with.
             Ok(CompactImage::new(&FlowFrame::new(&filmed.camera, &image, 0.0).image))
         };

@@ -46,6 +46,23 @@ impl LightField {
         self.capture().cameras[camera].frame_times(self.times_s(camera))
     }
 
+    /// Converts an instant, seconds from the capture's start, to a time on a camera's own clock. The result is within
+    /// the times of the camera's frames. If the clock is unknown, its offset is taken as 0.
+    pub(crate) fn own_time_s(&self, camera: usize, time_s: f64) -> f64 {
+        let own_s = &self.capture().cameras[camera].clock.times_s;
+        let Some(times_s) = self.all_times_s[camera].as_deref() else { return time_s };
+        let after = times_s.partition_point(|t| *t <= time_s);
+        match after {
+            0 => own_s[0],
+            _ if after == times_s.len() => own_s[after - 1],
+            _ => {
+                let [from_s, to_s] = [times_s[after - 1], times_s[after]];
+                let fraction = (time_s - from_s) / (to_s - from_s);
+                own_s[after - 1] + fraction * (own_s[after] - own_s[after - 1])
+            }
+        }
+    }
+
     /// Converts a time in seconds to frame intervals of the reference camera. All times of a static light field become
     /// 0.
     pub(crate) fn in_frames(&self, time_s: f64) -> f64 {

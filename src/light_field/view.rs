@@ -122,7 +122,7 @@ fn images(
     let partial = |(c, parts): &(usize, Tiles)| {
         let image = CameraImage { camera: *c, time_s, method };
         let mut filmed = image_in(field, &image, Some(parts), context)?;
-        if let Some(image) = gains.corrected(*c, &filmed.image) {
+        if let Some(image) = gains.corrected(*c, field.own_time_s(*c, time_s), &filmed.image) {
             filmed.image = image;
         }
         Ok((*c, Arc::new(filmed)))

@@ -48,7 +48,7 @@ const MAX_REASON_CHARS: usize = 500;
 const REMEDY: &str = "without the file, offsets are estimated";
 
 /// The name and version that enter the hash of estimated offsets.
-const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 1 };
+const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 2 };
 
 /// Content of a capture's `offsets.json`.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,7 +6,7 @@ use crate::interpolation::SyncMethod;
 use crate::lumigraph::BlendMethod;
 use crate::method::Method;
 use crate::options::ProxyMethod;
-use crate::registration::Gains;
+use crate::registration::{GainCurve, Gains};
 use serde::Serialize;
 
 /// The choice of a method for one stage, with its reason.
@@ -239,6 +239,15 @@ pub fn gains(gains: &Gains) -> Decision {
         100.0 * difference,
         100.0 * std_err
     );
+    let changing = gains.curves.iter().filter(|curve| !curve.is_constant());
+    let largest = changing.map(GainCurve::largest_change).max_by(f64::total_cmp);
+    if let Some(change) = largest {
+        let because = format!(
+            "{numbers}, and in a camera by up to {:.1} % over the recording, which is corrected.",
+            100.0 * change
+        );
+        return Decision::new("gains", "corrected", because);
+    }
     if gains.are_equal() {
         let because = format!("{numbers}, which counts as none.");
         return Decision::new("gains", "equal", because);
@@ -274,6 +283,7 @@ pub fn references(extent_ratio: f64) -> Decision {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::registration::GainKnot;
 
     const BUDGET_PX: f64 = 0.25;
 
@@ -320,6 +330,21 @@ mod tests {
         assert_eq!(of(&Motion { still_change: 0.9, ..still }).0, MAX_NOISE);
         assert_eq!(of(&Motion { still_px: 0.6, ..still }), (0.0, "registered"));
         assert_eq!(still_pairs(&still, 0.0).0, 0.0);
+    }
+
+    #[test]
+    fn gains_are_corrected_where_they_differ_or_change() {
+        let mut all = Gains::equal(2);
+        assert_eq!((gains(&all).method, all.are_equal()), ("equal", true));
+        all.factors[1] = [1.2; 3];
+        assert_eq!(gains(&all).method, "corrected");
+        assert!(!gains(&all).because.contains("over the recording"));
+        all.factors[1] = [1.0; 3];
+        let knot = |time_s: f64, log: f64| GainKnot { time_s, log: [0.0, log, 0.0] };
+        all.curves[0] = GainCurve::new(vec![knot(0.0, -0.1), knot(1.0, 0.1)]);
+        let decision = gains(&all);
+        assert_eq!((decision.method, all.are_equal()), ("corrected", false));
+        assert!(decision.because.contains("by up to 22.1 % over the recording"), "{decision:?}");
     }
 
     #[test]

@@ -61,9 +61,9 @@ struct HeldOutFrame {
     view_s: f64,
     /// The held-out frame as recorded, corrected to the gains of the reference camera.
     truth: Image,
-    /// Index, in the whole capture, of the reference camera of `neighbors`. Views that are rendered from `neighbors`
-    /// have the gains of this camera.
-    bright_as: usize,
+    /// Exposure of views that are rendered from `neighbors`: that of their reference camera, by its index in the whole
+    /// capture, at a time on its own clock, seconds.
+    exposure: (usize, f64),
     gains: Arc<Gains>,
     /// Mask of the pixels, row by row, at which this frame differs from the frame before or after it by more than
     /// noise.
@@ -218,6 +218,10 @@ impl HeldOutFrame {
         let between = |s: &f64| Reverse(whole.between_frames(*s, MIN_FRACTION));
         let Some(view_s) = instants.into_iter().min_by_key(between) else { return Ok(None) };
         let gains = whole.gains(registration);
+        let own_s = filmed.clock.times_s[frame];
+        let bright_as = order[neighbors.capture().reference];
+        let bright_as_s = &capture.cameras[bright_as].clock.times_s;
+        let middle_s = bright_as_s[bright_as_s.len() / 2];
         let changing_px: Vec<f32> = changing.iter().map(|c| f32::from(u8::from(*c))).collect();
         Ok(Some(Self {
             camera: filmed.camera.clone(),
@@ -226,9 +230,9 @@ impl HeldOutFrame {
             view,
             view_s,
             near_changing: moving_part(&changing_px, truth.width(), 0.5, PARALLAX_PX),
-            truth: gains.corrected(camera, &truth).unwrap_or(truth),
+            truth: gains.corrected(camera, own_s, &truth).unwrap_or(truth),
             gains,
-            bright_as: order[neighbors.capture().reference],
+            exposure: (bright_as, middle_s),
             changing,
             neighbors,
         }))
@@ -251,7 +255,8 @@ impl HeldOutFrame {
 
     /// Returns the sum of squared errors of a view relative to this frame, over the pixels at which `counts` is true.
     fn squared_error(&self, view: &Rendered, counts: &[bool]) -> f64 {
-        let image = self.gains.corrected(self.bright_as, &view.image);
+        let (camera, own_s) = self.exposure;
+        let image = self.gains.corrected(camera, own_s, &view.image);
         squared(image.as_ref().unwrap_or(&view.image), &self.truth, counts)
     }
 }
@@ -336,10 +341,12 @@ pub(crate) fn recorded(
     frame: usize,
 ) -> Result<(Image, Vec<bool>), CaptureError> {
     let image = frames.get(camera, frame)?.image.clone();
+    let own_s = frames.capture().cameras[camera].clock.times_s[frame];
     let mut moving = vec![false; image.width() * image.height()];
     for other in [frame.checked_sub(1), Some(frame + 1)].into_iter().flatten() {
         if other < frames.capture().cameras[camera].frames.len() {
-            let changed = changed_pixels(&image, &frames.get(camera, other)?.image);
+            let changed =
+                changed_pixels(&image, &frames.get_exposed_at(camera, other, own_s)?.image);
             moving.iter_mut().zip(changed).for_each(|(m, c)| *m |= c);
         }
     }

@@ -86,7 +86,8 @@ impl Motion {
         let mut agrees = neighbor_consensus(&tracks, frames.options()).into_iter();
         tracks.retain(|_| agrees.next() == Some(true));
         let times_s = &frames.capture().cameras[camera].clock.times_s;
-        let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
+        let earlier = frames.get(camera, k)?;
+        let later = frames.get_exposed_at(camera, k + 1, times_s[k])?;
         let largest_px = largest(&tracks);
         let changed_fraction = changed_fraction(&earlier.image, &later.image);
         let change = largest_change(&earlier.image, &later.image);

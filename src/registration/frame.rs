@@ -5,7 +5,7 @@ use super::pyramid::PyramidLevel;
 use super::{Pyramid, RegistrationOptions, corners};
 use crate::raster::Image;
 use nalgebra::Point2;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// A video frame with its pyramid, corners and gradients.
 #[derive(Debug)]
@@ -13,7 +13,7 @@ pub struct Frame {
     /// Image as filmed, without gain correction.
     pub image: Image,
     /// Pyramid for tracking. It is built from the image after gain correction to the reference camera's exposure.
-    pub pyramid: Pyramid,
+    pub pyramid: Arc<Pyramid>,
     corners: OnceLock<Vec<Point2<f64>>>,
     gradients: OnceLock<PolarGradients>,
 }
@@ -21,9 +21,15 @@ pub struct Frame {
 impl Frame {
     /// Creates a frame whose pyramid is built from `image` without gain correction.
     pub fn new(image: Image, options: &RegistrationOptions) -> Self {
-        let pyramid = Pyramid::new(&image, options.levels, options.pad_px());
+        let pyramid = Arc::new(Pyramid::new(&image, options.levels, options.pad_px()));
         let (corners, gradients) = (OnceLock::new(), OnceLock::new());
         Self { image, pyramid, corners, gradients }
+    }
+
+    /// Returns the frame with another image, which shows the same at another exposure. Both share the pyramid.
+    pub(super) fn with_image(&self, image: Image) -> Self {
+        let (corners, gradients) = (OnceLock::new(), OnceLock::new());
+        Self { image, pyramid: self.pyramid.clone(), corners, gradients }
     }
 
     /// Returns the frame's corners (§4.1), in pixels. The first call computes the corners with its `options`. Later

@@ -89,7 +89,8 @@ impl FrameStore {
         #[cfg(test)]
         self.decoded.lock().unwrap().push((camera, index));
         // The pyramid is built from the gain-corrected image, while `image` remains as filmed.
-        let frame = match self.gains().corrected(camera, &image) {
+        let time_s = self.capture.cameras[camera].clock.times_s[index];
+        let frame = match self.gains().corrected(camera, time_s, &image) {
             None => Frame::new(image, &self.options),
             Some(corrected) => {
                 let mut frame = Frame::new(corrected, &self.options);
@@ -98,6 +99,26 @@ impl FrameStore {
             }
         };
         Ok(self.memo.insert(FRAME_STAGE, &inputs, Arc::new(frame), self.bytes_of(camera)))
+    }
+
+    /// Returns frame `index` of camera `camera`, with its image as the camera would have exposed it at `time_s`,
+    /// seconds on the camera's own clock. If the camera's gains change, every call converts the image.
+    ///
+    /// # Errors
+    /// If the frame cannot be read.
+    ///
+    /// # Panics
+    /// If there is no such camera or frame.
+    pub fn get_exposed_at(
+        &self,
+        camera: usize,
+        index: usize,
+        time_s: f64,
+    ) -> Result<Arc<Frame>, CaptureError> {
+        let frame = self.get(camera, index)?;
+        let own_s = self.capture.cameras[camera].clock.times_s[index];
+        let image = self.gains().exposed_at(camera, [own_s, time_s], &frame.image);
+        Ok(image.map_or_else(|| frame.clone(), |image| Arc::new(frame.with_image(image))))
     }
 
     /// Returns whether `frames_each` frames of each of these cameras fit the in-memory cache at the same time.
@@ -128,7 +149,7 @@ impl FrameStore {
             let stored = stored.filter(|gains: &Gains| gains.are_plausible(cameras));
             stored.unwrap_or_else(|| Gains::estimate(&self.capture, &self.options))
         };
-        let bytes = cameras * size_of::<[f64; 3]>();
+        let bytes = gains.bytes();
         self.memo.insert(GAINS_STAGE, &self.options, Arc::new(gains), bytes)
     }
 

@@ -1,59 +1,58 @@
 //! Photometric calibration (beyond the paper): estimates the gain of each camera relative to the reference camera.
-//! Gains differ because of exposure and white balance.
+//! Gains differ because of exposure and white balance, and may change over the recording ([`GainCurve`]).
 //!
 //! Features of one frame of each camera are matched in the frames of the nearest cameras, after a rough correction
 //! by median brightness. The ratios of the matched features' linear light determine all cameras' gains by weighted
 //! least squares, separately for each channel. Gains that do not differ significantly from 1 are not corrected.
 //!
-//! Known limits: there is one gain per channel and camera for the whole recording (no automatic exposure, no
-//! vignetting). Cameras whose frames have no features in common are assumed to have the same gains.
+//! Known limits: there is one gain for the whole image (no vignetting). Cameras whose frames have no features in common
+//! are assumed to have the same gains.
 
+use super::gain_changes::{MAX_KNOTS, gain_curves};
+use super::gain_curve::{GainCurve, GainKnot};
+use super::gain_ratios::{
+    LogGain, MIN_DIFFERENCE, MIN_STD_ERRORS, Ratio, USABLE, median, shrunk, solve_log_gains,
+};
 use super::{Frame, Match, RegistrationOptions, flow};
 use crate::capture::Capture;
 use crate::host::CacheKind;
 use crate::raster::{Image, LUMINANCE, encoded_from_linear, linear_from_encoded};
-use nalgebra::{DMatrix, DVector, Point2};
+use nalgebra::Point2;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// The gains of a capture's cameras, by colour channel. A gain is the ratio of the linear light that a camera
-/// records of a surface to the linear light that the reference camera records of the same surface.
+/// records of a surface to the linear light that the reference camera records of the same surface in its middle frame.
+/// The exposure of that frame is the common exposure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    /// The gains of red, green and blue of each camera. For a grey camera, the three gains are equal.
+    /// The gains of red, green and blue of each camera in its middle frame. For a grey camera, the three gains are
+    /// equal.
     pub factors: Vec<[f64; 3]>,
+    /// The change of each camera's gains over its recording.
+    pub curves: Vec<GainCurve>,
     /// The largest measured difference of a gain from 1, and the standard error of this gain. The difference may be
     /// insignificant. (0, 0) if no cameras were compared.
     pub largest: (f64, f64),
 }
 
-/// Minimum difference of a gain from 1 that is corrected. Between cameras with equal gains, moving objects and
-/// specular surfaces cause measured differences of up to 0.019. A gain that differs by 0.03 changes the brightest
-/// 8-bit values by 3.
-const MIN_DIFFERENCE: f64 = 0.03;
-/// Minimum difference of a gain from 1 that is corrected, in units of its standard error.
-const MIN_STD_ERRORS: f64 = 4.0;
 /// Number of nearest cameras with which each camera is compared.
 const NEIGHBORS: usize = 2;
 /// Maximum width of the compared images, in pixels. The size of a larger image is halved repeatedly.
 const WIDTH_PX: usize = 250;
-/// Minimum number of matched features for comparing two cameras.
-const MIN_FEATURES: usize = 12;
 /// Range of gains that are accepted when gains are read from disk.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Half-width of the windows whose mean linear light is compared, pixels.
 const RADIUS_PX: isize = 2;
-/// Range of gamma-encoded pixel values (0 to 1) that are compared. Lower values are dominated by noise, and higher
-/// values may be clipped.
-const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
 
 impl Gains {
     /// Kind of the disk-cache entries that hold gains.
-    pub(crate) const KIND: CacheKind = CacheKind { name: "gains", version: 1 };
+    pub(crate) const KIND: CacheKind = CacheKind { name: "gains", version: 2 };
 
     /// Returns gains of 1 for this number of cameras.
     pub fn equal(cameras: usize) -> Self {
-        Self { factors: vec![[1.0; 3]; cameras], largest: (0.0, 0.0) }
+        let curves = vec![GainCurve::default(); cameras];
+        Self { factors: vec![[1.0; 3]; cameras], curves, largest: (0.0, 0.0) }
     }
 
     /// Returns whether gains that were read from a file are valid for this number of cameras.
@@ -61,45 +60,86 @@ impl Gains {
         let (difference, std_err) = self.largest;
         let are_measured = [difference, std_err].iter().all(|v| v.is_finite() && *v >= 0.0);
         let are_gains = self.factors.iter().flatten().all(|g| PLAUSIBLE.contains(g));
-        are_measured && are_gains && self.factors.len() == cameras
+        let are_all = self.factors.len() == cameras && self.curves.len() == cameras;
+        are_measured && are_gains && are_all && self.curves.iter().all(GainCurve::is_plausible)
     }
 
-    /// Returns whether all gains are 1, so that no image is corrected.
+    /// Returns an upper bound on the size on disk of the gains of this number of cameras, bytes.
+    pub(crate) fn max_stored_bytes(cameras: usize) -> usize {
+        cameras * (size_of::<[f64; 3]>() + MAX_KNOTS * size_of::<GainKnot>() + size_of::<usize>())
+    }
+
+    /// Returns the size in memory, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        let curves = self.curves.iter().map(|curve| size_of::<GainCurve>() + curve.bytes());
+        size_of_val(&self.factors[..]) + curves.sum::<usize>()
+    }
+
+    /// Returns whether all gains are always 1, so that no image is corrected.
     pub fn are_equal(&self) -> bool {
         self.factors.iter().all(|f| *f == [1.0; 3])
+            && self.curves.iter().all(GainCurve::is_constant)
     }
 
-    /// Converts a camera's image (gamma-encoded values) to the exposure of the reference camera. Returns `None` if
-    /// the camera's gains are 1. Values of the result may be outside 0..=1.
+    /// Returns the gains of red, green and blue of a camera at `time_s`, seconds on the camera's own clock.
     ///
     /// # Panics
     /// If there is no such camera.
-    pub fn corrected(&self, camera: usize, image: &Image) -> Option<Image> {
-        let factors = self.factors[camera];
+    pub fn at(&self, camera: usize, time_s: f64) -> [f64; 3] {
+        let (factors, curve) = (self.factors[camera], &self.curves[camera]);
+        if curve.is_constant() {
+            return factors;
+        }
+        let log = curve.log_at(time_s);
+        [0, 1, 2].map(|c| factors[c] * log[c].exp())
+    }
+
+    /// Converts a camera's image (gamma-encoded values) to the common exposure. The camera exposed the image at
+    /// `time_s`, seconds on its own clock. Returns `None` if its gains are 1 at this time. Values of the result may be
+    /// outside 0..=1.
+    ///
+    /// # Panics
+    /// If there is no such camera.
+    pub fn corrected(&self, camera: usize, time_s: f64, image: &Image) -> Option<Image> {
+        let factors = self.at(camera, time_s);
         (factors != [1.0; 3]).then(|| scaled(image, factors.map(|f| 1.0 / f)))
     }
 
-    /// Converts an image (gamma-encoded values) from the exposure of the reference camera to the exposure of
-    /// `camera`. This is the inverse of [`Self::corrected`]. Returns `None` if the camera's gains are 1.
+    /// Converts an image (gamma-encoded values) from the common exposure to the exposure of `camera` at `time_s`,
+    /// seconds on the camera's own clock. This is the inverse of [`Self::corrected`]. Returns `None` if the camera's
+    /// gains are 1 at this time.
     ///
     /// # Panics
     /// If there is no such camera.
-    pub fn as_filmed(&self, camera: usize, image: &Image) -> Option<Image> {
-        let factors = self.factors[camera];
+    pub fn as_filmed(&self, camera: usize, time_s: f64, image: &Image) -> Option<Image> {
+        let factors = self.at(camera, time_s);
         (factors != [1.0; 3]).then(|| scaled(image, factors))
     }
 
-    /// Estimates the gains from the middle frame of each camera's recording. A camera whose middle frame cannot be
-    /// read is left out. The read error is reported later, when the frame is used.
+    /// Converts a camera's image (gamma-encoded values) from the camera's exposure at time `from_s` to its exposure at
+    /// time `to_s`, seconds on the camera's own clock. Returns `None` if both are the same. Values of the result may
+    /// exceed 1.
+    ///
+    /// # Panics
+    /// If there is no such camera.
+    pub fn exposed_at(
+        &self,
+        camera: usize,
+        [from_s, to_s]: [f64; 2],
+        image: &Image,
+    ) -> Option<Image> {
+        let curve = &self.curves[camera];
+        let [from, to] = [from_s, to_s].map(|time_s| curve.log_at(time_s));
+        (from != to).then(|| scaled(image, [0, 1, 2].map(|c| (to[c] - from[c]).exp())))
+    }
+
+    /// Estimates the gains from the middle frame of each camera's recording, and their changes from more frames. A
+    /// camera whose middle frame cannot be read is left out. The read error is reported later, when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
         let count = capture.cameras.len();
         let small_image = |c: usize| {
             let middle = capture.cameras[c].frames.len() / 2;
-            let mut image = capture.read_frame(c, middle).ok()?;
-            while image.width() > WIDTH_PX && image.height() > 1 {
-                image = halved(&image);
-            }
-            Some(image)
+            Some(shrunk(capture.read_frame(c, middle).ok()?, WIDTH_PX))
         };
         let images: Vec<Option<Image>> = (0..count).into_par_iter().map(small_image).collect();
         let level = |image: &Image| {
@@ -118,7 +158,7 @@ impl Gains {
             let [Some(from), Some(to)] = cameras.map(|c| frames[c].as_ref()) else { return None };
             let [Some(a), Some(b)] = cameras.map(|c| images[c].as_ref()) else { return None };
             let starts: Vec<_> = from.corners(options).iter().map(|&p| (p, p)).collect();
-            Ratio::between(cameras, [a, b], &flow(from, to, &starts, options))
+            ratio_between(cameras, [a, b], &flow(from, to, &starts, options))
         };
         let ratios: Vec<Ratio> = neighbors(capture).into_iter().filter_map(ratio).collect();
         let mut gains = solve_gains(count, capture.reference, &ratios);
@@ -130,14 +170,9 @@ impl Gains {
                 *factors = luminance(*factors);
             }
         }
+        gains.curves = gain_curves(capture);
         gains
     }
-}
-
-/// Returns the upper median. There must be at least one value.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }
 
 /// Returns the luminance of linear light, repeated for all three channels.
@@ -160,17 +195,6 @@ fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     pairs.sort_unstable();
     pairs.dedup();
     pairs
-}
-
-/// Halves the width and height of an image by averaging 2×2 pixels. An odd last row or column is dropped.
-pub(crate) fn halved(image: &Image) -> Image {
-    let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
-    let value = |k: usize| {
-        let (x, y, c) = (k / channels % w, k / channels / w, k % channels);
-        let at = |dx, dy| image.pixel(2 * x + dx, 2 * y + dy)[c];
-        0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1))
-    };
-    Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect())
 }
 
 /// Multiplies the linear light of a gamma-encoded image by one factor per channel. For a grey image, the first
@@ -209,78 +233,33 @@ fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     Some(sums.map(|sum| sum / area))
 }
 
-/// Ratio of the linear light that camera `cameras[1]` records to the linear light that camera `cameras[0]` records
-/// of the same surfaces. `log` holds the natural logarithm of the ratio for each channel, and `variance` the
-/// variance of this logarithm.
-struct Ratio {
+/// Returns the median ratio of the light of `cameras[1]` to that of `cameras[0]` over matched features. `matches` are
+/// from pixels of `images[0]` to pixels of `images[1]`. Returns `None` if too few features are usable.
+fn ratio_between(
     cameras: [usize; 2],
-    log: [f64; 3],
-    variance: [f64; 3],
+    images: [&Image; 2],
+    matches: &[Option<Match>],
+) -> Option<Ratio> {
+    let is_gray = images.iter().any(|i| i.channels() == 1);
+    let log = |m: &Match| {
+        let both = [light(images[0], &m.source)?, light(images[1], &m.target)?];
+        let [a, b] = if is_gray { both.map(luminance) } else { both };
+        // The light is positive, since it is in the usable range.
+        Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
+    };
+    Ratio::of_samples(cameras, &matches.iter().flatten().filter_map(log).collect::<Vec<_>>())
 }
 
-impl Ratio {
-    /// Returns the median ratio over matched features. `matches` are from pixels of `images[0]` to pixels of
-    /// `images[1]`. Returns `None` if fewer than [`MIN_FEATURES`] features are usable.
-    fn between(
-        cameras: [usize; 2],
-        images: [&Image; 2],
-        matches: &[Option<Match>],
-    ) -> Option<Self> {
-        let is_gray = images.iter().any(|i| i.channels() == 1);
-        let log = |m: &Match| {
-            let both = [light(images[0], &m.source)?, light(images[1], &m.target)?];
-            let [a, b] = if is_gray { both.map(luminance) } else { both };
-            // The light is positive, since it is in the usable range.
-            Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
-        };
-        let logs: Vec<[f64; 3]> = matches.iter().flatten().filter_map(log).collect();
-        if logs.len() < MIN_FEATURES {
-            return None;
-        }
-        let log = [0, 1, 2].map(|c| median(logs.iter().map(|l| l[c]).collect()));
-        let variance = [0, 1, 2].map(|c| {
-            let deviation = median(logs.iter().map(|l| (l[c] - log[c]).abs()).collect());
-            // For a normal distribution, the standard deviation is 1.4826 times the median absolute
-            // deviation, and the standard error of a median is √(π/2) times that of a mean.
-            let std_err = 1.2533 * 1.4826 * deviation / (logs.len() as f64).sqrt();
-            std_err * std_err + MIN_STD_ERR * MIN_STD_ERR
-        });
-        Some(Self { cameras, log, variance })
-    }
-}
-
-/// Lower bound of the standard error of a log ratio. It accounts for specular reflection, which differs between two
-/// views.
-const MIN_STD_ERR: f64 = 0.002;
-/// Standard deviation of the prior on a camera's log gain. The mean of the prior is 0. The prior makes the
-/// equations solvable for cameras without comparisons.
-const PRIOR_STD_ERR: f64 = 10.0;
-
-/// Solves for the gains of all cameras by weighted least squares. The gains of the reference camera are 1.
+/// Solves for the gains of all cameras. Gains that don't differ significantly from 1, and those of the reference
+/// camera, are 1.
 fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
     let mut gains = Gains::equal(cameras);
+    let logs = solve_log_gains(cameras, reference, ratios);
     for c in 0..3 {
-        let mut normal = DMatrix::from_diagonal_element(cameras, cameras, PRIOR_STD_ERR.powi(-2));
-        let mut right = DVector::zeros(cameras);
-        normal[(reference, reference)] += MIN_STD_ERR.powi(-4);
-        for ratio in ratios {
-            let ([a, b], weight) = (ratio.cameras, 1.0 / ratio.variance[c]);
-            normal[(a, a)] += weight;
-            normal[(b, b)] += weight;
-            normal[(a, b)] -= weight;
-            normal[(b, a)] -= weight;
-            right[a] -= weight * ratio.log[c];
-            right[b] += weight * ratio.log[c];
-        }
-        // The prior makes the matrix positive definite.
-        let Some(solver) = normal.cholesky() else { continue };
-        let (logs, covariance) = (solver.solve(&right), solver.inverse());
         for (camera, factors) in gains.factors.iter_mut().enumerate() {
-            let std_err = covariance[(camera, camera)].max(0.0).sqrt();
-            let difference = logs[camera].exp() - 1.0;
-            // A standard error above a tenth of the prior's standard deviation means that the camera was not
-            // compared with any other camera.
-            if camera == reference || !difference.is_finite() || std_err > 0.1 * PRIOR_STD_ERR {
+            let Some(LogGain { log, std_err }) = logs[camera][c] else { continue };
+            let difference = log.exp() - 1.0;
+            if camera == reference {
                 continue;
             }
             if difference.abs() > gains.largest.0 {
@@ -299,7 +278,7 @@ mod tests {
     use super::*;
 
     fn ratio(cameras: [usize; 2], log: f64) -> Ratio {
-        Ratio { cameras, log: [log, 0.0, 0.5 * log], variance: [1e-5; 3] }
+        Ratio { images: cameras, log: [log, 0.0, 0.5 * log], variance: [1e-5; 3] }
     }
 
     #[test]
@@ -330,9 +309,9 @@ mod tests {
         let image = Image::from_data(2, 1, 3, vec![0.1, 0.5, 0.9, 0.3, 0.0, 0.7]);
         let brighter = scaled(&image, [1.5, 1.0, 0.7]);
         let mut gains = Gains::equal(2);
-        assert_eq!(gains.corrected(1, &image), None);
+        assert_eq!(gains.corrected(1, 0.0, &image), None);
         gains.factors[1] = [1.5, 1.0, 0.7];
-        let back = gains.corrected(1, &brighter).expect("it differs");
+        let back = gains.corrected(1, 0.0, &brighter).expect("it differs");
         for (a, b) in back.data().iter().zip(image.data()) {
             assert!((a - b).abs() < 1e-6, "{a} {b}");
         }

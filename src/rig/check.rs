@@ -119,6 +119,9 @@ fn camera(at: &str, camera: &RigCamera, reference: &str) -> FieldCheck {
     within(&field("exposure_s"), camera.exposure_s, &(0.0..=max))?;
     within(&field("readout_s"), camera.readout_s, &(0.0..=max))?;
     within(&field("gain"), camera.gain, &GAIN)?;
+    for &drift in &camera.gain_drift_per_s {
+        within(&field("gain_drift_per_s"), drift, &GAIN_DRIFT_PER_S)?;
+    }
     within(&field("noise"), camera.noise, &NOISE)?;
     if camera.bit_depth != 8 && camera.bit_depth != 16 {
         return wrong(field("bit_depth"), format!("must be 8 or 16, not {}", camera.bit_depth));

@@ -120,6 +120,12 @@ pub struct RigCamera {
     #[serde(default = "one", skip_serializing_if = "is_one")]
     #[schemars(range(min = *GAIN.start(), max = *GAIN.end()))]
     pub gain: f64,
+    /// Rates of change of the logarithm of `gain` for red, green and blue, per second, as by automatic exposure or
+    /// white balance. They apply from the nominal time of the first frame on. The gains stay within the limits of
+    /// `gain`. The truth is rendered without this change.
+    #[serde(default, skip_serializing_if = "are_zero")]
+    #[schemars(inner(range(min = *GAIN_DRIFT_PER_S.start(), max = *GAIN_DRIFT_PER_S.end())))]
+    pub gain_drift_per_s: [f64; 3],
     /// Standard deviation of the sensor's Gaussian noise, in display-encoded values from 0 to 1.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = *NOISE.start(), max = *NOISE.end()))]
@@ -228,6 +234,9 @@ fn is_one(value: &f64) -> bool {
 }
 fn is_zero(value: &f64) -> bool {
     *value == 0.0
+}
+fn are_zero(values: &[f64; 3]) -> bool {
+    *values == [0.0; 3]
 }
 fn eight() -> u32 {
     8

@@ -313,6 +313,7 @@ impl RigOptions {
             exposure_s: turn(&self.exposures_s, i),
             readout_s: turn(&self.readouts_s, i),
             gain: turn(&self.gains, i),
+            gain_drift_per_s: [0.0; 3],
             noise: turn(&self.noises, i),
             color: turn(&self.colors, i),
             bit_depth: self.bit_depth,

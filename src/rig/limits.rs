@@ -40,6 +40,8 @@ pub const DRIFT_PPM: RangeInclusive<f64> = -MAX_DRIFT_PPM..=MAX_DRIFT_PPM;
 pub const LOST_FRAME: RangeInclusive<u32> = 1..=1_000_000_000;
 /// Allowed gain of a camera: factor on the linear light, before display encoding.
 pub const GAIN: RangeInclusive<f64> = 0.01..=100.0;
+/// Allowed rate of change of the logarithm of the gain, per second.
+pub const GAIN_DRIFT_PER_S: RangeInclusive<f64> = -10.0..=10.0;
 /// Allowed standard deviation of the sensor's noise, in display-encoded values, as a fraction of full scale.
 pub const NOISE: RangeInclusive<f64> = 0.0..=0.5;
 /// Allowed value of each distortion coefficient.

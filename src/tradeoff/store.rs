@@ -17,9 +17,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-const PREPARATIONS: CacheKind = CacheKind { name: "tradeoff-preparations", version: 1 };
-const PLANS: CacheKind = CacheKind { name: "tradeoff-plans", version: 1 };
-const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 2 };
+const PREPARATIONS: CacheKind = CacheKind { name: "tradeoff-preparations", version: 2 };
+const PLANS: CacheKind = CacheKind { name: "tradeoff-plans", version: 2 };
+const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 3 };
 
 /// Stored measurements of one combination.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -203,6 +203,24 @@ def test_gain_multiplies_light_before_it_is_encoded(tmp_path: Path) -> None:
     assert gray.shape == (1, 1) and gray[0, 0] == expected
 
 
+def test_the_logarithm_of_the_gain_drifts_from_the_first_frame_on(
+    tmp_path: Path,
+) -> None:
+    light = np.array([[[0.1, 0.2, 0.3]]], dtype=np.float32)
+    drift = [0.5, 0.0, -1.0]
+    drifting = sensor_of(tmp_path, gain=1.5, gain_drift_per_s=drift, bit_depth=16)
+    assert not sensor.is_plain(sensor_of(tmp_path, gain_drift_per_s=drift))
+    for since_s in (0.0, 0.4, -0.1):
+        expected = sensor.encoded(1.5 * np.exp(np.array(drift) * since_s) * light)
+        found = sensor.develop(light, drifting, None, since_s) / 65535
+        assert found == pytest.approx(expected, abs=1e-5)
+    steady = sensor_of(tmp_path, gain=1.5, bit_depth=16)
+    first = sensor.develop(light, drifting, None)
+    assert (first == sensor.develop(light, steady, None, 9.0)).all()
+    # However long it films, the gains are those that a rig may have.
+    assert sensor.gains(drifting, 1e6) == pytest.approx([100.0, 1.5, 0.01])
+
+
 @pytest.mark.parametrize(("engine", "samples"), [("cycles", 256), ("workbench", 32)])
 def test_the_lens_is_distorted_as_told(
     tmp_path: Path, engine: str, samples: int

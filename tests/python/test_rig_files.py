@@ -160,7 +160,7 @@ def test_filmings_defaults_are_the_formats(schema: Any, tmp_path: Path) -> None:
     ):
         parts = schema["$defs"][kind]
         optional = set(parts["properties"]) - set(parts["required"])
-        assert len(optional) == (15 if kind == "RigCamera" else 2)
+        assert len(optional) == (16 if kind == "RigCamera" else 2)
         for name in optional:
             value = getattr(used, name)
             if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -12,7 +12,8 @@
 //! Known limit: motion along the epipolar lines contributes only energy.
 
 use crate::camera::{Camera, EpipolarGeometry};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::CaptureError;
+use crate::registration::FrameStore;
 use nalgebra::{Point2, Vector2};
 use std::collections::BTreeMap;
 
@@ -43,19 +44,22 @@ pub struct Activity {
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {
-    /// Computes the activity of a camera from all its frames. `bands` has an entry for each pair that contains the
-    /// camera: the index of the pair, and the epipolar bands of this camera's image. Returns an error if a frame
-    /// cannot be read.
+    /// Computes the activity of a camera from all its frames, converted to one exposure. `bands` has an entry for each
+    /// pair that contains the camera: the index of the pair, and the epipolar bands of this camera's image. Returns an
+    /// error if a frame cannot be read.
     pub fn new(
-        capture: &Capture,
+        frames: &FrameStore,
         camera: usize,
         bands: &[(usize, &Bands)],
     ) -> Result<Self, CaptureError> {
+        let (capture, gains) = (frames.capture(), frames.gains());
         let times = &capture.cameras[camera].clock.times_s;
         let mut activity = Self::default();
         let mut before: Option<Downsampled> = None;
         for (k, &time_s) in times.iter().enumerate() {
-            let current = Downsampled::new(&capture.read_frame(camera, k)?.to_gray());
+            let image = capture.read_frame(camera, k)?;
+            let image = gains.exposed_at(camera, [time_s, times[0]], &image).unwrap_or(image);
+            let current = Downsampled::new(&image.to_gray());
             if let Some(before) = before {
                 // Frame times ascend strictly, so the interval is positive.
                 let interval = time_s - times[k - 1];

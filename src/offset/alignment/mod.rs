@@ -55,7 +55,7 @@ pub fn activities(
         let own: Vec<(usize, &Bands)> = own.collect();
         match own.is_empty() {
             true => Ok(Activity::default()),
-            false => Activity::new(capture, camera, &own),
+            false => Activity::new(recording.frames, camera, &own),
         }
     };
     (0..capture.cameras.len()).into_par_iter().map(activity).collect()
