@@ -14,8 +14,9 @@ use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
 
-/// Cache of plans. To make a plan, dozens of views are rendered, which later commands then need not repeat. If a change
-/// of the renderer changes views, the version must be incremented, because plans are chosen by comparing views.
+/// Disk cache of plans. A plan is an automatic choice of methods. It is made by comparing dozens of rendered views,
+/// which later commands then need not render again. If a change of the renderer changes views, the version must be
+/// incremented.
 const PLANS: CacheKind = CacheKind { name: "plans", version: 4 };
 
 /// Opens a capture's light field. The offsets of the cameras' clocks are known from the capture, or are read from its
@@ -40,10 +41,12 @@ pub fn open_field(
     Ok(field)
 }
 
-/// Replaces the automatic choices in options by methods. [`plan`] chooses the methods and parameters of the stages that
-/// `options.auto` names. Other stages are unchanged. Nothing is measured if no choice would have an effect. A plan is
-/// cached for the same offsets and options. Notes on the reporter state the chosen methods; for a new plan, they also
-/// state the reasons.
+/// Returns the options after the automatic choice of methods. [`plan`] chooses the methods and parameters of the stages
+/// that `options.auto` names. The options of other stages are unchanged. If no choice can have an effect, nothing is
+/// measured.
+///
+/// The choice is cached for the same offsets and options. Notes on the reporter state the chosen methods. For a choice
+/// that wasn't cached, they also state the reasons.
 pub fn resolved(
     field: &LightField,
     options: &RenderOptions,
@@ -75,14 +78,16 @@ pub fn resolved(
     Ok(plan.options)
 }
 
-/// Returns the options that a cached plan chose for the same offsets and options. `None` if no such plan is cached.
+/// Returns the result of an earlier automatic choice of methods from the cache: the options with the chosen methods.
+/// `None` if no choice is cached for these options and for the light field's clock offsets.
 pub fn planned_before(field: &LightField, options: &RenderOptions) -> Option<RenderOptions> {
     let cache = field.capture().cache().ok()?;
     let planned: Option<RenderOptions> = cache.load_json(PLANS, &(field.offsets(), options));
     planned.filter(|planned| planned.check().is_ok())
 }
 
-/// Computes a plan, and caches it for later commands with the same offsets and options.
+/// Chooses methods by [`plan`], even if an earlier choice is cached. The new choice is cached for later commands with
+/// the same offsets and options.
 pub fn plan_again(
     field: &LightField,
     options: &RenderOptions,
@@ -107,15 +112,17 @@ pub enum PathFitError {
     /// The depths of the scene can't be estimated.
     #[error(transparent)]
     Depths(#[from] RenderError),
-    /// The duration is out of range.
+    /// A time or the duration is out of range.
     #[error(transparent)]
     Path(#[from] PathError),
 }
 
-/// A ready-made path of `duration_s` seconds, fitted to the rig, to the scene's depths and to the recording's times.
+/// Returns a ready-made path of `duration_s` seconds, fitted to the rig, to the scene's depths and to the recording's
+/// times.
 ///
-/// `frozen_s` stops time at an instant. Instants are seconds from the capture's start. The views have the size and the
-/// field of view of the reference camera.
+/// `frozen_s` is the instant at which time is frozen, as in [`PathScene::frozen_s`]. It and the instants of the path
+/// are seconds from the capture's start. The views have the image size of the reference camera, and 0.55 to 0.95 times
+/// the width of its field of view.
 pub fn ready_made_path(
     field: &LightField,
     options: &RenderOptions,

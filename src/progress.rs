@@ -21,7 +21,7 @@ pub struct Reporter {
 enum Listener {
     Nobody,
     Terminal,
-    /// Lines on standard error, which isn't a terminal.
+    /// Lines of a log on standard error, which isn't a terminal.
     Log,
     Lines,
 }
@@ -64,13 +64,13 @@ impl Reporter {
         Self { to: Listener::Nobody }
     }
 
-    /// Returns a reporter for another program. It prints every counted step as a line of JSON,
-    /// `{"done", "total", "what"}`, on standard output.
+    /// Returns a reporter for another program. It prints the progress as lines of JSON, `{"done", "total", "what"}`, on
+    /// standard output: finished steps, all steps, and the task's label.
     pub fn lines() -> Self {
         Self { to: Listener::Lines }
     }
 
-    /// Starts a task of `total` steps, whose progress is shown as a bar.
+    /// Starts a task of `total` steps, whose progress is shown.
     pub fn task(&self, label: &str, total: usize) -> Task {
         let template = "{msg:28} {bar:30} {pos}/{len}  {eta} left";
         let bar = self.bar(label, Some(total as u64), template);
@@ -164,8 +164,8 @@ impl Drop for Task {
     }
 }
 
-/// Starts a thread that calls `write` with the state of a bar in every interval. The thread ends when the bar is
-/// finished, or when the returned log is dropped.
+/// Starts a thread that calls `write` once per `interval`, with the progress of a bar as one line. The thread ends when
+/// the bar is finished, or when the returned log is dropped.
 fn follow(bar: ProgressBar, interval: Duration, write: impl Fn(String) + Send + 'static) -> Log {
     let (end, ended) = channel();
     let log = Log { resumed: Arc::default(), _end: end };
@@ -184,17 +184,18 @@ pub fn in_words(seconds: f64) -> String {
     HumanDuration(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)).to_string()
 }
 
-/// An estimate of the time left, and when it was made.
+/// An estimate of the time left, and the progress at which it was made.
 #[derive(Clone, Copy, Default)]
 struct Estimate {
-    /// Number of steps that were done.
+    /// Number of finished steps when the estimate was made.
     done: u64,
     elapsed_s: f64,
     left_s: f64,
 }
 
-/// Returns the progress as one line. The time left is extrapolated from the steps of this run. An earlier run has done
-/// the first `resumed` steps. Until another step is done, the estimate made after the last one counts down.
+/// Returns the progress as one line. The time left is extrapolated from the steps of this run, without the first
+/// `resumed` steps, which an earlier run has done. A new estimate is made after each finished step. Until the next one,
+/// the time left counts down from `estimate`.
 fn state(bar: &ProgressBar, resumed: u64, estimate: &mut Estimate) -> String {
     let (label, done, elapsed_s) = (bar.message(), bar.position(), bar.elapsed().as_secs_f64());
     let Some(total) = bar.length() else {

@@ -1,9 +1,9 @@
-//! Ready-made camera paths, which are chosen by name and fitted to any rig. They stay where the rig's cameras see the
-//! whole view.
+//! Ready-made camera paths, which are chosen by name and fitted to any rig. Everywhere on a path, the rig's cameras
+//! together see everything that the path's view shows at the scene's depths. A path is as large as this condition and
+//! the rig's extent allow.
 //!
 //! The rig is modelled by two parabolas: the cameras' centres and the cameras' directions, as functions of the
-//! coordinate along the rig's longest extent. The model suits lines, arcs and grids of cameras. A path is made as large
-//! as possible, under the condition that cameras see every part of all its views at the scene's depths.
+//! coordinate along the rig's longest extent. The model suits lines, arcs and grids of cameras.
 //!
 //! Known limit: occlusion is not considered. Surfaces that the cameras don't see may leave holes.
 
@@ -30,7 +30,7 @@ methods!(ReadyMadePath {
     Dolly = "dolly": "ahead towards the subject, and back",
 });
 
-/// Rig, depths of the scene, and times, to which a ready-made path is fitted.
+/// What a ready-made path is fitted to: the rig, the depths of the scene, and the times of the recording and the video.
 #[derive(Clone, Copy, Debug)]
 pub struct PathScene<'a> {
     /// Cameras of the rig, at least one.
@@ -39,10 +39,12 @@ pub struct PathScene<'a> {
     pub lens: &'a Camera,
     /// Depths of the scene in front of `lens`, metres: of its nearest part, of the subject, and of its farthest part.
     pub depths_m: [f64; 3],
-    /// First and last instant at which all cameras film, seconds.
+    /// First and last instant that the views may show, seconds from the capture's start. `frozen_s` may lie outside of
+    /// this span.
     pub span_s: (f64, f64),
-    /// Instant at which time stands still during the whole video, seconds. Bullet time stops at this instant. With
-    /// `None`, time runs, and bullet time stops in the middle of `span_s`.
+    /// Instant at which time is frozen, seconds from the capture's start. All views show this instant, except that time
+    /// runs at the start and at the end of a bullet-time video. With `None`, time is frozen only in the middle of a
+    /// bullet-time video, at the middle of `span_s`.
     pub frozen_s: Option<f64>,
     /// Duration of the video, seconds.
     pub duration_s: f64,
@@ -52,11 +54,12 @@ pub struct PathScene<'a> {
 /// keys, an orbit bulges.
 const KEYS: usize = 24;
 
-/// Candidates for the width of the views' field of view, as fractions of the lens's. A narrower view leaves more room
-/// to move.
+/// Candidates for the field of view of a path's views. Each is the width of a view divided by the width of the view of
+/// [`PathScene::lens`], at the same depth. A narrower view leaves more room to move.
 const LENSES: [f64; 4] = [0.95, 0.85, 0.7, 0.55];
 
-/// Extent of a path, as a fraction of the rig's extent, at which the search for a wide field of view ends.
+/// Extent of a path that is large enough, as a fraction of the rig's extent. The fields of view in [`LENSES`] are tried
+/// in their order until a path is so large.
 const ENOUGH: f64 = 0.6;
 
 /// Number of bisections in the search for the largest extent of a path.
@@ -75,7 +78,7 @@ impl ReadyMadePath {
     /// Returns the path, fitted to a scene.
     ///
     /// # Errors
-    /// If the scene's times or its duration are out of range.
+    /// If a time or the duration in `scene` is out of range.
     pub fn path(self, scene: &PathScene) -> Result<CameraPath, PathError> {
         let rig = RigCurve::new(scene);
         let mut best: Option<(f64, f64)> = None;
@@ -188,13 +191,13 @@ fn narrowed(lens: &Camera, field: f64) -> CameraModel {
 
 /// A rig, modelled as a curve of positions and directions.
 struct RigCurve {
-    /// Mean of the cameras' centres in the world, metres. The fields `ahead` and `down` are the mean directions of
-    /// their z and y axes, unit length.
+    /// Mean of the cameras' centres in the world, metres. The fields `ahead` and `down` are the mean directions of the
+    /// cameras' z and y axes, as unit vectors in the world.
     center: Vector3<f64>,
     ahead: Vector3<f64>,
     down: Vector3<f64>,
-    /// Half extents of the cameras' centres: a vector along the longest direction, and a vector along the second
-    /// longest. In the world, metres.
+    /// Two vectors in the world, metres: along the longest and along the second longest extent of the cameras' centres.
+    /// The length of a vector is the maximum distance, along it, of a camera's centre from `center`.
     axes: [Vector3<f64>; 2],
     /// Coefficients of 1, s and s² in the parabola of the cameras' positions, metres. The coordinate s runs from −1 to
     /// 1 along the rig's longest extent. The field `aheads` has the coefficients for the cameras' directions.
@@ -243,8 +246,8 @@ impl RigCurve {
         at(&self.places, s) + self.axes[1] * t
     }
 
-    /// Returns the pose `cam_from_world` at the rig coordinates (s, t), each from −1 to 1. The pose looks in the
-    /// direction of the cameras there, and is moved by `ahead_m` metres in this direction.
+    /// Returns the pose `cam_from_world` of a view at the rig coordinates (s, t), each from −1 to 1. The view has the
+    /// direction that the rig's cameras have at s. It is moved by `ahead_m` metres in this direction.
     fn pose(&self, along: [f64; 2], ahead_m: f64) -> Isometry3<f64> {
         let ahead = at(&self.aheads, along[0]).try_normalize(1e-9).unwrap_or(self.ahead);
         looking(self.place(along) + ahead * ahead_m, ahead, self.down)
@@ -259,7 +262,8 @@ impl RigCurve {
         looking(place, ahead, self.down)
     }
 
-    /// Returns whether the cameras together see every grid point of a view at each of the scene's depths.
+    /// Returns whether every grid point of a view, at each of the scene's depths, is seen by at least one of the
+    /// cameras.
     fn sees(&self, view: &Camera, cameras: &[Camera]) -> bool {
         let center = view.center();
         let last = (SEEN_POINTS - 1) as f64;
@@ -312,7 +316,8 @@ fn at([constant, linear, square]: &[Vector3<f64>; 3], s: f64) -> Vector3<f64> {
     constant + linear * s + square * (s * s)
 }
 
-/// Returns the pose `cam_from_world` of a camera at `place` that looks along `ahead`. Its y axis points towards `down`.
+/// Returns the pose `cam_from_world` of a camera at `place` that looks along `ahead`. Its y axis is the direction
+/// perpendicular to `ahead` that is nearest to `down`.
 fn looking(place: Vector3<f64>, ahead: Vector3<f64>, down: Vector3<f64>) -> Isometry3<f64> {
     let rotation = UnitQuaternion::face_towards(&ahead, &down);
     Isometry3::from_parts(place.into(), rotation).inverse()

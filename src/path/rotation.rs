@@ -3,7 +3,7 @@
 use super::curve::parabolic;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Maximum angle between two keys that count as the same direction, radians. It covers the rounding errors of
+/// Maximum angle between the rotations of two keys that count as equal, radians. It covers the rounding errors of
 /// quaternions.
 const SAME_DIRECTION_RAD: f64 = 1e-9;
 
@@ -13,8 +13,8 @@ fn step(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> Vector3<f64> {
     (from.inverse() * to).scaled_axis()
 }
 
-/// Returns the angular velocities at keys, each in the frame of its key, radians per unit of the parameter. `at` has
-/// the parameters of the keys, ascending.
+/// Returns the angular velocity at each key, radians per unit of the parameter. The vector is in the local (rotated)
+/// frame of the key. `at` has the parameters of the keys, ascending.
 pub(super) fn rotation_tangents(
     at: &[f64],
     rotations: &[UnitQuaternion<f64>],
@@ -29,8 +29,8 @@ pub(super) fn rotation_tangents(
 }
 
 /// Interpolates between the rotations `a` and `b`, which are `length` seconds apart, by a cumulative cubic Bézier
-/// curve. Each rotation comes with its angular velocity, radians per second. `passed` is the fraction of the interval,
-/// from 0 to 1.
+/// curve. Each rotation comes with its angular velocity, radians per second, in its local (rotated) frame. `passed` is
+/// the fraction of the interval, from 0 to 1.
 pub(super) fn cumulative(
     passed: f64,
     length: f64,

@@ -18,8 +18,8 @@ fn turned(angle: f64) -> UnitQuaternion<f64> {
     UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle)
 }
 
-/// Returns a path with unevenly spaced keys that move, rotate and zoom in every direction. Two keys have the same view,
-/// and another key rests.
+/// Returns a path with unevenly spaced keys that move, rotate and zoom in every direction. Two keys have the same view.
+/// At another key, the path comes to rest.
 fn uneven() -> CameraPath {
     let mut random = Random::new(7);
     let mut at_s = -3.0;

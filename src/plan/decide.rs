@@ -55,8 +55,8 @@ pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     Decision::new("offsets", "estimated", because)
 }
 
-/// Largest motion at which a frame pair is cross-faded, as a multiple of the budget in pixels. Halfway between the two
-/// frames, a cross-fade displaces each image by half of the motion.
+/// Largest motion at which a frame pair is cross-faded, as a multiple of the error budget `budget_px`. The multiple is
+/// 2, because halfway between the two frames a cross-fade displaces each image by half of the motion.
 const CROSSFADE_BUDGETS: f64 = 2.0;
 
 /// Chooses the sync method by the motion in the frame pairs. `budget_px` is the position error, in pixels, that a
@@ -102,8 +102,10 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
 /// Factor by which the noise of a frame pair that was not examined may exceed the noise of the examined still pairs.
 const NOISE_MARGIN: f32 = 1.25;
 
-/// Chooses the largest change of an image block up to which a frame pair counts as still. Still pairs are cross-faded
-/// without registration. The change is a mean absolute difference of pixel values, which are from 0 to 1.
+/// Chooses the threshold by which still frame pairs are recognized. A pair is still if no image block changes by more
+/// than the threshold. Still pairs are cross-faded without registration. The change of a block is its mean absolute
+/// difference of pixel values, which are from 0 to 1. `budget_px` is the position error, in pixels, that a cheaper
+/// method may cause.
 pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     let Motion { still_pairs, still_change, still_px, pairs, .. } = *motion;
     if pairs == 0 {
@@ -195,12 +197,13 @@ pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decisi
     (Some(method), Decision::new("blend", method.name(), because).by(gain_db, 0.0))
 }
 
-/// Largest deviation of trajectories from straight lines at which they are modelled as straight, as a fraction of the
-/// budget in pixels. With a larger value, views lose 0.1 to 0.2 dB that curved trajectories gain at hardly any cost.
-/// With a smaller value, the noise of tracks, 0.01 px, counts as curvature.
+/// Maximum curvature of trajectories that are modelled as straight lines ([`Motion::curvature_px`]), as a fraction of
+/// the error budget `budget_px`. With a larger value, views would lose 0.1 to 0.2 dB that curved trajectories gain at
+/// hardly any cost. With a smaller value, the noise of tracks, 0.01 px, would count as curvature.
 const CURVATURE_FRACTION: f64 = 0.2;
 
-/// Decides whether trajectories are modelled as curved. The returned Boolean is true if they are.
+/// Decides whether trajectories are modelled as curved. They are if their measured curvature exceeds a fifth of the
+/// error budget `budget_px`. The returned Boolean is true if they are.
 pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     let limit_px = CURVATURE_FRACTION * budget_px;
     let is_curved = motion.curvature_px > limit_px;
@@ -213,8 +216,8 @@ pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     (is_curved, decision.by(motion.curvature_px, limit_px))
 }
 
-/// Chooses a plane as the proxy if it displaces points by at most `budget_px`, else depth per pixel. If `shape` is
-/// `None`, no method is chosen.
+/// Chooses the proxy: a plane if it displaces points in views between cameras by at most `budget_px` pixels, otherwise
+/// depth per pixel. If `shape` is `None`, no point of the scene could be triangulated, and no method is chosen.
 pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Decision) {
     let Some(shape) = shape else {
         let because = "No point of the scene could be triangulated to tell.";

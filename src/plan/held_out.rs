@@ -1,8 +1,9 @@
 //! Cross-validation on held-out frames. A recorded frame is rendered from other cameras only. Its difference from the
 //! recording measures the error of a method on this capture ([`Probe`]).
 //!
-//! Images from all cameras, scene flow, and blending weights in time are judged by the errors on held-out frames.
-//! Refinement is judged by how much it changes views between cameras, relative to the error on held-out frames.
+//! Three methods are judged by the errors on held-out frames: the sync method that blends images from all cameras,
+//! scene flow, and blending weights in time. Refinement is judged by how much it changes views between cameras,
+//! relative to the error on held-out frames.
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
@@ -19,23 +20,23 @@ use std::cmp::Reverse;
 use std::f64::consts::LN_10;
 use std::sync::Arc;
 
-/// Number of held-out frames. Each frame is of another camera. The frames are spread over the recording, because PSNR
+/// Number of held-out frames. Each is from a different camera. The frames are spread over the recording, because PSNR
 /// gains differ by half a decibel between instants.
 const FRAMES: usize = 4;
 
-/// Number of cameras from which a held-out frame is rendered. They are the nearest ones to the frame's camera.
+/// Number of cameras from which a held-out frame is rendered: those nearest to the camera that recorded the frame.
 const NEIGHBORS: usize = 4;
 
-/// Candidates for the instant of a compared view, in order of preference. Each is a fraction of the time from the
-/// held-out frame to the next frame.
+/// Candidates for the instant at which sync methods are compared, in order of preference. Each is a fraction of the
+/// time from the held-out frame to the camera's next frame.
 const FRACTIONS: [f64; 3] = [0.5, 0.25, 0.75];
 
-/// Radius of the dilation of a frame's changing part, in pixels. It covers the parallax of this part in a neighbouring
-/// view.
+/// Radius, in pixels, by which the mask of a frame's changing pixels is dilated. It covers the parallax of the changing
+/// surfaces between the frame and a view halfway to the nearest camera.
 const PARALLAX_PX: usize = 16;
 
-/// Smallest time between a view and a frame, as a fraction of the frame interval. Closer to a frame, synchronization
-/// has hardly any error to measure.
+/// Minimum time between a view's instant and the two frames of a camera around it, as a fraction of the camera's frame
+/// interval. A camera with a nearer frame isn't counted, because its synchronization has hardly any error to measure.
 const MIN_FRACTION: f64 = 0.1;
 
 /// Minimum number of changing pixels in a held-out frame.
@@ -93,8 +94,8 @@ impl HeldOutErrors {
 
 impl Probe {
     /// Chooses the held-out frames. Returns `None` if no camera has a suitable frame. A suitable frame lies in time
-    /// between frames of at least half of the nearest cameras, and at least 64 of its pixels change. Cameras with a
-    /// common clock have no such frames.
+    /// between frames of at least half of the nearest cameras, and at least 64 of its pixels change. If all cameras
+    /// film at the same times, no frame is suitable.
     pub fn open(
         whole: &LightField,
         registration: &RegistrationOptions,
@@ -117,8 +118,8 @@ impl Probe {
         names.join(", ")
     }
 
-    /// Estimates the largest PSNR gain, in decibels, that the options `dearer` can have over the options `cheaper`. The
-    /// gain is 10·log₁₀(1 + D/E), for the changing part of views between cameras.
+    /// Estimates the largest PSNR gain, in decibels, that the slower options `dearer` can have over the options
+    /// `cheaper`. The gain is 10·log₁₀(1 + D/E), for the changing part of views between cameras.
     ///
     /// D is the sum of squared differences between the views with both options. E is the sum of squared errors of
     /// `dearer` on the held-out frames. The estimate assumes that every change by `dearer` is an improvement, and that
@@ -149,12 +150,12 @@ impl Probe {
         Ok(gain_db.is_finite().then_some(gain_db))
     }
 
-    /// Returns the errors of each candidate in the changing part of the held-out frames, for both kinds of blending
-    /// weights. Only frames that all candidates can render are compared, at the pixels that all of their views cover.
-    /// Returns `None` if there is no such pixel.
+    /// Returns the errors of views that are rendered with each of the options `candidates`, for both kinds of blending
+    /// weights. Errors are measured in the changing part of the held-out frames. A frame is used only if it can be
+    /// rendered with all candidates, and a pixel only if all of these views cover it. Returns `None` if no pixel is
+    /// used.
     ///
-    /// Candidates must be equally sharp, because a displaced outline costs a sharp image more PSNR than a blurred
-    /// image.
+    /// All views must be equally sharp, because a displaced outline costs a sharp image more PSNR than a blurred image.
     pub fn errors(
         &self,
         candidates: &[RenderOptions],
@@ -185,9 +186,11 @@ impl Probe {
 
 impl HeldOutFrame {
     /// Chooses a frame of this camera as held-out frame `number`, which is from 0 to [`FRAMES`] - 1. `times_s` are the
-    /// camera's frame times in seconds. The chosen frames are spread over the recording. Returns `None` if no frame
-    /// lies within the recording of any neighbouring camera, if the frame lies between frames of fewer than half of the
-    /// neighbouring cameras, or if fewer than [`MIN_PIXELS`] pixels change.
+    /// camera's frame times in seconds. The larger the number, the later in the recording is the frame.
+    ///
+    /// Returns `None` if no frame lies within the recording of any neighbouring camera. Also returns `None` if the
+    /// chosen frame lies between frames of fewer than half of the neighbouring cameras, or if fewer than [`MIN_PIXELS`]
+    /// of its pixels change.
     fn open(
         whole: &LightField,
         camera: usize,
@@ -261,8 +264,8 @@ impl HeldOutFrame {
     }
 }
 
-/// Renders the view of the camera `at`. Returns `None` if the view can't be rendered. A frame that can't be read is an
-/// error.
+/// Renders the view of the camera `at` at the time `time_s`. Returns `None` if the view can't be rendered. A frame that
+/// can't be read is an error.
 pub(crate) fn rendered(
     field: &LightField,
     at: &Camera,
@@ -281,7 +284,7 @@ fn both(a: &[bool], b: &[bool]) -> Vec<bool> {
     a.iter().zip(b).map(|(a, b)| *a && *b).collect()
 }
 
-/// Returns the sum of squared grey differences over the pixels at which `counts` is true.
+/// Returns the sum of squared grey differences between two images, over the pixels at which `counts` is true.
 fn squared(a: &Image, b: &Image, counts: &[bool]) -> f64 {
     let (a, b) = (a.to_gray(), b.to_gray());
     let pixels = a.data().iter().zip(b.data()).zip(counts);
@@ -295,8 +298,8 @@ pub(crate) fn field_of(capture: &Capture, offsets: &Offsets, cameras: &[usize]) 
     LightField::new(Arc::new(capture.with_cameras(cameras)), known)
 }
 
-/// Returns the indices of all cameras, sorted by distance from the centre of the rig, the nearest first. The inner
-/// cameras lie between other cameras, as views do. Returns nothing for fewer than three cameras.
+/// Returns the indices of all cameras, sorted by distance from the centre of the rig, the nearest first. The first
+/// cameras lie between other cameras, as views do. Returns an empty list for fewer than three cameras.
 pub(crate) fn inner_cameras(capture: &Capture) -> Vec<usize> {
     let cameras = &capture.cameras;
     if cameras.len() < 3 {
@@ -326,15 +329,16 @@ pub(crate) fn halfway_to_neighbor(capture: &Capture, camera: usize) -> Camera {
     view
 }
 
-/// Returns the indices of the times at which the largest number of cameras can give an image.
+/// Returns the indices of those `times_s` at which the largest number of cameras can give an image. Returns an empty
+/// list if no camera can give an image at any of the times.
 pub(crate) fn well_covered_frames(field: &LightField, times_s: &[f64]) -> Vec<usize> {
     let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
     let most = usable.iter().max().copied().unwrap_or(0).max(1);
     (0..usable.len()).filter(|&k| usable[k] == most).collect()
 }
 
-/// Returns a recorded frame and a mask. The mask, row by row, has the pixels at which the frame differs from the frame
-/// before or after it by more than noise.
+/// Returns a recorded frame, and the mask of its changing pixels, row by row. A pixel is changing if it differs from
+/// the frame before or after by more than noise.
 pub(crate) fn recorded(
     frames: &FrameStore,
     camera: usize,

@@ -56,9 +56,10 @@ pub struct Plan {
     pub options: RenderOptions,
 }
 
-/// Returns whether planning can change the options: whether one of the methods that `options.auto` names has an effect.
-/// With scene flow, the sync method and the blending method have no effect. Blending weights in time are an alternative
-/// only with refined images and depth per pixel.
+/// Returns whether the automatic choice of methods can have an effect. This depends on the stages that `options.auto`
+/// names. The choice of a proxy method always has an effect. With scene flow as the proxy, the sync method and the
+/// blending method have no effect. A choice of the blending method has an effect only with depth per pixel and refined
+/// images.
 pub fn is_undecided(options: &RenderOptions) -> bool {
     let AutoOptions { sync, proxy, blend, .. } = options.auto;
     let is_refined = options.sync.of_one_camera() == SyncMethod::Refined;
@@ -136,8 +137,8 @@ struct ByViews {
 }
 
 /// Chooses the sync method, the blending method and the proxy (depth per pixel or scene flow) by comparing rendered
-/// views. Only methods that `options.auto` names are chosen. `sync` is the choice by motion, and is returned unchanged
-/// if it isn't refinement.
+/// views. The sync method and the proxy are chosen only if `options.auto` names these stages. `sync` is the choice by
+/// motion, and is returned unchanged if it isn't refinement.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,
@@ -198,8 +199,8 @@ fn by_scene_flow(options: &RenderOptions) -> RenderOptions {
     options
 }
 
-/// Returns the PSNR gain, in decibels, of changing the squared error from the first value to the second. Returns `None`
-/// if one of the values is 0.
+/// Returns the PSNR gain, in decibels, of the second squared error over the first. It is positive if the second error
+/// is smaller. Returns `None` if one of the errors is 0.
 fn gain_db([error, other]: [f64; 2]) -> Option<f64> {
     (error > 0.0 && other > 0.0).then(|| 10.0 * (error / other).log10())
 }
@@ -211,8 +212,8 @@ fn percentile(mut values: Vec<f64>, fraction: f64) -> Option<f64> {
     values.get((fraction * last as f64).round() as usize).copied()
 }
 
-/// Returns the options with which sync methods are compared. A mesh replaces depth per pixel, which takes several times
-/// as long.
+/// Returns the options with which sync methods are compared. In these options, a mesh replaces depth per pixel as the
+/// proxy, because depth per pixel takes several times as long.
 fn probing(mut options: RenderOptions) -> RenderOptions {
     if options.proxy.method == ProxyMethod::Depth {
         options.proxy.method = ProxyMethod::Mesh;

@@ -13,7 +13,8 @@ use rayon::prelude::*;
 /// Number of examined frame pairs per camera: the first, the middle and the last pair.
 const PAIRS: usize = 3;
 
-/// Minimum number of tracks with at least the largest motion, so that a few outliers don't decide the largest motion.
+/// Number of tracks that must move at least as far as [`Motion::largest_px`] says. A few outliers therefore don't
+/// determine this value.
 const WITNESSES: usize = 5;
 
 /// Motion from frame to frame below which a feature counts as static, in pixels.
@@ -24,7 +25,8 @@ const STILL_PX: f64 = 0.5;
 pub(super) const MAX_NOISE: f32 = 4.0 / 255.0;
 
 /// Radius of the neighbourhood whose tracks predict a track's motion, in pixels. With a larger radius, any motion that
-/// varies in space counts as residual. With a smaller radius, the outlines of moving objects are missed.
+/// varies in space would add to [`Motion::residual_px`]. With a smaller radius, the outlines of moving objects would be
+/// missed.
 const NEIGHBORHOOD_PX: f64 = 40.0;
 /// Number of neighbouring tracks that predict a track's motion. The nearest tracks are used.
 const PREDICTING: usize = 6;

@@ -11,10 +11,10 @@ const INSTANTS: usize = 3;
 /// The deviation of the scene's points from a plane, in the reference camera's view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shape {
-    /// Displacement of points, in pixels, that the best-fitting plane causes in a view halfway between two neighbouring
-    /// cameras. It is the 95th percentile over the points, at the instant with the largest displacement.
+    /// Displacement of points, in pixels, in a view halfway between two neighbouring cameras, if the best-fitting plane
+    /// is the proxy. It is the 95th percentile over the points, at the instant with the largest displacement.
     pub off_plane_px: f64,
-    /// Number of triangulated points in the view, at the instant with the fewest points.
+    /// Number of triangulated points in the reference camera's view, at the instant with the fewest points.
     pub points: usize,
 }
 

@@ -16,7 +16,7 @@ const CHANNELS: usize = 6;
 pub(super) struct FlowSteps {
     /// Side of a square block of pixels that share one value of depth and motion, pixels.
     pub block_px: usize,
-    /// Quantization step of the disparity, pixels.
+    /// Quantization step of the disparity, pixels, at a baseline of twice the distance between neighbouring cameras.
     pub disparity_px: f32,
     /// Quantization step of the velocity's components, pixels per frame.
     pub velocity_px: f32,
@@ -98,8 +98,8 @@ impl BlockMap {
         Self { width, height, disparity_px: image.disparity_px, blocks }
     }
 
-    /// Returns the dequantized map for a frame of this size (width, height, pixels), from which views can be rendered
-    /// as on the page. All pixels of a block have the same element.
+    /// Returns the dequantized map for a frame of this size (width, height, pixels). The published page renders views
+    /// from the same values. All pixels of a block have the same element.
     pub fn map(&self, steps: &FlowSteps, [width, height]: [usize; 2]) -> FlowMap {
         let element = |k: usize| {
             let side = steps.block_px;

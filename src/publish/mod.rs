@@ -88,7 +88,7 @@ pub struct Publication {
     pub jpeg: u8,
     /// Side of the square blocks of pixels that share one value of depth and motion, pixels.
     pub block_px: usize,
-    /// Quantization step of the disparity, pixels.
+    /// Quantization step of the disparity, pixels, at a baseline of twice the distance between neighbouring cameras.
     pub disparity_step_px: f32,
     /// Size of the images in the folder's files, encoded in base64, bytes.
     pub image_bytes: u64,
@@ -166,7 +166,8 @@ struct EncodedSite {
     site: SiteFiles,
 }
 
-/// Number of frames that are encoded at a time. The size of a site at a quality is estimated from as many frames.
+/// Number of frames that are encoded at a time. The size of the whole site at a quality setting is estimated from a
+/// sample of this many frames.
 const FRAMES_AT_ONCE: usize = 8;
 
 impl Encoding<'_> {

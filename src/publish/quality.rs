@@ -14,7 +14,7 @@ pub(super) struct Quality {
 }
 
 /// Smallest quantization steps of depth and motion. An error of half a step displaces a pixel by one or two hundredths
-/// of a pixel when it is warped between two cameras.
+/// of a pixel in a view between two cameras.
 const FINEST: FlowSteps = FlowSteps {
     block_px: 1,
     disparity_px: 1.0 / 16.0,
@@ -24,7 +24,7 @@ const FINEST: FlowSteps = FlowSteps {
 };
 
 /// Quality settings for frames of one size, best first. Each is a JPEG quality, the side of a block in pixels, and a
-/// factor on the smallest quantization steps.
+/// factor. All other quantization steps are this factor times those of [`FINEST`].
 const LADDER: [(u8, usize, f32); 11] = [
     (94, 1, 1.0),
     (92, 1, 2.0),

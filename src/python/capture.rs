@@ -178,17 +178,19 @@ impl PyCapture {
         to_python(py, &offsets.map_err(value_error)?)
     }
 
-    /// Renders the view of a camera at a time in seconds on the reference camera's clock. The camera is `camera`, a
-    /// dict in the form that `Capture.camera` returns, or the camera or true view with the name `like`.
+    /// Renders the view of a camera at a time in seconds on the reference camera's clock. Either `camera` or `like`
+    /// says which camera: `camera` is a dict in the form that `Capture.camera` returns; `like` is the id of a camera of
+    /// the capture, or the name of a view of the ground truth.
     ///
     /// Returns an array (H, W, channels) in the capture's bit depth. The channels are RGB or grey. An alpha channel
     /// follows if `alpha` is true; by default, it follows if there are pixels that no camera sees.
     ///
-    /// `options` has the contents of a file for `stlfr render --options`. Its values override those of `preset`. A name
-    /// may be a path, such as `blend.cameras`. The value of `proxy` or `blend` may be the name of a method.
+    /// `options` has the contents of a file for `stlfr render --options`. Its values override those of `preset`. The
+    /// name of an option may be a path, such as `blend.cameras`. The value of `proxy` or `blend` may be the name of a
+    /// method.
     ///
     /// `proceed(done, total)` is called before every step of every instant; only a motion trail has more than one
-    /// instant. If it returns something false, rendering stops with an InterruptedError.
+    /// instant. If the call returns a false value, rendering stops with an InterruptedError.
     #[pyo3(
         signature = (time_s, **settings),
         text_signature = "($self, time_s, *, camera=None, like=None, options=None, preset=None, alpha=None, proceed=None)"
@@ -237,8 +239,9 @@ impl PyCapture {
     /// which `render` takes.
     ///
     /// `path` is the name of a ready-made path, which is fitted to this capture, the name of a path's file, or a dict
-    /// with the content of such a file. `rate_hz` is the frame rate, by default that of the path or 30. `duration_s`
-    /// stretches the path; a ready-made one lasts 4 s by default. `time_s` stops time at an instant.
+    /// with the content of such a file. `rate_hz` is the frame rate, by default the path's own, or else 30.
+    /// `duration_s` is the duration to which the path is stretched; a ready-made path lasts 4 s by default. `time_s` is
+    /// an instant at which time is frozen.
     #[pyo3(
         signature = (path, **settings),
         text_signature = "($self, path, *, rate_hz=None, duration_s=None, time_s=None, options=None, preset=None)"
@@ -309,10 +312,8 @@ pub struct PyMoment {
 
 #[pymethods]
 impl PyMoment {
-    /// Renders the view of a camera, given as a dict, at this instant, as `Capture.render` does.
-    ///
-    /// With depth per pixel, pixels differ slightly from those of `Capture.render`: the depths of all cameras have a
-    /// common range, and a view uses the depths of the cameras nearest to it.
+    /// Renders the view of a camera, given as a dict, at this instant. The pixels are those that `Capture.render`
+    /// returns with the same options, except that a motion trail is ignored.
     #[pyo3(signature = (camera, *, alpha=None))]
     fn view<'py>(
         &self,

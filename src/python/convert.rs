@@ -41,9 +41,9 @@ pub fn file_error(error: impl Error + 'static) -> PyErr {
     value_error(error)
 }
 
-/// Returns the options of a call: those of a preset, overridden by `options`. Without `preset`, it is the preset that
-/// `options` names, or else the default preset. All values are checked as on the command line. A name in `options` may
-/// be a path, such as `blend.cameras`. The value of `proxy` or `blend` may be the name of a method.
+/// Returns the options of a call: those of a preset, overridden by `options`. If `preset` is `None`, the preset is the
+/// one that `options` names, or else the default preset. All values are checked as on the command line. The name of an
+/// option may be a path, such as `blend.cameras`. The value of `proxy` or `blend` may be the name of a method.
 pub fn checked(
     options: Option<&Bound<'_, PyAny>>,
     preset: Option<&str>,
@@ -100,8 +100,8 @@ pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound
     py.import("json")?.call_method1("loads", (json,))
 }
 
-/// Converts a rendered view to an array (H, W, channels) with the sample values of a PNG file. `alpha` says whether to
-/// add an alpha channel; with `None`, it is added only if there are pixels that no camera sees.
+/// Converts a rendered view to an array (H, W, channels) of integers with the bit depth `depth`. `alpha` says whether
+/// to add an alpha channel; with `None`, it is added only if there are pixels that no camera sees.
 pub fn view_to_python<'py>(
     py: Python<'py>,
     view: &Rendered,
@@ -113,7 +113,7 @@ pub fn view_to_python<'py>(
     image_to_python(py, &view.image, coverage, depth)
 }
 
-/// Converts an image to an array (H, W, channels) with the sample values of a PNG file. If `coverage` is given, an
+/// Converts an image to an array (H, W, channels) of integers with the bit depth `depth`. If `coverage` is given, an
 /// alpha channel is added, which is 0 where `coverage` is false.
 pub fn image_to_python<'py>(
     py: Python<'py>,

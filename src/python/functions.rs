@@ -21,7 +21,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Returns the methods of every stage, by the name of the stage's option.
+/// Returns the methods of the options `sync`, `proxy`, `trail` and `preset`: a dict by option, each with the default
+/// method and the list of all methods.
 #[pyfunction]
 pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let stages = json!({

@@ -14,12 +14,13 @@ use std::path::PathBuf;
 /// Where the keys of a path come from.
 pub enum PathKeys {
     Given(CameraPath),
-    /// The path is fitted to the capture.
+    /// A ready-made path. Its keys are fitted to the capture.
     ReadyMade(ReadyMadePath),
 }
 
 impl PathKeys {
-    /// Reads a name such as `"orbit"`, the name of a path's file, or a dict with the content of such a file.
+    /// Reads a path's source: the name of a ready-made path such as `"orbit"`, the name of a path's file, or a dict
+    /// with the content of such a file.
     pub fn of(source: &Bound<'_, PyAny>) -> PyResult<Self> {
         let wrong = |error: String| value_error(format!("path: {error}"));
         if source.is_instance_of::<PyDict>() {

@@ -23,7 +23,7 @@ const BLOCK_ROWS: usize = 16;
 /// wait for each other.
 const BLOCKS_AT_ONCE: usize = 32;
 
-/// Name of the file in its temporary folder, before it is moved to its path.
+/// Name of an OpenEXR file in the temporary folder in which it is written. The finished file is moved to its path.
 const FILE: &str = "exr";
 
 /// Constants of the OpenEXR format: the magic number, the version, and the codes of the compression and of pixel types.

@@ -110,8 +110,8 @@ impl<R: BufRead + Seek + 'static> OpenedImage<R> {
     }
 }
 
-/// Maximum length of a PNM header including its comments, bytes. The first read of a buffered reader contains a header
-/// of this length.
+/// Maximum length of a PNM header including its comments, bytes. A header of this length fits into the buffer of a
+/// buffered reader.
 const MAX_PNM_HEADER: usize = 4096;
 
 /// Returns an error for a PNM file whose header is too long. The PNM decoder reads comments byte by byte, which takes
@@ -156,7 +156,8 @@ pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     Ok((opened.decode(path)?, depth))
 }
 
-/// Reads an image file like [`read_image`]. Returns the image, and the hash and state of the file.
+/// Reads an image file like [`read_image`]. Returns the image, the hash of the file's bytes, and the file's size and
+/// times.
 pub(crate) fn read_hashed_image(path: &Path) -> Result<(Image, FileRead), ImageFileError> {
     let (bytes, read) = read_hashed(path, MAX_FILE_BYTES).map_err(read_error(path))?;
     Ok((OpenedImage::new(path, Cursor::new(bytes))?.decode(path)?, read))

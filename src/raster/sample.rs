@@ -90,8 +90,10 @@ fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
 }
 
 /// Interpolates an RGB image of width `w` by Catmull–Rom splines. The position (`left`, `top`) is relative to the first
-/// pixel's centre. The fourth value of the result is unused. The four rows of twelve values (four pixels) are summed
-/// first, then the four columns. Plain loops take 40 % longer.
+/// pixel's centre. The result has the three channels, and an unused fourth value.
+///
+/// For all four columns at a time, the weighted sum over the filter's four rows is computed first. Plain loops take
+/// 40 % longer.
 ///
 /// # Panics
 /// If the support of the filter reaches beyond the image.

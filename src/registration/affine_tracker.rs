@@ -316,9 +316,9 @@ fn accumulate<V: F32x8, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
     }
 }
 
-/// Sums over a row or a window from which the normal matrix is built: sums of weighted products of two derivatives
-/// and powers of the sample's coordinates. In the fields, dx and dy are the template's derivatives by x and y. v is
-/// the template's value, which is its derivative by gain.
+/// Sums over a row or a window from which the normal matrix is built. Each term is the product of a sample's weight,
+/// two derivatives, and powers of the sample's coordinates. In the fields, dx and dy are the template's derivatives by
+/// x and y. v is the template's value, which is its derivative by gain.
 struct Moments<V, const T: usize, const S: usize> {
     /// Sums of dx·dx, dx·dy and dy·dy, each times T powers of the coordinates: 1, x, x² for a row (T = 3); 1, x, y,
     /// x², xy, y² for a window (T = 6).

@@ -5,10 +5,10 @@ use super::{Match, Neighbors, RegistrationOptions, Start};
 use nalgebra::{Matrix2, Point2, Vector2};
 use rayon::prelude::*;
 
-/// Radius around a point, in pixels, within which other points are compared with the point.
+/// Radius around a point, in pixels, within which the motions of other points are compared with the point's motion.
 const SUPPORT_RADIUS_PX: f64 = 20.0;
-/// Constant term, in pixels, of the maximum difference up to which two motions support each other. The maximum is
-/// this value plus [`SUPPORT_FRACTION`] times the length of the point's motion.
+/// Constant term, in pixels, of the maximum difference between the motion of a point and the motion of a neighbour that
+/// supports it. The maximum is this value plus [`SUPPORT_FRACTION`] times the length of the point's motion.
 const SUPPORT_PX: f64 = 1.5;
 const SUPPORT_FRACTION: f64 = 0.2;
 

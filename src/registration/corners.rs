@@ -9,13 +9,14 @@ use nalgebra::Point2;
 
 /// Minimum distance between two corners, pixels.
 pub(super) const MIN_DISTANCE_PX: f64 = 4.0;
-/// Minimum eigenvalue of a corner, as a fraction of the largest eigenvalue in the image.
+/// Minimum strength of a corner, as a fraction of the largest strength in the image. The strength is the smaller
+/// eigenvalue of the structure tensor.
 const MIN_QUALITY: f32 = 1e-3;
 /// Half-width of the box filter, pixels. The filter is applied twice to the structure tensor.
 const RADIUS_PX: usize = 1;
-/// Minimum eigenvalue of a corner in any image. An eigenvalue is a squared gradient, in grey values (0 to 1) per
-/// pixel. The value corresponds to a gradient of 0.05 8-bit steps per pixel, which is above the rounding noise of
-/// constant images.
+/// Minimum strength of a corner in any image. The strength is the smaller eigenvalue of the structure tensor: a squared
+/// gradient, in grey values (0 to 1) per pixel. The minimum corresponds to a gradient of 0.05 8-bit steps per pixel,
+/// which is above the rounding noise of constant images.
 const MIN_EIGENVALUE: f32 = 4e-8;
 
 /// Detects the corners of a pyramid level (§4.1). Returns at most `max_corners` sub-pixel positions, strongest
@@ -145,7 +146,8 @@ impl Tensor {
         Self { planes: std::array::from_fn(|_| vec![0.0; width]) }
     }
 
-    /// Adds the values of another row, from index `shift` on, multiplied by `factor`.
+    /// Adds the values of another row, multiplied by `factor`. The other row's value at index k + `shift` is added to
+    /// the value at index k.
     #[inline(always)]
     fn add(&mut self, other: &Self, shift: usize, factor: f32) {
         for (plane, other) in self.planes.iter_mut().zip(&other.planes) {
@@ -155,8 +157,8 @@ impl Tensor {
         }
     }
 
-    /// Stores the products of the derivatives of the level's row `y`, which are scaled by [`SCHARR_SCALE`] squared.
-    /// The values at both ends are repeated `margin` times.
+    /// Stores the products of the derivatives of the level's row `y`. The products are scaled by [`SCHARR_SCALE`]
+    /// squared. The values at both ends are repeated `margin` times.
     #[inline(always)]
     fn load<V: F32x8>(&mut self, level: &PyramidLevel, y: usize, margin: usize) {
         let [xx, xy, yy] = &mut self.planes;

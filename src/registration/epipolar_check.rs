@@ -119,11 +119,11 @@ pub fn epipolar_check(
     Ok(verdicts)
 }
 
-/// Motion between the two frames, in pixels, up to which a feature is always testable. A feature with more motion
-/// is testable only if [`MIN_ACROSS_FRACTION`] of its motion is perpendicular to its epipolar line.
+/// Motion between the two frames, in pixels, up to which a feature is always testable. If a feature moves farther, it
+/// is testable only if its epipolar line shifts by at least [`MIN_ACROSS_FRACTION`] of its motion.
 const MIN_TEST_MOTION_PX: f64 = 1.0;
-/// Minimum component of a testable feature's motion that is perpendicular to its epipolar line, as a fraction
-/// of the motion.
+/// Minimum shift of a testable feature's epipolar line in the reference camera, as a fraction of the feature's motion.
+/// Both are displacements between the two frames.
 const MIN_ACROSS_FRACTION: f64 = 0.1;
 /// Number of pyramid levels in the second attempt to track a feature into the reference camera. The second attempt
 /// starts from the displacement that the motion prior predicts.
@@ -244,9 +244,9 @@ impl Pair<'_> {
         }
     }
 
-    /// Applies eq. (3) to a feature and its position in the reference camera. Returns `None` if the reference
-    /// cannot test the feature: the feature has no position in it, no epipolar line, or moves along the epipolar
-    /// line.
+    /// Applies eq. (3) to a feature and its position in the reference camera. Returns `None` if the reference cannot
+    /// test the feature: if there is no position or no epipolar line, or if the position is on the epipolar line and
+    /// the feature moves along this line.
     fn verdict(
         &self,
         feature: &TestedTrack,

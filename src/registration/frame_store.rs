@@ -127,8 +127,8 @@ impl FrameStore {
         bytes.saturating_mul(frames_each) <= self.memo.max_bytes()
     }
 
-    /// Returns the size, in bytes, that is reserved in the in-memory cache for one frame of a camera. It is raised
-    /// so that at most [`MAX_FRAMES`] frames of every camera fit.
+    /// Returns the size, in bytes, that is reserved in the in-memory cache for one frame of a camera. For small images,
+    /// more than a frame's size is reserved, so that at most [`MAX_FRAMES`] frames of every camera fit.
     fn bytes_of(&self, camera: usize) -> usize {
         let max_frames = MAX_FRAMES * self.capture.cameras.len();
         let min_bytes = self.memo.max_bytes().div_ceil(max_frames);

@@ -15,7 +15,7 @@ const PRIOR_ROUNDS: usize = 2;
 /// Number of nearest neighbours whose median displacement is the prediction. Up to two of five neighbours may be
 /// wrong.
 const MEDIAN_OF: usize = 5;
-/// Radius around a point, in pixels, within which neighbours are used.
+/// Radius around a point, in pixels, within which features predict the point's displacement.
 const PRIOR_RADIUS_PX: f64 = 40.0;
 /// Distance between two initial guesses, in pixels, up to which both are expected to lead to the same result.
 const SAME_GUESS_PX: f64 = 1.0;

@@ -20,10 +20,10 @@ const MIN_EIGENVALUE: f64 = 2e-6;
 /// Length of a Newton step below which tracking on a coarser level has converged, in pixels of the level. Only the
 /// finest level determines the accuracy.
 const COARSE_EPSILON_PX: f64 = 0.03;
-/// Maximum ratio of a step's length to the length of the previous step up to which the series of steps is
-/// extrapolated to its limit.
+/// Maximum ratio of a step's length to the previous step's length at which the next step may be extrapolated. The next
+/// step is then assumed to shrink by the same ratio, and is the last.
 const MAX_RATIO: f64 = 0.5;
-/// Maximum length of the extrapolated remainder of the series of steps, as a fraction of the convergence threshold.
+/// Maximum length of an extrapolated step, as a fraction of the convergence threshold.
 const MAX_EXTRAPOLATED: f64 = 0.4;
 
 /// Parameters of the KLT tracker.
@@ -394,7 +394,7 @@ mod tests {
         }
     }
 
-    /// Compares the sums with those of a simple implementation in f64.
+    /// Compares the tracker's sums over a window with those of a simple implementation in f64.
     #[test]
     fn sums_agree_with_a_naive_reference() {
         let options = RegistrationOptions::default();

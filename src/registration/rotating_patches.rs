@@ -12,16 +12,16 @@ use super::{AffineStart, AffineTracker, Frame, Match, Neighbors, RegistrationOpt
 use nalgebra::{Point2, Rotation2};
 use rayon::prelude::*;
 
-/// Maximum motion between two frames, as a fraction of the image's longer side.
+/// Maximum motion of a matched corner between two frames, as a fraction of the image's longer side.
 const MAX_MOTION: f64 = 0.1;
 /// Maximum ratio of two squared descriptor distances: to the nearest descriptor and to the second nearest (Lowe's
 /// ratio test).
 const MAX_RATIO: f32 = 0.7;
 /// Radius around a match, in pixels, within which other matches must agree with the match.
 const SUPPORT_RADIUS_PX: f64 = 40.0;
-/// Constant term, in pixels, of the maximum distance between a match's target and the target that another match
-/// predicts, up to which the two matches agree. The maximum is this value plus [`SUPPORT_FRACTION`] times the
-/// distance between the two matches.
+/// Constant term, in pixels, of the maximum prediction error of two matches that agree. The prediction error is the
+/// distance between a match's target and the target that the other match's affine motion predicts for it. The maximum
+/// is this value plus [`SUPPORT_FRACTION`] times the distance between the two matches.
 const SUPPORT_PX: f64 = 2.0;
 const SUPPORT_FRACTION: f64 = 0.2;
 /// Minimum number of other matches that must agree with a match.

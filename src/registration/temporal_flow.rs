@@ -78,9 +78,12 @@ impl Track {
         AffineStart { from: self.later, guess, deformation: self.deformation }
     }
 
-    /// Removes the position in frame k − 1 or k + 2 if the trajectory has a kink before it, for example where a
-    /// body bounces. A polynomial through a kink would deviate from the trajectory between frames k and k + 1. A
-    /// kink is a change of the acceleration by more than [`MAX_JERK_PX`] allows. `times_s` are the times of frames
+    /// Removes the position in frame k − 1 if the trajectory has a kink in frame k, or the position in frame k + 2 if
+    /// it has a kink in frame k + 1, for example because a body bounces. A polynomial through a kink would deviate from
+    /// the trajectory between frames k and k + 1. Nothing is removed unless all four positions are known.
+    ///
+    /// A trajectory has a kink if its acceleration in frame k + 1 differs from that in frame k by more than
+    /// [`MAX_JERK_PX`] allows. The kink is in the frame with the larger acceleration. `times_s` are the times of frames
     /// k − 1 to k + 2, in seconds.
     fn drop_kink(&mut self, times_s: &[f64]) {
         let (Some(before), Some(after)) = (self.before, self.after) else { return };

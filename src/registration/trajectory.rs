@@ -17,7 +17,7 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Maximum number of samples.
+    /// Maximum number of samples of a trajectory.
     pub const MAX: usize = 4;
 
     /// Creates the trajectory through samples `(time in seconds, position in pixels)`, in order of time.

