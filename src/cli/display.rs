@@ -25,7 +25,7 @@ pub struct DisplayArgs {
     /// cover].
     #[arg(long, value_name = "DEGREES", requires = "quilt", value_parser = positive)]
     cone: Option<f64>,
-    /// Render the views of the left and the right eye side by side, with this distance between the eyes.
+    /// Render the views of the left and the right eye side by side, with this distance between the eyes, in metres.
     #[arg(long, value_name = "METRES", conflicts_with = "quilt", value_parser = positive)]
     stereo: Option<f64>,
     /// Distance of the plane without parallax, which appears at the display's surface [default: the middle of the

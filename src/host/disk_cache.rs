@@ -60,7 +60,7 @@ pub struct CacheKind {
 /// Number of cached entries of one kind, and their size on disk.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct CacheUse {
-    /// Name of the kind.
+    /// Name of the kind of results, such as `plans`.
     pub kind: String,
     /// Number of entries.
     pub entries: usize,

@@ -13,7 +13,7 @@ use crate::raster::{Sampling, Tiles, gray_from_rgb, sample, sample_each};
 use crate::simd::multiversion;
 use std::ops::Range;
 
-/// Number of neighbouring pixels of the view whose tiles in a source image are marked together.
+/// Number of neighbouring pixels of the view whose needed tiles of a source image are looked up together.
 const MARKED_PX: usize = 8;
 /// Maximum side of the bounding box of several pixels' positions in a source image, pixels. Up to this size, all tiles
 /// of the box are marked as needed. For a larger box, the tiles of each pixel are marked separately.

@@ -16,7 +16,8 @@ use serde::{Deserialize, Serialize};
 pub enum BlendMethod {
     /// All cameras that see the point have equal weights (the paper's Fig. 14).
     Uniform,
-    /// Weights depend on angle and resolution: unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001; §6).
+    /// Weights depend on angle and resolution: unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001), as in
+    /// §6 of the paper.
     #[default]
     Lumigraph,
     /// Weights depend on angle, resolution, and the expected error of temporal interpolation.

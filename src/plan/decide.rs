@@ -14,7 +14,7 @@ use serde::Serialize;
 pub struct Decision {
     /// Name of the stage, such as `sync`.
     pub stage: &'static str,
-    /// Name of the chosen method, as in options files. For a stage without such an option, a word that describes the
+    /// Name of the chosen method, as in options files. A stage without methods has a word that describes the
     /// capture, such as `pinhole` for the lenses.
     pub method: &'static str,
     /// The measured number on which the decision is based, in pixels unless `because` names another unit. `None` if the

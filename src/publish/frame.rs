@@ -22,7 +22,7 @@ pub(super) struct PublishedFrame {
     pub is_color: bool,
     pub jpeg: Vec<u8>,
     pub map: BlockMap,
-    /// Depth and motion of the frame, compressed.
+    /// Depth and motion of the surface at each pixel of the frame, as a zlib stream.
     pub flow: Vec<u8>,
 }
 

@@ -199,7 +199,8 @@ impl Sample {
         Self { width, height, channels, logs }
     }
 
-    /// Returns the pixels of the block in row `y` and column `x` of blocks.
+    /// Returns the pixels of a block of the image, each as a slice of its channels. `x` and `y` are the block's column
+    /// and row in the grid of blocks.
     fn block(&self, [x, y]: [usize; 2]) -> impl Iterator<Item = &[f32]> {
         let row = move |dy: usize| {
             let first = self.channels * ((y * BLOCK_PX + dy) * self.width + x * BLOCK_PX);

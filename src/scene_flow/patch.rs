@@ -7,7 +7,8 @@ use crate::simd::LANES;
 const PATCH_COLOR: f32 = 0.08;
 /// Half-width of a patch at the finest pyramid level, and the step between its pixels; both in pixels.
 const PATCH_FINEST: (i32, i32) = (4, 2);
-/// Half-width of a patch at all coarser pyramid levels, and the step between its pixels; both in pixels of the level.
+/// Half-width of a patch at all pyramid levels except the finest, and the step between the patch's pixels. Both are in
+/// pixels of the level.
 const PATCH_COARSE: (i32, i32) = (2, 1);
 /// Minimum weight of a pixel in a patch. Pixels with a smaller weight are left out. They are on another surface, or
 /// far from the centre.

@@ -11,7 +11,7 @@ use crate::options::RenderOptions;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A point of the trade-off: one measured combination.
+/// Measured quality and processing time of one combination of methods.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Point {

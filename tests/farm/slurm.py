@@ -1,10 +1,10 @@
-"""The scripts of `stlfr farm` on a Slurm cluster, one node of which is killed while it films.
+"""The scripts of `stlfr farm` on a Slurm cluster, of which a node is killed while it films, and one while it renders.
 
 Run as `python3 tests/farm/slurm.py PROGRAM KILL...` where sbatch, squeue and scontrol are on the path and reach the
 cluster; its nodes must share this machine's files. PROGRAM is stlfr; KILL is a command that ends a node's daemon,
 and gets the node's name as a further argument. Of the node's tasks that run on this machine, the processes are
-killed too, as in a crash. Exits with 1 unless the capture has the bytes of one that a single command films, all
-steps end, and no image was filmed twice.
+killed too, as in a crash. Exits with 1 unless the capture and the rendered images have the bytes of those that single
+commands make, all steps end, and no image was filmed twice.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ def kill_processes(node: str) -> int:
     return len(tasks | keepers)
 
 
-def node_that_films() -> str:
-    """A node with a running task of the step `film`, or nothing."""
-    running = said("squeue", "-h", "-t", "R", "-n", "stlfr-film", "-o", "%N")
+def node_of(step: str) -> str:
+    """A node with a running task of the step, or nothing."""
+    running = said("squeue", "-h", "-t", "R", "-n", f"stlfr-{step}", "-o", "%N")
     return running.split()[-1] if running.split() else ""
 
 
@@ -102,34 +102,42 @@ def main() -> None:
         farm += ["--render-chunk", 4, "--cores", 1, "--memory", 1000]
         said(program, "farm", capture, "-o", job, *farm)
         print(said("sh", job / "submit.sh").strip())
-        watched, killed, began_s = Watched(capture), "", time.monotonic()
+        watched, killed, began_s = Watched(capture), dict[str, str](), time.monotonic()
         while said("squeue", "-h", "--me").strip():
-            time.sleep(0.2)
+            time.sleep(0.1)
             watched.look()
-            if (
-                not killed
-                and len(watched.versions) >= 30
-                and (node := node_that_films())
-            ):
-                killed = node
+            made = {
+                "film": (len(watched.versions), 30),
+                "render": (len(list(job.glob("frames/*.png"))), 2),
+            }
+            for step, (count, wanted) in made.items():
+                if step in killed or count < wanted or not (node := node_of(step)):
+                    continue
+                killed[step] = node
                 said(*arguments.kill, node)
-                count = kill_processes(node)
-                print(
-                    f"{len(watched.versions)} images: killed {node}, {count} processes"
-                )
+                ended = kill_processes(node)
+                print(f"{step}, {count} images: killed {node}, {ended} processes")
             if time.monotonic() - began_s > PATIENCE_S:
                 sys.exit(said("squeue") + "didn't end")
         restarts = said("scontrol", "-o", "show", "job").count("Restarts=1")
         said(program, "-q", "capture", RIG, *FILM, "-o", Path(name) / "one")
+        alone = Path(name) / "alone"
+        times = ["--times", f"0.1:0.2:{RENDERED}", "-o", alone / "%04d.png"]
+        said(program, "-q", "render", Path(name) / "one", "--like", "cam3", *times)
         twice = [p for p, seen in watched.versions.items() if len(seen) > 1]
         checks = {
-            "a node was killed, and its task ran again": killed and restarts == 1,
+            "two nodes were killed, and their tasks ran again": len(killed) == 2
+            and restarts == 2,
             "no image was filmed twice": not twice,
             "same bytes as by one command": images(capture)
             == images(Path(name) / "one"),
             "no claims are left": [p.name for p in (capture / ".film").iterdir()]
             == ["plan.txt"],
             "all images rendered": len(list(job.glob("frames/*"))) == RENDERED,
+            "same images as by one command": sorted(
+                p.read_bytes() for p in job.glob("frames/*")
+            )
+            == sorted(p.read_bytes() for p in alone.iterdir()),
             "compared": (capture / "review/report.html").is_file(),
         }
         for what, holds in checks.items():

@@ -71,8 +71,8 @@ fn is_long(recording: &Recording, pair: [usize; 2]) -> bool {
     recording.options.search_s > 0.0 && pair.iter().all(|&c| duration_s(c) > MIN_OVERLAP_S)
 }
 
-/// Returns the offset of a pair of cameras [a, b] to about one frame. It is 0, the nominal clocks' offset, for a pair
-/// without signals, such as a pair with a short recording.
+/// Returns the offset of a pair of cameras [a, b], seconds, to about one frame. A pair without signals, such as a pair
+/// with a short recording, gets the offset 0, which trusts the nominal clocks.
 ///
 /// `activities` are the activities of a and b, which hold the pair's signals under `n`, the index of the pair. The
 /// inner error is the reason why no offset is chosen. The outer error is a frame that cannot be read.
