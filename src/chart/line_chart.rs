@@ -77,7 +77,7 @@ const HEIGHT: f64 = 340.0;
 const MARGINS: [f64; 4] = [74.0, 16.0, 34.0, 48.0];
 /// Height of a line of text, pixels.
 const ROW: f64 = 15.0;
-/// Ratio of the width and height of a chart with a key to those of a chart without a key. The key's own width is added.
+/// Scale factor of a chart with a key, relative to a chart without one. The width of the key itself is not scaled.
 const KEYED: f64 = 1.4;
 /// Colours of the series, which differ in hue and in lightness.
 const COLORS: [&str; 8] =

@@ -134,7 +134,7 @@ enum OffsetsState {
     /// The offsets in offsets.json were estimated from other frames, or by another version of the program.
     Outdated,
     Edited,
-    /// The state is unknown, because videos aren't decoded yet.
+    /// Whether the frames can be read is unknown: the capture's videos have not been decoded by any command so far.
     Unchecked,
 }
 

@@ -105,7 +105,7 @@ impl ImageMethod {
     }
 }
 
-/// Origin of the cameras' images at an instant.
+/// How the cameras' images at an instant are obtained.
 #[derive(Clone, Copy, Debug)]
 pub enum Images<'a> {
     /// The cameras' images are synchronized from the capture's frames by this method.

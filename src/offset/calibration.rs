@@ -79,7 +79,8 @@ impl<'a> CalibrationUnknowns<'a> {
 /// of the error.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SampleSlopes {
-    /// The indices of the calibration errors of the pair's two cameras: their rows in the covariance.
+    /// Indices of the rows (and columns) of the covariance that belong to the calibration parameters of the pair's two
+    /// cameras.
     columns: Vec<usize>,
     /// The derivatives, sample by sample. Each sample has one derivative for each entry of `columns`.
     values: Vec<f64>,

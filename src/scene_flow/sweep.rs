@@ -13,8 +13,8 @@ use crate::random::Random;
 /// Smoothness cost per pixel of distance ([`PatchMatcher::distance`]) between the surface elements of two
 /// neighbouring pixels.
 const SMOOTHNESS: f32 = 0.004;
-/// Distance between the surface elements of two neighbouring pixels at which the smoothness cost is truncated, pixels
-/// of the pyramid level.
+/// Maximum smoothness cost between two neighbouring pixels, pixels of the pyramid level. The cost is the difference
+/// between the displacements that the pixels' surface elements predict; larger differences count as this maximum.
 const MAX_ROUGHNESS_PX: f32 = 2.0;
 /// Colour difference of two neighbouring pixels at which the colour term of the smoothness weight falls to 1/e.
 const COLOR: f32 = 0.08;

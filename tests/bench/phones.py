@@ -34,7 +34,7 @@ READOUT_S = 0.015
 GAINS = (1.0, 1.15, 0.9, 1.0, 1.05, 0.95, 1.1, 0.85)
 GAIN_DRIFTS = (0.04, -0.05, 0.06, 0.0, 0.03, -0.06, 0.05, -0.04)
 """By camera: how fast the logarithm of the gain changes, 1/s."""
-FRAMES = 105
+FRAMES = 125
 LAST_START_S = max(STARTS_S)
 
 Array = np.ndarray[Any, Any]
@@ -60,7 +60,7 @@ def film(program: str, capture: Path, scene: str, size: str) -> None:
     for camera, drift in zip(content["cameras"], GAIN_DRIFTS, strict=True):
         camera["gain_drift_per_s"] = [drift, 0.8 * drift, 1.2 * drift]
     rig.write_text(json.dumps(content, indent=2))
-    instants = [LAST_START_S + 0.31, LAST_START_S + 0.63]
+    instants = [LAST_START_S + 0.37, LAST_START_S + 0.81]
     command = [program, "capture", str(rig), "--scene", scene, "-o", str(capture)]
     command += ["--engine", "workbench", "--frames", str(FRAMES)]
     command += ["--instants-s", ",".join(map(str, instants))]

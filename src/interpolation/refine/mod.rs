@@ -95,7 +95,8 @@ struct SharedInputs<'a> {
     cross_faded: &'a Image,
     /// Mean difference of the two warped frames over the window around each pixel, one value per pixel, row by row.
     costs: &'a [f32],
-    /// Motions of the pixels according to the warps, [`MOTION_CHANNELS`] values per pixel.
+    /// Displacement from each pixel of the instant's image to the surrounding frames, pixels, as the morph's warps give it:
+    /// [`MOTION_CHANNELS`] values per pixel.
     warp_motions: &'a Image,
     /// For the frame before and the frame after the pair: the mean difference between this frame, without motion
     /// compensation, and the cross-fade, over the window around each pixel. `None` if the frame does not exist or
