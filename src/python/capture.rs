@@ -1,10 +1,11 @@
 //! The Python function `stlfr.open`, and the classes `stlfr.Capture` and `stlfr.Moment`.
 
 use super::convert::{
-    checked, file_error, from_python, image_to_python, to_python, value_error, view_to_python,
+    camera_to_python, checked, file_error, from_python, image_to_python, to_python, value_error,
+    view_to_python,
 };
 use super::path::{PathKeys, PathSettings};
-use crate::camera::{Camera, CameraFormat, ViewFormat};
+use crate::camera::{Camera, ViewFormat};
 use crate::capture::{Capture, NamedView, Opening};
 use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
 use crate::offset::offsets_from_images;
@@ -19,7 +20,6 @@ use numpy::{AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArrayLikeDyn, nd
 use pyo3::exceptions::{PyInterruptedError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
-use serde_json::json;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -361,19 +361,6 @@ impl ViewSettings {
         let options = checked(options.as_ref(), preset.as_deref())?;
         Ok(Self { camera, like, options, alpha, proceed })
     }
-}
-
-/// Converts a camera to a Python dict in the form of `capture.json`. `id`, if given, is the camera's name in it.
-pub fn camera_to_python<'py>(
-    py: Python<'py>,
-    id: Option<&str>,
-    camera: &Camera,
-) -> PyResult<Bound<'py, PyAny>> {
-    let mut value = serde_json::to_value(CameraFormat::from(camera)).map_err(value_error)?;
-    if let (Some(fields), Some(id)) = (value.as_object_mut(), id) {
-        fields.insert("id".to_owned(), json!(id));
-    }
-    to_python(py, &value)
 }
 
 /// Converts a Python dict in the form of a camera in `capture.json` to a camera.

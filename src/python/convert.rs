@@ -1,5 +1,6 @@
 //! Conversions between Rust values and Python values.
 
+use crate::camera::{Camera, CameraFormat};
 use crate::json::JsonError;
 use crate::lumigraph::Rendered;
 use crate::method::Method;
@@ -127,4 +128,17 @@ pub fn image_to_python<'py>(
         Samples::Eight(raw) => raw.into_pyarray(py).reshape(shape)?.into_any(),
         Samples::Sixteen(raw) => raw.into_pyarray(py).reshape(shape)?.into_any(),
     })
+}
+
+/// Converts a camera to a Python dict in the form of `capture.json`. `id`, if given, is the camera's name in it.
+pub fn camera_to_python<'py>(
+    py: Python<'py>,
+    id: Option<&str>,
+    camera: &Camera,
+) -> PyResult<Bound<'py, PyAny>> {
+    let mut value = serde_json::to_value(CameraFormat::from(camera)).map_err(value_error)?;
+    if let (Some(fields), Some(id)) = (value.as_object_mut(), id) {
+        fields.insert("id".to_owned(), json!(id));
+    }
+    to_python(py, &value)
 }

@@ -1,7 +1,6 @@
 //! The frames of a camera path: `Capture.path`.
 
-use super::capture::camera_to_python;
-use super::convert::{checked, file_error, from_python, to_python, value_error};
+use super::convert::{camera_to_python, checked, file_error, from_python, to_python, value_error};
 use crate::json;
 use crate::method::Method;
 use crate::options::RenderOptions;

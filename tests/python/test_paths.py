@@ -18,22 +18,24 @@ def test_a_paths_frames_are_the_command_lines(
     """A ready-made path, with time that runs and with time that stands still."""
     capture = stlfr.open(own_capture)
     time_s = float(np.mean(capture.times("cam3")))
-    for given, words in (({}, []), ({"time_s": time_s}, ["--time", repr(time_s)])):
+    stopped: list[tuple[str, float | None]] = [("runs", None), ("stops", time_s)]
+    for name, stop_s in stopped:
         frames = capture.path(
-            "bullet-time", rate_hz=2, duration_s=1, preset="draft", **given
+            "bullet-time", rate_hz=2, duration_s=1, preset="draft", time_s=stop_s
         )
+        words = [] if stop_s is None else ["--time", repr(stop_s)]
         assert len(frames) == 3
-        assert frames[1]["time_s"] == pytest.approx(time_s) or not given
+        assert stop_s is None or frames[1]["time_s"] == pytest.approx(stop_s)
         command: list[str | Path] = [program, "-q", "render", own_capture]
         command += ["--path", "bullet-time", "--fps", "2", "--duration", "1"]
-        out = tmp_path / f"{len(given)}-%d.png"
+        out = tmp_path / f"{name}-%d.png"
         command += [*words, "--preset", "draft", "-o", out]
         subprocess.run(command, check=True)
         for index, frame in enumerate(frames):
             rendered = capture.render(
                 frame["time_s"], camera=frame["camera"], preset="draft", alpha=False
             )
-            written = cv2.imread(str(tmp_path / f"{len(given)}-{index}.png"))
+            written = cv2.imread(str(tmp_path / f"{name}-{index}.png"))
             assert written is not None
             np.testing.assert_array_equal(rendered, written[:, :, ::-1])
 
