@@ -171,7 +171,7 @@ fn follow(bar: ProgressBar, interval: Duration, write: impl Fn(String) + Send + 
     let log = Log { resumed: Arc::default(), _end: end };
     let resumed = log.resumed.clone();
     std::thread::spawn(move || {
-        let mut estimate = Estimate::default();
+        let mut estimate = TimeLeft::default();
         while ended.recv_timeout(interval) == Err(RecvTimeoutError::Timeout) && !bar.is_finished() {
             write(state(&bar, resumed.load(Relaxed), &mut estimate));
         }
@@ -186,7 +186,7 @@ pub fn in_words(seconds: f64) -> String {
 
 /// An estimate of the time left, and the progress at which it was made.
 #[derive(Clone, Copy, Default)]
-struct Estimate {
+struct TimeLeft {
     /// Number of finished steps when the estimate was made.
     done: u64,
     elapsed_s: f64,
@@ -196,7 +196,7 @@ struct Estimate {
 /// Returns the progress as one line. The time left is extrapolated from the steps of this run, without the first
 /// `resumed` steps, which an earlier run has done. A new estimate is made after each finished step. Until the next one,
 /// the time left counts down from `estimate`.
-fn state(bar: &ProgressBar, resumed: u64, estimate: &mut Estimate) -> String {
+fn state(bar: &ProgressBar, resumed: u64, estimate: &mut TimeLeft) -> String {
     let (label, done, elapsed_s) = (bar.message(), bar.position(), bar.elapsed().as_secs_f64());
     let Some(total) = bar.length() else {
         return format!("{label}: {} so far", in_words(elapsed_s));
@@ -206,7 +206,7 @@ fn state(bar: &ProgressBar, resumed: u64, estimate: &mut Estimate) -> String {
     }
     if done != estimate.done {
         let left_s = elapsed_s * total.saturating_sub(done) as f64 / (done - resumed) as f64;
-        *estimate = Estimate { done, elapsed_s, left_s };
+        *estimate = TimeLeft { done, elapsed_s, left_s };
     }
     let left_s = (estimate.left_s - (elapsed_s - estimate.elapsed_s)).max(0.0);
     format!("{label}: {done} of {total}, {} left", in_words(left_s))
@@ -233,11 +233,11 @@ mod tests {
         // Dropping the log ends the thread and its sender, so that this loop ends.
         assert!(lines.iter().all(|line| line.starts_with("filming: 2 of 8, ")));
         let now = |seconds| bar.clone().with_elapsed(Duration::from_secs(seconds));
-        let first = |bar: &ProgressBar, resumed| state(bar, resumed, &mut Estimate::default());
+        let first = |bar: &ProgressBar, resumed| state(bar, resumed, &mut TimeLeft::default());
         assert_eq!(first(&now(60), 0), "filming: 2 of 8, 3 minutes left");
         assert_eq!(first(&now(60), 1), "filming: 2 of 8, 6 minutes left");
         assert_eq!(first(&now(60), 2), "filming: 2 of 8");
-        let mut estimate = Estimate::default();
+        let mut estimate = TimeLeft::default();
         let later = [60, 120, 600].map(|seconds| state(&now(seconds), 0, &mut estimate));
         let left = ["3 minutes", "2 minutes", "0 seconds"];
         assert_eq!(later, left.map(|left| format!("filming: 2 of 8, {left} left")));

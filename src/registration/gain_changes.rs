@@ -52,15 +52,15 @@ pub(super) fn gain_curves(capture: &Capture) -> Vec<GainCurve> {
     if count < 2 {
         return curves;
     }
-    let measure = |camera: usize| Series::measure(capture, camera, FEW);
-    let few: Vec<Series> = (0..count).into_par_iter().map(measure).collect();
+    let measure = |camera: usize| MeasuredGains::measure(capture, camera, FEW);
+    let few: Vec<MeasuredGains> = (0..count).into_par_iter().map(measure).collect();
     let refined = changing(&few).into_par_iter().map(|camera| {
         let times_s = &capture.cameras[camera].clock.times_s;
         let duration_s = times_s[times_s.len() - 1] - times_s[0];
         // The quotient saturates for recordings of any length.
         let frames = (duration_s / INTERVAL_S).ceil() as usize;
         let frames = frames.saturating_add(1).clamp(FEW, MAX_FRAMES);
-        (camera, Series::measure(capture, camera, frames).curve())
+        (camera, MeasuredGains::measure(capture, camera, frames).curve())
     });
     for (camera, curve) in refined.collect::<Vec<_>>() {
         curves[camera] = curve;
@@ -69,7 +69,7 @@ pub(super) fn gain_curves(capture: &Capture) -> Vec<GainCurve> {
 }
 
 /// Returns the cameras whose gains change, but not as those of all other cameras.
-fn changing(all: &[Series]) -> Vec<usize> {
+fn changing(all: &[MeasuredGains]) -> Vec<usize> {
     let differs = |c: usize| (0..all.len()).any(|d| d != c && all[c].differs(&all[d]));
     (0..all.len()).filter(|&c| all[c].changes() && differs(c)).collect()
 }
@@ -79,31 +79,31 @@ fn changing(all: &[Series]) -> Vec<usize> {
 struct SampledGains {
     /// Seconds on the camera's own clock.
     time_s: f64,
-    /// By channel.
+    /// Gain of each channel: red, green, blue.
     gains: [LogGain; 3],
 }
 
 /// The gains of a camera at sampled frames, in order of time. Frames whose gains can't be measured are left out.
 #[derive(Clone, Debug)]
-struct Series(Vec<SampledGains>);
+struct MeasuredGains(Vec<SampledGains>);
 
-impl Series {
+impl MeasuredGains {
     /// Measures the gains at about `count` frames of a camera, spread over its recording.
     fn measure(capture: &Capture, camera: usize, count: usize) -> Self {
         let filmed = &capture.cameras[camera];
         let (frames, middle) = spread(filmed.frames.len(), count);
         let read = |&frame: &usize| {
             let image = capture.read_frame(camera, frame).ok()?;
-            Some(Sample::new(&shrunk(image, WIDTH_PX)))
+            Some(LogImage::new(&shrunk(image, WIDTH_PX)))
         };
-        let samples: Vec<Option<Sample>> = frames.par_iter().map(read).collect();
+        let samples: Vec<Option<LogImage>> = frames.par_iter().map(read).collect();
         let times_s = frames.iter().map(|&frame| filmed.clock.times_s[frame]);
         Self::solve(&samples, middle, &times_s.collect::<Vec<f64>>())
     }
 
     /// Computes the gains of samples relative to sample `middle`, from ratios between successive samples, and between
     /// each sample and the middle one.
-    fn solve(samples: &[Option<Sample>], middle: usize, times_s: &[f64]) -> Self {
+    fn solve(samples: &[Option<LogImage>], middle: usize, times_s: &[f64]) -> Self {
         let successive = (1..samples.len()).map(|k| [k - 1, k]);
         let others = (0..samples.len()).filter(|k| k.abs_diff(middle) > 1);
         let ratio = |images: [usize; 2]| {
@@ -177,8 +177,8 @@ fn spread(frames: usize, count: usize) -> (Vec<usize>, usize) {
     (chosen, middle)
 }
 
-/// A small frame.
-struct Sample {
+/// A shrunk frame of a camera.
+struct LogImage {
     width: usize,
     height: usize,
     channels: usize,
@@ -187,7 +187,7 @@ struct Sample {
     logs: Vec<f32>,
 }
 
-impl Sample {
+impl LogImage {
     fn new(image: &Image) -> Self {
         let (width, height, channels) = (image.width(), image.height(), image.channels());
         let mut logs = Vec::with_capacity(image.data().len());
@@ -212,7 +212,7 @@ impl Sample {
 
 /// Returns, for each still block, the logarithm of the ratio of its light in `b` to that in `a`, by channel. Both are
 /// frames of one camera. The result is empty if too few of the blocks are still.
-fn still_ratios(a: &Sample, b: &Sample) -> Vec<[f64; 3]> {
+fn still_ratios(a: &LogImage, b: &LogImage) -> Vec<[f64; 3]> {
     let [columns, rows] = [a.width / BLOCK_PX, a.height / BLOCK_PX];
     let places = (0..rows * columns).map(|k| [k % columns, k / columns]);
     let textured: Vec<BlockRatio> =
@@ -234,7 +234,7 @@ struct BlockRatio {
 impl BlockRatio {
     /// Compares a block of two frames. Returns `None` if the block lacks texture in one of them, or if fewer than
     /// [`MIN_PIXELS`] pixels are usable in both.
-    fn with_texture(a: &Sample, b: &Sample, at: [usize; 2]) -> Option<Self> {
+    fn with_texture(a: &LogImage, b: &LogImage, at: [usize; 2]) -> Option<Self> {
         let both =
             || a.block(at).zip(b.block(at)).filter(|(a, b)| !a[0].is_nan() && !b[0].is_nan());
         let count = both().count();
@@ -274,7 +274,7 @@ mod tests {
 
     /// A recording of a textured wall, `FRAMES` frames long.
     #[derive(Clone, Copy)]
-    struct Recording {
+    struct FilmedWall {
         channels: usize,
         /// The logarithm of the gain of a channel at a time in seconds.
         log: fn(f64, usize) -> f64,
@@ -288,7 +288,7 @@ mod tests {
         noise: f64,
     }
 
-    const STEADY: Recording = Recording {
+    const STEADY: FilmedWall = FilmedWall {
         channels: 3,
         log: |_, _| 0.0,
         body: 0.0,
@@ -307,7 +307,7 @@ mod tests {
         0.2 + 0.05 * (wave(0.31, 0.17) + wave(-0.22, 0.41) + wave(0.57, -0.36))
     }
 
-    impl Recording {
+    impl FilmedWall {
         fn frame(&self, k: usize) -> Image {
             let mut random = Random::new(1 + k as u64);
             let mut data = Vec::with_capacity(W * H * self.channels);
@@ -328,13 +328,13 @@ mod tests {
             Image::from_data(W, H, self.channels, data)
         }
 
-        fn series(&self, frames: &[usize], middle: usize) -> Series {
-            let sample = |&k: &usize| Some(Sample::new(&shrunk(self.frame(k), WIDTH_PX)));
+        fn series(&self, frames: &[usize], middle: usize) -> MeasuredGains {
+            let sample = |&k: &usize| Some(LogImage::new(&shrunk(self.frame(k), WIDTH_PX)));
             let times_s: Vec<f64> = frames.iter().map(|k| *k as f64 * FRAME_S).collect();
-            Series::solve(&frames.iter().map(sample).collect::<Vec<_>>(), middle, &times_s)
+            MeasuredGains::solve(&frames.iter().map(sample).collect::<Vec<_>>(), middle, &times_s)
         }
 
-        fn measured(&self) -> Series {
+        fn measured(&self) -> MeasuredGains {
             let (frames, middle) = spread(FRAMES, FEW);
             self.series(&frames, middle)
         }
@@ -353,24 +353,24 @@ mod tests {
 
     #[test]
     fn a_ramp_is_recovered_in_spite_of_noise_and_a_moving_body() {
-        let ramped = Recording { log: ramp, ..STEADY };
+        let ramped = FilmedWall { log: ramp, ..STEADY };
         assert_ramp(&ramped.measured().curve(), 3);
-        assert_ramp(&Recording { noise: 0.015, ..ramped }.measured().curve(), 3);
-        let hidden = Recording { body: 0.5, body_light: 0.4, ..ramped };
+        assert_ramp(&FilmedWall { noise: 0.015, ..ramped }.measured().curve(), 3);
+        let hidden = FilmedWall { body: 0.5, body_light: 0.4, ..ramped };
         assert_ramp(&hidden.measured().curve(), 3);
-        assert_ramp(&Recording { channels: 1, ..hidden }.measured().curve(), 1);
+        assert_ramp(&FilmedWall { channels: 1, ..hidden }.measured().curve(), 1);
     }
 
     #[test]
     fn noise_and_moving_bodies_are_no_change() {
         for (body, body_light, noise) in [(0.0, 1.0, 0.02), (0.5, 0.4, 0.004), (0.8, 2.0, 0.004)] {
-            let measured = Recording { body, body_light, noise, ..STEADY }.measured();
+            let measured = FilmedWall { body, body_light, noise, ..STEADY }.measured();
             assert!(measured.0.len() > 1 || body > 0.5, "{body}: {} samples", measured.0.len());
             assert!(!measured.changes() && measured.curve().is_constant(), "{body} {noise}");
         }
         // Bodies that fill the images.
         for k in 0..20 {
-            let filled = Recording { body: 9.0, seed: f64::from(k), ..STEADY };
+            let filled = FilmedWall { body: 9.0, seed: f64::from(k), ..STEADY };
             assert!(!filled.measured().changes(), "{k}");
         }
     }
@@ -378,17 +378,17 @@ mod tests {
     #[test]
     fn only_the_channels_that_change_are_corrected() {
         let reddening = |time_s: f64, c: usize| if c == 0 { time_s } else { 0.0 };
-        let curve = Recording { log: reddening, ..STEADY }.measured().curve();
+        let curve = FilmedWall { log: reddening, ..STEADY }.measured().curve();
         let [r, g, b] = curve.log_at(8.0 * FRAME_S);
         assert!((r - 4.0 * FRAME_S).abs() < 0.006 && (g, b) == (0.0, 0.0), "{r} {g} {b}");
         // Below the smallest difference.
         let slight = |time_s: f64, _: usize| 0.08 * time_s;
-        assert!(Recording { log: slight, ..STEADY }.measured().curve().is_constant());
+        assert!(FilmedWall { log: slight, ..STEADY }.measured().curve().is_constant());
     }
 
     #[test]
     fn one_frame_has_no_change_and_two_have_one() {
-        let ramped = Recording { log: ramp, ..STEADY };
+        let ramped = FilmedWall { log: ramp, ..STEADY };
         assert!(ramped.series(&[3], 0).curve().is_constant());
         let curve = ramped.series(&[0, 8], 1).curve();
         let log = curve.log_at(4.0 * FRAME_S)[0];
@@ -398,43 +398,46 @@ mod tests {
 
     #[test]
     fn frames_without_usable_pixels_are_left_out() {
-        let ramped = Recording { log: ramp, ..STEADY };
+        let ramped = FilmedWall { log: ramp, ..STEADY };
         let frames = [0, 2, 4, 6, 8];
         let times_s = frames.map(|k| k as f64 * FRAME_S);
-        let samples = |unusable: &[usize], value: f32| -> Vec<Option<Sample>> {
+        let samples = |unusable: &[usize], value: f32| -> Vec<Option<LogImage>> {
             let image = |k: usize| match unusable.contains(&k) {
                 true => Image::filled(W, H, 3, value),
                 false => ramped.frame(k),
             };
-            frames.iter().map(|&k| Some(Sample::new(&shrunk(image(k), WIDTH_PX)))).collect()
+            frames.iter().map(|&k| Some(LogImage::new(&shrunk(image(k), WIDTH_PX)))).collect()
         };
         for value in [0.0, 0.5, 1.0] {
-            let series = Series::solve(&samples(&[2, 8], value), 2, &times_s);
+            let series = MeasuredGains::solve(&samples(&[2, 8], value), 2, &times_s);
             assert_eq!(series.0.len(), 3);
             let log = series.curve().log_at(2.0 * FRAME_S)[0];
             assert!((log + 0.1).abs() < 0.006, "{log}");
             // Nothing is compared with the middle frame.
-            let series = Series::solve(&samples(&[4], value), 2, &times_s);
+            let series = MeasuredGains::solve(&samples(&[4], value), 2, &times_s);
             assert!(series.curve().is_constant());
-            assert!(Series::solve(&samples(&frames, value), 2, &times_s).curve().is_constant());
+            assert!(
+                MeasuredGains::solve(&samples(&frames, value), 2, &times_s).curve().is_constant()
+            );
         }
         let mut unread = samples(&[], 0.0);
         unread[1] = None;
-        assert_eq!(Series::solve(&unread, 2, &times_s).0.len(), 4);
+        assert_eq!(MeasuredGains::solve(&unread, 2, &times_s).0.len(), 4);
     }
 
     #[test]
     fn a_change_of_all_cameras_alike_is_that_of_the_light() {
-        let ramped = Recording { log: ramp, ..STEADY }.measured();
+        let ramped = FilmedWall { log: ramp, ..STEADY }.measured();
         let steady = STEADY.measured();
-        let other = Recording { log: |t, c| 0.5 * ramp(t, c), ..STEADY }.measured();
-        let all =
-            |series: &[&Series]| changing(&series.iter().map(|s| (*s).clone()).collect::<Vec<_>>());
+        let other = FilmedWall { log: |t, c| 0.5 * ramp(t, c), ..STEADY }.measured();
+        let all = |series: &[&MeasuredGains]| {
+            changing(&series.iter().map(|s| (*s).clone()).collect::<Vec<_>>())
+        };
         assert_eq!(all(&[&ramped, &ramped, &ramped]), [0; 0]);
         assert_eq!(all(&[&steady, &ramped, &steady]), [1]);
         assert_eq!(all(&[&ramped, &other]), [0, 1]);
         assert_eq!(all(&[&ramped]), [0; 0]);
-        let unmeasured = Series(Vec::new());
+        let unmeasured = MeasuredGains(Vec::new());
         assert_eq!(all(&[&ramped, &unmeasured]), [0; 0]);
         // A light that changes, and a camera that compensates for it.
         assert_eq!(all(&[&ramped, &ramped, &steady]), [0, 1]);
