@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import Any, Literal, TypedDict, final, type_check_only
+from typing import Any, Literal, Never, TypedDict, final, type_check_only
 
 import numpy as np
 import numpy.typing as npt
@@ -150,6 +150,9 @@ class PathFrame(TypedDict):
 @final
 class Capture:
     """A capture: calibrated cameras with their recorded frames."""
+
+    def __new__(cls, *_arguments: object) -> Never:
+        """Raises TypeError, as a capture is opened with `stlfr.open`."""
 
     @property
     def name(self) -> str:
