@@ -323,10 +323,14 @@ fn frames_replaced_under_it_are_said_and_no_picture_mixes_two_recordings() {
     let served = Served::start_with(copy.path(), &["--preset", "balanced"]);
     assert_eq!(served.get("picture?w=160&h=120&t=0.02").status, 200);
     for entry in std::fs::read_dir(copy.path()).unwrap().flatten() {
-        for frame in std::fs::read_dir(entry.path()).into_iter().flatten().flatten() {
+        let frames = std::fs::read_dir(entry.path()).into_iter().flatten().flatten();
+        let mut frames: Vec<_> = frames.map(|frame| frame.path()).collect();
+        frames.sort();
+        // Another recording: every frame but the last shows what the next one showed.
+        for pair in frames.windows(2) {
             let other = copy.path().join("other");
-            std::fs::copy(frame.path(), &other).unwrap();
-            std::fs::rename(&other, frame.path()).unwrap();
+            std::fs::copy(&pair[1], &other).unwrap();
+            std::fs::rename(&other, &pair[0]).unwrap();
         }
     }
     let response = served.get("picture?w=160&h=120&t=0.13");
