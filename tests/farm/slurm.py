@@ -23,7 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 FILM = ["--scene", "magazine", "--engine", "workbench", "--size", "160x120"]
 FILM += ["--frames", "12", "--instants", "1"]
-RENDERED = 12
+RENDERED = 240
 PATIENCE_S = 1200.0
 RIG = str(ROOT / "rigs/linear8.json")
 
@@ -99,7 +99,7 @@ def main() -> None:
         capture, job = Path(name) / "a capture", Path(name) / "it's a job"
         farm = ["--rig", RIG, *FILM, "--film-parts", 24, "--film-chunk", 4]
         farm += ["--like", "cam3", "--times", f"0.1:0.2:{RENDERED}"]
-        farm += ["--render-chunk", 4, "--cores", 1, "--memory", 1000]
+        farm += ["--render-chunk", 80, "--cores", 1, "--memory", 1000]
         said(program, "farm", capture, "-o", job, *farm)
         print(said("sh", job / "submit.sh").strip())
         watched, killed, began_s = Watched(capture), dict[str, str](), time.monotonic()
@@ -108,7 +108,7 @@ def main() -> None:
             watched.look()
             made = {
                 "film": (len(watched.versions), 30),
-                "render": (len(list(job.glob("frames/*.png"))), 2),
+                "render": (len(list(job.glob("frames/*.png"))), 10),
             }
             for step, (count, wanted) in made.items():
                 if step in killed or count < wanted or not (node := node_of(step)):
