@@ -62,7 +62,7 @@ pub fn checked(
     RenderOptions::parse(&text, preset).map_err(|e| wrong(e.to_string()))
 }
 
-fn names<M: Method>() -> String {
+pub fn names<M: Method>() -> String {
     M::ALL.iter().map(|method| method.name()).collect::<Vec<_>>().join(", ")
 }
 

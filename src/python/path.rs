@@ -1,10 +1,15 @@
 //! The frames of a camera path: `Capture.path`.
 
-use super::convert::{camera_to_python, checked, file_error, from_python, to_python, value_error};
+use super::convert::{
+    camera_to_python, checked, file_error, from_python, names, to_python, value_error,
+};
 use crate::json;
 use crate::method::Method;
 use crate::options::RenderOptions;
-use crate::path::{CameraPath, PATH_RATE_HZ, PathFormat, PathFrame, READY_MADE_S, ReadyMadePath};
+use crate::path::{
+    CameraPath, PATH_RATE_HZ, PathError, PathFormat, PathFrame, READY_MADE_S, ReadyMadePath,
+    is_rate_hz,
+};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -32,8 +37,8 @@ impl PathKeys {
             return Ok(Self::ReadyMade(kind));
         }
         if file.extension().is_none_or(|extension| extension != "json") {
-            let names: Vec<_> = ReadyMadePath::ALL.iter().map(|kind| kind.name()).collect();
-            return Err(wrong(format!("'{name}' is no .json and none of {}", names.join(", "))));
+            let names = names::<ReadyMadePath>();
+            return Err(wrong(format!("'{name}' is no .json and none of {names}")));
         }
         let format: PathFormat = json::read(&file).map_err(file_error)?;
         let of_file = |error| value_error(format!("{}: {error}", file.display()));
@@ -68,6 +73,9 @@ impl PathSettings {
                     return Err(PyTypeError::new_err(sentence));
                 }
             }
+        }
+        if !read.rate_hz.is_none_or(is_rate_hz) {
+            return Err(value_error(PathError::Rate));
         }
         let positive = |seconds: f64| seconds.is_finite() && seconds > 0.0;
         if !read.duration_s.is_none_or(positive) {

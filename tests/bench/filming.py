@@ -2,7 +2,8 @@
 
 Run as `.venv/bin/python -I tests/bench/filming.py [SECONDS]`. Each row films the scene `magazine` by Cycles, 640x480 at
 16 samples, for at least so many seconds (120 if not given), and counts the images after the first one: the time until
-that is Blender's start, a column of its own. The command is bound to one core or to two, among which its processes share their threads.
+that is Blender's start, a column of its own. The command is bound to one core or to two, among which its processes share
+their threads.
 """
 
 from __future__ import annotations

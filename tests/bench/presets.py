@@ -54,7 +54,8 @@ def main() -> None:
             moving_db[name] = moving
         best = max(moving_db, key=lambda name: moving_db[name])
         lost = moving_db[best] - moving_db["default"]
-        print(f"\nThe default is {lost:.2f} dB below {best}.", flush=True)
+        told = f"{lost:.2f} dB below {best}" if lost > 0 else "the best"
+        print(f"\nThe default is {told}.", flush=True)
 
 
 def measured(

@@ -66,6 +66,9 @@ def test_a_path_is_given_by_its_keys(own_capture: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match=sentence):
             capture.path(wrong)
+    for rate_hz in (0.0, -1.0, float("nan"), 1e4):
+        with pytest.raises(ValueError, match="rate_hz: must be from"):
+            capture.path(path, rate_hz=rate_hz)
     with pytest.raises(ValueError, match="duration_s: must be positive"):
         capture.path("orbit", duration_s=0)
     with pytest.raises(TypeError, match=r"stlfr\.open\(path\)"):
