@@ -72,4 +72,4 @@ def test_a_path_is_given_by_its_keys(own_capture: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="duration_s: must be positive"):
         capture.path("orbit", duration_s=0)
     with pytest.raises(TypeError, match=r"stlfr\.open\(path\)"):
-        stlfr.Capture(own_capture)  # type: ignore[call-arg]
+        stlfr.Capture(own_capture)  # type: ignore[arg-type]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import Any, Literal, Never, TypedDict, final, type_check_only
+from typing import Any, Literal, Never, Self, TypedDict, final, type_check_only
 
 import numpy as np
 import numpy.typing as npt
@@ -151,7 +151,7 @@ class PathFrame(TypedDict):
 class Capture:
     """A capture: calibrated cameras with their recorded frames."""
 
-    def __new__(cls, *_arguments: object) -> Never:
+    def __new__(cls, *_arguments: Never) -> Self:
         """Raises TypeError, as a capture is opened with `stlfr.open`."""
 
     @property
