@@ -1,8 +1,8 @@
 //! Estimates the temporal offsets from recordings: the stages in their order.
 
-use super::alignment::{activities, rough_offset};
+use super::alignment::align;
 use super::calibration::CalibrationUnknowns;
-use super::clock::{ClockEstimate, ClockModel, clocks, with_lost_frames};
+use super::clock::{ClockEstimate, clocks, with_lost_frames};
 use super::joint::{ClockLayout, solve_clocks};
 use super::lost_frames::{FittedClock, detect_lost_frames};
 use super::pair::{
@@ -57,7 +57,8 @@ pub fn estimate(
     let track_cache = TrackCache::default();
     let nominal = capture.cameras.iter().map(|c| c.clock.clone()).collect();
     let mut recording = Recording::new(frames, nominal, &track_cache, options);
-    let mut starts = initial_offsets(&recording, &pairs, reporter)?;
+    let (pairs, mut starts): (Vec<_>, Vec<_>) =
+        align(&recording, &clock, pairs, reporter)?.into_iter().unzip();
     let mut lost = vec![FittedClock::default(); capture.cameras.len()];
     if capture.cameras.iter().any(|c| c.clock.lost) {
         lost = detect_lost_frames(&recording, &pairs, &mut starts, reporter)?;
@@ -82,32 +83,6 @@ pub fn estimate(
     let results = pairs.into_iter().zip(results).collect();
     let solution = JointSolution::new(capture, results, layout, lost, options.method);
     Ok(solution.into_estimate())
-}
-
-/// Returns, for each of `pairs`, its offset to about one frame, or the reason why its rough alignment failed. A pair
-/// fails if one of its cameras has a single frame, which shows no motion. The outer error is a frame that cannot be
-/// read.
-fn initial_offsets(
-    recording: &Recording,
-    pairs: &[[usize; 2]],
-    reporter: &Reporter,
-) -> Result<Vec<Result<ClockModel, PairFailure>>, CaptureError> {
-    let activities = activities(recording, pairs)?;
-    let task = reporter.task("Rough alignment", pairs.len());
-    pairs
-        .par_iter()
-        .enumerate()
-        .map(|(n, &pair)| {
-            let has_motion = pair.iter().all(|&c| recording.clocks[c].times_s.len() > 1);
-            let initial = if has_motion {
-                rough_offset(recording, pair, pair.map(|c| &activities[c]), n)
-            } else {
-                Ok(Err(PairFailure::NoMotion))
-            };
-            task.advance(1);
-            initial
-        })
-        .collect()
 }
 
 /// The number of times that the pairs are fitted again, each time after the estimated calibration errors are

@@ -5,29 +5,186 @@
 //! offset candidates of a few frame triples (two successive frames of camera a and one frame of camera b). The offset
 //! with the largest fraction of inliers is chosen.
 //!
+//! Two recordings that overlap by little may have no reliable offset: an offset that is wrong by a period of the
+//! motion may be the best one that can be tried. The reliable offsets of other pairs then decide ([`forest`]). If they
+//! don't connect all cameras, further pairs are aligned.
+//!
 //! Known limits: recordings shorter than 2 s are assumed to be aligned to about one frame, and periodic motion has no
 //! unique alignment.
 
 mod activity;
+mod correlation;
+mod forest;
 
 use super::clock::ClockModel;
 use super::pair::{
     MIN_AGREEMENT, MIN_INLIERS, NOMINAL_CLOCK_FRAMES, Observation, PairFailure, consensus_value,
+    pairs,
 };
 use super::recording::Recording;
+use super::{OffsetMethod, OffsetOptions};
 use crate::capture::CaptureError;
-use activity::{Activity, BANDS, Bands};
+use crate::progress::Reporter;
+use activity::{Activity, Bands};
+use correlation::{MIN_OVERLAP_S, Signal, peaks};
+use forest::{Forest, Link, reliable_agreement};
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
-/// The minimum overlap in time of two recordings, seconds. Offsets with a shorter overlap are not searched.
-const MIN_OVERLAP_S: f64 = 2.0;
-/// The maximum number of correlation peaks whose offsets are verified.
-const MAX_CANDIDATES: usize = 5;
 /// The number of frame triples (two frames of one camera, one frame of another) by which an offset is verified.
 const TESTED_FRAMES: usize = 6;
 /// The minimum agreement (fraction of inliers) of a rival, relative to the largest agreement among the proposed
 /// offsets. A rival is an offset that counts as equally plausible.
 const RIVAL_FRACTION: f64 = 0.8;
+/// The number of nearest cameras with which a camera may be aligned, relative to [`OffsetOptions::neighbors`].
+const FURTHER_NEIGHBORS: usize = 3;
+
+/// Pairs of camera indices. Each has its offset to about one frame, or the reason why its rough alignment failed.
+pub type Alignment = Vec<([usize; 2], Result<ClockModel, PairFailure>)>;
+
+/// Aligns pairs of cameras to about one frame. `clock` holds the index of each camera's clock, and `pairs` the pairs
+/// of camera indices, ascending.
+///
+/// If the reliable offsets of `pairs` don't connect all clocks, pairs of cameras that are farther apart are aligned
+/// too. The result has all of `pairs` and those further pairs that connect clocks, ascending. A pair without a
+/// reliable offset gets the offset that the chain of reliable pairs implies, if there is one.
+///
+/// A pair fails if one of its cameras has a single frame, which shows no motion. Returns an error if a frame cannot be
+/// read.
+pub fn align(
+    recording: &Recording,
+    clock: &[usize],
+    mut pairs: Vec<[usize; 2]>,
+    reporter: &Reporter,
+) -> Result<Alignment, CaptureError> {
+    let given = pairs.len();
+    pairs.extend(further_pairs(recording, clock, &pairs));
+    let activities = activities(recording, &pairs)?;
+    let results = vec![None; pairs.len()];
+    let mut aligner = Aligner { recording, clock, pairs, activities, results };
+    aligner.align((0..given).collect(), reporter)?;
+    let reliable = reliable_agreement(aligner.agreements());
+    let links = loop {
+        let links = aligner.links(reliable);
+        let bridges = aligner.bridges(&links.forest);
+        if bridges.is_empty() {
+            break links;
+        }
+        aligner.align(bridges, reporter)?;
+    };
+    let mut alignment: Alignment = Vec::new();
+    for (n, result) in aligner.results.into_iter().enumerate() {
+        let Some(result) = result.filter(|_| n < given || links.uses(n)) else { continue };
+        let pair = aligner.pairs[n];
+        let chain_s = links.forest.offset_s(pair.map(|c| clock[c]));
+        let offset = match (result, chain_s) {
+            (Ok(rough), _) if rough.agreement >= reliable => Ok(rough.clock),
+            (_, Some(offset_s)) => Ok(ClockModel::constant(offset_s)),
+            (result, None) => result.map(|rough| rough.clock),
+        };
+        alignment.push((pair, offset));
+    }
+    alignment.sort_unstable_by_key(|(pair, _)| *pair);
+    Ok(alignment)
+}
+
+/// Rough alignment of a list of pairs, some of which are aligned already.
+struct Aligner<'a> {
+    recording: &'a Recording<'a>,
+    /// The index of each camera's clock, by camera.
+    clock: &'a [usize],
+    /// The pairs of camera indices.
+    pairs: Vec<[usize; 2]>,
+    /// The activity of each camera, by camera.
+    activities: Vec<Activity>,
+    /// For each pair, its rough offset or the reason why it has none; `None` if the pair is not aligned yet.
+    results: Vec<Option<Result<RoughOffset, PairFailure>>>,
+}
+
+impl Aligner<'_> {
+    /// Aligns the pairs with the given indices. Returns an error if a frame cannot be read.
+    fn align(&mut self, indices: Vec<usize>, reporter: &Reporter) -> Result<(), CaptureError> {
+        let task = reporter.task("Rough alignment", indices.len());
+        let align = |&n: &usize| {
+            let pair = self.pairs[n];
+            let has_motion = pair.iter().all(|&c| self.recording.clocks[c].times_s.len() > 1);
+            let result = match has_motion {
+                true => rough_offset(self.recording, pair, pair.map(|c| &self.activities[c]), n)?,
+                false => Err(PairFailure::NoMotion),
+            };
+            task.advance(1);
+            Ok(result)
+        };
+        let results: Vec<_> = indices.par_iter().map(align).collect::<Result<_, CaptureError>>()?;
+        for (n, result) in indices.into_iter().zip(results) {
+            self.results[n] = Some(result);
+        }
+        Ok(())
+    }
+
+    /// Returns the agreements of all aligned pairs; 0 for pairs whose alignment failed.
+    fn agreements(&self) -> Vec<f64> {
+        let results = self.results.iter().flatten();
+        results.map(|result| result.as_ref().map_or(0.0, |rough| rough.agreement)).collect()
+    }
+
+    /// Returns the rough offsets whose agreement is at least `reliable`.
+    fn links(&self, reliable: f64) -> Links {
+        let link = |(n, result): (usize, &Option<Result<RoughOffset, PairFailure>>)| {
+            let rough = result.as_ref()?.as_ref().ok()?;
+            let (offset_s, agreement) = (rough.clock.offset_s, rough.agreement);
+            let clocks = self.pairs[n].map(|c| self.clock[c]);
+            (agreement >= reliable).then_some((n, Link { clocks, offset_s, agreement }))
+        };
+        let (pairs, links): (_, Vec<Link>) =
+            self.results.iter().enumerate().filter_map(link).unzip();
+        let count = self.clock.iter().max().map_or(0, |last| last + 1);
+        Links { pairs, forest: Forest::new(count, &links) }
+    }
+
+    /// Returns the first pair that is not aligned yet between any two components of `forest`.
+    fn bridges(&self, forest: &Forest) -> Vec<usize> {
+        let mut bridged = BTreeSet::new();
+        let is_bridge = |n: &usize| {
+            let [i, j] = self.pairs[*n].map(|c| forest.component(self.clock[c]));
+            self.results[*n].is_none() && i != j && bridged.insert([i.min(j), i.max(j)])
+        };
+        (0..self.pairs.len()).filter(is_bridge).collect()
+    }
+}
+
+/// The reliable rough offsets between clocks.
+struct Links {
+    /// For each link, the index of its pair of cameras, ascending.
+    pairs: Vec<usize>,
+    forest: Forest,
+}
+
+impl Links {
+    /// Returns whether the forest uses the pair with the index `n`.
+    fn uses(&self, n: usize) -> bool {
+        self.pairs.binary_search(&n).is_ok_and(|link| self.forest.uses[link])
+    }
+}
+
+/// Returns pairs of cameras that are farther apart than those of `pairs`, nearest first. There are none if no offset
+/// is searched for, or if the paper's method chooses the pairs.
+fn further_pairs(recording: &Recording, clock: &[usize], given: &[[usize; 2]]) -> Vec<[usize; 2]> {
+    let is_searched = given.iter().any(|&pair| is_long(recording, pair));
+    if !is_searched || recording.options.method == OffsetMethod::Pairwise {
+        return Vec::new();
+    }
+    let capture = recording.frames.capture();
+    let neighbors = recording.options.neighbors.saturating_mul(FURTHER_NEIGHBORS);
+    let mut further = pairs(capture, clock, &OffsetOptions { neighbors, ..*recording.options });
+    further.retain(|pair| given.binary_search(pair).is_err() && is_long(recording, *pair));
+    let distance = |pair: &[usize; 2]| {
+        let [a, b] = pair.map(|c| capture.cameras[c].camera.center());
+        (a - b).norm()
+    };
+    further.sort_by(|x, y| distance(x).total_cmp(&distance(y)).then(x.cmp(y)));
+    further
+}
 
 /// Computes the activity of each camera from all its frames: how much its image changes in each frame interval. The
 /// result has an entry for each camera.
@@ -35,10 +192,7 @@ const RIVAL_FRACTION: f64 = 0.8;
 /// `pairs` are pairs of camera indices. An activity has a signal for each pair that contains the camera. A pair has
 /// no signals if one of its recordings is too short, if the search is disabled, or if its cameras have a common
 /// centre. Returns an error if a frame cannot be read.
-pub fn activities(
-    recording: &Recording,
-    pairs: &[[usize; 2]],
-) -> Result<Vec<Activity>, CaptureError> {
+fn activities(recording: &Recording, pairs: &[[usize; 2]]) -> Result<Vec<Activity>, CaptureError> {
     let capture = recording.frames.capture();
     let bands: Vec<Option<[Bands; 2]>> = pairs
         .iter()
@@ -71,20 +225,35 @@ fn is_long(recording: &Recording, pair: [usize; 2]) -> bool {
     recording.options.search_s > 0.0 && pair.iter().all(|&c| duration_s(c) > MIN_OVERLAP_S)
 }
 
-/// Returns the offset of a pair of cameras [a, b], seconds, to about one frame. A pair without signals, such as a pair
-/// with a short recording, gets the offset 0, which trusts the nominal clocks.
+/// Offset of a pair of cameras to about one frame.
+#[derive(Clone, Debug, PartialEq)]
+struct RoughOffset {
+    clock: ClockModel,
+    /// The agreement of the images with the offset (fraction of inliers), 0 to 1; 1 for nominal clocks that are
+    /// trusted.
+    agreement: f64,
+}
+
+impl RoughOffset {
+    fn new(offset_s: f64, agreement: f64) -> Self {
+        Self { clock: ClockModel::constant(offset_s), agreement }
+    }
+}
+
+/// Returns the offset of a pair of cameras [a, b] to about one frame. A pair without signals, such as a pair with a
+/// short recording, gets the offset 0, which trusts the nominal clocks.
 ///
 /// `activities` are the activities of a and b, which hold the pair's signals under `n`, the index of the pair. The
 /// inner error is the reason why no offset is chosen. The outer error is a frame that cannot be read.
-pub fn rough_offset(
+fn rough_offset(
     recording: &Recording,
     [a, b]: [usize; 2],
     activities: [&Activity; 2],
     n: usize,
-) -> Result<Result<ClockModel, PairFailure>, CaptureError> {
+) -> Result<Result<RoughOffset, PairFailure>, CaptureError> {
     let signals =
         activities.map(|of| Some(Signal { times_s: &of.times_s, values: of.signals.get(&n)? }));
-    let [Some(of_a), Some(of_b)] = signals else { return Ok(Ok(ClockModel::default())) };
+    let [Some(of_a), Some(of_b)] = signals else { return Ok(Ok(RoughOffset::new(0.0, 1.0))) };
     let frame_s = recording.clocks[a].frame_s().max(recording.clocks[b].frame_s());
     let mut offsets_s = peaks(&[of_a, of_b], recording.options.search_s, frame_s);
     if offsets_s.is_empty() {
@@ -107,16 +276,13 @@ pub fn rough_offset(
 /// [`MIN_AGREEMENT`], or if rivals lie more than [`NOMINAL_CLOCK_FRAMES`] from the chosen offset.
 ///
 /// `frame_s` is the longer frame period of the two cameras, seconds.
-fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFailure> {
+fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<RoughOffset, PairFailure> {
     let max = agreements.iter().map(|a| a.1).fold(0.0, f64::max);
-    let rivals: Vec<f64> = agreements
-        .iter()
-        .filter(|a| a.1 > 0.0 && a.1 >= RIVAL_FRACTION * max)
-        .map(|a| a.0)
-        .collect();
+    let rivals: Vec<(f64, f64)> =
+        agreements.iter().filter(|a| a.1 > 0.0 && a.1 >= RIVAL_FRACTION * max).copied().collect();
     let near = |x: f64, y: f64| (x - y).abs() <= NOMINAL_CLOCK_FRAMES * frame_s;
-    if let Some(nominal) = rivals.iter().find(|&&offset| near(offset, 0.0)) {
-        return Ok(ClockModel::constant(*nominal));
+    if let Some(&(offset_s, agreement)) = rivals.iter().find(|rival| near(rival.0, 0.0)) {
+        return Ok(RoughOffset::new(offset_s, agreement));
     }
     let Some(best) = agreements.iter().find(|a| a.1 == max) else {
         return Err(PairFailure::NoOverlap);
@@ -126,10 +292,10 @@ fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFai
     }
     if max == 0.0 {
         // No offset has inliers. The estimation of the pair determines the reason later.
-        return Ok(ClockModel::default());
+        return Ok(RoughOffset::new(0.0, 0.0));
     }
-    let is_unique = rivals.iter().all(|&other| near(other, best.0));
-    if is_unique { Ok(ClockModel::constant(best.0)) } else { Err(PairFailure::PeriodicMotion) }
+    let is_unique = rivals.iter().all(|other| near(other.0, best.0));
+    if is_unique { Ok(RoughOffset::new(best.0, max)) } else { Err(PairFailure::PeriodicMotion) }
 }
 
 /// Returns the agreement of the images with a proposed offset `offset_b − offset_a`, seconds: the number of inliers
@@ -164,165 +330,89 @@ fn agreement(
     Ok(if enough { score / across.max(1) as f64 } else { 0.0 })
 }
 
-/// Activity signal of one camera ([`Activity::signals`]). For each interval between successive frames, it has the
-/// interval's middle, in seconds on the camera's clock, and 2·[`BANDS`] values (channels).
-struct Signal<'a> {
-    times_s: &'a [f64],
-    values: &'a [[f32; 2 * BANDS]],
-}
-
-impl Signal<'_> {
-    /// Interpolates the signal linearly at a time on the camera's clock, seconds. `None` outside the signal's time
-    /// span.
-    fn at(&self, time_s: f64) -> Option<[f32; 2 * BANDS]> {
-        let after = self.times_s.partition_point(|&t| t < time_s);
-        if after == self.times_s.len() || (after == 0 && self.times_s.first() != Some(&time_s)) {
-            return None;
-        }
-        let before = after.saturating_sub(1);
-        let gap = self.times_s[after] - self.times_s[before];
-        let fraction = if gap > 0.0 { (time_s - self.times_s[before]) / gap } else { 1.0 };
-        Some(std::array::from_fn(|c| {
-            let (x, y) = (self.values[before][c], self.values[after][c]);
-            x + fraction as f32 * (y - x)
-        }))
-    }
-}
-
-/// Returns the offsets `offset_b − offset_a`, seconds, at the highest local maxima of the correlation of two signals,
-/// highest maximum first. Offsets from −`search_s` to `search_s` are tried, in steps of half of `frame_s`. `frame_s` is
-/// the longer frame period of the two cameras, seconds.
-fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<f64> {
-    // A peak of the correlation is about one frame period wide.
-    let step = 0.5 * frame_s;
-    let max_steps = (search_s / step).ceil();
-    // Only shifts at which the recordings overlap are tried, since the search range may have billions of
-    // steps.
-    let ends = |s: &Signal| Some((*s.times_s.first()?, *s.times_s.last()?));
-    let [Some(a), Some(b)] = signals.each_ref().map(ends) else { return Vec::new() };
-    let first = ((a.0 - b.1) / step).floor().max(-max_steps) as i64;
-    let last = ((a.1 - b.0) / step).ceil().min(max_steps) as i64;
-    let correlations: Vec<Option<f64>> =
-        (first..=last).into_par_iter().map(|k| correlation(signals, k as f64 * step)).collect();
-    let at = |k: usize| correlations.get(k).copied().flatten().unwrap_or(f64::NEG_INFINITY);
-    let mut peaks: Vec<(f64, i64)> = (first..=last)
-        .zip(0..)
-        .filter(|&(_, n)| at(n) >= at(n.wrapping_sub(1)) && at(n) > at(n + 1))
-        .filter_map(|(k, n)| Some((correlations[n]?, k)))
-        .collect();
-    peaks.sort_by(|x, y| y.0.total_cmp(&x.0));
-    peaks.into_iter().take(MAX_CANDIDATES).map(|(_, k)| k as f64 * step).collect()
-}
-
-/// Returns the correlation of the signals of cameras a and b if `offset_b − offset_a` is `offset_s`, seconds. It is
-/// the mean of two normalized cross-correlations: one of the energy channels, and one of the motion channels. The
-/// mean of each channel over the overlap is subtracted first. `None` if the recordings overlap by less than
-/// [`MIN_OVERLAP_S`], or if one signal is constant.
-fn correlation([a, b]: &[Signal; 2], offset_s: f64) -> Option<f64> {
-    let mut overlap: Vec<([f32; 2 * BANDS], [f32; 2 * BANDS])> = Vec::new();
-    let (mut first_s, mut last_s) = (f64::INFINITY, f64::NEG_INFINITY);
-    for (time_s, value) in a.times_s.iter().zip(a.values) {
-        if let Some(other) = b.at(time_s - offset_s) {
-            overlap.push((*value, other));
-            (first_s, last_s) = (first_s.min(*time_s), last_s.max(*time_s));
-        }
-    }
-    // Samples are at the middles of intervals, so that half an interval at either end belongs to the overlap.
-    // One more interval is added, so that rounding does not exclude the bound itself.
-    let interval = (last_s - first_s) / (overlap.len().max(2) - 1) as f64;
-    if !(last_s - first_s + 2.0 * interval >= MIN_OVERLAP_S) {
-        return None;
-    }
-    let n = overlap.len() as f64;
-    let mut sums = [[0.0_f64; 3]; 2];
-    for channel in 0..2 * BANDS {
-        let (mut x, mut y) = (0.0, 0.0);
-        for (p, q) in &overlap {
-            x += f64::from(p[channel]);
-            y += f64::from(q[channel]);
-        }
-        let (x, y) = (x / n, y / n);
-        let sums = &mut sums[channel / BANDS];
-        for (p, q) in &overlap {
-            let (p, q) = (f64::from(p[channel]) - x, f64::from(q[channel]) - y);
-            sums[0] += p * q;
-            sums[1] += p * p;
-            sums[2] += q * q;
-        }
-    }
-    // Energy and motion have different units, so each of them is normalized separately.
-    let parts = sums.map(|[both, x, y]| both / (x * y).sqrt());
-    let finite: Vec<f64> = parts.into_iter().filter(|p| p.is_finite()).collect();
-    (!finite.is_empty()).then(|| finite.iter().sum::<f64>() / finite.len() as f64)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::Random;
+    use crate::capture::Capture;
+    use crate::offset::recording::TrackCache;
+    use crate::raster::{BitDepth, Image, write_image};
+    use crate::registration::{FrameStore, RegistrationOptions};
+    use std::path::Path;
+    use std::sync::Arc;
 
-    /// Returns a smooth random signal, sampled at a camera's rate: the sample times, seconds, and the values.
-    fn sampled_signal(
-        seed: u64,
-        rate_hz: f64,
-        start_s: f64,
-        duration_s: f64,
-    ) -> (Vec<f64>, Vec<[f32; 2 * BANDS]>) {
-        let random = &mut Random::new(seed);
-        let waves: Vec<[f64; 4]> = (0..12).map(|_| [0; 4].map(|_| random.unit())).collect();
-        let times: Vec<f64> =
-            (0..(duration_s * rate_hz) as usize).map(|k| k as f64 / rate_hz).collect();
-        let values = times
-            .iter()
-            .map(|t| {
-                std::array::from_fn(|c| {
-                    let at = |w: &[f64; 4]| {
-                        let phase = w[1] + w[3] * c as f64;
-                        (std::f64::consts::TAU * ((0.2 + 1.5 * w[0]) * (t + start_s) + phase)).sin()
-                    };
-                    waves.iter().map(at).sum::<f64>() as f32
-                })
-            })
-            .collect();
-        (times, values)
-    }
+    const RATE_HZ: f64 = 15.0;
+    /// The second and the third camera overlap by less than [`MIN_OVERLAP_S`].
+    const STARTS_S: [f64; 4] = [0.0, 0.5, 3.6, 1.6];
 
-    #[test]
-    fn a_hundred_recordings_are_aligned_to_a_frame() {
-        let random = &mut Random::new(6);
-        for seed in 0..100 {
-            // Recordings that start up to 5 s apart and overlap by at least 2 s.
-            let offset_s = 10.0 * random.unit() - 5.0;
-            let rates = [30.0, 15.0 + 15.0 * random.unit()];
-            let duration_s = offset_s.abs() + 2.2 + 3.0 * random.unit();
-            let signals = [(rates[0], 20.0), (rates[1], 20.0 + offset_s)]
-                .map(|(rate, start)| sampled_signal(seed, rate, start, duration_s));
-            let signals = signals.each_ref().map(|(times_s, values)| Signal { times_s, values });
-            let frame_s = 1.0 / rates[1];
-            let best = peaks(&signals, 5.0, frame_s)[0];
-            assert!((best - offset_s).abs() <= frame_s, "{seed}: {best} {offset_s}");
+    /// Writes a capture of four cameras in a row, in front of a plane that moves up and down about once a second. Each
+    /// recording lasts 5 s.
+    fn write_capture(folder: &Path) -> Arc<Capture> {
+        let (w, h) = (128, 96);
+        let mut cameras = Vec::new();
+        for (c, start_s) in STARTS_S.into_iter().enumerate() {
+            for n in 0..75 {
+                let t = start_s + f64::from(n) / RATE_HZ;
+                let lift = 6.0 * (6.28 * t).sin() + 2.5 * (2.3 * t).sin() + (9.1 * t).cos();
+                let value = |k: usize| {
+                    let x = (k % w) as f64 + 4.0 * c as f64;
+                    let y = (k / w) as f64 + lift;
+                    let waves = (0.71 * x + 0.2 * y).sin() * (0.63 * y - 0.11 * x).cos()
+                        + (0.23 * x).cos() * (0.31 * y + 1.0).sin();
+                    (0.5 + 0.2 * waves) as f32
+                };
+                let image = Image::from_data(w, h, 1, (0..w * h).map(value).collect());
+                let path = folder.join(format!("cam{c}/{n:04}.png"));
+                write_image(&path, &image, None, BitDepth::Eight).unwrap();
+            }
+            cameras.push(serde_json::json!({
+                "id": format!("cam{c}"), "frames": format!("cam{c}/%04d.png"),
+                "width": w, "height": h, "model": "PINHOLE", "params": [100, 100, 64, 48],
+                "cam_from_world": {
+                    "rotation_wxyz": [1, 0, 0, 0], "translation": [-0.08 * c as f64, 0, 0]
+                },
+                "color": "gray",
+                "clock": {"rate_hz": RATE_HZ, "first_s": 0.0, "shared": false}
+            }));
         }
+        let capture = serde_json::json!({
+            "format": "stlfr-capture", "version": 1, "name": "plane", "cameras": cameras
+        });
+        std::fs::write(folder.join("capture.json"), capture.to_string()).unwrap();
+        Arc::new(Capture::open(folder).unwrap())
     }
 
     #[test]
-    fn recordings_without_change_or_overlap_have_no_peak() {
-        let (times_s, values) = sampled_signal(1, 30.0, 0.0, 4.0);
-        let constant = vec![[1.0; 2 * BANDS]; times_s.len()];
-        let varying = Signal { times_s: &times_s, values: &values };
-        let flat = Signal { times_s: &times_s, values: &constant };
-        assert_eq!(correlation(&[varying, flat], 0.0), None);
-        let later: Vec<f64> = times_s.iter().map(|t| t + 100.0).collect();
-        let (_, values) = sampled_signal(1, 30.0, 0.0, 4.0);
-        let apart = [
-            Signal { times_s: &times_s, values: &values },
-            Signal { times_s: &later, values: &values },
-        ];
-        assert!(peaks(&apart, 5.0, 1.0 / 30.0).is_empty());
+    fn a_chain_of_reliable_pairs_replaces_an_offset_that_is_wrong_by_a_period() {
+        let folder = tempfile::tempdir().unwrap();
+        let capture = write_capture(folder.path());
+        let frames = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+        let nominal = capture.cameras.iter().map(|c| c.clock.clone()).collect();
+        let cache = TrackCache::default();
+        let options = OffsetOptions { neighbors: 1, ..OffsetOptions::default() };
+        let recording = Recording::new(&frames, nominal, &cache, &options);
+        let is_right = |[i, j]: [usize; 2], clock: &ClockModel| {
+            (clock.offset_s - (STARTS_S[j] - STARTS_S[i])).abs() <= 1.0 / RATE_HZ
+        };
+        let reporter = Reporter::new(false);
+        // Two cameras alone have no other pair that shows the error.
+        let alone = align(&recording, &[0, 1, 2, 3], vec![[1, 2]], &reporter).unwrap();
+        let is_alone_right = alone[0].1.as_ref().is_ok_and(|clock| is_right([1, 2], clock));
+        assert!(!is_alone_right, "{alone:?}");
+        let neighbors = vec![[0, 1], [1, 2], [2, 3]];
+        let aligned = align(&recording, &[0, 1, 2, 3], neighbors, &reporter).unwrap();
+        let pairs: Vec<[usize; 2]> = aligned.iter().map(|(pair, _)| *pair).collect();
+        assert_eq!(pairs, [[0, 1], [1, 2], [1, 3], [2, 3]]);
+        for (pair, clock) in aligned {
+            assert!(is_right(pair, &clock.unwrap()), "{pair:?}");
+        }
     }
 
     #[test]
     fn nominal_clocks_decide_between_rivals() {
         let frame_s = 0.04;
+        let choose = |agreements: &[(f64, f64)], frame_s| {
+            choose(agreements, frame_s).map(|rough| rough.clock)
+        };
         assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.45)], frame_s), Ok(ClockModel::constant(0.02)));
         assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.1)], frame_s), Ok(ClockModel::constant(1.0)));
         assert_eq!(choose(&[(1.0, 0.4), (0.02, 0.1)], frame_s), Err(PairFailure::NoConsensus));
