@@ -24,9 +24,17 @@ sys.path.insert(0, str(HERE.parent))
 own_packages: Any = importlib.import_module("own_packages")
 sys.path.pop(0)
 own_packages.load_extension()
-errors, plans, folder, videos, sharing, in_blender = (
+errors, plans, folder, videos, sharing, in_blender, rolling = (
     importlib.import_module(f"stlfr_extension.{name}")
-    for name in ("errors", "plan", "folder", "video", "sharing", "in_blender")
+    for name in (
+        "errors",
+        "plan",
+        "folder",
+        "video",
+        "sharing",
+        "in_blender",
+        "rolling",
+    )
 )
 
 
@@ -366,9 +374,19 @@ def expected(plan: Any, jobs: list[Any], cores: int) -> str:
     """How long filming may take."""
     samples = sum(job.width_px * job.height_px * job.samples for job in jobs)
     by_sample = CYCLES_SAMPLE_S * samples if plan.options.engine == "cycles" else 0.0
-    minutes = (by_sample + IMAGE_S * len(jobs)) / cores / 60
+    rendered = sum(renders(plan.rig, job) for job in jobs)
+    minutes = (by_sample + IMAGE_S * rendered) / cores / 60
     time = f"{minutes:.0f} minutes" if minutes >= 1.5 else "a minute"
     return f"Filming {len(jobs)} images may take {time}, and longer in a heavy scene."
+
+
+def renders(rig: Any, job: Any) -> int:
+    """How many bands a job's image is rendered in: one but for the frames of a rolling shutter."""
+    by_id = {camera.id: camera for camera in rig.cameras}
+    camera = by_id.get(job.view_id)
+    if camera is None or job.is_geometry:
+        return 1
+    return len(rolling.bands((job.width_px, job.height_px), camera.readout_s))
 
 
 def report(done: int, total: int, what: str, note: str | None = None) -> None:

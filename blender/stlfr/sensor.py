@@ -10,6 +10,7 @@ standard deviation, a square pixel's being 0.29.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -212,11 +213,14 @@ def wide_pinhole(lens: Pinhole, distortion: distortions.Distortion) -> Pinhole:
     )
 
 
+@functools.lru_cache(maxsize=1)
 def _ideal_grid(lens: Pinhole, distortion: distortions.Distortion) -> Array:
-    """Where the centres of all pixels, row by row, would be without distortion."""
+    """Where the centres of all pixels, row by row, would be without distortion. Kept for the next band of the image."""
     x, y = np.meshgrid(np.arange(lens.width_px) + 0.5, np.arange(lens.height_px) + 0.5)
     pixels = np.stack([x.ravel(), y.ravel()], axis=1)
-    return distortions.ideal_from_pixels(lens, distortion, pixels)
+    ideal = distortions.ideal_from_pixels(lens, distortion, pixels)
+    ideal.flags.writeable = False
+    return ideal
 
 
 def _spline(at: Array) -> tuple[npt.NDArray[np.int64], list[Array]]:

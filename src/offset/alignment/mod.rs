@@ -352,7 +352,7 @@ mod tests {
         for (c, start_s) in STARTS_S.into_iter().enumerate() {
             for n in 0..75 {
                 let t = start_s + f64::from(n) / RATE_HZ;
-                let lift = 6.0 * (6.28 * t).sin() + 2.5 * (2.3 * t).sin() + (9.1 * t).cos();
+                let lift = 6.0 * (6.2 * t).sin() + 2.5 * (2.3 * t).sin() + (9.1 * t).cos();
                 let value = |k: usize| {
                     let x = (k % w) as f64 + 4.0 * c as f64;
                     let y = (k / w) as f64 + lift;
