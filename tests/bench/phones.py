@@ -4,8 +4,8 @@
     .venv/bin/python tests/bench/phones.py score CAPTURE [--program P] [--crf N] [--pictures DIR] [--readout S]
 
 `film` makes the rig and films it: eight cameras at 25 and 29.97 Hz by turns, that start up to 3 s apart, with distorted
-lenses, noise, different and drifting exposures, and rolling shutters of 15 ms, whose bands take 90 minutes to film on two
-cores; with `--readout 0`, five. The reference's exposure doesn't drift.
+lenses, noise, different and drifting exposures, and rolling shutters of 15 ms. Each frame of a rolling shutter is
+rendered in 15 bands; `--readout 0` films without them, far sooner. The reference's exposure doesn't drift.
 
 `score` compresses each camera's frames by H.264, turns its pose by 0.1 degree and moves it by 1 mm (root mean square),
 and imports that. Rows: all that stlfr models; without refined poses; without the readout; with equal gains;
