@@ -369,24 +369,28 @@ CYCLES_SAMPLE_S = 1.1e-6
 IMAGE_S = 0.3
 """Time of one core for an image besides its samples, and by Workbench altogether."""
 
+BAND_S = 0.1
+"""Time of one core for a band of a rolling shutter's frame, after the first, in place of that."""
+
 
 def expected(plan: Any, jobs: list[Any], cores: int) -> str:
     """How long filming may take."""
     samples = sum(job.width_px * job.height_px * job.samples for job in jobs)
     by_sample = CYCLES_SAMPLE_S * samples if plan.options.engine == "cycles" else 0.0
-    rendered = sum(renders(plan.rig, job) for job in jobs)
-    minutes = (by_sample + IMAGE_S * rendered) / cores / 60
+    bands = sum(further_bands(plan.rig, job) for job in jobs)
+    minutes = (by_sample + IMAGE_S * len(jobs) + BAND_S * bands) / cores / 60
     time = f"{minutes:.0f} minutes" if minutes >= 1.5 else "a minute"
     return f"Filming {len(jobs)} images may take {time}, and longer in a heavy scene."
 
 
-def renders(rig: Any, job: Any) -> int:
-    """How many bands a job's image is rendered in: one but for the frames of a rolling shutter."""
+def further_bands(rig: Any, job: Any) -> int:
+    """The number of bands after the first that a job's image is rendered in; 0 but for frames of a rolling shutter."""
     by_id = {camera.id: camera for camera in rig.cameras}
     camera = by_id.get(job.view_id)
     if camera is None or job.is_geometry:
-        return 1
-    return len(rolling.bands((job.width_px, job.height_px), camera.readout_s))
+        return 0
+    size_px = (job.width_px, job.height_px)
+    return len(rolling.bands(size_px, camera.readout_s)) - 1
 
 
 def report(done: int, total: int, what: str, note: str | None = None) -> None:

@@ -11,7 +11,7 @@ Blender reads back, not from what was asked for, and the description is what get
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,10 @@ class Pinhole:
     def params(self) -> list[float]:
         """COLMAP's order."""
         return [self.fx_px, self.fy_px, self.cx_px, self.cy_px]
+
+    def rows(self, first: int, end: int) -> Pinhole:
+        """The pinhole of the image's rows from `first` to before `end`."""
+        return replace(self, height_px=end - first, cy_px=self.cy_px - first)
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,8 @@ NOTHING_DEPTH_M = 1e9
 """Farther is nothing: Cycles writes 1e10 where a ray meets none. Above that, the background becomes a surface; much
 smaller, and distant surfaces become background."""
 
-CROP_MARGIN_PX = 0.25
-"""How far a crop's limits lie inside of their pixels. Near 0 or 1, rounding takes the neighbouring row."""
+WINDOW_MARGIN_PX = 2
+"""Rows that are rendered around a band, and left out: Workbench smooths its outermost row otherwise."""
 
 WIDE_SUFFIX = ".wide"
 """Of the second camera of a distorted one; no rig's id has a dot."""
@@ -251,13 +251,15 @@ class Studio:
         for band in rolling.bands(size_px, camera.readout_s):
             self._set_time(world_time_s + band.offset_s)
             rows = slice(band.first, band.end)
-            with self._cropped(wide.rows_for(rows) if wide else rows) as cropped:
+            read = wide.rows_for(rows) if wide else rows
+            with self._window(read):
                 light = self._rendered_light(scratch)
+            light = light[WINDOW_MARGIN_PX:-WINDOW_MARGIN_PX]
             if wide:
                 whole = np.zeros(
                     (wide.pinhole.height_px, *light.shape[1:]), dtype=np.float32
                 )
-                whole[cropped] = light
+                whole[read] = light
                 light = wide.resample(whole, rows)
             rendered.append(light)
         return np.concatenate(rendered)
@@ -269,19 +271,27 @@ class Studio:
         return np.stack([channels[f"{layer}.Combined.{c}"] for c in "RGB"], axis=2)
 
     @contextlib.contextmanager
-    def _cropped(self, rows: slice) -> Iterator[slice]:
-        """Render only these rows within."""
-        render = self.scene.render
-        height_px = render.resolution_y
-        render.border_min_x, render.border_max_x = 0.0, 1.0
-        # Blender rounds down to whole pixels, in single precision; its y points up.
-        render.border_min_y = (height_px - rows.stop + CROP_MARGIN_PX) / height_px
-        render.border_max_y = (height_px - rows.start + CROP_MARGIN_PX) / height_px
-        render.use_border = render.use_crop_to_border = True
+    def _window(self, rows: slice) -> Iterator[None]:
+        """Render only these rows within, and a margin above and below them.
+
+        The lens is shifted to them, rather than the picture cropped: Workbench draws all of what it crops.
+        """
+        scene, lens = self.scene, self.scene.camera.data
+        height_px = scene.render.resolution_y
+        whole = cameras.pinhole_from_lens(cameras.lens_of(scene.camera, scene))
+        part = cameras.lens_from_pinhole(
+            whole.rows(rows.start - WINDOW_MARGIN_PX, rows.stop + WINDOW_MARGIN_PX),
+            lens.sensor_width,
+        )
+        kept = lens.sensor_fit, lens.lens, lens.shift_x, lens.shift_y
+        lens.sensor_fit, lens.lens = part.sensor_fit, part.lens_mm
+        lens.shift_x, lens.shift_y = part.shift_x, part.shift_y
+        scene.render.resolution_y = part.height_px
         try:
-            yield rows
+            yield
         finally:
-            render.use_border = render.use_crop_to_border = False
+            lens.sensor_fit, lens.lens, lens.shift_x, lens.shift_y = kept
+            scene.render.resolution_y = height_px
 
     def _render_channels(self, scratch: Path) -> dict[str, sensor.Light]:
         """Render all passes that are on."""
@@ -343,7 +353,9 @@ class Studio:
             yield
             return
         right_px, down_px = WORKBENCH_BIAS_PX[int(self.scene.display.render_aa)]
-        side_px = max(render.resolution_x, render.resolution_y)
+        side_px = render.resolution_x
+        if lens.sensor_fit == "AUTO":
+            side_px = max(side_px, render.resolution_y)
         shift = lens.shift_x, lens.shift_y
         lens.shift_x += right_px / side_px
         lens.shift_y -= down_px / side_px
