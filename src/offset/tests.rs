@@ -1,4 +1,4 @@
-//! Tests of the calibration errors in the joint solution.
+//! Tests of the calibration errors in the joint solution, and a synthetic recording for other tests.
 
 use super::calibration::{CalibrationUnknowns, SampleSlopes};
 use super::clock::ClockModel;
@@ -6,10 +6,58 @@ use super::joint::{ClockLayout, solve_clocks};
 use super::pair::PairEstimate;
 use super::recording::{Sample, Sight};
 use crate::camera::{Camera, CameraModel, CameraParameter, EpipolarGeometry};
-use crate::capture::CalibrationErrors;
+use crate::capture::{CalibrationErrors, Capture};
 use crate::random::Random;
+use crate::raster::{BitDepth, Image, write_image};
 use nalgebra::{DMatrix, DVector, Isometry3, Point2, Translation3, UnitQuaternion, Vector2};
+use std::path::Path;
 use std::sync::Arc;
+
+/// A recording by cameras in a row, 128×96 pixels and 4 pixels of disparity apart, of a textured plane that moves
+/// vertically.
+pub(super) struct PlaneRecording {
+    pub cameras: usize,
+    pub frames: usize,
+    pub rate_hz: f64,
+}
+
+impl PlaneRecording {
+    /// Writes the capture into the folder. `lift_px` gives how far the plane is up, pixels, in a camera's frame. The
+    /// capture's clocks all begin at 0, with unknown offsets.
+    pub fn write(&self, folder: &Path, lift_px: impl Fn(usize, usize) -> f64) -> Arc<Capture> {
+        let (w, h) = (128, 96);
+        let mut cameras = Vec::new();
+        for c in 0..self.cameras {
+            for n in 0..self.frames {
+                let lift_px = lift_px(c, n);
+                let value = |k: usize| {
+                    let x = (k % w) as f64 + 4.0 * c as f64;
+                    let y = (k / w) as f64 + lift_px;
+                    let waves = (0.71 * x + 0.2 * y).sin() * (0.63 * y - 0.11 * x).cos()
+                        + (0.23 * x).cos() * (0.31 * y + 1.0).sin();
+                    (0.5 + 0.2 * waves) as f32
+                };
+                let image = Image::from_data(w, h, 1, (0..w * h).map(value).collect());
+                let path = folder.join(format!("cam{c}/{n:04}.png"));
+                write_image(&path, &image, None, BitDepth::Sixteen).unwrap();
+            }
+            cameras.push(serde_json::json!({
+                "id": format!("cam{c}"), "frames": format!("cam{c}/%04d.png"),
+                "width": w, "height": h, "model": "PINHOLE", "params": [100, 100, 64, 48],
+                "cam_from_world": {
+                    "rotation_wxyz": [1, 0, 0, 0], "translation": [-0.08 * c as f64, 0, 0]
+                },
+                "color": "gray",
+                "clock": {"rate_hz": self.rate_hz, "first_s": 0.0, "shared": false}
+            }));
+        }
+        let capture = serde_json::json!({
+            "format": "stlfr-capture", "version": 1, "name": "plane", "cameras": cameras
+        });
+        std::fs::write(folder.join("capture.json"), capture.to_string()).unwrap();
+        Arc::new(Capture::open(folder).unwrap())
+    }
+}
 
 fn camera(x_m: f64, model: CameraModel) -> Camera {
     let rotation = UnitQuaternion::from_euler_angles(0.02, -0.3 * x_m, 0.01);

@@ -335,7 +335,7 @@ mod tests {
     use super::*;
     use crate::capture::Capture;
     use crate::offset::recording::TrackCache;
-    use crate::raster::{BitDepth, Image, write_image};
+    use crate::offset::tests::PlaneRecording;
     use crate::registration::{FrameStore, RegistrationOptions};
     use std::path::Path;
     use std::sync::Arc;
@@ -347,38 +347,11 @@ mod tests {
     /// Writes a capture of four cameras in a row, in front of a plane that moves up and down about once a second. Each
     /// recording lasts 5 s.
     fn write_capture(folder: &Path) -> Arc<Capture> {
-        let (w, h) = (128, 96);
-        let mut cameras = Vec::new();
-        for (c, start_s) in STARTS_S.into_iter().enumerate() {
-            for n in 0..75 {
-                let t = start_s + f64::from(n) / RATE_HZ;
-                let lift = 6.0 * (6.2 * t).sin() + 2.5 * (2.3 * t).sin() + (9.1 * t).cos();
-                let value = |k: usize| {
-                    let x = (k % w) as f64 + 4.0 * c as f64;
-                    let y = (k / w) as f64 + lift;
-                    let waves = (0.71 * x + 0.2 * y).sin() * (0.63 * y - 0.11 * x).cos()
-                        + (0.23 * x).cos() * (0.31 * y + 1.0).sin();
-                    (0.5 + 0.2 * waves) as f32
-                };
-                let image = Image::from_data(w, h, 1, (0..w * h).map(value).collect());
-                let path = folder.join(format!("cam{c}/{n:04}.png"));
-                write_image(&path, &image, None, BitDepth::Eight).unwrap();
-            }
-            cameras.push(serde_json::json!({
-                "id": format!("cam{c}"), "frames": format!("cam{c}/%04d.png"),
-                "width": w, "height": h, "model": "PINHOLE", "params": [100, 100, 64, 48],
-                "cam_from_world": {
-                    "rotation_wxyz": [1, 0, 0, 0], "translation": [-0.08 * c as f64, 0, 0]
-                },
-                "color": "gray",
-                "clock": {"rate_hz": RATE_HZ, "first_s": 0.0, "shared": false}
-            }));
-        }
-        let capture = serde_json::json!({
-            "format": "stlfr-capture", "version": 1, "name": "plane", "cameras": cameras
-        });
-        std::fs::write(folder.join("capture.json"), capture.to_string()).unwrap();
-        Arc::new(Capture::open(folder).unwrap())
+        let recording = PlaneRecording { cameras: 4, frames: 75, rate_hz: RATE_HZ };
+        recording.write(folder, |c, n| {
+            let t = STARTS_S[c] + n as f64 / RATE_HZ;
+            6.0 * (6.2 * t).sin() + 2.5 * (2.3 * t).sin() + (9.1 * t).cos()
+        })
     }
 
     #[test]

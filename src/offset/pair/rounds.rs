@@ -245,7 +245,7 @@ mod tests {
     use crate::host::Memo;
     use crate::offset::OffsetOptions;
     use crate::offset::recording::TrackCache;
-    use crate::raster::{BitDepth, Image, write_image};
+    use crate::offset::tests::PlaneRecording;
     use crate::registration::{FrameStore, RegistrationOptions};
     use std::collections::BTreeMap;
     use std::path::Path;
@@ -260,37 +260,11 @@ mod tests {
     /// Writes a capture of three cameras in a row, in front of a plane that moves upwards and decelerates. `rates`
     /// are the rates of the cameras' clocks.
     fn write_capture(folder: &Path, rates: [f64; 3]) -> Arc<Capture> {
-        let (w, h, rate_hz) = (128, 96, 30.0);
-        let mut cameras = Vec::new();
-        for (c, delay) in DELAYS_FRAMES.into_iter().enumerate() {
-            for n in 0..24 {
-                let t = f64::from(n) * (1.0 + rates[c]) + delay;
-                let value = |k: usize| {
-                    let x = (k % w) as f64 + 4.0 * c as f64;
-                    let y = (k / w) as f64 + 3.0 * t - 0.03 * t * t;
-                    let waves = (0.71 * x + 0.2 * y).sin() * (0.63 * y - 0.11 * x).cos()
-                        + (0.23 * x).cos() * (0.31 * y + 1.0).sin();
-                    (0.5 + 0.2 * waves) as f32
-                };
-                let image = Image::from_data(w, h, 1, (0..w * h).map(value).collect());
-                let path = folder.join(format!("cam{c}/{n:04}.png"));
-                write_image(&path, &image, None, BitDepth::Sixteen).unwrap();
-            }
-            cameras.push(serde_json::json!({
-                "id": format!("cam{c}"), "frames": format!("cam{c}/%04d.png"),
-                "width": w, "height": h, "model": "PINHOLE", "params": [100, 100, 64, 48],
-                "cam_from_world": {
-                    "rotation_wxyz": [1, 0, 0, 0], "translation": [-0.08 * c as f64, 0, 0]
-                },
-                "color": "gray",
-                "clock": {"rate_hz": rate_hz, "first_s": 0.0, "shared": false}
-            }));
-        }
-        let capture = serde_json::json!({
-            "format": "stlfr-capture", "version": 1, "name": "plane", "cameras": cameras
-        });
-        std::fs::write(folder.join("capture.json"), capture.to_string()).unwrap();
-        Arc::new(Capture::open(folder).unwrap())
+        let recording = PlaneRecording { cameras: 3, frames: 24, rate_hz: 30.0 };
+        recording.write(folder, |c, n| {
+            let t = n as f64 * (1.0 + rates[c]) + DELAYS_FRAMES[c];
+            3.0 * t - 0.03 * t * t
+        })
     }
 
     /// Reference implementation: estimates one pair alone, with all its triples in every round.
