@@ -110,7 +110,11 @@ impl<'a> ShotArgs<'a> {
             Some(PathSource::Json(file)) => read_path(file)?,
             Some(PathSource::Blend(file)) => read_blend_path(file, reporter)?,
         };
-        let path = self.instants.duration.map_or_else(|| path.clone(), |s| path.lasting(s));
+        let lasting = |duration_s| {
+            let wrong = |error| CliError::BadInput(format!("--duration: {error}"));
+            path.lasting(duration_s).map_err(wrong)
+        };
+        let path = self.instants.duration.map_or_else(|| Ok(path.clone()), lasting)?;
         let rate_hz = self.instants.fps.or(path.rate_hz).unwrap_or(PATH_RATE_HZ);
         let mut frames = frames(&path, rate_hz)?;
         if let Some(time_s) = self.instants.time {

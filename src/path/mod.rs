@@ -185,13 +185,17 @@ impl CameraPath {
 
     /// Returns the path, stretched in time to another duration in seconds. Its first key is then at 0 s. A path with
     /// one key is unchanged.
-    #[must_use]
-    pub fn lasting(&self, duration_s: f64) -> Self {
+    ///
+    /// # Errors
+    /// If the keys are too close to each other then, or too far apart.
+    pub fn lasting(&self, duration_s: f64) -> Result<Self, PathError> {
+        if self.keys.len() == 1 {
+            return Ok(self.clone());
+        }
         let factor = duration_s / self.duration_s();
         let mut keys = self.keys.clone();
         keys.iter_mut().for_each(|key| key.at_s = (key.at_s - self.keys[0].at_s) * factor);
-        let played = Self::new(keys, self.lengths.is_some());
-        played.map_or_else(|_| self.clone(), |path| Self { rate_hz: self.rate_hz, ..path })
+        Ok(Self { rate_hz: self.rate_hz, ..Self::new(keys, self.lengths.is_some())? })
     }
 
     /// Returns the path with all instants moved by `seconds`. If `seconds` is positive, the path shows later instants.

@@ -176,7 +176,7 @@ fn one_key_is_a_still() {
     let frames = path.frames(30.0).unwrap();
     assert_eq!((frames.len(), frames[0].time_s), (1, 0.3));
     assert!((frames[0].camera.center() - Point3::new(1.0, 2.0, 3.0)).norm() < 1e-12);
-    assert_eq!(path.lasting(9.0).frames(30.0).unwrap().len(), 1);
+    assert_eq!(path.lasting(9.0).unwrap().frames(30.0).unwrap().len(), 1);
 }
 
 #[test]
@@ -187,9 +187,12 @@ fn frames_end_on_the_last_key() {
         assert_eq!(path.frames(rate_hz).unwrap().len(), count, "{rate_hz}");
     }
     assert_eq!(path.frames(30.0).unwrap()[60].time_s, 1.0);
-    let longer = path.lasting(8.0);
+    let longer = path.lasting(8.0).unwrap();
     assert_eq!((longer.duration_s(), longer.at(4.0).time_s), (8.0, 0.5));
-    assert!(path.lasting(3e9).frames(1000.0).unwrap_err().to_string().contains("at most 1000000"));
+    let longest = path.lasting(3e9).unwrap();
+    assert!(longest.frames(1000.0).unwrap_err().to_string().contains("at most 1000000"));
+    let shortest = path.lasting(1e-7).unwrap_err().to_string();
+    assert!(shortest.starts_with("keys[1].at_s: is 0.0000001, "), "{shortest}");
 }
 
 fn file() -> Value {

@@ -99,7 +99,8 @@ impl PathSettings {
         py: Python<'py>,
         path: &CameraPath,
     ) -> PyResult<Vec<Bound<'py, PyDict>>> {
-        let path = self.duration_s.map_or_else(|| path.clone(), |seconds| path.lasting(seconds));
+        let lasting = |seconds| path.lasting(seconds).map_err(value_error);
+        let path = self.duration_s.map_or_else(|| Ok(path.clone()), lasting)?;
         let rate_hz = self.rate_hz.or(path.rate_hz).unwrap_or(PATH_RATE_HZ);
         let frames = path.frames(rate_hz).map_err(value_error)?;
         let frame = |PathFrame { camera, time_s }: &PathFrame| {

@@ -81,6 +81,8 @@ macro_rules! targets {
 targets!(
     capture,
     view,
+    path,
+    truth,
     options,
     offsets,
     rig,

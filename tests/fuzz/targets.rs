@@ -2,10 +2,11 @@
 
 use crate::common::root;
 use crate::common::wall::Scene;
+use serde_json::json;
 use std::fmt::Display;
 use std::path::Path;
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{Capture, read_array};
+use stlfr::capture::{Capture, Truth, read_array};
 use stlfr::exchange::{
     Dataset, DatasetFormat, NamedCamera, read_anipose, read_colmap, read_llff, read_nerf,
     read_qualisys, read_times, write_colmap_binary, write_colmap_text, write_llff, write_nerf,
@@ -13,6 +14,7 @@ use stlfr::exchange::{
 use stlfr::json;
 use stlfr::offset::{Offsets, SavedOffsets};
 use stlfr::options::RenderOptions;
+use stlfr::path::PathFormat;
 use stlfr::raster::{BitDepth, Image, read_image, write_image};
 use stlfr::rig::Rig;
 
@@ -75,6 +77,57 @@ pub fn view() -> Target {
             assert!(center.iter().all(|v| v.is_finite()), "{center}");
             Ok(())
         },
+    }
+}
+
+pub fn path() -> Target {
+    Target {
+        name: "path",
+        file: "path.json",
+        is_text: true,
+        prepare: |folder| {
+            let key = |at_s: f64, x: f64| {
+                let camera = Scene::default().camera([x, 0.0, 0.0]);
+                json!({"at_s": at_s, "time_s": 0.1 * at_s, "camera": camera, "rest": at_s > 0.0})
+            };
+            let path = json!({
+                "format": "stlfr-path", "version": 1, "rate_hz": 30.0, "constant_speed": true,
+                "keys": [key(0.0, 0.0), key(0.5, 0.02), key(1.0, 0.01)]
+            });
+            std::fs::write(folder.join("path.json"), path.to_string()).unwrap();
+        },
+        parse: |folder| {
+            let format: PathFormat = json::read(&folder.join("path.json")).map_err(text)?;
+            let path = format.path()?;
+            let center = path.at(0.4 * path.duration_s()).camera.center();
+            assert!(center.iter().all(|v| v.is_finite()), "{center}");
+            Ok(())
+        },
+    }
+}
+
+pub fn truth() -> Target {
+    Target {
+        name: "truth",
+        file: "truth/truth.json",
+        is_text: true,
+        prepare: |folder| {
+            let camera = Scene::default().camera([0.01, 0.0, 0.0]);
+            let view = json!({
+                "id": "between", "time_s": 0.1, "like": null, "camera": camera,
+                "image": "views/between.png", "depth": "depth/between.npy",
+                "motion": "motion/between.npy"
+            });
+            let truth = json!({
+                "format": "stlfr-truth", "version": 1, "scene": "wall", "rig": "row",
+                "offsets": [{"id": "cam0", "offset_s": 0.0}],
+                "shutter": [{"id": "cam0", "times_s": [0.0, 0.04]}],
+                "views": [view]
+            });
+            std::fs::create_dir_all(folder.join("truth")).unwrap();
+            std::fs::write(folder.join("truth/truth.json"), truth.to_string()).unwrap();
+        },
+        parse: |folder| Truth::open(folder).map(drop).map_err(text),
     }
 }
 
