@@ -11,10 +11,10 @@ pub trait Method: Copy + Default + PartialEq + Send + Sync + 'static {
     /// Returns the method's name: lower-case words joined by hyphens.
     fn name(self) -> &'static str;
 
-    /// Returns one line of help, which says what the method does.
+    /// Returns one line of help, which describes the method.
     fn help(self) -> &'static str;
 
-    /// Returns the method with this name. `None` if no method has it.
+    /// Returns the method with this name. `None` if no method has this name.
     fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|method| method.name() == name)
     }
@@ -25,7 +25,8 @@ pub trait Method: Copy + Default + PartialEq + Send + Sync + 'static {
     }
 }
 
-/// Implements [`Method`] for an enum. Each row of the given table has a variant, its name and its help.
+/// Implements [`Method`] for an enum. Each line of the argument gives a variant, its name and its help. Variants are
+/// listed from the cheapest to the most expensive.
 macro_rules! methods {
     ($name:ty { $($variant:ident = $text:literal: $help:literal,)+ }) => {
         impl $crate::method::Method for $name {

@@ -21,7 +21,7 @@ pub struct Reporter {
 enum Listener {
     Nobody,
     Terminal,
-    /// Lines of a log on standard error, which isn't a terminal.
+    /// Lines of a log on standard error, if standard error isn't a terminal.
     Log,
     Lines,
 }
@@ -70,7 +70,7 @@ impl Reporter {
         Self { to: Listener::Lines }
     }
 
-    /// Starts a task of `total` steps, whose progress is shown.
+    /// Starts a task of `total` steps, and shows the number of finished steps and the time left.
     pub fn task(&self, label: &str, total: usize) -> Task {
         let template = "{msg:28} {bar:30} {pos}/{len}  {eta} left";
         let bar = self.bar(label, Some(total as u64), template);
@@ -194,8 +194,8 @@ struct TimeLeft {
 }
 
 /// Returns the progress as one line. The time left is extrapolated from the steps of this run, without the first
-/// `resumed` steps, which an earlier run has done. A new estimate is made after each finished step. Until the next one,
-/// the time left counts down from `estimate`.
+/// `resumed` steps, which an earlier run has done. A new estimate is made after each finished step. Until the next
+/// estimate, the time left counts down from `estimate`.
 fn state(bar: &ProgressBar, resumed: u64, estimate: &mut TimeLeft) -> String {
     let (label, done, elapsed_s) = (bar.message(), bar.position(), bar.elapsed().as_secs_f64());
     let Some(total) = bar.length() else {

@@ -9,8 +9,8 @@ impl Random {
         Self(seed)
     }
 
-    /// Creates a generator for one purpose. Generators with the same seed and different purposes give independent
-    /// numbers.
+    /// Creates a generator from a seed and a purpose, which is any string. Generators with the same seed and different
+    /// purposes give independent numbers.
     pub fn stream(seed: u64, purpose: &str) -> Self {
         let mut hasher = blake3::Hasher::new();
         hasher.update(&seed.to_le_bytes());

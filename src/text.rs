@@ -4,12 +4,12 @@
 /// excludes Hangul fillers, which are invisible letters.
 pub const ID_PATTERN: &str =
     r"^(?! )(?!\.{1,2}$)(?!.*[\u115F\u1160\u3164\uFFA0])[\p{Alphabetic}\p{N}_. -]+(?<! )$";
-/// Maximum number of characters of an id.
+/// Maximum number of characters of the id of a camera or a view.
 pub const MAX_ID_LENGTH: usize = 100;
 
-/// Maximum number of characters of a name.
+/// Maximum number of characters of a name that is displayed, such as the name of a scene.
 pub const MAX_NAME_LENGTH: usize = 1000;
-/// Maximum number of characters of a number in a message.
+/// Maximum number of characters of a number in a message. Longer numbers are written with an exponent.
 const MAX_NUMBER_LENGTH: usize = 24;
 
 /// Checks that an id can name a file. An id has at most [`MAX_ID_LENGTH`] characters: visible letters, digits, `_`,

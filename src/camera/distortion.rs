@@ -17,8 +17,8 @@ pub(super) enum Distortion {
     /// Brown's model. With s = x² + y², the radial factor is (1 + k₁s + k₂s² + k₃s³) / (1 + k₄s + k₅s² + k₆s³). `p`
     /// holds the tangential coefficients p₁ and p₂.
     Brown { k: [f64; 6], p: [f64; 2] },
-    /// Kannala and Brandt's fisheye model. It maps the angle θ from the axis to the distorted radius θ (1 + k₁θ² + k₂θ⁴
-    /// + k₃θ⁶ + k₄θ⁸).
+    /// Kannala and Brandt's fisheye model. The distorted radius is θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸), where θ is the
+    /// angle from the axis.
     Fisheye { k: [f64; 4] },
     /// FOV, division or EUCM model: a radial map whose inverse has a closed form.
     Curve(RadialCurve),
@@ -96,7 +96,7 @@ impl Distortion {
     }
 
     /// Returns the Jacobian of [`Self::distorted`] at the point `n`, for Brown's model. The other models are inverted
-    /// without a Jacobian, and get the identity matrix.
+    /// without this function; for them, it returns the identity matrix.
     fn derivative(&self, n: &Point2<f64>) -> Matrix2<f64> {
         let Self::Brown { k, p: [p1, p2] } = self else { return Matrix2::identity() };
         let (x, y) = (n.x, n.y);
@@ -117,7 +117,7 @@ impl Distortion {
 }
 
 /// Inverts the fisheye model by Newton's method with a bracket on the angle from the axis. `d` is the distorted point.
-/// `None` if no angle in the invertible range, below [`MAX_ANGLE`], has the distorted radius |d|.
+/// `None` if no angle in the invertible range, below [`MAX_ANGLE`], is mapped to the distorted radius |d|.
 fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
     let target = d.coords.norm();
     if target == 0.0 {
@@ -174,13 +174,14 @@ fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
     slope
 }
 
-/// Returns the coefficients of the distorted radius over θ: 1 + k₁θ² + …, in ascending powers of θ².
+/// Returns the coefficients of the fisheye model's distorted radius divided by the angle θ: 1 + k₁θ² + …, in ascending
+/// powers of θ².
 fn angular(k: &[f64; 4]) -> [f64; 5] {
     [1.0, k[0], k[1], k[2], k[3]]
 }
 
-/// Returns the coefficients of the derivative of the distorted radius with respect to θ: 1 + 3 k₁θ² + 5 k₂θ⁴ + …, in
-/// ascending powers of θ².
+/// Returns the coefficients of the derivative of the fisheye model's distorted radius with respect to the angle θ: 1 +
+/// 3 k₁θ² + 5 k₂θ⁴ + …, in ascending powers of θ².
 fn angular_slope(k: &[f64; 4]) -> [f64; 5] {
     [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]]
 }

@@ -9,8 +9,8 @@ use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 pub struct EpipolarLine {
     /// Unit vector perpendicular to the line.
     pub normal: Vector2<f64>,
-    /// Signed distance of the image's origin from the line, pixels. It is positive on the side to which the normal
-    /// points.
+    /// Signed distance of the origin of pixel coordinates from the line, pixels. It is positive on the side to which
+    /// the normal points.
     pub offset: f64,
 }
 
@@ -29,16 +29,16 @@ impl EpipolarLine {
 
 /// The fundamental matrix F of an ordered pair of cameras (i, j), eq. (1) of the paper.
 ///
-/// Pixel positions in both images are undistorted: those that
-/// [`ideal_from_pixel`](super::CameraModel::ideal_from_pixel) returns.
+/// Pixel positions in both images are undistorted, as returned by
+/// [`ideal_from_pixel`](super::CameraModel::ideal_from_pixel).
 #[derive(Clone, Debug)]
 pub struct EpipolarGeometry {
     /// The matrix F. The pixel `p_i` of image i has the epipolar line `j_from_i · p_i` in image j.
     j_from_i: Matrix3<f64>,
 }
 
-/// Minimum baseline, as a fraction of the distance from the world's origin to the farther camera centre. The direction
-/// of a shorter baseline is dominated by rounding errors.
+/// Minimum baseline, as a fraction of the distance from the world's origin to the farther camera centre. A shorter
+/// baseline counts as 0, because its direction is dominated by rounding errors.
 const MIN_BASELINE_FRACTION: f64 = 1e-12;
 
 /// Minimum length of the normal of an epipolar line F p, as a fraction of the norm of F. If the normal is shorter, the

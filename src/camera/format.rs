@@ -101,7 +101,8 @@ const MAX_SIZE_PX: u32 = 65_536;
 const MAX_TRANSLATION_M: f64 = 1e12;
 /// Maximum number of pixels of a view: 8K of digital cinema. Rendering takes about 32 bytes per pixel.
 const MAX_VIEW_PIXELS: u64 = 8192 * 4320;
-/// Maximum difference of a quaternion's length from 1. Quaternions from Blender have single precision.
+/// Maximum accepted difference of a quaternion's length from 1. The quaternion is then normalized. Quaternions from
+/// Blender have single precision.
 pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
 impl ViewFormat {

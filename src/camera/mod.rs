@@ -93,7 +93,7 @@ impl Camera {
         self.cam_from_world.inverse_transform_point(&Point3::origin())
     }
 
-    /// Returns the camera translated by `shift_m`, in metres along its own axes right, down and forward.
+    /// Returns the camera translated by `shift_m`, in metres along the camera's own axes: right, down and forward.
     pub fn shifted(&self, shift_m: Vector3<f64>) -> Self {
         let cam_from_world = Translation3::from(-shift_m) * self.cam_from_world;
         Self { cam_from_world, ..self.clone() }

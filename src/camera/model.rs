@@ -55,7 +55,8 @@ pub enum CameraModel {
 }
 
 impl CameraModel {
-    /// All camera models: COLMAP's name, the model's number in COLMAP's binary files, and the number of parameters.
+    /// All camera models. Each entry is COLMAP's name of the model, the model's number in COLMAP's binary files, and
+    /// its number of parameters.
     pub const KNOWN: [(&str, i32, usize); 17] = [
         ("SIMPLE_PINHOLE", 0, 3),
         ("PINHOLE", 1, 4),

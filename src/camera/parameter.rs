@@ -6,9 +6,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 /// One parameter of a camera's calibration. The unit of its changes follows from the kind of parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraParameter {
-    /// Rotation of the camera about its centre, around the world's axis 0, 1 or 2, radians.
+    /// Rotation of the camera about its centre, around the world's axis x (0), y (1) or z (2), radians.
     Rotation(usize),
-    /// Translation of the camera's centre along the world's axis 0, 1 or 2, metres.
+    /// Translation of the camera's centre along the world's axis x (0), y (1) or z (2), metres.
     Center(usize),
     /// Natural logarithm of the focal lengths. A change scales fx and fy by the same factor.
     Focal,
@@ -20,7 +20,7 @@ pub enum CameraParameter {
 }
 
 impl CameraParameter {
-    /// The six parameters of a pose: rotations, then translations.
+    /// The six parameters of a pose: the rotations about the axes x, y and z, then the translations along these axes.
     pub const POSE: [Self; 6] = [
         Self::Rotation(0),
         Self::Rotation(1),

@@ -51,7 +51,8 @@ impl PrismFisheye {
             && self.derivative(w).determinant() > MIN_SLOPE
     }
 
-    /// Returns the radial factor 1 + k₁s + … + k₆s⁶, and its derivative with respect to s.
+    /// Returns the radial factor 1 + k₁s + … + k₆s⁶, and its derivative with respect to s. s is the squared angle from
+    /// the axis.
     fn radial(&self, s: f64) -> (f64, f64) {
         let [k1, k2, k3, k4, k5, k6] = self.k;
         let value = polynomial(&[1.0, k1, k2, k3, k4, k5, k6], s);
@@ -66,7 +67,8 @@ impl PrismFisheye {
         Point2::from(q + b * (2.0 * p.dot(&b)) + p * b2 + prism)
     }
 
-    /// Returns the Jacobian of [`Self::project_angles`] at `w`.
+    /// Returns the Jacobian of the distorted point with respect to `w`. `w` is an undistorted point, converted by
+    /// [`angles`].
     fn derivative(&self, w: &Point2<f64>) -> Matrix2<f64> {
         let (value, slope) = self.radial(w.coords.norm_squared());
         let by_radius = w.coords * w.coords.transpose() * (2.0 * slope);

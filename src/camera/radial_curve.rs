@@ -28,8 +28,8 @@ impl RadialCurve {
         }
     }
 
-    /// Returns whether the distorted radius grows with the radius at r. False for parameters that the model doesn't
-    /// allow.
+    /// Returns whether the distorted radius grows with the undistorted radius at `r`, a radius on the plane z = 1.
+    /// False if the model's parameters are outside of their valid range.
     pub fn is_short_of_fold(&self, r: f64) -> bool {
         match *self {
             Self::Fov { omega } => omega.abs() < std::f64::consts::PI && r.is_finite(),
@@ -41,7 +41,7 @@ impl RadialCurve {
         }
     }
 
-    /// Returns the point whose distorted image is `d`. `None` if no such point exists.
+    /// Returns the point of the plane z = 1 that the distortion maps to `d`. `None` if no such point exists.
     pub fn undistorted(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
         let rd = d.coords.norm();
         let factor = match *self {

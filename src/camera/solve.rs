@@ -3,18 +3,19 @@
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Newton's iteration stops after a step whose length, relative to the current solution, is below this value.
+/// Maximum relative length of the last step of Newton's iteration. The length is relative to 1 + |n| for a point n, and
+/// to θ for an angle θ.
 pub(super) const STEP: f64 = 1e-14;
 /// Maximum number of Newton steps. Usually 3 to 6 steps suffice. At the border of the invertible domain, convergence is
 /// linear and takes about 30 steps.
 pub(super) const ITERATIONS: usize = 60;
-/// In the invertible domain, the derivative of the distorted radius and the determinant of the distortion's Jacobian
-/// are above this value.
+/// Lower bound that defines the invertible domain. In this domain, the derivative of the distorted radius and the
+/// determinant of the distortion's Jacobian are above this value.
 pub(super) const MIN_SLOPE: f64 = 1e-9;
-/// Maximum distance between the distorted solution and the given distorted point d, in units of the plane z = 1. The
-/// limit is this value times 1 + |d|.
+/// Maximum residual of the inversion: the distance, on the plane z = 1, between the distorted solution and the given
+/// distorted point d. The limit is this value times 1 + |d|.
 pub(super) const MAX_RESIDUAL: f64 = 1e-12;
-/// Maximum angle from the optical axis, radians. A ray at 90° doesn't meet the plane z = 1.
+/// Maximum angle of a ray from the optical axis, radians. A ray at 90° doesn't meet the plane z = 1.
 pub(super) const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
 
 /// Inverts a map of the plane by Newton's method: returns the point of the domain that `value` maps to `d`. `None` if

@@ -26,14 +26,15 @@ const SIGMA_PX: f64 = 0.6 * RADIUS_PX as f64;
 const ITERATIONS: usize = 12;
 /// Length of a step below which the tracker has converged, in pixels.
 const EPSILON_PX: f64 = 0.02;
-/// Standard deviation of the Gaussian prior on the deformation. For each entry of the matrix, the prior's mean is
-/// the entry of the initial matrix. For the gain, the prior's mean is 1.
+/// Standard deviation of the Gaussian prior on each entry of the deformation matrix and on the gain. The prior's mean
+/// is the entry of the initial matrix ([`AffineStart::deformation`]), and 1 for the gain.
 const DEFORMATION: f64 = 0.1;
 /// Maximum distance of the result from the initial guess, pixels.
 const MAX_SHIFT_PX: f64 = 5.0;
 /// Number of parameters: the shift (2), the entries of the matrix row by row (4), the gain and the bias.
 const N: usize = 8;
-/// Standard deviation of the noise of grey values, which are in 0..=1. It determines the weight of the prior.
+/// Standard deviation of the noise of grey values, which are in 0..=1. Larger: the prior on the deformation weighs
+/// more.
 const NOISE: f64 = 0.012;
 /// Contribution of the prior to the diagonal of the normal matrix, for the parameters in [`DEFORMED`].
 const PRIOR: f64 = (NOISE / DEFORMATION) * (NOISE / DEFORMATION);
@@ -42,7 +43,8 @@ const DEFORMED: std::ops::Range<usize> = 2..7;
 /// Maximum gain between two windows. The minimum gain is the inverse.
 const MAX_GAIN: f64 = 4.0;
 
-/// A tracker of affinely deforming windows. Its buffers are reused from point to point.
+/// A tracker of windows that deform affinely from the source image to the target image. Its buffers are reused from
+/// window to window.
 #[derive(Debug)]
 pub struct AffineTracker {
     /// Column of each sample of a row, relative to the middle of the window.
@@ -70,7 +72,7 @@ pub struct AffineStart {
     /// Initial guess of the middle of the window in the target image, in pixels.
     pub guess: Point2<f64>,
     /// Initial guess of the 2×2 matrix from window coordinates in the source to window coordinates in the target.
-    /// The prior draws the result towards this matrix.
+    /// Window coordinates are pixels from the window's middle. The prior draws the result towards this matrix.
     pub deformation: Matrix2<f64>,
 }
 
@@ -79,10 +81,11 @@ pub struct AffineStart {
 pub struct Deformed {
     /// Middle of the window in the target image, in pixels.
     pub position: Point2<f64>,
-    /// 2×2 matrix from window coordinates in the source to window coordinates in the target.
+    /// 2×2 matrix from window coordinates in the source to window coordinates in the target. Window coordinates are
+    /// pixels from the window's middle.
     pub deformation: Matrix2<f64>,
-    /// Weighted mean absolute difference of the two windows' grey values (0 to 1), after correction for gain
-    /// and bias.
+    /// Weighted mean absolute difference between the grey values (0 to 1) of the windows in the source and the target,
+    /// after correction for gain and bias.
     pub residual: f64,
     /// Residual divided by the contrast of the window in the source. The contrast is the mean absolute deviation of
     /// the grey values from their mean. The ratio is 0 for equal windows and near 1 for unrelated windows.

@@ -16,7 +16,8 @@ const SUPPORT_FRACTION: f64 = 0.2;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Moved {
     pub at: Point2<f64>,
-    /// Displacement of the point, pixels.
+    /// Displacement of the point between two frames, or its displacement from an initial guess ([`innovations`]),
+    /// pixels.
     pub motion: Vector2<f64>,
     /// Linear part (2×2 matrix) of the affine motion around the point. It is the identity if the motion is a
     /// translation.
@@ -34,9 +35,9 @@ impl Moved {
     }
 }
 
-/// Returns, for each start, the displacement from the initial guess to the match. It is attached to the source
-/// point. `None` for a start without a match. Deformations are the identity, because the initial guesses already
-/// account for deformation.
+/// Returns, for each start, the displacement from its initial guess to its match. `None` for a start without a match.
+/// The [`Moved`] are at the source points. Their deformations are the identity, because windows were tracked by
+/// translation only, or because the initial guesses already account for deformation.
 pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Option<Moved>> {
     let of = |(start, m): (&Start, &Option<Match>)| {
         let deformation = Matrix2::identity();

@@ -136,7 +136,7 @@ fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32>
     out
 }
 
-/// A row of structure tensors, stored as three planes: xx, xy, yy.
+/// The structure tensors of a row of pixels. `planes` holds one array each for the entries xx, xy and yy.
 struct Tensor {
     planes: [Vec<f32>; 3],
 }
@@ -146,8 +146,8 @@ impl Tensor {
         Self { planes: std::array::from_fn(|_| vec![0.0; width]) }
     }
 
-    /// Adds the values of another row, multiplied by `factor`. The other row's value at index k + `shift` is added to
-    /// the value at index k.
+    /// Adds the tensors of another row, multiplied by `factor`. The other row's tensor at index k + `shift` is added to
+    /// the tensor at index k.
     #[inline(always)]
     fn add(&mut self, other: &Self, shift: usize, factor: f32) {
         for (plane, other) in self.planes.iter_mut().zip(&other.planes) {
@@ -157,8 +157,8 @@ impl Tensor {
         }
     }
 
-    /// Stores the products of the derivatives of the level's row `y`. The products are scaled by [`SCHARR_SCALE`]
-    /// squared. The values at both ends are repeated `margin` times.
+    /// Computes the tensors of row `y` of the level: the products of the derivatives at each pixel. The products are
+    /// scaled by [`SCHARR_SCALE`] squared. The tensors at both ends of the row are repeated `margin` times.
     #[inline(always)]
     fn load<V: F32x8>(&mut self, level: &PyramidLevel, y: usize, margin: usize) {
         let [xx, xy, yy] = &mut self.planes;

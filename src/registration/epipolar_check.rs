@@ -13,17 +13,18 @@ use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{CaptureError, RowTimes};
 use nalgebra::Point2;
 
-/// The result of the epipolar test of a track. If several references test a track, the final result is the largest
-/// of their results, in the order of this enum.
+/// The result of the epipolar test of a track. If several references test a track, the final result is the last of
+/// their results in the order of this enum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
-    /// No reference can test the track, because its feature has no match in a reference or moves along the epipolar
-    /// line.
+    /// No reference can test the track, because its feature has no match in a reference frame or moves along its
+    /// epipolar line.
     Untestable,
-    /// The feature's match in a reference (its spatial correspondence) is on the epipolar line, eq. (3).
+    /// The feature's match in a reference frame (its spatial correspondence) is within the tolerance ε of its epipolar
+    /// line, eq. (3).
     Passed,
-    /// The feature's match in a reference is off the epipolar line. Either the track or the match is wrong, and
-    /// neither is used.
+    /// The feature's match in a reference frame is farther than the tolerance ε from its epipolar line. Either the
+    /// track or the match is wrong, and neither is used.
     Rejected,
 }
 
@@ -32,7 +33,7 @@ pub enum Verdict {
 struct InReference {
     /// Position in the image of the reference camera, pixels.
     position: Point2<f64>,
-    /// Time at which the position was exposed, in seconds on the common clock.
+    /// Time at which the image row of the position was exposed, in seconds on the common clock.
     time_s: f64,
 }
 
@@ -119,11 +120,13 @@ pub fn epipolar_check(
     Ok(verdicts)
 }
 
-/// Motion between the two frames, in pixels, up to which a feature is always testable. If a feature moves farther, it
-/// is testable only if its epipolar line shifts by at least [`MIN_ACROSS_FRACTION`] of its motion.
+/// Motion of a feature between its track's two frames, in pixels, up to which the feature is always testable. If the
+/// feature moves farther, it is testable only if its epipolar line shifts by at least [`MIN_ACROSS_FRACTION`] of its
+/// motion.
 const MIN_TEST_MOTION_PX: f64 = 1.0;
 /// Minimum shift of a testable feature's epipolar line in the reference camera, as a fraction of the feature's motion.
-/// Both are displacements between the two frames.
+/// Shift and motion are displacements, in pixels, between the track's two frames. If the shift is smaller, the feature
+/// moves along its epipolar line, and the test can't detect an error of its motion.
 const MIN_ACROSS_FRACTION: f64 = 0.1;
 /// Number of pyramid levels in the second attempt to track a feature into the reference camera. The second attempt
 /// starts from the displacement that the motion prior predicts.

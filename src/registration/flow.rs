@@ -8,8 +8,8 @@ use rayon::prelude::*;
 /// Number of pyramid levels for tracking backward. The initial guess is close to the result, so that two levels are
 /// sufficient.
 const BACKWARD_LEVELS: usize = 2;
-/// Height of the horizontal bands in which points are tracked together, in pixels. The windows of one band fit into
-/// the processor's cache.
+/// Height, in pixels, of horizontal bands of the image. Points are tracked band by band. The windows of one band fit
+/// into the processor's cache.
 const BAND_PX: f64 = 24.0;
 /// Minimum number of points in one parallel task.
 const CHUNK: usize = 128;
@@ -24,7 +24,7 @@ pub struct Match {
     /// Linear part (2×2 matrix) of the affine motion around the point. It is the identity if the window was tracked
     /// by translation only.
     pub deformation: Matrix2<f64>,
-    /// Mean absolute difference of the two windows' grey values, which are in 0..=1.
+    /// Mean absolute difference between the grey values (0 to 1) of the windows in the source and the target frame.
     pub residual: f64,
     /// Forward–backward error: the distance, in pixels, from `source` to the position to which `target` is tracked
     /// back.

@@ -26,7 +26,8 @@ impl Frame {
         Self { image, pyramid, corners, gradients }
     }
 
-    /// Returns the frame with another image, which shows the same at another exposure. Both share the pyramid.
+    /// Returns a copy of the frame with another image, which shows the same scene at another exposure. The copy shares
+    /// the pyramid.
     pub(super) fn with_image(&self, image: Image) -> Self {
         let (corners, gradients) = (OnceLock::new(), OnceLock::new());
         Self { image, pyramid: self.pyramid.clone(), corners, gradients }
@@ -38,12 +39,13 @@ impl Frame {
         self.corners.get_or_init(|| corners(&self.pyramid.levels[0], options.max_corners))
     }
 
-    /// Returns the gradients for the SIFT descriptors of rotating patches. The first call computes the gradients.
+    /// Returns the gradients for the SIFT descriptors of rotating patches. They are computed on the first call.
     pub(super) fn gradients(&self) -> &PolarGradients {
         self.gradients.get_or_init(|| polar_gradients(&self.pyramid))
     }
 
-    /// Returns the size in memory, in bytes, of a frame of this width and height: its image, pyramid and gradients.
+    /// Returns the size in memory, in bytes, of a frame. `size` is its width and height in pixels. The frame's image,
+    /// pyramid and gradients are counted.
     pub(super) fn bytes_of(
         size: [usize; 2],
         channels: usize,

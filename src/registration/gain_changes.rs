@@ -1,15 +1,15 @@
 //! Changes of the cameras' gains over their recordings, by automatic exposure and white balance.
 //!
 //! A few sampled frames of each camera decide whether its gains change, and only then more frames are sampled. Since
-//! cameras stand still, two frames of a camera are compared pixel by pixel, in small blocks. A block counts if it has
-//! texture, and if the texture is the same in both frames up to the gains: then nothing moved there. The ratios between
-//! many pairs of samples are solved for the gains of all samples by weighted least squares.
+//! cameras stand still, two frames of a camera are compared pixel by pixel, in small blocks. A block is used if it has
+//! texture, and if its textures in both frames are strongly correlated, so that nothing moved there. The gains of all
+//! sampled frames are then estimated from the ratios of light between many pairs of them, by weighted least squares.
 //!
-//! If the gains of all cameras change alike, the light of the scene changes, or one control exposes all cameras. Their
-//! images agree at every instant then, and nothing is corrected.
+//! If the gains of all cameras change alike, the light of the scene changes, or one exposure control governs all
+//! cameras. In both cases, the images of the cameras agree at every instant, and nothing is corrected.
 //!
-//! Known limits: the gains of a single camera are not corrected. A change between two samples, or one that is undone
-//! between them, is missed or smoothed. The middle frame must have still texture that is neither black nor clipped.
+//! Known limits: the gains of a single camera are not corrected. A change that is shorter than the time between two
+//! sampled frames is missed or smoothed. The middle frame must have still texture that is neither black nor clipped.
 
 use super::gain_curve::{GainCurve, GainKnot};
 use super::gain_ratios::{
@@ -21,31 +21,33 @@ use rayon::prelude::*;
 
 /// Number of sampled frames that decide whether a camera's gains change.
 const FEW: usize = 5;
-/// Maximum number of sampled frames of a camera.
+/// Maximum number of sampled frames of a camera whose gains change.
 const MAX_FRAMES: usize = 64;
-/// Maximum number of knots of a curve: the middle frame may lie between the other samples.
+/// Maximum number of knots of a camera's gain curve: one per sampled frame. The middle frame is sampled in addition to
+/// [`MAX_FRAMES`] evenly spread frames.
 pub(super) const MAX_KNOTS: usize = MAX_FRAMES + 1;
-/// Time between sampled frames of a camera whose gains change, seconds, unless this gives fewer than [`FEW`] frames
-/// or more than [`MAX_FRAMES`].
+/// Time in seconds between sampled frames of a camera whose gains change. In a short recording it is shorter, to give
+/// [`FEW`] frames. In a long recording it is longer, to give at most [`MAX_FRAMES`] frames.
 const INTERVAL_S: f64 = 0.5;
-/// Maximum width of the compared images, pixels; larger images are halved repeatedly.
+/// Maximum width of the images that are compared, in pixels. The size of a larger image is halved repeatedly.
 const WIDTH_PX: usize = 125;
-/// Side of a block, pixels of the compared images. Smaller: more chance correlations of moving bodies. Larger: fewer
+/// Side of a block, in pixels of the reduced images. Smaller: more chance correlations of moving bodies. Larger: fewer
 /// still blocks between moving bodies.
 const BLOCK_PX: usize = 7;
-/// Minimum number of usable pixels in a block.
+/// Minimum number of pixels of a block with values in [`USABLE`] in both frames. Other blocks aren't compared.
 const MIN_PIXELS: usize = BLOCK_PX * BLOCK_PX / 2;
-/// Minimum standard deviation of the logarithm of light within a block with texture. Smaller: noise counts as texture.
+/// Minimum standard deviation of the logarithm of linear light within a block. A block with less has no texture and is
+/// not used. Smaller: noise counts as texture.
 const MIN_CONTRAST: f64 = 0.05;
-/// Minimum correlation of a block's texture in two frames if nothing moves there. Smaller: moving bodies count as
-/// still. Larger: noisy images have no still blocks.
+/// Minimum correlation between a block's textures in two frames. A block with at least this correlation is still:
+/// nothing moves there. Smaller: moving bodies count as still. Larger: noisy images have no still blocks.
 const MIN_CORRELATION: f64 = 0.9;
-/// Minimum fraction of still blocks among those with texture. Below this, chance correlations of moving bodies may
-/// outnumber still blocks.
+/// Minimum fraction of still blocks among a frame pair's blocks with texture. Below this fraction, the pair is not
+/// used, because chance correlations of moving bodies may outnumber still blocks.
 const MIN_STILL_FRACTION: f64 = 0.2;
 
-/// Estimates the change of each camera's gains over its recording. Frames that can't be read are left out. The read
-/// error is reported later, when the frame is used.
+/// Estimates the change of each camera's gains over its recording. Returns one curve per camera. Frames that can't be
+/// read are left out. The read error is reported later, when the frame is used.
 pub(super) fn gain_curves(capture: &Capture) -> Vec<GainCurve> {
     let count = capture.cameras.len();
     let mut curves = vec![GainCurve::default(); count];
@@ -57,7 +59,7 @@ pub(super) fn gain_curves(capture: &Capture) -> Vec<GainCurve> {
     let refined = changing(&few).into_par_iter().map(|camera| {
         let times_s = &capture.cameras[camera].clock.times_s;
         let duration_s = times_s[times_s.len() - 1] - times_s[0];
-        // The quotient saturates for recordings of any length.
+        // For a very long recording, the conversion saturates.
         let frames = (duration_s / INTERVAL_S).ceil() as usize;
         let frames = frames.saturating_add(1).clamp(FEW, MAX_FRAMES);
         (camera, MeasuredGains::measure(capture, camera, frames).curve())
@@ -68,7 +70,8 @@ pub(super) fn gain_curves(capture: &Capture) -> Vec<GainCurve> {
     curves
 }
 
-/// Returns the cameras whose gains change, but not as those of all other cameras.
+/// Returns the indices of the cameras whose gains change significantly, and differently from those of at least one
+/// other camera.
 fn changing(all: &[MeasuredGains]) -> Vec<usize> {
     let differs = |c: usize| (0..all.len()).any(|d| d != c && all[c].differs(&all[d]));
     (0..all.len()).filter(|&c| all[c].changes() && differs(c)).collect()
@@ -77,9 +80,9 @@ fn changing(all: &[MeasuredGains]) -> Vec<usize> {
 /// The gains of a camera at one sampled frame, relative to its middle frame.
 #[derive(Clone, Debug)]
 struct SampledGains {
-    /// Seconds on the camera's own clock.
+    /// Time of the frame, in seconds on the camera's own clock.
     time_s: f64,
-    /// Gain of each channel: red, green, blue.
+    /// Logarithms of the gains of red, green and blue.
     gains: [LogGain; 3],
 }
 
@@ -101,8 +104,9 @@ impl MeasuredGains {
         Self::solve(&samples, middle, &times_s.collect::<Vec<f64>>())
     }
 
-    /// Computes the gains of samples relative to sample `middle`, from ratios between successive samples, and between
-    /// each sample and the middle one.
+    /// Computes the gains of sampled frames relative to sample `middle`. The ratios of light between successive
+    /// samples, and between each sample and the middle one, are used. `None` in `samples` is a frame that can't be
+    /// read.
     fn solve(samples: &[Option<LogImage>], middle: usize, times_s: &[f64]) -> Self {
         let successive = (1..samples.len()).map(|k| [k - 1, k]);
         let others = (0..samples.len()).filter(|k| k.abs_diff(middle) > 1);
@@ -133,8 +137,8 @@ impl MeasuredGains {
         (0..3).any(|c| LogGain::vary(&self.channel(c)))
     }
 
-    /// Returns whether the gain of any channel changes significantly relative to that of another camera. Clocks are
-    /// compared without their offset, which is not yet known.
+    /// Returns whether the ratio of this camera's gain to another camera's gain changes significantly, in any channel.
+    /// The offset between the two cameras' clocks is not yet known and is assumed to be 0.
     fn differs(&self, other: &Self) -> bool {
         let (Some(first), Some(last)) = (other.0.first(), other.0.last()) else { return false };
         let within = |s: &&SampledGains| (first.time_s..=last.time_s).contains(&s.time_s);
@@ -149,13 +153,15 @@ impl MeasuredGains {
         })
     }
 
-    /// Returns the curve of the channels whose gains change significantly. It is constant if there are none.
+    /// Returns the gain curve. Channels whose gains don't change significantly are constant in it. The whole curve is
+    /// constant if no channel's gain changes significantly.
     fn curve(&self) -> GainCurve {
         let change = [0, 1, 2].map(|c| LogGain::vary(&self.channel(c)));
         if change.contains(&true) { self.curve_of(change) } else { GainCurve::default() }
     }
 
-    /// Returns the curve through all samples, with the gains of the selected channels.
+    /// Returns the curve with one knot per sampled frame. Channels that aren't selected by `channels` are constant in
+    /// the curve.
     fn curve_of(&self, channels: [bool; 3]) -> GainCurve {
         let log = |s: &SampledGains, c: usize| if channels[c] { s.gains[c].log } else { 0.0 };
         let knot =
@@ -164,8 +170,9 @@ impl MeasuredGains {
     }
 }
 
-/// Returns about `count` of a recording's frames, ascending and spread evenly, with the first, the middle and the last
-/// one; and the position of the middle frame among them.
+/// Selects about `count` frames of a recording of `frames` frames. They are spread evenly and include the first, the
+/// middle and the last frame. Returns the indices of the selected frames, ascending, and the position of the middle
+/// frame in this list.
 fn spread(frames: usize, count: usize) -> (Vec<usize>, usize) {
     let last = frames.saturating_sub(1);
     let steps = count.saturating_sub(1).max(1);
@@ -177,13 +184,13 @@ fn spread(frames: usize, count: usize) -> (Vec<usize>, usize) {
     (chosen, middle)
 }
 
-/// A shrunk frame of a camera.
+/// The logarithms of the light in a frame of a camera. The frame is reduced to a width of at most [`WIDTH_PX`].
 struct LogImage {
     width: usize,
     height: usize,
     channels: usize,
-    /// The logarithm of every pixel's linear light, row by row, channels interleaved; NaN in pixels with a value
-    /// outside [`USABLE`].
+    /// The natural logarithm of each pixel's linear light, row by row, channels interleaved. All channels of a pixel
+    /// are NaN if one of its values is outside [`USABLE`].
     logs: Vec<f32>,
 }
 
@@ -210,8 +217,8 @@ impl LogImage {
     }
 }
 
-/// Returns, for each still block, the logarithm of the ratio of its light in `b` to that in `a`, by channel. Both are
-/// frames of one camera. The result is empty if too few of the blocks are still.
+/// Returns, for each still block, the natural logarithm of the ratio of its light in frame `b` to its light in frame
+/// `a`, by channel. Both are frames of one camera. The result is empty if too few blocks are still.
 fn still_ratios(a: &LogImage, b: &LogImage) -> Vec<[f64; 3]> {
     let [columns, rows] = [a.width / BLOCK_PX, a.height / BLOCK_PX];
     let places = (0..rows * columns).map(|k| [k % columns, k / columns]);
@@ -223,17 +230,19 @@ fn still_ratios(a: &LogImage, b: &LogImage) -> Vec<[f64; 3]> {
     if logs.len() as f64 >= min { logs } else { Vec::new() }
 }
 
-/// A block in two frames.
+/// Comparison of a block of pixels between two frames of one camera.
 struct BlockRatio {
-    /// The mean logarithm of the ratio of light, by channel; three equal ones for grey frames.
+    /// Mean logarithm of the ratio of light in the second frame to light in the first, by channel. For grey frames, the
+    /// three values are equal.
     log: [f64; 3],
-    /// The correlation of the logarithms of light, without the channels' means.
+    /// Correlation between the two frames of the logarithms of light, over all pixels and channels of the block. Each
+    /// channel's mean is subtracted first.
     correlation: f64,
 }
 
 impl BlockRatio {
-    /// Compares a block of two frames. Returns `None` if the block lacks texture in one of them, or if fewer than
-    /// [`MIN_PIXELS`] pixels are usable in both.
+    /// Compares a block of two frames. Returns `None` if the block lacks texture in one of the frames, or if fewer than
+    /// [`MIN_PIXELS`] pixels are usable in both frames.
     fn with_texture(a: &LogImage, b: &LogImage, at: [usize; 2]) -> Option<Self> {
         let both =
             || a.block(at).zip(b.block(at)).filter(|(a, b)| !a[0].is_nan() && !b[0].is_nan());
@@ -282,7 +291,7 @@ mod tests {
         body: f64,
         /// Brightness of the body relative to the wall.
         body_light: f64,
-        /// The body's texture.
+        /// Phase offset of the body's texture, radians.
         seed: f64,
         /// Standard deviation of the noise of encoded values.
         noise: f64,
@@ -381,7 +390,7 @@ mod tests {
         let curve = FilmedWall { log: reddening, ..STEADY }.measured().curve();
         let [r, g, b] = curve.log_at(8.0 * FRAME_S);
         assert!((r - 4.0 * FRAME_S).abs() < 0.006 && (g, b) == (0.0, 0.0), "{r} {g} {b}");
-        // Below the smallest difference.
+        // The change is too small to be corrected.
         let slight = |time_s: f64, _: usize| 0.08 * time_s;
         assert!(FilmedWall { log: slight, ..STEADY }.measured().curve().is_constant());
     }

@@ -1,25 +1,25 @@
-//! A camera's gains as a function of time, as automatic exposure and white balance change them.
+//! A camera's gains as a function of time. Automatic exposure and white balance change them.
 
 use serde::{Deserialize, Serialize};
 
-/// The change of a camera's gains over its recording, relative to its gains at the middle frame: piecewise linear in
-/// the logarithm. Without knots, the gains are constant.
+/// The change of a camera's gains over its recording, relative to its gains at the middle frame. The logarithms of the
+/// gains are piecewise linear in time. Without knots, the gains are constant.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GainCurve {
     /// The knots, ascending in time.
     knots: Vec<GainKnot>,
 }
 
-/// A measured sample of a [`GainCurve`].
+/// A knot of a [`GainCurve`]: the camera's measured gains at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GainKnot {
-    /// Seconds on the camera's own clock.
+    /// Time of the knot, in seconds on the camera's own clock.
     pub time_s: f64,
-    /// For red, green and blue the logarithm of the gain, relative to the middle frame.
+    /// Natural logarithms of the gains of red, green and blue, relative to the gains at the middle frame.
     pub log: [f64; 3],
 }
 
-/// Maximum absolute value of a knot's logarithm that is accepted when it is read from disk.
+/// Maximum absolute value of [`GainKnot::log`] that is accepted when a curve is read from disk.
 const MAX_LOG: f64 = 14.0;
 
 impl GainCurve {
@@ -46,9 +46,9 @@ impl GainCurve {
         ascend && self.knots.iter().all(|k| k.time_s.is_finite() && is_log(k))
     }
 
-    /// Returns the logarithm of the gains at `time_s`, seconds on the camera's own clock, relative to the middle frame.
-    /// Before the first knot, it is the logarithm of the first knot; after the last knot, that of the last one. It is 0
-    /// without knots.
+    /// Returns the natural logarithms of the gains of red, green and blue at `time_s`, relative to the gains at the
+    /// middle frame. `time_s` is in seconds on the camera's own clock. Before the first knot and after the last knot,
+    /// the gains are constant. Without knots, all logarithms are 0.
     pub fn log_at(&self, time_s: f64) -> [f64; 3] {
         let after = self.knots.partition_point(|k| k.time_s <= time_s);
         let (before, after) = (after.checked_sub(1), self.knots.get(after));
@@ -62,7 +62,8 @@ impl GainCurve {
         }
     }
 
-    /// Returns the largest change of a gain, as a ratio minus 1.
+    /// Returns the largest change of a channel's gain over the recording: the ratio of the largest to the smallest
+    /// gain, minus 1. It is 0 without knots.
     pub fn largest_change(&self) -> f64 {
         let range = |c: usize| {
             let logs = || self.knots.iter().map(|k| k.log[c]);

@@ -1,13 +1,13 @@
-//! Ratios of recorded light between images, and the gains that explain them best.
+//! Ratios of recorded light between images, and the gains of the images that fit these ratios by least squares.
 
 use crate::raster::Image;
 use nalgebra::{DMatrix, DVector};
 
-/// Minimum difference of a gain from 1, or of two gains of a camera, that is corrected. Between cameras with equal
-/// gains, moving objects and specular surfaces cause measured differences of up to 0.019. A difference of 0.03
-/// changes the brightest 8-bit values by 3.
+/// Minimum difference that is corrected: of a camera's gain from 1, or between a camera's gains at two times. Between
+/// cameras with equal gains, moving objects and specular surfaces cause measured differences of up to 0.019. A
+/// difference of 0.03 changes the brightest 8-bit values by 3.
 pub(super) const MIN_DIFFERENCE: f64 = 0.03;
-/// Minimum difference that is corrected, in units of its standard error.
+/// Minimum difference of gains that is corrected, in units of the difference's standard error.
 pub(super) const MIN_STD_ERRORS: f64 = 4.0;
 /// Minimum number of samples for a ratio between two images.
 pub(super) const MIN_SAMPLES: usize = 12;
@@ -19,17 +19,18 @@ const MIN_STD_ERR: f64 = 0.002;
 /// comparisons solvable.
 const PRIOR_STD_ERR: f64 = 10.0;
 
-/// Ratio of the linear light of image `images[1]` to that of image `images[0]`, on the same surfaces. For each
-/// channel the ratio's logarithm and the variance of the logarithm.
+/// Ratio of the linear light of image `images[1]` to that of image `images[0]`, on the same surfaces. Stored as the
+/// ratio's natural logarithm and the variance of this logarithm, for each channel.
 pub(super) struct Ratio {
-    /// Two different images by number.
+    /// Indices of two different images.
     pub images: [usize; 2],
     pub log: [f64; 3],
     pub variance: [f64; 3],
 }
 
 impl Ratio {
-    /// Returns the median of log ratios of single surfaces, by channel. Returns `None` for fewer than [`MIN_SAMPLES`].
+    /// Returns the median of the log ratios of single surfaces, by channel. Returns `None` for fewer than
+    /// [`MIN_SAMPLES`] log ratios.
     pub fn of_samples(images: [usize; 2], logs: &[[f64; 3]]) -> Option<Self> {
         if logs.len() < MIN_SAMPLES {
             return None;
@@ -46,7 +47,7 @@ impl Ratio {
     }
 }
 
-/// The logarithm of a gain relative to the reference image, with its standard error.
+/// The natural logarithm of an image's gain relative to the reference image, with its standard error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LogGain {
     pub log: f64,
@@ -64,8 +65,8 @@ impl LogGain {
     }
 }
 
-/// Solves for the gains of all images by weighted least squares, by image and channel. `None`: the image is not
-/// connected to the reference image by ratios. The gains of the reference image are 1.
+/// Solves for the gains of all images by weighted least squares. Returns three gains per image, one for each channel. A
+/// gain is `None` if no chain of ratios connects the image to the reference image. The reference image has gain 1.
 pub(super) fn solve_log_gains(
     images: usize,
     reference: usize,

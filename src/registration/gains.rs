@@ -38,11 +38,12 @@ pub struct Gains {
 
 /// Number of nearest cameras with which each camera is compared.
 const NEIGHBORS: usize = 2;
-/// Maximum width of the compared images, in pixels. The size of a larger image is halved repeatedly.
+/// Maximum width of the images whose features are compared, in pixels. The size of a larger image is halved repeatedly.
 const WIDTH_PX: usize = 250;
-/// Range of gains that are accepted when gains are read from disk.
+/// Range of gains that are accepted when gains are read from disk. Stored gains outside of this range are estimated
+/// again.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
-/// Half-width of the windows whose mean linear light is compared, pixels.
+/// Half-width, in pixels, of the windows around matched features whose mean linear light is compared.
 const RADIUS_PX: isize = 2;
 
 impl Gains {
@@ -69,7 +70,7 @@ impl Gains {
         cameras * (size_of::<[f64; 3]>() + MAX_KNOTS * size_of::<GainKnot>() + size_of::<usize>())
     }
 
-    /// Returns the size in memory, bytes.
+    /// Returns the size of the gains in memory, bytes.
     pub(super) fn bytes(&self) -> usize {
         let curves = self.curves.iter().map(|curve| size_of::<GainCurve>() + curve.bytes());
         size_of_val(&self.factors[..]) + curves.sum::<usize>()
@@ -94,9 +95,9 @@ impl Gains {
         [0, 1, 2].map(|c| factors[c] * log[c].exp())
     }
 
-    /// Converts a camera's image (gamma-encoded values) to the common exposure. The camera exposed the image at
-    /// `time_s`, seconds on its own clock. Returns `None` if its gains are 1 at this time. Values of the result may be
-    /// outside 0..=1.
+    /// Converts a camera's image (gamma-encoded values) to the common exposure, which is that of the reference camera's
+    /// middle frame. The camera exposed the image at `time_s`, seconds on its own clock. Returns `None` if its gains
+    /// are 1 at this time. Values of the result may be outside 0..=1.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -105,9 +106,9 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors.map(|f| 1.0 / f)))
     }
 
-    /// Converts an image (gamma-encoded values) from the common exposure to the exposure of `camera` at `time_s`,
-    /// seconds on the camera's own clock. This is the inverse of [`Self::corrected`]. Returns `None` if the camera's
-    /// gains are 1 at this time.
+    /// Converts an image (gamma-encoded values) from the common exposure, which is that of the reference camera's
+    /// middle frame, to the exposure of `camera` at `time_s`, seconds on the camera's own clock. This is the inverse of
+    /// [`Self::corrected`]. Returns `None` if the camera's gains are 1 at this time.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -117,8 +118,8 @@ impl Gains {
     }
 
     /// Converts a camera's image (gamma-encoded values) from the camera's exposure at time `from_s` to its exposure at
-    /// time `to_s`, seconds on the camera's own clock. Returns `None` if both are the same. Values of the result may
-    /// exceed 1.
+    /// time `to_s`, both in seconds on the camera's own clock. Returns `None` if both exposures are equal. Values of
+    /// the result may exceed 1.
     ///
     /// # Panics
     /// If there is no such camera.
@@ -250,8 +251,8 @@ fn ratio_between(
     Ratio::of_samples(cameras, &matches.iter().flatten().filter_map(log).collect::<Vec<_>>())
 }
 
-/// Solves for the gains of all cameras. Gains that don't differ significantly from 1, and those of the reference
-/// camera, are 1.
+/// Solves for the gains of all cameras, from ratios between pairs of cameras, by weighted least squares. Gains that
+/// don't differ significantly from 1, and those of the reference camera, are 1.
 fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
     let mut gains = Gains::equal(cameras);
     let logs = solve_log_gains(cameras, reference, ratios);

@@ -7,25 +7,26 @@ use super::rotating_patches::affine_matches;
 use super::{AffineStart, Frame, Match, Neighbors, RegistrationOptions};
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Numbers of pyramid levels for tracking forward and backward if the motion prior predicts a point's position. The
-/// finest levels are used.
+/// Numbers of pyramid levels for tracking forward and backward, in this order, if the motion prior predicts a point's
+/// position. The finest levels are used.
 const PRIOR_LEVELS: [usize; 2] = [2, 2];
 /// Number of attempts with the motion prior. The matches of each attempt improve the prior for the next.
 const PRIOR_ROUNDS: usize = 2;
-/// Number of nearest neighbours whose median displacement is the prediction. Up to two of five neighbours may be
-/// wrong.
+/// Number of nearest neighbours whose median displacement predicts a point's displacement. Up to two of five neighbours
+/// may be wrong.
 const MEDIAN_OF: usize = 5;
 /// Radius around a point, in pixels, within which features predict the point's displacement.
 const PRIOR_RADIUS_PX: f64 = 40.0;
-/// Distance between two initial guesses, in pixels, up to which both are expected to lead to the same result.
+/// Maximum distance between two initial guesses, in pixels, that are expected to lead to the same result. The second
+/// guess is then not tried.
 const SAME_GUESS_PX: f64 = 1.0;
-/// Numbers of pyramid levels for tracking forward and backward when a track is extended to a further frame. The
-/// finest levels are used. The track's last motion gives a close initial guess, so that coarse levels aren't
+/// Numbers of pyramid levels for tracking forward and backward, in this order, when a track is extended to a further
+/// frame. The finest levels are used. The track's last motion gives a close initial guess, so that coarse levels aren't
 /// needed.
 const EXTENSION_LEVELS: [usize; 2] = [2, 1];
-/// Constant term, in pixels, of the maximum change of a track's motion from one frame interval to the next. The
-/// maximum is this value plus [`MAX_MOTION_CHANGE_FRACTION`] times the length of the motion. There is no maximum if
-/// the motion of the neighbours changes in the same way.
+/// Constant term, in pixels, of the maximum change of a track's motion from one frame interval to the next. The maximum
+/// is this value plus [`MAX_MOTION_CHANGE_FRACTION`] times the length of the motion. A track whose motion changes by
+/// more is not extended, unless the motion of its neighbours changes in the same way.
 const MAX_MOTION_CHANGE_PX: f64 = 2.0;
 /// Proportional term of the maximum change of a track's motion from one frame interval to the next, as a fraction
 /// of the length of the motion. [`MAX_MOTION_CHANGE_PX`] is added.
@@ -68,7 +69,7 @@ pub(super) struct Retries<'a> {
     /// Numbers of pyramid levels for tracking forward and backward. The finest levels are used.
     pub levels: [usize; 2],
     pub options: &'a RegistrationOptions,
-    /// The last new initial guess of each point; `None` if there was none yet.
+    /// The last initial guess, in pixels, that [`Self::track`] was given for each point; `None` before the first.
     tried: Vec<Option<Point2<f64>>>,
 }
 
@@ -82,9 +83,9 @@ impl<'a> Retries<'a> {
         Self { frames, starts, levels, options, tried: vec![None; starts.len()] }
     }
 
-    /// Tracks points again from new initial guesses, given as (index, guess). A guess close to the point's last
-    /// guess is skipped ([`SAME_GUESS_PX`]). If the new match has a smaller residual, or if the point had no match,
-    /// the new match is written to `matches`.
+    /// Tracks points again from new initial guesses, given as (index into `starts`, position in pixels). A guess within
+    /// [`SAME_GUESS_PX`] of the point's last guess is skipped. If the new match has a smaller residual, or if the point
+    /// had no match, the new match is written to `matches`.
     pub fn track(
         &mut self,
         guesses: impl Iterator<Item = (usize, Point2<f64>)>,
@@ -131,9 +132,10 @@ pub(super) fn guided_flow(
     }
 }
 
-/// Extends tracks to one more frame. The initial guesses in `tracks` assume constant motion. Returns each track's
-/// position in the target, in pixels. Returns `None` for a track that is lost, or whose motion changes by more than
-/// the maximum ([`MAX_MOTION_CHANGE_PX`]) and differently from the motion of its neighbours.
+/// Extends tracks from the first of `frames` to the second, one frame further. The initial guesses in `tracks` assume
+/// constant motion. Returns each track's position in the second frame, in pixels. Returns `None` for a track that is
+/// lost, or whose motion changes by more than the maximum ([`MAX_MOTION_CHANGE_PX`]) and differently from the motion of
+/// its neighbours.
 ///
 /// Where a swinging body reverses, its motion may change by 20 px from one frame interval to the next. Only the
 /// comparison with neighbours distinguishes such a change from a mismatch.

@@ -14,16 +14,18 @@ use super::window::{Window, fraction_inside};
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Point2, Vector2};
 
-/// Minimum of the smaller eigenvalue of a window's structure tensor, divided by the number of pixels in the window.
-/// The unit is a squared gradient, in grey values (0 to 1) per pixel.
+/// Minimum of the smaller eigenvalue of a window's structure tensor, divided by the number of pixels in the window. A
+/// window below this minimum has too little texture to be tracked. The unit is that of a squared gradient. Gradients
+/// are in grey values (0 to 1) per pixel.
 const MIN_EIGENVALUE: f64 = 2e-6;
 /// Length of a Newton step below which tracking on a coarser level has converged, in pixels of the level. Only the
 /// finest level determines the accuracy.
 const COARSE_EPSILON_PX: f64 = 0.03;
-/// Maximum ratio of a step's length to the previous step's length at which the next step may be extrapolated. The next
-/// step is then assumed to shrink by the same ratio, and is the last.
+/// Maximum ratio of a Newton step's length to the previous step's length at which the next step may be extrapolated.
+/// The next step is then assumed to shrink by the same ratio, and is the last.
 const MAX_RATIO: f64 = 0.5;
-/// Maximum length of an extrapolated step, as a fraction of the convergence threshold.
+/// Maximum length of an extrapolated step, as a fraction of the step length below which tracking has converged
+/// ([`KltParameters::epsilon_px`]).
 const MAX_EXTRAPOLATED: f64 = 0.4;
 
 /// Parameters of the KLT tracker.
@@ -51,7 +53,7 @@ impl From<&RegistrationOptions> for KltParameters {
 pub struct Tracked {
     /// Centre of the window in the target image, in pixels. It is inside the image.
     pub position: Point2<f64>,
-    /// Mean absolute difference of the two windows' grey values, which are in 0..=1.
+    /// Mean absolute difference between the grey values (0 to 1) of the windows in the source and the target image.
     pub residual: f64,
 }
 
@@ -204,9 +206,10 @@ impl Tracker {
         (self.tensor, self.value_gradient) = ([xx, xy, yy], [x, y]);
     }
 
-    /// Returns the displacement of the window at `p`, in pixels of the level. The displacement is found by Newton
-    /// steps that start at `flow`. Returns `None` if the template has too little texture, or if the window leaves
-    /// the image.
+    /// Returns the displacement, in pixels of the level, of the window whose template is centred at `p`. Newton steps
+    /// start at the displacement `flow` and end when a step is shorter than `epsilon_px`, or after
+    /// [`KltParameters::iterations`] steps. Returns `None` if the template has too little texture, or if the window
+    /// leaves the image.
     #[inline(always)]
     fn iterate<V: F32x8>(
         &self,

@@ -46,12 +46,13 @@ options! {
 /// Thresholds of the consistency checks, which a match must meet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencyThresholds {
-    /// Maximum residual: the mean absolute difference of the two windows' grey values, which are in 0..=1.
+    /// Maximum residual: the mean absolute difference between the grey values (0 to 1) of the windows in the source and
+    /// the target frame.
     pub residual: f64,
     /// Maximum forward–backward error, pixels.
     pub forward_backward_error_px: f64,
-    /// Minimum number of neighbours that must move like a point. A point with fewer neighbours is not checked. With
-    /// 0, no point is checked.
+    /// Minimum number of neighbours that must move like a point; otherwise, the point is an outlier. A point that has
+    /// fewer neighbours is not checked. With 0, no point is checked.
     pub support: usize,
 }
 
@@ -61,7 +62,8 @@ impl RegistrationOptions {
         self.window_radius_px + LANES + 3
     }
 
-    /// Returns the thresholds that [`Self::consistency_checks`] selects.
+    /// Returns strict thresholds if [`Self::consistency_checks`] is true. Otherwise, returns thresholds that only a
+    /// large residual fails.
     pub fn consistency(&self) -> ConsistencyThresholds {
         let [checked, unchecked] = [(0.06, 0.7, 2), (0.2, f64::INFINITY, 0)];
         let (residual, forward_backward_error_px, support) =

@@ -29,7 +29,7 @@ pub(super) struct PolarGradients {
 }
 
 multiversion! {
-    /// Computes the gradients from which the SIFT descriptors of a frame's features are made.
+    /// Computes the gradients for SIFT descriptors from a frame's pyramid, on level [`LEVEL`].
     pub(super) fn polar_gradients(pyramid: &Pyramid) -> PolarGradients = gradients_by::<V>
 }
 
@@ -70,8 +70,8 @@ impl PolarGradients {
     }
 }
 
-/// Coefficients of an odd polynomial, starting with the linear term. On 0..=1, the polynomial approximates the
-/// arctangent with an error of at most 2e-8 (Abramowitz and Stegun 4.4.49).
+/// Coefficients of x, x³, x⁵ and so on, of a polynomial. On 0..=1, the polynomial approximates the arctangent of x with
+/// an error of at most 2e-8 (Abramowitz and Stegun 4.4.49).
 const ARCTANGENT: [f32; 9] = [
     1.0,
     -0.333_331_45,

@@ -1,27 +1,30 @@
-//! §4.3: selects the reference cameras for the epipolar test of a camera's tracks, eqs. (4) and (5).
+//! §4.3 of the paper: selects the frames of other cameras for the epipolar test of a camera's tracks, by eqs. (4) and
+//! (5).
 
 use crate::capture::Capture;
 
-/// A frame of another camera, against which a camera's tracks are tested (§4.2). It is chosen by eqs. (4) and (5).
+/// A frame of another camera, for the epipolar test of a camera's tracks (§4.2): the match of a tracked feature in this
+/// frame must lie on the feature's epipolar line. Eqs. (4) and (5) choose the frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reference {
     /// Index of the reference camera in the capture.
     pub camera: usize,
-    /// Index of the reference camera's frame. It is the frame of eq. (5) or, if `between` is set, the last frame
-    /// before the tested interval.
+    /// Index of the reference camera's frame. If `between` is `None`, it is the frame of eq. (5): of the frames in
+    /// [`ReferenceQuery::interval_s`], the nearest to [`ReferenceQuery::time_s`]. Otherwise, it is the last frame
+    /// before this interval.
     pub frame: usize,
     /// Instant at which the epipolar constraint is tested, in seconds on the common clock. It is the time of the
-    /// frame or, if `between` is set, [`ReferenceQuery::time_s`].
+    /// reference camera's frame or, if `between` is set, [`ReferenceQuery::time_s`].
     pub time_s: f64,
-    /// Set if the reference camera has no frame within the tested interval, for example because its frame rate is
-    /// lower. Holds the times, in seconds on the common clock, of the last frame before the interval (`frame`) and
-    /// of the first frame after the interval. Features are tracked between these two frames, and their positions
-    /// are interpolated at `time_s`.
+    /// Times of two frames of the reference camera, in seconds on the common clock: the last frame before
+    /// [`ReferenceQuery::interval_s`], which is `frame`, and the first frame after this interval. Set if the reference
+    /// camera has no frame within the interval, for example because its frame rate is lower. Features are tracked
+    /// between the two frames, and their positions are interpolated at `time_s`.
     pub between: Option<[f64; 2]>,
 }
 
-/// The references against which a camera's tracks between two frames are tested. Both lists are sorted by ascending
-/// weight of eq. (4).
+/// The references for the epipolar test of a camera's tracks between two of its frames. Both lists are sorted by
+/// ascending weight of eq. (4), which is small for near cameras and near times.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct References {
     /// At most two references. The directions of their baselines to the tested camera differ by at least 45°. Each
@@ -31,38 +34,40 @@ pub struct References {
     pub further: Vec<Reference>,
 }
 
-/// A request for references: the camera, the frame interval and the flow direction of the tracks to test.
+/// The input of [`select_references`]: the camera whose tracks are tested, and the frame interval and flow direction of
+/// the tracks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceQuery {
     /// Index of the camera whose tracks are tested: i of eq. (4).
     pub camera: usize,
     /// Times t and t + Δt of the tracks' two frames, in seconds on the common clock.
     pub interval_s: [f64; 2],
-    /// The time for which eq. (5) selects the nearest frame, in seconds on the common clock: t + Δt for the forward
-    /// flow, t for the backward flow.
+    /// The time to which eq. (5) selects the nearest frame of each other camera, in seconds on the common clock: t + Δt
+    /// for the forward flow, t for the backward flow.
     pub time_s: f64,
 }
 
-/// σ of eq. (4): the factor of the time difference, which is in frame intervals. The other term of eq. (4) is a
-/// distance in units of the distance to the nearest camera.
+/// σ of eq. (4): the weight of a reference's time difference, in frame intervals. The weight of its distance, in units
+/// of the distance to the nearest camera, is 1. Larger: near times count more than near cameras.
 const TIME_WEIGHT: f64 = 1.0;
 /// Maximum number of references in [`References::first`]. On a grid of cameras, one of them is in the same row as
 /// the tested camera and one in the same column.
 const MAX_FIRST: usize = 2;
 /// Maximum number of references in [`References::further`].
 const MAX_FURTHER: usize = 1;
-/// Maximum time between the two frames of [`Reference::between`], in frame intervals of the tested camera.
+/// Maximum time between the two frames of [`Reference::between`], in frame intervals of the tested camera. A camera
+/// with a longer gap between these frames is no reference.
 const MAX_GAP_FRAMES: f64 = 4.0;
 
 /// Maximum absolute cosine of the angle between the baselines of two references in [`References::first`]: 45°.
 const MAX_BASELINE_COSINE: f64 = 0.707;
 
 impl Reference {
-    /// Selects a camera's frame by eq. (5): the frame within the queried interval that is nearest to the queried
-    /// time. If no frame is within the interval, selects the frames before and after the interval.
+    /// Selects a camera's frame by eq. (5): the frame within the queried interval that is nearest to the queried time.
+    /// If no frame is within the interval, selects the frames before and after the interval.
     ///
-    /// Returns the reference, preceded by the time in seconds between the queried time and the nearest selected
-    /// frame. Returns `None` if there is neither a frame within the interval nor one on each side of it, or if the
+    /// Returns two values: the time in seconds between the queried time and the nearest selected frame, and the
+    /// reference. Returns `None` if there is neither a frame within the interval nor one on each side of it, or if the
     /// frames on both sides are more than [`MAX_GAP_FRAMES`] apart.
     fn nearest(camera: usize, times: &[f64], query: &ReferenceQuery) -> Option<(f64, Self)> {
         let ([t1, t2], t) = (query.interval_s, query.time_s);
@@ -79,18 +84,19 @@ impl Reference {
     }
 }
 
-/// Selects the references for testing a camera's tracks (§4.3): the frames of the smallest weight
-/// `w_j = D(j) + σ|t_j − t|`, eq. (4). D(j) is the distance from camera j to the tested camera, divided by the
-/// distance from the nearest camera to the tested camera. Times are in frame intervals of the tested camera.
+/// Selects the references for testing a camera's tracks (§4.3): the frames of other cameras with the smallest weights
+/// `w_j = D(j) + σ|t_j − t|`, eq. (4). D(j) is the distance from camera j to the tested camera, divided by the distance
+/// from the nearest camera to the tested camera. t_j is the time of camera j's frame, and t is
+/// [`ReferenceQuery::time_s`], both in frame intervals of the tested camera.
 ///
-/// In a grid of cameras there are two first references, whose baselines differ in direction by at least 45°. In a
-/// line of cameras there is one first reference. The further reference is the remaining camera of the smallest
-/// weight. If a camera has no frame in the interval, the frames before and after the interval are used, and the
-/// nearer frame determines the weight.
+/// In a grid of cameras there are two first references, whose baselines differ in direction by at least 45°. In a line
+/// of cameras there is one first reference. The further reference is the frame of the remaining camera with the
+/// smallest weight. If a camera has no frame in the interval, the frames before and after the interval are used, and
+/// the nearer frame determines the weight.
 ///
 /// `times_s[j]` holds camera j's frame times in seconds on the common clock. It is `None` if the camera's clock is
-/// unknown; such a camera is not selected. Returns no references if the interval is empty, or if all cameras have
-/// the same centre.
+/// unknown; such a camera is not selected. Returns no references if the interval is empty, or if all cameras have the
+/// same centre.
 ///
 /// # Panics
 /// If the capture has no camera `query.camera`.

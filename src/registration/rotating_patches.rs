@@ -26,7 +26,7 @@ const SUPPORT_PX: f64 = 2.0;
 const SUPPORT_FRACTION: f64 = 0.2;
 /// Minimum number of other matches that must agree with a match.
 const MIN_SUPPORT: usize = 3;
-/// Number of nearest rotating patches whose motions are tried for a lost corner.
+/// Number of rotating patches near a lost corner whose motions are tried as initial guesses for the corner.
 const GUESSES: usize = 3;
 /// Maximum number of rounds in which motion is propagated to lost corners. The matches of one round give the
 /// initial guesses of the next round.
@@ -37,8 +37,8 @@ const MAX_AREA_RATIO: f64 = 2.0;
 const MAX_UNEXPLAINED: f64 = 0.35;
 
 impl AffineStart {
-    /// Returns the start for tracking another window, which is around `from`. This window's affine motion predicts
-    /// the initial guess.
+    /// Returns the start for tracking another window, which is around `from`. The affine motion of `self` predicts the
+    /// initial guess.
     fn moving_along(&self, from: &Point2<f64>) -> Self {
         let guess = self.guess + self.deformation * (from - self.from);
         Self { from: *from, guess, ..*self }
@@ -142,7 +142,8 @@ fn seeds(
     (0..lost.len()).filter_map(mutual).collect()
 }
 
-/// Returns the motions with which at least [`MIN_SUPPORT`] other motions agree.
+/// Returns the motions that agree with at least [`MIN_SUPPORT`] other motions within [`SUPPORT_RADIUS_PX`]. A motion
+/// agrees with another if it predicts the target of the other to within the limit of [`SUPPORT_PX`].
 fn agreeing(motions: &[AffineStart]) -> Vec<AffineStart> {
     let near = Neighbors::new(motions.iter().map(|m| m.from));
     let supported = |k: &usize| {

@@ -34,7 +34,7 @@ pub(super) struct SiftDescriptor {
     entries: [f32; SIZE],
 }
 
-/// Length of the buffers that hold one value per column or per row of the disc. The buffers are padded, so that
+/// Length of the buffers that hold one value per column or per row of a [`Disc`]. The buffers are padded, so that
 /// [`LANES`] values can be read from any column or row on.
 const SPAN: usize = (2 * RADIUS_PX as usize + 1).next_multiple_of(LANES) + LANES;
 /// Number of cells along each side of the histogram grid: the descriptor's cells, one cell before them and two
@@ -73,8 +73,8 @@ impl<'a> Disc<'a> {
         first.max(self.columns.start)..(end as usize).min(self.columns.end)
     }
 
-    /// Returns the Gaussian weights of the disc's columns and of its rows. The weight of a sample is the product of
-    /// its column's weight and its row's weight.
+    /// Returns the Gaussian weights, with standard deviation `sigma_px`, of the disc's columns and of its rows. The
+    /// weight of a sample is the product of its column's weight and its row's weight.
     #[inline(always)]
     fn fades(&self, sigma_px: f32) -> [[f32; SPAN]; 2] {
         let mut fades = [[0.0; SPAN]; 2];
@@ -232,8 +232,8 @@ fn squared_distance_by<V: F32x8>(a: &SiftDescriptor, b: &SiftDescriptor) -> f32 
     (sums[0] + sums[1]).sum() as f32
 }
 
-/// Returns the position, 0 to [`BINS`], of the peak of a circular histogram after smoothing. A parabola through
-/// three bins gives the position between bins. Returns `None` if all bins are 0.
+/// Smooths a circular histogram and returns the position of its peak, in bins from 0 to [`BINS`]. A parabola through
+/// the largest bin and its two neighbours gives the position between bins. Returns `None` if all bins are 0.
 fn peak(mut histogram: [f32; BINS]) -> Option<f32> {
     for _ in 0..2 {
         let raw = histogram;

@@ -48,12 +48,14 @@ pub struct Track {
 }
 
 impl Track {
-    /// Returns whether the track belongs to the forward flow, by which eq. (9) warps the earlier frame.
+    /// Returns whether the track was found in the forward direction; also true for [`FlowDirection::Both`]. Eq. (9) of
+    /// the paper warps the earlier frame by these tracks.
     pub fn in_forward_set(&self) -> bool {
         self.direction != FlowDirection::Backward
     }
 
-    /// Returns whether the track belongs to the backward flow, by which eq. (9) warps the later frame.
+    /// Returns whether the track was found in the backward direction; also true for [`FlowDirection::Both`]. Eq. (9) of
+    /// the paper warps the later frame by these tracks.
     pub fn in_backward_set(&self) -> bool {
         self.direction != FlowDirection::Forward
     }
@@ -122,9 +124,9 @@ impl Track {
     }
 }
 
-/// Constant term, in pixels per squared frame interval, of the maximum change of a smooth motion's acceleration
-/// from one frame to the next. The maximum is this value plus [`JERK_FRACTION`] times the smaller of the two
-/// accelerations.
+/// Constant term, in pixels per squared frame interval, of the maximum change of a smooth motion's acceleration from
+/// one frame to the next. The maximum is this value plus [`JERK_FRACTION`] times the smaller of the two accelerations.
+/// A larger change is a kink ([`Track::drop_kink`]).
 const MAX_JERK_PX: f64 = 12.0;
 const JERK_FRACTION: f64 = 0.5;
 /// Maximum distance, in both frames, between a forward and a backward correspondence that are merged, in pixels.
