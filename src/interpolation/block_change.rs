@@ -6,12 +6,12 @@ use crate::raster::Image;
 /// Side of a block, pixels.
 const BLOCK: usize = 8;
 
-/// Minimum ratio of a changed block's mean difference to the noise. The noise is the lower quartile of all blocks'
-/// mean differences. (Noise varies by a factor of 2 to 4 between light and dark parts, and between flat and
+/// Minimum ratio of a changed block's mean difference to the noise. The noise is estimated as the lower quartile of all
+/// blocks' mean differences. (Noise varies by a factor of 2 to 4 between light and dark parts, and between flat and
 /// textured parts.)
 const MIN_NOISE_RATIO: f32 = 6.0;
 
-/// Minimum mean absolute difference of a changed block, for pixel values of 0 to 1. It is 1.5 steps of 8-bit
+/// Minimum mean absolute difference in a changed block, for pixel values of 0 to 1. It equals 1.5 steps of 8-bit
 /// values.
 const MIN_CHANGE: f32 = 1.5 / 255.0;
 
@@ -24,8 +24,8 @@ pub fn largest_change(a: &Image, b: &Image) -> f32 {
     block_means(a, b).into_iter().flatten().fold(0.0, f32::max)
 }
 
-/// Returns the fraction, 0..=1, of 8×8 blocks that change by more than noise. Blocks that the image's border cuts
-/// are left out. Returns 0 if no whole block fits into the image.
+/// Returns the fraction, 0..=1, of the 8×8 blocks in which two images differ by more than noise. Blocks that extend
+/// beyond the image's border are not counted. Returns 0 if no whole block fits into the image.
 ///
 /// # Panics
 /// If the images differ in size or in channels.
@@ -36,8 +36,8 @@ pub(crate) fn changed_fraction(a: &Image, b: &Image) -> f64 {
     if count == 0 { 0.0 } else { count as f64 / all as f64 }
 }
 
-/// Returns, for each pixel, row by row, whether its 8×8 block changes by more than noise. The value is `false` in
-/// blocks that the image's border cuts.
+/// Returns, for each pixel, row by row, whether two images differ by more than noise in the pixel's 8×8 block. The
+/// value is `false` in blocks that extend beyond the image's border.
 ///
 /// # Panics
 /// If the images differ in size or in channels.
@@ -48,7 +48,7 @@ pub(crate) fn changed_pixels(a: &Image, b: &Image) -> Vec<bool> {
     (0..w * a.height()).map(|k| block(k).is_some_and(|changed| *changed)).collect()
 }
 
-/// Returns the mean absolute difference of every block, as one vector for each row of blocks.
+/// Returns the mean absolute difference of two images in every 8×8 block, as one vector for each row of blocks.
 fn block_means(a: &Image, b: &Image) -> Vec<Vec<f32>> {
     let shape = |i: &Image| (i.width(), i.height(), i.channels());
     assert_eq!(shape(a), shape(b), "width, height and channels of both images");
@@ -65,8 +65,8 @@ fn block_means(a: &Image, b: &Image) -> Vec<Vec<f32>> {
     difference(a, b).chunks(BLOCK * w).map(means_of).collect()
 }
 
-/// Returns, for each whole block, whether its luma changes by more than noise, as one vector for each row of
-/// blocks.
+/// Returns, for each whole 8×8 block, whether the luma of two images differs by more than noise, as one vector for each
+/// row of blocks.
 fn changed_blocks(a: &Image, b: &Image) -> Vec<Vec<bool>> {
     let (across, down) = (a.width() / BLOCK, a.height() / BLOCK);
     let mut means = block_means(&a.to_gray(), &b.to_gray());

@@ -7,7 +7,7 @@ use spade::handles::FixedVertexHandle;
 use spade::{ConstrainedDelaunayTriangulation, HasPosition, Triangulation};
 use std::collections::{HashMap, HashSet};
 
-/// An edge of the edge set (§5.2). The motions of the edges determine the warp of the morph.
+/// An edge of the edge set (§5.2), with its two ends. The morph's warp follows from the motions of all edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
     pub ends: [EdgeFeature; 2],
@@ -107,9 +107,9 @@ fn accepted(v: f64) -> f64 {
     if v.abs() < 1e-30 { 0.0 } else { v }
 }
 
-/// Splits real edges where they cross (§5.2), and returns the pieces. Each crossing becomes a vertex that is
-/// appended to `vertices`. In both frames and at the instant, the vertex is on the edge of larger mean fitness,
-/// which therefore stays straight.
+/// Splits real edges where they cross (§5.2), and returns the pieces. Each crossing becomes a vertex that is appended
+/// to `vertices`. The vertex is on the edge of larger mean fitness in both frames and in the interpolated image, so
+/// that this edge stays straight.
 fn without_crossings(vertices: &mut Vec<EdgeFeature>, real: &[RealEdge]) -> Vec<RealEdge> {
     let mut order: Vec<usize> = (0..real.len()).collect();
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));

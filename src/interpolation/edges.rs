@@ -7,34 +7,35 @@ use rayon::prelude::*;
 /// β of eq. (6): weight of the alignment between the image gradient and the edge's normal, in image values (0..=1)
 /// per pixel.
 const BETA: f64 = 0.05;
-/// Minimum fitness of a real edge, eq. (6), in image values per pixel.
+/// Minimum fitness, eq. (6), of every sample of a real edge, in image values (0..=1) per pixel.
 const MIN_FITNESS: f64 = 0.08;
-/// Distance between the samples s_k of eq. (6), pixels.
+/// Maximum distance between the samples s_k of eq. (6) along an edge, pixels.
 const SAMPLE_STEP_PX: f64 = 2.0;
-/// Proportional term of the maximum change of an edge's length between the two frames, as a fraction of the length.
-/// [`MAX_LENGTH_CHANGE_PX`] is added.
+/// Proportional term of the maximum change of a real edge's length between the two frames, as a fraction of the length.
+/// [`MAX_LENGTH_CHANGE_PX`] is added to this term.
 const MAX_LENGTH_CHANGE_FRACTION: f64 = 0.05;
-/// Constant term, in pixels, of the maximum change of an edge's length between the two frames. The maximum is this
+/// Constant term, in pixels, of the maximum change of a real edge's length between the two frames. The maximum is this
 /// value plus [`MAX_LENGTH_CHANGE_FRACTION`] times the length.
 const MAX_LENGTH_CHANGE_PX: f64 = 0.5;
-/// Maximum angle between an edge and a longer edge that it duplicates, degrees.
+/// Maximum angle between a longer edge and an edge that counts as its duplicate and is removed, degrees.
 const DUPLICATE_ANGLE_DEG: f64 = 10.0;
-/// Maximum distance of an edge's ends from a longer edge that it duplicates, pixels.
+/// Maximum distance from a longer edge to the ends of an edge that counts as its duplicate and is removed, pixels.
 const DUPLICATE_DISTANCE_PX: f64 = 2.0;
 
-/// A feature's positions in the two frames and at the instant, in pixels. The morph's edges connect such features.
+/// A tracked feature's positions in the two frames and in the interpolated image. The morph's edges connect such
+/// features.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeFeature {
     /// Position in the source frame, which is the frame that is warped, in pixels.
     pub source: Point2<f64>,
     /// Position in the other frame of the pair, in pixels.
     pub other: Point2<f64>,
-    /// Position at the instant, in pixels.
+    /// Position in the interpolated image, at the instant between the frames, in pixels.
     pub target: Point2<f64>,
 }
 
 impl EdgeFeature {
-    /// Interpolates linearly from this feature's positions to another feature's, in both frames and at the instant.
+    /// Interpolates linearly between this feature and another feature, in both frames and in the interpolated image.
     /// `fraction` is 0 at this feature and 1 at the other feature.
     pub fn lerp(&self, to: &Self, fraction: f64) -> Self {
         let interpolate = |a: Point2<f64>, b: Point2<f64>| a + (b - a) * fraction;
@@ -49,7 +50,7 @@ impl EdgeFeature {
 /// A real edge (§5.1): a segment between two features that follows an image edge in both frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RealEdge {
-    /// Indices of the two features at the ends.
+    /// Indices of the features at the segment's two ends.
     pub ends: [usize; 2],
     /// f̄ of eq. (8): the mean fitness of the edge's samples in the source frame, in image values (0..=1) per
     /// pixel.
@@ -57,11 +58,11 @@ pub struct RealEdge {
 }
 
 /// Finds the real edges among features (§5.1). A real edge is a segment of at most `max_length_px` whose fitness,
-/// eq. (6), exceeds a threshold in both frames. Its length is almost equal in both frames. Of near-parallel
-/// segments on the same image edge, only the longest is returned (§5.2).
+/// eq. (6), exceeds a threshold in both frames. Its length is almost equal in both frames. Of near-parallel segments on
+/// the same image edge, only the longest is returned (§5.2).
 ///
-/// `source` and `other` are the full-sized pyramid levels of the two frames. The order of the result does not
-/// depend on the number of threads. Features at the same position make no edge.
+/// `source` and `other` are the two frames' pyramid levels of full resolution. The order of the result does not depend
+/// on the number of threads. Two features at the same position are not connected by a real edge.
 pub fn real_edges(
     features: &[EdgeFeature],
     source: &PyramidLevel,
@@ -131,7 +132,7 @@ fn mean_fitness(level: &PyramidLevel, a: Point2<f64>, b: Point2<f64>) -> Option<
     Some(sum / (steps + 1) as f64)
 }
 
-/// Removes each edge that is near-parallel and close to a longer edge (§5.2, Fig. 8).
+/// Removes each edge that is close to a longer edge and near-parallel to it (§5.2, Fig. 8).
 fn without_duplicates(mut edges: Vec<RealEdge>, features: &[EdgeFeature]) -> Vec<RealEdge> {
     let ends = |e: &RealEdge| e.ends.map(|k| features[k].source);
     let length = |e: &RealEdge| {
@@ -166,7 +167,7 @@ fn without_duplicates(mut edges: Vec<RealEdge>, features: &[EdgeFeature]) -> Vec
 /// The two ends of a segment, pixels.
 pub(super) type Segment = [Point2<f64>; 2];
 
-/// Spatial index of segments by their midpoints.
+/// Spatial index of segments, searched by the segments' midpoints.
 pub(super) struct NearSegments<'a> {
     segments: &'a [Segment],
     midpoints: Neighbors,
@@ -181,9 +182,8 @@ impl<'a> NearSegments<'a> {
         Self { segments, midpoints, longest_px }
     }
 
-    /// Returns the indices, in ascending order, of the segments that precede segment `k` and may lie within
-    /// `distance_px` of it. All segments within this distance are returned. Some of the returned segments may be
-    /// farther away.
+    /// Returns the indices below `k` of segments that may lie within `distance_px` of segment `k`, in ascending order.
+    /// No segment within this distance is missing, but some of the returned segments may be farther away.
     pub fn before(&self, k: usize, distance_px: f64) -> Vec<usize> {
         let [a, b] = &self.segments[k];
         let reach = 0.5 * ((b - a).norm() + self.longest_px) + distance_px;

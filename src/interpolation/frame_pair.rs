@@ -11,20 +11,21 @@ use super::warp::{Warp, cross_dissolve, cross_fade_rows, difference, warped};
 use crate::raster::{Image, Tiles, box_filter, max_filter};
 use crate::registration::Frame;
 
-/// Half-width, in pixels, of the neighbourhood over which the interpolation error is maximized. Outlines may be
-/// wrong by this distance, so that a pixel may show any surface within the neighbourhood.
+/// Half-width, in pixels, of the neighbourhood over which the maximum of the interpolation error is taken. An outline
+/// may be misplaced by this distance, so that a pixel may show any surface in its neighbourhood.
 const OUTLINE_PX: usize = 4;
-/// Interpolation error, in pixels, that a difference of 1 between the two warped frames adds. Pixel values are 0 to 1.
-/// Only the part of the difference above [`MIN_DISAGREEMENT`] counts. For refined images, the cost (the last of the
-/// [`MOTION_CHANNELS`]) takes the place of this difference.
+/// Factor, in pixels, from the difference between the two warped frames to the expected interpolation error. Pixel
+/// values are 0 to 1. Only the part of the difference above [`MIN_DISAGREEMENT`] counts. For refined images, the cost
+/// (the last of the [`MOTION_CHANNELS`]) takes the place of this difference.
 const DISAGREEMENT_PX: f32 = 200.0;
-/// Mean absolute difference of the two warped frames up to which they count as equal, for pixel values of 0 to 1.
+/// Mean absolute difference, for pixel values of 0 to 1, up to which the two warped frames count as equal. Such a
+/// difference adds nothing to the interpolation error.
 const MIN_DISAGREEMENT: f32 = 0.03;
 /// Half-width of the window over which the difference of the two warped frames is averaged, in pixels. The refined
 /// method uses [`InterpolationOptions::window_radius_px`] instead.
 const DISAGREEMENT_RADIUS_PX: usize = 2;
-/// Weight of the change of a pixel's motion from one frame interval to the next, in the interpolation error. The weight
-/// of the motion itself is 1. The change weighs more, because bodies that rotate or bounce deviate from the
+/// Weight, in the interpolation error, of the change of a pixel's motion from one frame interval to the next. The
+/// motion itself has the weight 1. The change weighs more, because bodies that rotate or bounce deviate from the
 /// interpolated trajectory.
 const CHANGE_WEIGHT: f32 = 4.0;
 
@@ -33,32 +34,33 @@ const CHANGE_WEIGHT: f32 = 4.0;
 pub struct Synchronized {
     /// Image at the instant.
     pub image: Image,
-    /// Expected error of each pixel's position due to interpolation, in pixels, row by row. `None` for images that
-    /// are not interpolated along motion, and if [`FramePair::with_interpolation_error`] is false.
+    /// Expected error of each pixel's position due to interpolation, in pixels, row by row. `None` for images that are
+    /// not interpolated along motion, and if [`FramePair::with_interpolation_error`] is false.
     ///
     /// The error is 4s(1 − s)(m + 4c + d). s is the position of the instant in the frame interval, from 0 to 1. m is
     /// the length of the pixel's motion between the two frames, and c is the change of this motion from one frame
-    /// interval to the next. d is 0 where the two frames, moved to the instant, agree. It grows with their difference.
-    /// All three are in pixels. Each pixel gets the maximum of this error over a neighbourhood.
+    /// interval to the next. d increases with the difference of the two frames after they are warped to the instant. It
+    /// is 0 where they agree. m, c and d are in pixels. Each pixel gets the maximum of this error over a neighbourhood.
     pub interpolation_error_px: Option<Vec<f32>>,
 }
 
 impl Synchronized {
-    /// Creates an image that is not interpolated along motion, and therefore has no interpolation error. It is a
-    /// frame as filmed or a cross-fade of two frames.
+    /// Creates the result for an image that is a frame as filmed or a cross-fade of two frames. Such an image is not
+    /// interpolated along motion, so its interpolation error is `None`.
     pub fn filmed(image: Image) -> Self {
         Self { image, interpolation_error_px: None }
     }
 }
 
-/// A method of interpolation, with the inputs that are the same for all instants between two frames.
+/// Method that interpolates between two frames. It holds the inputs that are the same for all instants between the
+/// frames.
 #[derive(Clone, Copy)]
 pub enum PairMethod<'a> {
     /// The frame nearest in time.
     Nearest,
     /// The cross-fade of the two frames.
     Crossfade,
-    /// Direct triangulation (Fig. 10 (b)) with the triangles between the pair's tracks.
+    /// Direct triangulation (Fig. 10 (b)), with the Delaunay triangles of the pair's tracks.
     Triangulation(&'a Triangles),
     /// The morph of §5.3. If `boosted`, real edges have the weights of eq. (8).
     Morph { boosted: bool },
@@ -82,14 +84,14 @@ pub struct FramePair<'a> {
     pub tracked: TrackedPair<'a>,
     /// Tiles of the image that are needed; `None` for the whole image. Pixels outside these tiles may be black.
     pub parts: Option<&'a Tiles>,
-    /// Whether [`Synchronized::interpolation_error_px`] is computed. This takes as long as a warp, except for
-    /// refined images.
+    /// Whether [`Synchronized::interpolation_error_px`] is computed. This takes about as long as a warp. For refined
+    /// images it is faster, because their motions are already known.
     pub with_interpolation_error: bool,
 }
 
 impl FramePair<'_> {
-    /// Returns the camera's image at `time_s`, in seconds. The time is clamped to the interval between the two
-    /// frames. At a frame's time, the image is this frame, up to resampling. Values are clamped to 0..=1, except by
+    /// Returns the camera's image at `time_s`, in seconds. The time is clamped to the interval between the two frames.
+    /// At the time of a frame, the image is this frame, up to resampling. Values are clamped to 0..=1, except by
     /// [`PairMethod::Nearest`] and [`PairMethod::Crossfade`].
     ///
     /// # Panics
@@ -131,8 +133,8 @@ impl FramePair<'_> {
             let interpolation_error_px = self.with_interpolation_error.then(error_px);
             return Synchronized { image, interpolation_error_px };
         };
-        // The error is a maximum over a neighbourhood of OUTLINE_PX. It therefore also needs pixels around the
-        // needed tiles.
+        // The error is a maximum over a neighbourhood of half-width OUTLINE_PX. It therefore also needs pixels around
+        // the needed tiles.
         let grown =
             self.parts.filter(|_| self.with_interpolation_error).map(|p| p.grown(OUTLINE_PX));
         let frames = FourFrames {
@@ -150,9 +152,9 @@ impl FramePair<'_> {
         Synchronized { image, interpolation_error_px }
     }
 
-    /// Returns the warps of the earlier and of the later frame to an instant. `warp(n, features, size)` computes
-    /// the warp of one frame: `n` is 0 for the earlier and 1 for the later frame, `features` are the features of
-    /// this frame, and `size` is its width and height.
+    /// Returns the backward warps from the image at `time_s` (seconds) to the earlier and to the later frame. The
+    /// closure `warp(n, features, size)` computes one of the two warps. `n` is 0 for the earlier and 1 for the later
+    /// frame, `features` are the features of this frame, and `size` is its width and height.
     fn warps(
         &self,
         time_s: f64,
@@ -164,9 +166,9 @@ impl FramePair<'_> {
     }
 }
 
-/// Returns, for each pixel, its motion between the two frames according to the two warps. The image has the
-/// [`MOTION_CHANNELS`] channels of [`warp_motions`]. The last one, the cost, is the mean difference of the two warped
-/// frames over a window around the pixel.
+/// Returns the motion of each pixel between the two frames, as the two warps give it. The image has the
+/// [`MOTION_CHANNELS`] channels of [`warp_motions`]. The last channel, the cost, is the mean difference of the two
+/// warped frames over a window around the pixel.
 fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     let (w, h) = (warps[0].width, warps[0].height);
     let differences =
@@ -174,8 +176,9 @@ fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     warp_motions(warps, &box_filter(&differences, w, h, DISAGREEMENT_RADIUS_PX))
 }
 
-/// Returns [`Synchronized::interpolation_error_px`]. `motions` is an image with [`MOTION_CHANNELS`] channels, which
-/// holds each pixel's motion, change of motion and cost.
+/// Returns the expected error of each pixel's position, in pixels, row by row
+/// ([`Synchronized::interpolation_error_px`]). `motions` is an image with [`MOTION_CHANNELS`] channels, which holds
+/// each pixel's motion, change of motion and cost.
 fn error_px(motions: &Image, fractions: RowFractions) -> Vec<f32> {
     let of_pixel = |weight: f32, &[motion_px, change_px, cost]: &[f32; MOTION_CHANNELS]| {
         let unknown = DISAGREEMENT_PX * (cost - MIN_DISAGREEMENT).max(0.0);

@@ -4,7 +4,8 @@ use crate::method::methods;
 use crate::option::options;
 use serde::{Deserialize, Serialize};
 
-/// The method by which a camera's image between two of its frames is synthesized. The cheapest method is first.
+/// Method that synthesizes a camera's image at an instant between two of its frames. The variants are ordered by cost,
+/// cheapest first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SyncMethod {
@@ -21,8 +22,8 @@ pub enum SyncMethod {
     /// Beyond the paper: `triangulation`, with motion and visibility estimated per pixel at moving outlines.
     #[default]
     Refined,
-    /// Beyond the paper: `refined`, blended with the images of other cameras that filmed nearer to the instant.
-    /// These images are warped by depth per pixel.
+    /// Beyond the paper: `refined`, blended with the images of other cameras that filmed nearer to the instant. These
+    /// images are warped into the camera's view by per-pixel depth.
     AllCameras,
 }
 
@@ -43,7 +44,7 @@ impl SyncMethod {
         if self == Self::AllCameras { Self::Refined } else { self }
     }
 
-    /// Returns whether the method needs tracks between the frames.
+    /// Returns whether the method needs feature tracks between the two frames.
     pub fn needs_tracks(self) -> bool {
         !matches!(self, Self::Nearest | Self::Crossfade)
     }

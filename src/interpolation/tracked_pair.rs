@@ -16,14 +16,16 @@ pub struct TrackedPair<'a> {
     pub index: usize,
 }
 
-/// Returns the tracks of the forward flow if `forward` is true, else the tracks of the backward flow.
+/// Returns the tracks of the forward flow (from the earlier to the later frame) if `forward` is true, else the tracks
+/// of the backward flow. A track may be in both flows.
 pub(super) fn flow_tracks(tracks: &[Track], forward: bool) -> impl Iterator<Item = &Track> {
     tracks.iter().filter(move |t| if forward { t.in_forward_set() } else { t.in_backward_set() })
 }
 
 impl TrackedPair<'_> {
-    /// Returns the fraction (t' − t)/Δt of the instant t': 0 at the earlier frame and 1 at the later frame, clamped
-    /// to 0..=1. With a rolling shutter, the frames' times are those of their middle rows.
+    /// Returns the position (t' − t)/Δt of the instant t' in the interval between the two frames: 0 at the earlier and
+    /// 1 at the later frame, clamped to 0..=1. With a rolling shutter, the time of a frame is the time of its middle
+    /// row.
     ///
     /// # Panics
     /// If `times` has no entry for the later frame.
@@ -32,7 +34,7 @@ impl TrackedPair<'_> {
         ((time_s - start) / (end - start)).clamp(0.0, 1.0)
     }
 
-    /// Returns [`Self::fraction`] for every image row.
+    /// Returns the position of the instant in the frame interval ([`Self::fraction`]) for every image row.
     pub(super) fn row_fractions(&self, time_s: f64) -> RowFractions {
         let [start, end] = self.interval_s();
         RowFractions {
@@ -46,8 +48,8 @@ impl TrackedPair<'_> {
         [self.times.times_s[self.index], self.times.times_s[self.index + 1]]
     }
 
-    /// Returns the trajectory of a track: a curve if `curved`, else the straight line of eq. (2). Returns `None` if
-    /// the times do not strictly ascend.
+    /// Returns the trajectory of a track: a curve if `curved`, else the straight line of eq. (2). Returns `None` if the
+    /// frames' times do not strictly ascend.
     fn trajectory(&self, track: &Track, curved: bool) -> Option<Trajectory> {
         if curved {
             track.trajectory(self.times, self.index)
@@ -57,8 +59,9 @@ impl TrackedPair<'_> {
         }
     }
 
-    /// Returns the features of the forward or of the backward flow, with their positions in the two frames and at
-    /// an instant.
+    /// Returns the tracks of the forward or of the backward flow as features, with their positions in the two frames
+    /// and at `time_s` (seconds). The features' source frame is the earlier frame for the forward flow, and the later
+    /// frame for the backward flow.
     pub(super) fn features(&self, time_s: f64, forward: bool, curved: bool) -> Vec<EdgeFeature> {
         let feature = |t: &Track| {
             let (source, other) = if forward { (t.earlier, t.later) } else { (t.later, t.earlier) };
@@ -69,9 +72,9 @@ impl TrackedPair<'_> {
         flow_tracks(self.tracks, forward).map(feature).collect()
     }
 
-    /// Returns the displacements of all tracks to four frames: the frame before the pair, the earlier and the later
-    /// frame of the pair, and the frame after the pair. `at` gives the position of a track from which its
-    /// displacements are measured.
+    /// Returns the displacements, in pixels, of all tracks to four frames: the frame before the pair, the earlier and
+    /// the later frame of the pair, and the frame after the pair. The displacements of a track are measured from the
+    /// position that `at` returns for it.
     pub(super) fn motions(
         &self,
         curved: bool,
@@ -117,14 +120,14 @@ impl TrackedPair<'_> {
 /// rolling shutter, each row has its own times.
 #[derive(Clone, Copy, Debug)]
 pub struct RowFractions {
-    /// Fraction of the middle row, 0 to 1.
+    /// Fraction at the middle row, 0 to 1.
     middle: f64,
     rows: RowTimes,
     interval_s: f64,
 }
 
 impl RowFractions {
-    /// Returns the same fraction for all rows.
+    /// Creates fractions that are equal in all rows.
     pub fn constant(fraction: f64) -> Self {
         Self { middle: fraction, rows: RowTimes::default(), interval_s: 1.0 }
     }
@@ -148,8 +151,8 @@ impl RowFractions {
 /// pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct TrackMotion {
-    /// Position from which the displacements are measured, in pixels. It is at the instant, or in one of the pair's
-    /// frames.
+    /// Position from which the displacements are measured, in pixels: the track's position at the instant, or in one of
+    /// the pair's frames.
     pub at: Point2<f64>,
     /// Displacements to the frame before the pair, the earlier and the later frame of the pair, and the frame after
     /// the pair, in pixels. The displacement to a frame that does not exist is 0.
@@ -160,9 +163,9 @@ pub(super) struct TrackMotion {
 }
 
 impl TrackMotion {
-    /// Returns the difference between two tracks' motions from the earlier to the later frame, in pixels. One of
-    /// the two motions is extrapolated affinely to the position of the other track. The smaller of the two possible
-    /// differences is returned.
+    /// Returns the difference between two tracks' motions from the earlier to the later frame, in pixels. To compare
+    /// them at one position, one of the motions is extrapolated affinely to the other track's position. Of the two
+    /// differences that this gives, the smaller is returned.
     pub fn difference_px(&self, other: &Self) -> f64 {
         let [own, other] = [self, other].map(|m| Moved {
             at: m.at + m.to[1],

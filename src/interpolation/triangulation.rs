@@ -1,4 +1,4 @@
-//! Direct triangulation (Fig. 10 (b)): piecewise affine warps by Delaunay triangles of the features.
+//! Direct triangulation (Fig. 10 (b)): piecewise affine warps on the Delaunay triangles of tracked features.
 
 use super::Warp;
 use super::edge_set::delaunay;
@@ -24,8 +24,8 @@ impl Triangles {
     }
 }
 
-/// Returns the Delaunay triangles of these positions and the four corners of the image. Each triangle is three
-/// indices. The corners have the indices after those of the positions.
+/// Returns the Delaunay triangles of these positions and the four corners of the image. Each triangle is three vertex
+/// indices. The positions have the first indices, and the corners the last four, row by row.
 pub fn triangulated(
     positions: impl Iterator<Item = Point2<f64>>,
     width: usize,
@@ -34,11 +34,11 @@ pub fn triangulated(
     delaunay(&positions.chain(corners(width, height)).collect::<Vec<_>>())
 }
 
-/// Returns the piecewise affine backward warp from the instant to a source frame of `width`×`height` pixels. The
-/// triangles connect features and the corners of the image.
+/// Returns the piecewise affine backward warp from the interpolated image to a source frame of `width`×`height` pixels.
+/// Each triangle is three vertex indices, first of `features`, then of the four corners of the image.
 ///
-/// Triangles that flip between the source frame and the instant, or have no area, are skipped. The warp is the
-/// identity at pixels that no triangle covers.
+/// Triangles that flip between the source frame and the interpolated image, or have no area, are skipped. The warp is
+/// the identity at pixels that no triangle covers.
 pub fn triangulation_warp(
     triangles: &[[usize; 3]],
     features: &[EdgeFeature],
@@ -58,11 +58,11 @@ fn corners(width: usize, height: usize) -> [Point2<f64>; 4] {
     [(0, 0), (width, 0), (0, height), (width, height)].map(|(x, y)| Point2::new(x as f64, y as f64))
 }
 
-/// Tolerance, in barycentric coordinates, by which a pixel's centre may be outside a triangle. It prevents gaps due
-/// to rounding.
+/// Tolerance, in barycentric coordinates, by which a pixel's centre may be outside a triangle that covers the pixel. It
+/// prevents gaps due to rounding.
 const OUTSIDE: f64 = 1e-9;
 
-/// Sets the warp at the pixels of one triangle, row by row.
+/// Sets the warp at the pixels of one triangle, row by row. The triangle's vertices are `corners`.
 fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
     let target = Matrix3::from_columns(&corners.map(|f| f.target.to_homogeneous()));
     let source_area =

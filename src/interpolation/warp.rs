@@ -11,8 +11,8 @@ pub struct Warp {
     pub width: usize,
     /// Height of the image, pixels.
     pub height: usize,
-    /// Positions `[x, y]` in the source frame, in pixels, one per pixel of the image, row by row. Outside the
-    /// frame, its border pixels are repeated.
+    /// Positions `[x, y]` in the source frame, in pixels, one per pixel of the image, row by row. A position outside
+    /// the frame shows the nearest border pixel.
     pub source: Vec<[f32; 2]>,
 }
 
@@ -26,8 +26,8 @@ impl Warp {
     }
 }
 
-/// Warps a frame, which is sampled by cubic convolution. Values may be outside 0..=1. If the tiles `parts` are
-/// given, pixels outside them are black.
+/// Returns a frame warped by a backward warp, sampled by cubic convolution. Values may be outside 0..=1. If the tiles
+/// `parts` are given, pixels outside them are black.
 pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image {
     let channels = image.channels();
     let mut data = vec![0.0; warp.source.len() * channels];
@@ -46,9 +46,9 @@ pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image
     Image::from_data(warp.width, warp.height, channels, data)
 }
 
-/// Returns the cross dissolve of two warped frames, eq. (9), clamped to 0..=1. `fractions` are the fractions (t' −
-/// t)/Δt of the rows, which are 0 at the earlier frame. If the tiles `parts` are given, pixels outside them are
-/// black.
+/// Returns the cross dissolve of two warped frames, eq. (9), clamped to 0..=1. `fractions` is the position (t' − t)/Δt
+/// of the instant t' in the frame interval, for each row; it is 0 at the earlier frame. If the tiles `parts` are given,
+/// pixels outside them are black.
 ///
 /// Both frames must have the same channels, and both warps the same size.
 pub fn cross_dissolve(

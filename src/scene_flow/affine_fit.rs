@@ -18,8 +18,8 @@ const COLOR: f32 = 0.16;
 /// Constant that is added to the colour term of a neighbour's weight, so that neighbours of any colour have some
 /// weight.
 const MIN_COLOR_WEIGHT: f32 = 0.05;
-/// Weight of the ridge regularization that pulls the gradients towards 0, squared pixels of the pyramid level.
-/// Gradients of 0 are a surface parallel to the image in pure translation.
+/// Weight of the ridge regularization that pulls the gradients towards 0, squared pixels of the pyramid level. The
+/// gradients are 0 on a surface that is parallel to the image and translates parallel to it.
 const FLATNESS: f64 = 0.3;
 /// Maximum magnitude of each component of the disparity's gradient, pixels of disparity per pixel.
 const MAX_DISPARITY_GRADIENT: f32 = 1.6;

@@ -1,4 +1,4 @@
-//! Blends the splatted maps of several frames into a view.
+//! Blends the scene flow maps of several frames, splatted into a view, to the view's image.
 
 use super::frame::FlowFrame;
 use super::geometry::{Projection, undistorted};
@@ -14,18 +14,20 @@ use std::ops::Range;
 /// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates (surface elements of
 /// different scene flow maps) for the same surface at a pixel of the view.
 const CLUSTER_PX: f32 = 1.5;
-/// Weight above which a cluster occludes a heavier cluster behind it, as a fraction of the weight of all surface
-/// elements at the pixel.
+/// Weight above which a cluster occludes a cluster of larger weight behind it, as a fraction of the weight of all
+/// surface elements at the pixel.
 const FRONT: f32 = 0.12;
 /// Weight from which a cluster is opaque, as a fraction of the weight of all surface elements at the pixel. The
 /// opacity rises linearly with the weight, from 0 at [`FRONT`] to 1 at this weight.
 const OPAQUE: f32 = 0.25;
-/// Factor on [`FRONT`] and [`OPAQUE`] for a cluster that is known to move. A small weight suffices for such a cluster,
-/// since its source pixels are known not to show static background.
+/// Factor on the thresholds [`FRONT`] and [`OPAQUE`] for a cluster that is known to move. A smaller weight suffices for
+/// such a cluster, since its source pixels are known not to show static background.
 const MOVING: f32 = 0.25;
-/// A pixel counts as a hole in a moving body if at least this number of its eight neighbours show the body.
+/// Minimum number, of a pixel's eight neighbours, that must show a nearer moving body for the pixel to count as a hole
+/// in the body.
 const CLOSING: usize = 5;
-/// Maximum distance of a pixel of a hole from the hole's border, pixels. Pixels farther inside stay open.
+/// Maximum distance from the border of a hole in a moving body at which the hole's pixels are closed, pixels. Pixels
+/// farther inside stay unchanged.
 const CLOSED_PX: usize = 4;
 /// Weight above which a cluster is visible through a transparent cluster in front of it, as a fraction of the weight
 /// of all surface elements at the pixel.
@@ -54,7 +56,7 @@ struct Pixel {
     is_moving: bool,
 }
 
-/// What the scene flow maps show at a pixel of the view.
+/// Kind of content that the scene flow maps show at a pixel of the view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shown {
     /// No splat covers the pixel.
@@ -169,7 +171,7 @@ impl Pixels {
     }
 }
 
-/// Surface element that one scene flow map shows at a pixel of the view.
+/// Surface element that one scene flow map shows at a pixel of the view, with the source of its colour.
 struct ColorCandidate<'a> {
     frame: &'a FlowFrame,
     inverse_depth: f32,
@@ -180,7 +182,8 @@ struct ColorCandidate<'a> {
 }
 
 impl ColorCandidate<'_> {
-    /// Returns the factor by which the weight threshold [`FRONT`] is multiplied for this candidate.
+    /// Returns the factor on the weight threshold [`FRONT`] for this candidate: [`MOVING`] if it shows a moving body,
+    /// else 1.
     fn front_factor(&self) -> f32 {
         if self.is_moving { MOVING } else { 1.0 }
     }
@@ -249,8 +252,8 @@ fn blend_rows(
     pixels.motions.iter_mut().for_each(|motions| motions.extend(rows.iter().flatten().copied()));
 }
 
-/// Returns the disparity of a point at a depth of 1 m, pixels. If it differs between the scene flow maps, returns the
-/// largest.
+/// Returns the disparity of a point at a depth of 1 m, pixels, at the maps' baseline of twice the distance between
+/// neighbouring cameras. If it differs between the scene flow maps, returns the largest.
 fn disparity_px(mapped: &[MappedFrame]) -> f32 {
     mapped.iter().map(|m| m.map.disparity_px).fold(0.0, f32::max)
 }
@@ -389,10 +392,10 @@ impl<'a> Behind<'a> {
 /// Colours of a cluster's candidates, RGB from 0 to 1, with their weights.
 type WeightedColors = Vec<([f32; 3], f32)>;
 
-/// Returns colour and depth of a pixel: the means of the frontmost cluster with a sufficient weight ([`FRONT`]), or
-/// else of the heaviest cluster. If this cluster isn't opaque, its colour is composited over the colour of the cluster
-/// behind it. `reach` is the half-width of a cluster in inverse depth, 1/m. `colors` is a reusable buffer. `None`
-/// without candidates.
+/// Returns colour and depth of a pixel: the means of the frontmost cluster of candidates with a sufficient weight
+/// ([`FRONT`]), or else of the cluster with the largest weight. If this cluster isn't opaque ([`OPAQUE`]), its colour
+/// is composited over the colour of the cluster behind it. `reach` is the half-width of a cluster in inverse depth,
+/// 1/m. `colors` is a reusable buffer. `None` without candidates.
 fn pixel_of(
     candidates: &[ColorCandidate],
     reach: f32,
@@ -437,8 +440,9 @@ fn pixel_of(
     Some(pixel)
 }
 
-/// Returns the robust mean of the candidates within `reach` of the inverse depth `q`, both in 1/m. Two reweighting
-/// steps reduce the weight of outlying colours. `None` if there are no such candidates.
+/// Returns the mean colour and inverse depth of the candidates whose inverse depths differ from `q` by less than
+/// `reach`, both in 1/m. Two reweighting steps reduce the weight of outlying colours. `colors` is a reusable buffer.
+/// `None` if there are no such candidates.
 fn mean_of(
     candidates: &[ColorCandidate],
     q: f32,
@@ -474,8 +478,8 @@ fn mean_of(
     Some(Pixel { color, inverse_depth: depths / weights, is_moving: 2.0 * moving > weights })
 }
 
-/// Returns the weighted mean of the colours. The weight of a colour is its own weight times `factor(colour)`. Both
-/// numbers must be positive.
+/// Returns the weighted mean of the colours. The weight of a colour is its own weight times `factor(colour)`. Both the
+/// weight and the factor must be positive.
 #[inline(always)]
 fn weighted_mean(colors: &WeightedColors, factor: impl Fn(&[f32; 3]) -> f32) -> [f32; 3] {
     let (mut sum, mut weights) = ([0.0f32; 3], 0.0f32);

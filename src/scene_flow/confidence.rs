@@ -1,5 +1,5 @@
-//! Confidence of each surface element of a view's frames: the fraction of the other frames' maps that agree with the
-//! element.
+//! Confidence of each surface element of the frames from which a view is blended. It is the fraction of the other
+//! frames' scene flow maps that agree with the element.
 
 use super::geometry::Projection;
 use super::map::MappedFrame;
@@ -23,16 +23,17 @@ const HIDDEN: f32 = 0.3;
 /// Number that is added to the count of confirming scene flow maps in the numerator of a confidence, so that a
 /// surface element without comparable maps has a confidence too.
 const PRIOR_CONFIRMED: f32 = 0.1;
-/// Number that is added to the count of compared scene flow maps in the denominator of a confidence.
+/// Number that is added to the count of compared scene flow maps in the denominator of a confidence. With
+/// [`PRIOR_CONFIRMED`] in the numerator, a surface element without comparable maps has the confidence 0.2.
 const PRIOR_ALL: f32 = 0.5;
 
 /// Returns the confidence of each pixel of each scene flow map, in the order of `mapped` and row by row, from 1 to 255.
-/// It increases with the fraction of the comparable maps that confirm the pixel's surface element.
+/// The confidence increases with the fraction of the comparable maps that confirm the pixel's surface element.
 ///
 /// A map is comparable if its frame is near in time and the element projects into its image. `mapped` should contain
-/// only the frames around the view's instant. Frames before and after the instant must then agree on the motion between
-/// them. With this restriction, the PSNR of views is 1 dB higher than with confidences from all frames that are near in
-/// time.
+/// only the frames around the view's instant. Then frames before the instant are compared with frames after it, which
+/// confirms the motion between them. With this restriction, the PSNR of views is 1 dB higher than with confidences from
+/// all frames that are near in time.
 pub fn confidences(mapped: &[MappedFrame]) -> Vec<Vec<u8>> {
     (0..mapped.len()).into_par_iter().map(|of| confidence(mapped, of)).collect()
 }

@@ -1,6 +1,6 @@
-//! Consistency of an element with the maps of the other frames, as a cost during estimation. Beside a body, an end
-//! camera of the rig sees background that no other camera sees. Without this cost, the matches of this background are
-//! wrong, and lie in front of the surfaces that the other cameras see.
+//! Cost of a surface element that disagrees with the scene flow maps of the other frames. Beside a body, an end camera
+//! of the rig sees background that no other camera sees. Without this cost, the matches of this background are wrong,
+//! and lie in front of the surfaces that the other cameras see.
 
 use super::element::Element;
 use super::frame::FlowFrame;
@@ -16,16 +16,17 @@ const MAX_MOTION_PX: f32 = 8.0;
 /// Value at which the difference between a surface element and another scene flow map is truncated, pixels. The
 /// difference is that of the disparities, plus that of the displacements during half a frame period.
 const MAX_DIFFERENCE_PX: f32 = 4.0;
-/// Difference in disparity from which a surface element of a scene flow map occludes an element behind it, pixels.
+/// Minimum difference in disparity between a surface element and a nearer element of another scene flow map that
+/// occludes it, pixels.
 const HIDING_PX: f32 = 1.0;
-/// Difference that is assumed between a surface element and a scene flow map in which the element is occluded,
-/// pixels.
+/// Difference that is assumed between a surface element and a scene flow map in which the element is occluded, pixels.
+/// It replaces the unknown true difference.
 const HIDDEN_PX: f32 = 0.3;
 /// Number of fictitious scene flow maps, with a difference of 0, that are included in the mean difference. They reduce
 /// the influence of a single map.
 const PRIOR_MAPS: f32 = 2.0;
 
-/// Copy of a scene flow map's inverse depths and velocities, row by row.
+/// Copy of a scene flow map's inverse depths and velocities, row by row, made before a pass that changes the map.
 pub struct Snapshot {
     width: usize,
     height: usize,
@@ -55,7 +56,7 @@ struct OtherMap<'a> {
     map: &'a Snapshot,
 }
 
-/// Scene flow maps of the other frames, as they were before the current pass.
+/// Copies of the scene flow maps of the other frames, made before the current PatchMatch pass.
 pub struct OtherMaps<'a> {
     maps: Vec<OtherMap<'a>>,
     disparity_px: f32,
@@ -63,7 +64,8 @@ pub struct OtherMaps<'a> {
 
 impl<'a> OtherMaps<'a> {
     /// Collects the scene flow maps with which the map of frame `of` is compared: those of other frames near in time.
-    /// `disparity_px` is the disparity of a point at a depth of 1 m, pixels.
+    /// `disparity_px` is the disparity, in pixels, of a point at a depth of 1 m, at a baseline of twice the distance
+    /// between neighbouring cameras.
     pub fn new(
         frames: &[&FlowFrame],
         snapshots: &'a [Snapshot],
@@ -101,8 +103,9 @@ impl<'a> OtherMaps<'a> {
         sum / (count + PRIOR_MAPS)
     }
 
-    /// Returns the smallest difference, pixels, between the surface element `here` and the elements of the four
-    /// pixels around `[u, v]`, a position inside the scene flow map.
+    /// Returns the smallest difference, pixels, between the surface element `here` and the elements of the four pixels
+    /// around `[u, v]`, a position in pixels of the scene flow map. An element of the map that occludes `here` counts
+    /// with [`HIDDEN_PX`]. The result is truncated at [`MAX_DIFFERENCE_PX`].
     fn least_difference(&self, map: &Snapshot, [u, v]: [f32; 2], here: &Element) -> f32 {
         let around = |at: f32, size: usize| {
             let first = (at - 0.5) as usize; // saturates

@@ -5,9 +5,9 @@ use super::geometry::Projection;
 /// Small piece of a surface at a pixel of a frame: its inverse depth, and its path in the image of the frame's camera.
 ///
 /// Pixels are those of the full-resolution image, times are in frame periods of the reference camera, and inverse
-/// depths are in 1/m. After a time `t` the element is at `pixel + velocity t + acceleration t²/2`, with the inverse
-/// depth `inverse_depth + inverse_depth_rate t`. The paths are polynomials in the image, where motion is measured, not
-/// in space.
+/// depths are in 1/m. After a time `t`, the element is at `pixel + velocity t + acceleration t²/2`, with the inverse
+/// depth `inverse_depth + inverse_depth_rate t`. The path is a polynomial in image coordinates, not in space, because
+/// motion is measured in images.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Element {
     /// Inverse depth, 1/m.
@@ -25,8 +25,8 @@ pub struct Element {
 }
 
 impl Element {
-    /// Returns the element of the same surface at a pixel `dx` to the right and `dy` down. Inverse depth and velocity
-    /// are extrapolated by their gradients.
+    /// Returns the element of the same surface at the pixel that is `dx` pixels to the right and `dy` pixels down.
+    /// Inverse depth and velocity are extrapolated by their gradients.
     #[inline(always)]
     pub fn at(&self, dx: f32, dy: f32) -> Self {
         let [qx, qy] = self.inverse_depth_gradient;
@@ -41,7 +41,8 @@ impl Element {
         }
     }
 
-    /// Returns the same element without motion.
+    /// Returns this surface element without motion: its velocity with gradient, acceleration and rate of inverse depth
+    /// are 0.
     pub fn still(&self) -> Self {
         Self {
             velocity: [0.0; 2],
@@ -59,7 +60,8 @@ impl Element {
         (self.velocity[0] * self.velocity[0] + self.velocity[1] * self.velocity[1]).sqrt()
     }
 
-    /// Returns the position and the inverse depth, `[x, y, q]`, of the element at pixel `(x, y)` after `dt` frames.
+    /// Returns the position and the inverse depth, `[x, y, q]`, to which the element at pixel `(x, y)` moves in `dt`
+    /// frame periods.
     #[inline(always)]
     pub fn moved(&self, x: f32, y: f32, dt: f32) -> [f32; 3] {
         let half = 0.5 * dt * dt;
@@ -70,9 +72,9 @@ impl Element {
         ]
     }
 
-    /// Transfers the element at pixel `(x, y)` to another frame, `dt` frames later. Returns its pixel in the other
-    /// frame, and the element in the other frame. Gradients and acceleration are copied, since the cameras stand
-    /// close together.
+    /// Transfers the element at pixel `(x, y)` to another frame, `dt` frame periods later. Returns its position in the
+    /// other frame, pixels, and the element in the other frame. Gradients and acceleration are copied, since the
+    /// cameras stand close together.
     #[inline(always)]
     pub fn transferred(
         &self,

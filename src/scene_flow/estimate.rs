@@ -13,17 +13,18 @@ use rayon::prelude::*;
 /// Number of PatchMatch passes at each pyramid level, finest level first. The last entry is for all coarser levels.
 const PASSES: [usize; 4] = [2, 2, 3, 4];
 /// Number of random surface elements that are tried per pixel in each pass, by pyramid level, finest level first. The
-/// last entry is for all coarser levels.
+/// last entry is for all coarser levels. The last pass at a level tries a third of this number, rounded down.
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
 
-/// Coarsest pyramid level at which scene flow maps of different frames are compared with each other ([`OtherMaps`]);
-/// level 0 is the finest. The maps are compared in the last pass at a level.
+/// Coarsest pyramid level at which the scene flow maps of different frames are compared with each other
+/// ([`OtherMaps`]); level 0 is the finest. The comparison is part of the last pass at a level.
 const COARSEST_COMPARED: usize = 1;
 
-/// Estimation of the scene flow maps of several frames together. The maps propose surface elements to each other.
+/// Joint estimation of the scene flow maps of several frames. Surface elements of one map are proposed for the other
+/// maps.
 pub struct Estimation<'a> {
-    /// The frames whose scene flow maps are estimated. Each is paired with the frames with which it is matched, of
-    /// which at most 16 are used.
+    /// The frames whose scene flow maps are estimated. Each is paired with the frames with which it is matched. At most
+    /// 16 of these are used.
     pub frames: &'a [(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)],
     pub limits: Limits,
     /// Baseline to which all disparities refer, metres: twice the distance between neighbouring cameras.
@@ -126,7 +127,7 @@ impl Estimation<'_> {
             coarser.element_at(at, [(x as f32 + 0.5) * scale, (y as f32 + 0.5) * scale])
         };
         let elements: Vec<Element> = (0..width * height).map(element).collect();
-        // The coarser level's costs are needed to decide which pixels are settled.
+        // The coarser level's costs are needed to decide which pixels already have a good surface element.
         let cost = |k: usize| coarser.map_or(0.0, |c| c.costs[parent(c, k % width, k / width)]);
         let costs = (0..width * height).map(cost).collect();
         ElementMap { width, height, scale, elements, costs }

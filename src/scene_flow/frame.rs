@@ -1,4 +1,4 @@
-//! Frames for matching, with an image pyramid of brightness, colour and gradients.
+//! Frames for matching. Each has an image pyramid of brightness, colour and gradients.
 
 use super::still::{CompactImage, StillImage};
 use crate::camera::{Camera, CameraModel};
@@ -131,7 +131,8 @@ pub struct FlowFrame {
     pub image: Image,
     /// For each pixel, whether it lies inside the camera's original image. `None` if all pixels do.
     pub is_filmed: Option<Vec<bool>>,
-    /// For each pixel, whether it shows static background. `None` if this is unknown.
+    /// For each pixel, whether it shows the static background of the camera rather than a moving body. `None` if this
+    /// is unknown.
     pub still: Option<Vec<bool>>,
 }
 
@@ -177,7 +178,7 @@ impl FlowFrame {
     }
 
     /// Compares the frame with the static background `still` of its camera. Returns the frame with a mask of the pixels
-    /// that show this background. If the background is unknown at all pixels, the frame is returned unchanged.
+    /// that show this background. If no pixel's background is known, the frame is returned unchanged.
     pub fn with_still(self, still: &StillImage) -> Self {
         if still.is_empty() {
             return self;

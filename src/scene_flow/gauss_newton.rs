@@ -1,4 +1,5 @@
-//! One Gauss–Newton step on depth and motion, from the image gradients of all frames that see the element.
+//! One Gauss–Newton step on the depth and motion of a surface element, from the image gradients of all frames that see
+//! the element.
 
 use super::element::Element;
 use super::matching::{MatchedElement, ObservingFrame, PatchMatcher};
@@ -92,8 +93,8 @@ impl PatchMatcher<'_> {
         [(u1 - u) / step, (v1 - v) / step]
     }
 
-    /// Adds the prior to the normal equations: damping of all unknowns, and a pull of the inverse depth's rate and of
-    /// the acceleration towards 0.
+    /// Adds the prior to the normal equations: damping of all unknowns, and terms that pull the inverse depth's rate of
+    /// change and the acceleration towards 0.
     fn add_prior(
         &self,
         e: &Element,

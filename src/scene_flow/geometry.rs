@@ -3,9 +3,9 @@
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2};
 
-/// Mapping of a pixel `(x, y)` with inverse depth `q` from one pinhole camera to another. The homogeneous pixel in
-/// the other camera is `A (x, y, 1) + q b`. A and b are computed in f64, and stored in f32. In f32, a position in an
-/// image 4,000 pixels wide is exact to 0.0005 pixels.
+/// Mapping of a pixel `(x, y)` with inverse depth `q` from one pinhole camera to another. The homogeneous pixel in the
+/// other camera is `A (x, y, 1) + q b`. A and b are computed in f64 and stored in f32. With f32, positions in an image
+/// 4,000 pixels wide are exact to 0.0005 pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct Projection {
     a: [[f32; 3]; 3],

@@ -39,15 +39,16 @@ impl ElementMap {
 
 /// Quantization steps per pixel of a velocity, of an acceleration, and of a disparity's rate of change.
 const STEPS: f32 = 64.0;
-/// Number of quantization steps in the search range of inverse depths.
+/// Number of quantization steps from the minimum to the maximum of the search range of inverse depths.
 const DEPTH_STEPS: f32 = u16::MAX as f32;
-/// Maximum difference between neighbouring surface elements of the same surface, pixels: the difference in disparity
-/// plus the difference in motion over [`JUMP_FRAMES`].
+/// Maximum difference between two neighbouring surface elements that belong to the same surface, pixels. The difference
+/// is that of the disparities, plus that of the velocities times [`JUMP_FRAMES`].
 const MAX_JUMP_PX: f32 = 1.0;
-/// Time over which the motions of two neighbouring surface elements are compared, frames ([`MAX_JUMP_PX`]).
+/// Time by which the difference in velocity of two neighbouring surface elements is multiplied, frames. The product is
+/// compared with [`MAX_JUMP_PX`].
 const JUMP_FRAMES: f32 = 0.5;
 
-/// Number of quantization steps over which a standard error doubles.
+/// Number of quantization steps per doubling of a standard error.
 const STEPS_PER_OCTAVE: f32 = 2.0;
 /// Smallest standard error that can be stored, pixels.
 const MIN_ERROR_PX: f32 = 1.0 / 256.0;
@@ -76,8 +77,8 @@ pub struct FlowPixel {
     velocity: [i16; 2],
     acceleration: [i16; 2],
     rate: i16,
-    /// Bit mask of the sides on which the neighbouring pixel belongs to another surface: bit 0 left, 1 right, 2
-    /// above, 3 below.
+    /// Bit mask of the sides on which the neighbouring pixel belongs to another surface: bit 0 for left, 1 for right, 2
+    /// for above, 3 for below.
     edges: u8,
     /// Standard errors of the disparity and of the velocity, as codes on a logarithmic scale.
     errors: [u8; 2],
@@ -131,9 +132,9 @@ impl FlowPixel {
 }
 
 impl FlowMap {
-    /// Quantizes an estimated map of the finest pyramid level. `inverse_depth` is the search range, minimum and
-    /// maximum in 1/m, which contains all inverse depths of the map. All standard errors are set to the smallest one
-    /// that can be stored.
+    /// Quantizes an estimated map of the finest pyramid level. `inverse_depth` is the minimum and maximum of the search
+    /// range, 1/m, which contains all inverse depths of the map. `disparity_px` is [`Self::disparity_px`]. All standard
+    /// errors are set to the smallest one that can be stored.
     pub fn new(map: &ElementMap, inverse_depth: [f32; 2], disparity_px: f32) -> Self {
         let rounded = |v: f32| (v * STEPS).round() as i16; // saturates
         let [min, max] = inverse_depth;
@@ -213,7 +214,7 @@ fn is_jump(a: &Element, b: &Element, disparity_px: f32) -> bool {
     disparity + JUMP_FRAMES * motion > MAX_JUMP_PX
 }
 
-/// A frame and its map of depth and motion.
+/// A frame and its scene flow map, which holds its depth and motion.
 #[derive(Clone, Copy)]
 pub struct MappedFrame<'a> {
     pub frame: &'a FlowFrame,

@@ -8,7 +8,7 @@ use super::patch::Patch;
 use super::timing::TimeBetween;
 use crate::simd::{F32x8, LANES, multiversion};
 
-/// Maximum absolute difference in each channel between two matching samples. Larger differences, which occlusions
+/// Maximum absolute difference in each channel between two [`MatchingSample`]s. Larger differences, which occlusions
 /// cause, are truncated.
 const TRUNCATION: MatchingSample = [0.12, 0.084, 0.084, 0.084];
 /// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
@@ -18,11 +18,11 @@ const RESIDUAL: f32 = 0.05;
 const BEST_FRACTION: f32 = 0.55;
 /// Minimum number of observing frames whose costs are averaged.
 const MIN_BEST: usize = 3;
-/// Limit between two kinds of costs. In a frame whose image contains the surface element, the matching cost is smaller.
-/// A larger value marks a frame with the element outside its image.
+/// Matching cost in an observing frame that separates two cases. If the surface element is inside the frame's image,
+/// the cost is smaller. If it is outside, the cost is set to a larger value.
 const OUTSIDE: f32 = 1.0;
-/// Cost of an observing frame in which the surface element is outside the image, if that frame is among the averaged
-/// ones. The value lies between the cost of a match and the cost of a mismatch.
+/// Cost with which an observing frame enters the averaged costs if the surface element is outside its image. The value
+/// lies between the cost of a match and the cost of a mismatch.
 const OUTSIDE_COST: f32 = 0.19;
 /// Cost that is added for a surface element outside the images of all observing frames. If the element is outside
 /// some of the images, the same fraction of this cost is added.
@@ -30,7 +30,7 @@ const OUTSIDE_PENALTY: f32 = 0.02;
 /// Maximum number of observing frames for each matched frame.
 pub const MAX_OBSERVATIONS: usize = 16;
 
-/// A frame in which the surface elements of the matched frame are observed.
+/// Another frame, in which surface elements of the matched frame are observed.
 pub struct ObservingFrame<'a> {
     /// Time from a pixel of the matched frame to a pixel of this frame.
     pub time: TimeBetween,
@@ -168,7 +168,7 @@ impl SortedCosts {
     }
 }
 
-/// Computes the matching cost of a surface element, as [`PatchMatcher::cost`] describes.
+/// Computes the matching cost of a surface element, as [`PatchMatcher::cost`] does.
 #[inline(always)]
 fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut Costs) -> f32 {
     let matcher = placed.matcher;
@@ -195,8 +195,8 @@ fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut
     sorted.mean(n, is_finest)
 }
 
-/// Returns the sum of the weighted, truncated differences between a patch's samples and an image at the patch's
-/// footprint. Positions outside the image are clamped to its border.
+/// Returns the weighted sum of truncated absolute differences between a patch's samples and an image sampled at the
+/// patch's footprint. Positions outside the image are clamped to its border.
 #[inline(always)]
 fn differences<V: F32x8>(
     image: &MatchingImage,
@@ -219,7 +219,7 @@ fn differences<V: F32x8>(
 }
 
 /// Returns sums over the patch for the normal equations: of the products of image gradients, `xx`, `xy`, `yy`, and of
-/// gradient times residual, `x`, `y`. Positions outside the image have weight 0.
+/// gradient times brightness residual, `x`, `y`. Positions outside the image have weight 0.
 #[inline(always)]
 fn gradient_sums<V: F32x8>(
     image: &MatchingImage,
@@ -360,7 +360,7 @@ impl PatchMatcher<'_> {
     }
 
     /// Returns the fraction of the observing frames that show static background at the surface element's projection.
-    /// Frames whose image does not contain the projection don't count.
+    /// Frames with the projection outside their image are not counted.
     #[inline(always)]
     pub fn still_fraction(&self, e: &Element, (x, y): (usize, usize)) -> f32 {
         let (mut still, mut inside) = (0u32, 0u32);
@@ -387,9 +387,9 @@ impl PatchMatcher<'_> {
         }
     }
 
-    /// Calls `f` for every observing frame whose cost is at most `max_cost`, with the frame's terms of the normal
-    /// equations. The terms are sums over the patch: of products of image gradients, `[xx, xy, yy]`, and of gradient
-    /// times brightness residual, `[x, y]`. Gradients are per pixel of the pyramid level.
+    /// Calls `f` for every observing frame whose matching cost is at most `max_cost`, with the frame's terms of the
+    /// normal equations. The terms are sums over the patch: of products of image gradients, `[xx, xy, yy]`, and of
+    /// gradient times brightness residual, `[x, y]`. Gradients are per pixel of the pyramid level.
     pub fn for_each_gradient(
         &self,
         matched: &MatchedElement,

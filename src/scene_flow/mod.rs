@@ -1,5 +1,5 @@
 //! Scene flow, beyond the paper: estimates depth and motion for every frame, from the frames of all cameras, each at
-//! its own time. A view is rendered from the frames nearest in time to its instant: their surface points are moved to
+//! its own time. A view at an instant is rendered from the frames nearest in time: their surface points are moved to
 //! the instant and blended.
 //!
 //! ```text
@@ -11,8 +11,8 @@
 //! Asynchronous Cameras* (VMV 2010); Bleyer, Rhemann, Rother, *PatchMatch Stereo* (BMVC 2011); Taniai et al., *Fast
 //! Multi-frame Stereo Scene Flow* (CVPR 2017).
 //!
-//! Known limits: outlines are off by one or two pixels. Edges parallel to the line of cameras have no disparity, so
-//! their depth is found only where they move.
+//! Known limits: outlines are off by one or two pixels. The disparity of image edges parallel to the line of cameras
+//! can't be measured, so their depth is found only where they move.
 //!
 //! | file | content |
 //! |---|---|
@@ -20,11 +20,11 @@
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
 //! | `timing.rs` | the time between pixels of two frames, with rolling shutters |
 //! | `still.rs` | the static background of a camera |
-//! | `element.rs` | a surface element: depth, path, slant |
+//! | `element.rs` | a surface element: the depth, path and slant of the surface at a pixel |
 //! | `patch.rs`, `matching.rs` | the matching cost of an element over all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
 //! | `sweep.rs` | one pass of PatchMatch over a map |
-//! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of contradicting these maps |
+//! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of differing from these maps |
 //! | `estimate.rs` | the order of these steps, for several frames together |
 //! | `uncertainty.rs` | standard errors of depth and velocity |
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and their stored form |

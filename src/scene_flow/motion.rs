@@ -1,6 +1,6 @@
 //! Motion of the surfaces that a rendered view shows.
 
-/// Quantization steps per pixel of motion. With this number, speeds of up to 512 pixels per frame can be stored, with
+/// Quantization steps per pixel of velocity. With this number, speeds of up to 512 pixels per frame can be stored, with
 /// errors of at most 1/128 pixel.
 const STEPS: f32 = 64.0;
 
@@ -13,27 +13,28 @@ pub struct SurfaceMotion {
     pub inverse_depth_rate: f32,
 }
 
-/// Quantization steps per pixel of a disparity's rate of change, which is in pixels per frame. Rates beyond 16 pixels
+/// Quantization steps per unit of a disparity's rate of change, which is in pixels per frame. Rates beyond 16 pixels
 /// per frame saturate.
 const RATE_STEPS: f32 = 8.0;
 
-/// Quantized motion of one pixel: two 16-bit numbers for the velocity and an 8-bit number for the inverse depth's
-/// rate of change. They are stored as bytes, so that no memory is lost to padding.
+/// Quantized [`SurfaceMotion`] of one pixel: two 16-bit numbers for the velocity and an 8-bit number for the inverse
+/// depth's rate of change. They are stored as bytes, so that no memory is lost to padding.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct QuantizedMotion([u8; 5]);
 
 /// The motion of the surface at every pixel of a view at an instant, quantized to 5 bytes per pixel, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotionMap {
-    /// Disparity of a point at a depth of 1 m, pixels. It is the factor from an inverse depth, 1/m, to a disparity.
-    /// Rates of inverse depth are quantized as rates of disparity.
+    /// Disparity of a point at a depth of 1 m, pixels, at a baseline of twice the distance between neighbouring
+    /// cameras. It is the factor from an inverse depth, 1/m, to a disparity. Rates of inverse depth are quantized as
+    /// rates of disparity.
     disparity_px: f32,
     pixels: Vec<QuantizedMotion>,
 }
 
 impl MotionMap {
-    /// Creates a map without pixels, with memory for `count` of them. `disparity_px` is the disparity of a point at a
-    /// depth of 1 m, pixels.
+    /// Creates a map without pixels, with memory for `count` pixels. `disparity_px` is the disparity, in pixels, of a
+    /// point at a depth of 1 m, at a baseline of twice the distance between neighbouring cameras.
     pub fn empty(disparity_px: f32, count: usize) -> Self {
         let disparity_px = disparity_px.max(f32::MIN_POSITIVE);
         Self { disparity_px, pixels: Vec::with_capacity(count) }

@@ -1,4 +1,4 @@
-//! Stored form of a map of depth and motion, compressed without loss.
+//! Stored form of a scene flow map, compressed without loss.
 
 use super::map::{FlowMap, FlowPixel};
 use crate::camera::Camera;
@@ -9,12 +9,12 @@ use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::io::{Read, Write};
 
-/// Compression level of Deflate. Higher levels take three times as long, and save a twentieth of the size.
+/// Compression level of Deflate. Higher levels take three times as long, and reduce the size by a twentieth.
 const LEVEL: u32 = 3;
 
-/// Scene flow map with compressed pixels. The bytes are compressed in planes, channel by channel. A 16-bit channel
-/// has all its low bytes before all its high bytes, and each value is stored as the difference from the previous
-/// pixel's value. The 8-bit channels follow as they are.
+/// Scene flow map with compressed pixels. The pixels are compressed in planes, channel by channel. A 16-bit channel has
+/// all its low bytes before all its high bytes, and each value is stored as the difference from the previous pixel's
+/// value. The 8-bit channels follow, without differences.
 #[derive(Serialize, Deserialize)]
 struct PackedMap {
     width: usize,
@@ -80,7 +80,7 @@ impl PackedMap {
 }
 
 impl FlowMap {
-    /// Returns an upper bound on the size of a camera's stored scene flow map, bytes.
+    /// Returns an upper bound of the size of the stored scene flow map of a frame by `camera`, bytes.
     pub fn max_stored_bytes(camera: &Camera) -> usize {
         let bytes = camera.width * camera.height * FlowPixel::BYTES;
         // Deflate adds at most 5 bytes per 16 KiB of incompressible data.

@@ -1,17 +1,18 @@
-//! Patches: the neighbourhood of a pixel, reduced to the pixels that probably belong to the same surface.
+//! Patches. A patch is the neighbourhood of a pixel, reduced to the pixels that probably belong to the same surface.
 
 use super::frame::{MatchingImage, MatchingSample, WEIGHTS};
 use crate::simd::LANES;
 
-/// Colour difference from the centre of the patch at which the colour term of a pixel's weight falls to 1/e.
+/// Colour difference between a pixel and the centre of its patch at which the colour term of the pixel's weight falls
+/// to 1/e.
 const PATCH_COLOR: f32 = 0.08;
 /// Half-width of a patch at the finest pyramid level, and the step between its pixels; both in pixels.
 const PATCH_FINEST: (i32, i32) = (4, 2);
 /// Half-width of a patch at all pyramid levels except the finest, and the step between the patch's pixels. Both are in
 /// pixels of the level.
 const PATCH_COARSE: (i32, i32) = (2, 1);
-/// Minimum weight of a pixel in a patch. Pixels with a smaller weight are left out. They are on another surface, or
-/// far from the centre.
+/// Minimum weight of a pixel in a patch. A pixel with a smaller weight probably shows another surface, or is far from
+/// the centre, and is left out.
 const MIN_WEIGHT: f32 = 0.05;
 /// Maximum number of pixels in a patch.
 const PATCH_PIXELS: usize = 25;
@@ -64,7 +65,8 @@ impl Patch {
         sums
     }
 
-    /// Fills the patch with the pixels around pixel `(x, y)` of a pyramid level.
+    /// Fills the patch with the pixels around pixel `(x, y)` of a pyramid level. `is_finest` tells whether this is the
+    /// finest level, where patches are larger.
     #[inline]
     pub fn fill(&mut self, image: &MatchingImage, (x, y): (usize, usize), is_finest: bool) {
         let (radius, step) = if is_finest { PATCH_FINEST } else { PATCH_COARSE };

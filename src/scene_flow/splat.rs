@@ -1,4 +1,4 @@
-//! Splats a map into a view: the map's elements are moved to an instant and projected into the view.
+//! Splats a scene flow map into a view: the map's surface elements are moved to an instant and projected into the view.
 
 use super::geometry::{Projection, distorted};
 use super::map::{FlowMap, FlowPixel, MappedFrame};
@@ -12,10 +12,11 @@ use std::ops::Range;
 const HALF_WIDTH: f32 = 0.55;
 /// Half-width of a splat towards a neighbouring pixel on another surface, pixels of the frame.
 const HALF_WIDTH_AT_EDGE: f32 = 0.5;
-/// Minimum and maximum magnification of a splat due to the change of depth from the frame to the view. The ratio of
-/// the focal lengths is a further factor.
+/// Minimum and maximum magnification of a splat due to the difference between its depths in the frame and in the view.
+/// The splat is also magnified by the ratio of the focal lengths.
 const SCALES: [f32; 2] = [0.8, 8.0];
-/// Difference in disparity from which a nearer surface element occludes a farther one, pixels.
+/// Minimum difference in disparity for a nearer surface element to occlude a farther one, pixels. Elements with a
+/// smaller difference count as one surface.
 const HIDING_PX: f32 = 0.5;
 /// Constant part of the expected error of a surface element's position, pixels.
 const ERROR_PX: f32 = 0.2;
@@ -29,9 +30,9 @@ const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
 /// Expected error of a surface element's position as a fraction of acceleration times squared time, since real paths
 /// are not parabolas.
 const ERROR_BY_CURVATURE: f32 = 0.1;
-/// Expected error of a surface element's position below which the frame's weight rises steeply, pixels. This error
-/// includes the parts due to the distance of the cameras and to the time between the frame and the view's instant. A
-/// view at a camera's own position and a frame's own time thus shows that frame.
+/// Expected error of a surface element's position below which the frame's weight rises steeply, pixels. Here, the error
+/// consists of the parts due to the distance of the cameras and to the time between the frame and the view's instant. A
+/// view at a camera's own position and a frame's own time thus shows this frame.
 const EXACT_PX: f32 = 0.01;
 
 /// Scene flow map rendered into some rows of a view. Its public fields have one value per pixel, row by row.
@@ -50,7 +51,7 @@ pub struct Splat {
     row_dt: Vec<f32>,
     width: usize,
     rows: Range<usize>,
-    /// Difference in inverse depth from which a nearer surface element occludes a farther one, 1/m.
+    /// Minimum difference in inverse depth for a nearer surface element to occlude a farther one, 1/m.
     hiding: f32,
 }
 

@@ -1,24 +1,24 @@
-//! Static background of a camera (a background model), from frames of the camera's whole recording. A pixel has a
-//! static background if at least a third of the frames show one colour there. Where a frame shows another colour, a
-//! moving body is in front of the background.
+//! Static background of a camera (a background model), computed from frames of the camera's whole recording. A pixel
+//! has a static background if at least a third of the frames show one colour there. Where a frame shows another colour,
+//! a moving body is in front of the background.
 
 use crate::raster::Image;
 use rayon::prelude::*;
 
 /// Maximum difference in each channel between two colours that count as equal, in steps of 1/255.
 const TOLERANCE: u8 = 10;
-/// Minimum fraction of the frames that show the background colour of a pixel. If the fraction were larger, a
-/// background that is hidden for most of the recording would stay unknown. If it were smaller, a plain body that
-/// passes slowly would count as background.
+/// Minimum fraction of the frames that show the background colour of a pixel. If the fraction were larger, a background
+/// that is hidden for most of the recording would stay unknown. If it were smaller, a textureless body that passes
+/// slowly would count as background.
 const MIN_SUPPORT: f64 = 1.0 / 3.0;
-/// Minimum number of moving pixels in the 3×3 neighbourhood of a moving pixel, the pixel included. A moving pixel
-/// with fewer is noise.
+/// Minimum number of moving pixels in the 3×3 neighbourhood of a moving pixel, the pixel included. If there are fewer,
+/// the difference from the background is noise, and the pixel counts as background.
 const MIN_MOVING: usize = 3;
 
 /// Colour with 8 bits per channel: red, green, blue.
 type Rgb8 = [u8; 3];
 
-/// Colours of the static background in a camera's image, row by row.
+/// Static background of a camera: one colour for each pixel of its image, row by row.
 pub struct StillImage {
     width: usize,
     /// Background colour of each pixel; `None` if less than a third of the frames show one colour there.
@@ -81,8 +81,10 @@ impl StillImage {
         self.colors.len()
     }
 
-    /// Returns, for each pixel of a frame, whether it shows static background. Pixels beside a moving body count as
-    /// background, although they may mix the colours of both: counted as body, they widen its outline.
+    /// Returns, for each pixel of a frame, whether it shows static background. A pixel with unknown background counts
+    /// as a moving body. A moving pixel with fewer than two moving neighbours counts as background. The mask of a
+    /// moving body is not dilated by the pixels beside it. These may mix the colours of body and background, but as
+    /// part of the mask they would widen the body's outline.
     pub fn shown_in(&self, frame: &CompactImage) -> Vec<bool> {
         let moving: Vec<bool> = self
             .colors
@@ -108,7 +110,7 @@ impl StillImage {
 mod tests {
     use super::*;
 
-    /// Returns frames of a wall with noise-free stripes, before which a bright square moves by 4 pixels per frame.
+    /// Returns frames of a wall with noise-free stripes, in front of which a bright square moves by 4 pixels per frame.
     fn frames(count: usize) -> Vec<CompactImage> {
         let value = |frame: usize, k: usize| {
             let (x, y) = (k % 40, k / 40);

@@ -1,6 +1,6 @@
-//! One pass of PatchMatch (Barnes et al. 2009; Bleyer et al. 2011) over a map. At each pixel, the current element
-//! competes with proposals from neighbouring pixels, from the maps of other frames, from random sampling, from an
-//! affine fit and from a Gauss–Newton step. The element with the lowest cost wins.
+//! One pass of PatchMatch (Barnes et al. 2009; Bleyer et al. 2011) over a scene flow map. At each pixel, the current
+//! surface element is compared with proposals from neighbouring pixels, from the maps of other frames, from random
+//! sampling, from an affine fit and from a Gauss–Newton step. The element with the lowest cost becomes the new one.
 
 use super::consistency::OtherMaps;
 use super::element::Element;
@@ -13,16 +13,17 @@ use crate::random::Random;
 /// Smoothness cost per pixel of distance ([`PatchMatcher::distance`]) between the surface elements of two
 /// neighbouring pixels.
 const SMOOTHNESS: f32 = 0.004;
-/// Maximum smoothness cost between two neighbouring pixels, pixels of the pyramid level. The cost is the difference
-/// between the displacements that the pixels' surface elements predict; larger differences count as this maximum.
+/// Value at which the distance ([`PatchMatcher::distance`]) between the surface elements of two neighbouring pixels is
+/// truncated in the smoothness cost, pixels of the pyramid level.
 const MAX_ROUGHNESS_PX: f32 = 2.0;
 /// Colour difference of two neighbouring pixels at which the colour term of the smoothness weight falls to 1/e.
 const COLOR: f32 = 0.08;
 /// Constant that is added to the colour term of the smoothness weight, so that neighbours of any colour have some
 /// smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Matching cost below which a pixel's surface element is good. For such a pixel, no random elements are tried. Later
-/// passes skip the pixel if its element is also static and its neighbours have nearly the same element.
+/// Matching cost below which a pixel's surface element is good. For such a pixel, no random elements are tried. If the
+/// element is also static and the neighbours have nearly the same element, later passes at the two finest levels skip
+/// the pixel.
 const MATCHED: f32 = 0.012;
 /// Distance ([`PatchMatcher::distance`]) below which two surface elements count as equal, pixels of the pyramid
 /// level.
@@ -32,8 +33,8 @@ const SAME_PX: f32 = 0.08;
 const STILL_PX: f32 = 0.3;
 /// Maximum speed, pixels per frame, of a surface element whose copy without motion is tried at the finest level.
 const MAX_SPEED_TO_REST_PX: f32 = 4.0;
-/// Fraction of the random surface elements that are drawn from the whole search range at coarse levels. The other
-/// random elements are near the current element.
+/// Fraction of the random surface elements that are drawn from the whole search range, at [`COARSE_LEVEL`] and coarser
+/// levels. The other random elements are near the current element.
 const ANYWHERE: f32 = 0.7;
 /// Fraction of the random surface elements from the whole search range that have no motion.
 const AT_REST: f32 = 0.15;
@@ -48,8 +49,8 @@ const COARSE_LEVEL: usize = 2;
 /// Cost per pixel of difference between a surface element and the other frames' scene flow maps
 /// ([`OtherMaps::difference`]).
 const INCONSISTENCY: f32 = 0.02;
-/// Difference between a surface element and the other frames' scene flow maps up to which the element is consistent,
-/// pixels. Then the maps add no cost.
+/// Maximum difference ([`OtherMaps::difference`]) between a pixel's surface element and the other frames' scene flow
+/// maps at which the element counts as consistent with them, pixels. No consistency cost is then added at this pixel.
 const CONSISTENT_PX: f32 = 1.5;
 
 /// Cost of a moving surface element that projects onto static background in all observing frames. If it does so in
@@ -57,7 +58,7 @@ const CONSISTENT_PX: f32 = 1.5;
 const SILHOUETTE: f32 = 0.3;
 
 /// Cost of the nearest depth for a pixel that shows static background. The cost is linear in the inverse depth, and 0
-/// at the farthest depth. A plain background that matches at many depths is thus put behind all bodies.
+/// at the farthest depth. Textureless background that matches at many depths is thus placed behind all bodies.
 const NEARNESS: f32 = 0.01;
 
 /// Search range of depths and speeds.
@@ -107,16 +108,16 @@ struct Best<'a, 'b> {
     match_cost: f32,
     cost: f32,
     costs: Costs,
-    /// Scene flow maps of the other frames, if they contradict the pixel's initial surface element. Otherwise `None`,
-    /// and the pixel has no consistency cost.
+    /// Scene flow maps of the other frames, if they disagree with the pixel's initial surface element. Otherwise
+    /// `None`, and the pixel has no consistency cost.
     others: Option<&'a OtherMaps<'a>>,
     /// Whether the pixel shows static background; `None` if this is unknown.
     is_still: Option<bool>,
 }
 
 impl Best<'_, '_> {
-    /// Replaces the pixel's surface element by the proposal if this lowers the total cost: the sum of the costs of
-    /// matching, smoothness, consistency and static background.
+    /// Evaluates a proposal for the pixel's surface element. Replaces the element by the proposal if this lowers the
+    /// total cost: the sum of the costs of matching, smoothness, consistency and static background.
     #[inline(always)]
     fn consider(&mut self, proposal: Element) {
         if !self.limits.contain(&proposal) {
@@ -155,8 +156,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the surface elements of two adjacent pixels that this pass has already visited, and at coarse levels the
-    /// elements of two pixels farther away.
+    /// Evaluates, as proposals, the surface elements of two adjacent pixels that this pass has already visited. At all
+    /// levels except the finest, it also evaluates those of two pixels farther away.
     fn consider_neighbors(&mut self, pass: &Pass) {
         let (x, y) = self.pixel;
         let sign = if pass.is_backward() { 1 } else { -1 };
@@ -171,8 +172,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the current surface element without its motion. At the finest level, this is skipped for a fast element,
-    /// which can't be at rest.
+    /// Evaluates, as a proposal, the current surface element without its motion. At the finest level, this is skipped
+    /// for a fast element, because its true motion can't be 0.
     fn consider_rest(&mut self) {
         let speed = self.element.speed();
         if speed > 0.0 && (self.matcher.level > 0 || speed < MAX_SPEED_TO_REST_PX) {
@@ -180,7 +181,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the surface elements that other frames' scene flow maps propose for pixel `k`.
+    /// Evaluates the surface elements that other frames' scene flow maps propose for pixel `k`.
     fn consider_proposals(&mut self, pass: &Pass, k: usize) {
         for proposal in pass.proposals.iter().flat_map(|p| p.at(k)) {
             if self.differs(&proposal) {
@@ -189,7 +190,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the affine fit to the neighbouring surface elements, except in the first pass at a level.
+    /// Evaluates, as a proposal, the affine fit to the neighbouring surface elements, except in the first pass at a
+    /// level.
     fn consider_fit(&mut self, pass: &Pass) {
         let (x, y) = self.pixel;
         if pass.turn > 0
@@ -200,7 +202,7 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries the surface element after a Gauss–Newton step from the current element.
+    /// Evaluates, as a proposal, the surface element after a Gauss–Newton step from the current element.
     fn consider_step(&mut self) {
         if let Some(step) = self.matcher.step(&self.matched())
             && self.matcher.distance(&step, &self.element) > 0.1 * SAME_PX
@@ -209,8 +211,8 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Tries a Gauss–Newton step in three cases: in the last pass; if this pass has changed the surface element from
-    /// `before`; and in the first pass, for a settled pixel. A settled pixel is well matched and static, and later
+    /// Evaluates a Gauss–Newton step in three cases: in the last pass; if this pass has changed the surface element
+    /// from `before`; and in the first pass, for a settled pixel. A settled pixel is well matched and static, and later
     /// passes skip it.
     fn step_if_due(&mut self, before: &Element, is_settled: bool, pass: &Pass) {
         let has_changed = self.matcher.distance(before, &self.element) > 0.0;
@@ -236,8 +238,9 @@ impl Best<'_, '_> {
 }
 
 impl PatchMatcher<'_> {
-    /// Returns the smoothness cost of a surface element: the weighted sum of its truncated distances from the
-    /// elements of the four neighbouring pixels. The weights depend on the colour difference.
+    /// Returns the smoothness cost of a surface element: the weighted sum of its truncated distances from the elements
+    /// of the four neighbouring pixels. A neighbour's weight decreases with its colour difference. A neighbour is
+    /// skipped if only one of the two pixels shows static background.
     #[inline(always)]
     fn roughness(&self, map: &ElementMap, e: &Element, x: usize, y: usize) -> f32 {
         let center = self.own.pixel(x, y);
@@ -284,9 +287,10 @@ impl PatchMatcher<'_> {
             })
     }
 
-    /// Copies the surface element of the top-left pixel of a 2×2 block to another pixel of the block, if the top-left
-    /// pixel is settled. Returns whether the element was copied. All four pixels began with one element of the
-    /// coarser level. The pass must be forward, so that it has already visited the top-left pixel.
+    /// Copies the surface element of the top-left pixel of a 2×2 block to pixel `(x, y)` of the block, if the top-left
+    /// pixel is settled ([`Self::is_settled`]). Returns whether the element was copied. All four pixels of a block
+    /// began with the same element of the coarser level. The pass must be forward, so that it has already visited the
+    /// top-left pixel.
     fn is_copied(&self, map: &mut ElementMap, x: usize, y: usize) -> bool {
         let (dx, dy) = (x % 2, y % 2);
         let first = (y - dy) * self.own.width + x - dx;
@@ -302,8 +306,8 @@ impl PatchMatcher<'_> {
         is_copied
     }
 
-    /// Returns whether all pixels of the 2×2 block that contains pixel `(x, y)` show static background. These pixels
-    /// keep the surface element of the coarser level.
+    /// Returns whether all pixels of the 2×2 block that contains pixel `(x, y)` show static background. If so, the
+    /// pixels keep the surface element of the coarser level.
     fn is_inherited(&self, x: usize, y: usize) -> bool {
         let (u, v) = (x - x % 2, y - y % 2);
         let block = [(u, v), (u + 1, v), (u, v + 1), (u + 1, v + 1)];
@@ -401,7 +405,7 @@ impl PatchMatcher<'_> {
     }
 
     /// Returns whether two surface elements of one pixel differ noticeably, either at the pixel or at one of two
-    /// corners of its patch. For the corners, the elements are extrapolated by their gradients.
+    /// corners of its patch. At the corners, the elements extrapolated by their gradients are compared.
     fn changes_patch(&self, a: &Element, b: &Element) -> bool {
         let r = 3.0 * self.scale;
         self.distance(a, b) > 0.4 * SAME_PX

@@ -68,8 +68,8 @@ fn filmed(camera: &Camera, walls: &[Wall], time: f64) -> Image {
     Image::from_data(SIZE[0], SIZE[1], 3, data)
 }
 
-/// Returns the frames of four cameras in a line. Each camera films three frames, with an offset that is a multiple of
-/// a quarter of a frame.
+/// Returns the frames of four cameras in a line. Each camera films three frames, with a temporal offset that is a
+/// multiple of a quarter of a frame interval.
 fn recording(walls: &[Wall]) -> Vec<[FlowFrame; 3]> {
     let frames = |c: usize| {
         let camera = camera_at(SPACING_M * c as f64, 0.0);
@@ -81,7 +81,7 @@ fn recording(walls: &[Wall]) -> Vec<[FlowFrame; 3]> {
     (0..4).map(frames).collect()
 }
 
-/// Returns the maps of all cameras' middle frames.
+/// Returns the scene flow maps of the cameras' middle frames, one for each camera.
 fn maps(recording: &[[FlowFrame; 3]]) -> Vec<FlowMap> {
     let matched = |c: usize| {
         let own = &recording[c];

@@ -50,8 +50,8 @@ impl TimeBetween {
         self.frames
     }
 
-    /// Returns the time after which the other frame sees the surface element at pixel `(x, y)`, in frame periods of
-    /// the reference camera.
+    /// Returns the time from the exposure of the surface element at pixel `(x, y)` in the first frame to its exposure
+    /// in the other frame, in frame periods of the reference camera.
     ///
     /// With a rolling shutter, the row at which the other frame sees the element depends on the time, and the time
     /// depends on the row. One secant step solves for both. The step is exact if that row changes linearly with time.

@@ -1,4 +1,4 @@
-//! Proposals for a frame's map: elements of other frames' maps, transferred to the frame.
+//! Proposals for a frame's scene flow map: surface elements of other frames' maps, transferred to the frame.
 
 use super::element::Element;
 use super::frame::FlowFrame;
@@ -12,11 +12,12 @@ const MAX_PROPOSAL_DT: f32 = 1.1;
 /// Cost that is added to a proposal per frame period of time between its own frame and the frame for which it is
 /// proposed. Of two equally good surface elements, the one from the frame nearer in time is thus preferred.
 const COST_PER_FRAME: f32 = 0.01;
-/// Upper bound of the matching cost of a surface element that is proposed because it is the frontmost one.
+/// Maximum cost of a surface element that is proposed because it is the frontmost one at a pixel. The cost is the
+/// matching cost, plus [`COST_PER_FRAME`] times the time between the frames.
 const MAX_NEAR_COST: f32 = 0.1;
 
-/// Angle between the optical axes of two cameras above which a surface element's gradients are computed anew in the
-/// other camera, radians. Below this angle, they are copied.
+/// Angle between the optical axes of two cameras above which a surface element's gradients are recomputed for the other
+/// camera, radians. Below this angle, they are copied.
 const TURNED_RAD: f64 = 0.1;
 /// Minimum area that one pixel of a surface element covers in the other frame, pixels. If the area is smaller, the
 /// surface is seen edge-on, and its gradients in the other frame are set to 0.
@@ -39,8 +40,9 @@ struct Transfer<'a> {
 }
 
 impl Transfer<'_> {
-    /// Returns the transferred surface element `there` with the gradients of its surface in the other frame, where it
-    /// is at `pixel`. The gradients are computed from the transfer of the pixels to the right and below.
+    /// Returns the transferred surface element `there` with gradients computed for the other frame, where its position
+    /// is `pixel`. For this purpose, the element is extrapolated to the next pixel to the right and to the next pixel
+    /// down, and transferred from there too.
     fn with_gradients(&self, pixel: [f32; 2], there: Element) -> Element {
         let step = |dx: f32, dy: f32| {
             let beside = self.element.at(dx, dy);

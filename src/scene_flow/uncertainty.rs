@@ -1,5 +1,5 @@
-//! Standard errors of an element's disparity and velocity. They come from the covariance of the Gauss–Newton
-//! estimate, as in bundle adjustment: from the image gradients and the residuals of the element's patch.
+//! Standard errors of the disparity and velocity of surface elements. They come from the covariance of the Gauss–Newton
+//! estimate, as in bundle adjustment: from the image gradients and the residuals of an element's patch.
 
 use super::element::ElementErrors;
 use super::map::ElementMap;
@@ -17,12 +17,12 @@ const VISIBLE_FRACTION: f64 = 0.55;
 /// Standard errors of a surface element without any image gradient: of the disparity, pixels, and of each component
 /// of the velocity, pixels per frame.
 const PRIOR_PX: [f64; 2] = [4.0, 8.0];
-/// Factors by which the standard errors of disparity and velocity from the covariance are multiplied. They are needed
-/// because residuals of neighbouring pixels are correlated and smoothness adds information. With these factors, the
-/// median errors on the scenes `spin`, `bounce`, `magazine` and `ball` are 0.3 to 0.9 standard errors.
+/// Factors by which the standard errors of disparity and velocity from the covariance are multiplied. They correct for
+/// the correlation between residuals of neighbouring pixels, and for the information that smoothness adds. With these
+/// factors, the median errors on the scenes `spin`, `bounce`, `magazine` and `ball` are 0.3 to 0.9 standard errors.
 const SCALE: [f64; 2] = [0.6, 0.4];
-/// Part of the velocity's standard error that is due to acceleration, as a multiple of the acceleration; in frame
-/// periods. This part is needed since real paths are not parabolas.
+/// Standard error of the velocity due to acceleration, as a multiple of the acceleration; in frame periods. It is
+/// needed since real paths are not parabolas.
 const BY_ACCELERATION: f32 = 0.05;
 
 impl PatchMatcher<'_> {

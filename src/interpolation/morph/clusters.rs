@@ -24,7 +24,7 @@ use super::{A_PX, LANES, Line, WarpSums, line_sums};
 use std::collections::BinaryHeap;
 use std::ops::Range;
 
-/// Maximum error of a mean displacement, pixels.
+/// Maximum error of a mean displacement due to the approximation by clusters, pixels.
 pub(super) const TOLERANCE_PX: f64 = 0.02;
 /// A cluster may approximate its edges if the distance from the tile to the cluster's centre is more than this multiple
 /// of the cluster's radius.
@@ -36,7 +36,7 @@ const LEAF_SIZE: usize = 8;
 struct Cluster {
     /// A single edge that approximates the cluster. Its `p` is the cluster's centre.
     line: Line,
-    /// Upper bound of the distances from the centre to the edges' ends, pixels.
+    /// Upper bound of the distances from the cluster's centre to the edges' ends, pixels.
     radius: f64,
     /// Sum over the cluster's edges of strength·|displacement at the centre − mean displacement at the centre|, pixels.
     /// The mean is weighted by strength.
@@ -49,7 +49,7 @@ struct Cluster {
     children: Option<[usize; 2]>,
 }
 
-/// The tree of clusters. The last cluster is the root.
+/// A binary tree of clusters over all edges. The last cluster is the root.
 pub(super) struct Clusters {
     lines: Vec<Line>,
     clusters: Vec<Cluster>,
@@ -77,17 +77,19 @@ impl Tile {
     }
 }
 
-/// A cluster that is far from a tile, with its terms of the error bound, which the module's documentation defines.
+/// A cluster that is far from a tile, with its terms of the error bound in the module's documentation.
 #[derive(Clone, Copy)]
 struct FarCluster {
     cluster: usize,
-    /// The cluster's term of the sum P in the error bound, which the module's documentation defines.
+    /// The cluster's term of P in the error bound, pixels: an upper bound of its sum of strength·e·|d − D₀|. e is the
+    /// error of the distance function, d an edge's displacement, and D₀ a constant displacement.
     p: f64,
-    /// The cluster's term of the sum Q in the error bound, which the module's documentation defines.
+    /// The cluster's term of Q in the error bound: an upper bound of its sum of strength·e. e is the error of the
+    /// distance function.
     q: f64,
     /// Lower bound of the cluster's exact weight at the tile's nodes.
     weight: f64,
-    /// The cluster's term of the error bound's numerator P + Q·|D′ − D₀|, for an assumed maximum of |D′ − D₀|.
+    /// The cluster's term of the error bound's numerator P + Q·|D′ − D₀|, pixels, for an assumed maximum of |D′ − D₀|.
     bound: f64,
 }
 
@@ -169,8 +171,8 @@ impl Clusters {
         }
     }
 
-    /// Collects, within cluster `k`, the edges that are near the tile in `near`, and the clusters that are far from
-    /// the tile in `far`.
+    /// Divides cluster `k` for a tile: appends edges near the tile to `near`, and the indices of clusters far from it
+    /// to `far`.
     fn near(&self, k: usize, tile: &Tile, near: &mut Vec<Line>, far: &mut Vec<usize>) {
         let cluster = &self.clusters[k];
         let (min, _) = tile.distances(cluster.line.p);
@@ -183,8 +185,8 @@ impl Clusters {
         }
     }
 
-    /// Returns cluster `k` with its terms of the error bound at a tile. D₀ of the error bound is `reference`, and
-    /// |D′ − D₀| is assumed to be at most `farthest`. Both are in pixels.
+    /// Returns the far cluster `k` with its terms of the error bound for a tile. `reference` is D₀ of the error bound,
+    /// and `farthest` is the assumed maximum of |D′ − D₀|. Both are in pixels.
     fn far_cluster(&self, k: usize, tile: &Tile, reference: [f32; 2], farthest: f64) -> FarCluster {
         let cluster = &self.clusters[k];
         let line = &cluster.line;
@@ -245,7 +247,7 @@ fn midpoint(line: &Line) -> [f64; 2] {
         .map(|k| f64::from(line.p[k]) + 0.5 * f64::from(line.length) * f64::from(line.direction[k]))
 }
 
-/// Returns the length of a vector. The components are pixel coordinates or displacements, whose squares do not
+/// Returns the length of a vector. Its components are pixel coordinates or displacements, whose squares do not
 /// overflow.
 fn norm([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
@@ -295,7 +297,7 @@ impl Cluster {
     }
 }
 
-/// Returns an edge's displacement at a position, pixels.
+/// Returns the displacement, in pixels, of the position `at` by an edge's transform.
 fn displacement(line: &Line, at: [f64; 2]) -> [f64; 2] {
     let from = [0, 1].map(|k| at[k] - f64::from(line.p[k]));
     let m = line.map.map(f64::from);

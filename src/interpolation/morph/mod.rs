@@ -16,8 +16,8 @@ use rayon::prelude::*;
 /// The constant a of eq. (7), pixels. An edge's weight falls with the distance as 1/(a + distance)^b, with b = 4. The
 /// exponent ρ is 0, so that an edge's length has no effect on its weight.
 const A_PX: f32 = 0.5;
-/// Minimum length of an edge, both at the instant and in the source frame, in pixels. A shorter edge has no
-/// direction.
+/// Minimum length of an edge, both in the interpolated image and in the source frame, in pixels. A shorter edge has no
+/// direction and is ignored.
 const MIN_LENGTH_PX: f64 = 1e-3;
 /// τ of eq. (8). A real edge weighs up to 2^τ times as much as a virtual edge.
 pub const EDGE_BOOST: f64 = 4.0;
@@ -30,12 +30,12 @@ const LANES: usize = 8;
 /// clusters of edges.
 const TILE: usize = LANES;
 
-/// Returns the backward warp (§5.3) from the instant to a source frame. It follows from where the edges are at the
-/// instant and in the source frame. `size` is the width and height of the frame in pixels. A real edge weighs up to
-/// 2^boost times as much as a virtual edge, eq. (8). Boosts over 32 count as 32.
+/// Returns the backward warp (§5.3) from the interpolated image to a source frame. The warp follows from the edges'
+/// positions in both images. `size` is the width and height of the frame in pixels. A real edge weighs up to 2^boost
+/// times as much as a virtual edge, eq. (8). Boosts over 32 count as 32.
 ///
-/// `grid_px` is the distance between the nodes at which the warp is evaluated. With 1, every pixel is a node. If no
-/// edge has a direction, the warp is the identity.
+/// `grid_px` is the distance between the nodes at which the warp is evaluated. With 1, every pixel is a node. If all
+/// edges are too short to have a direction, the warp is the identity.
 pub fn morph_warp(edges: &[Edge], size: [usize; 2], boost: f64, grid_px: usize) -> Warp {
     let [width, height] = size;
     let lines = lines(edges, boost.min(MAX_BOOST));
@@ -91,8 +91,8 @@ impl NodeGrid {
     }
 }
 
-/// Returns the displacements, in pixels, at the nodes of one row of tiles. `tile_row` is the index of this row of
-/// tiles. The displacements are ordered row by row of nodes.
+/// Returns the displacements, in pixels, by which the warp moves the nodes of one row of tiles. `tile_row` is the index
+/// of this row of tiles. The result is ordered by rows of nodes.
 fn tile_row(clusters: &Clusters, grid: &NodeGrid, tile_row: usize) -> Vec<[f32; 2]> {
     let [across, down] = grid.nodes;
     let first_row = tile_row * TILE;
@@ -112,23 +112,23 @@ fn tile_row(clusters: &Clusters, grid: &NodeGrid, tile_row: usize) -> Vec<[f32; 
     displacements
 }
 
-/// An edge in the form that the inner loop needs. The edge displaces a position X by map·(X − p) + shift. `p` is the
-/// edge's first end at the instant, pixels.
+/// An edge in the form that [`line_sums`] needs. The edge displaces a position X by map·(X − p) + shift. `p` is the
+/// edge's first end in the interpolated image, pixels.
 #[derive(Clone, Copy, Debug)]
 struct Line {
     p: [f32; 2],
-    /// Unit direction of the edge at the instant.
+    /// Unit direction of the edge in the interpolated image.
     direction: [f32; 2],
     length: f32,
     /// Linear part of the displacement, a 2×2 matrix row by row.
     map: [f32; 4],
     /// Displacement at the position `p`, pixels.
     shift: [f32; 2],
-    /// Boost of eq. (8). It is 1 for a virtual edge.
+    /// Factor of eq. (8) on the edge's weight: the boost of a real edge, and 1 for a virtual edge.
     strength: f32,
 }
 
-/// Converts edges to lines with the boost of eq. (8). Edges that are too short to have a direction are left out.
+/// Converts edges to [`Line`]s with the boost of eq. (8). Edges that are too short to have a direction are left out.
 fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
     let fitness = || edges.iter().filter_map(|e| e.mean_fitness);
     let min = fitness().fold(f64::INFINITY, f64::min);
@@ -170,7 +170,7 @@ fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
     edges.iter().filter_map(line).collect()
 }
 
-/// The sums of eq. (7) at eight positions of a row: the sum of the weights, and the sums of the weighted
+/// The sums of eq. (7) over edges, at eight positions of a row: the sum of the weights, and the sums of the weighted
 /// displacements along x and y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct WarpSums {
@@ -186,15 +186,16 @@ impl WarpSums {
         Self { weights: add(self.weights, other.weights), x, y }
     }
 
-    /// Returns the weighted mean displacements, in pixels. Up to a distance of 2^16 pixels, the weight of a line is at
-    /// least 1/(2^16)^4 ≥ 5e-20, so that the sum of weights isn't 0. Without lines, the means are NaN.
+    /// Returns the weighted mean displacements at the eight positions, in pixels. Up to a distance of 2^16 pixels, the
+    /// weight of a line is at least 1/(2^16)^4 ≥ 5e-20, so that the sum of weights isn't 0. Without lines, the means
+    /// are NaN.
     fn means(&self) -> [[f32; 2]; LANES] {
         std::array::from_fn(|l| [self.x[l] / self.weights[l], self.y[l] / self.weights[l]])
     }
 }
 
 multiversion! {
-    /// Computes the sums of eq. (7) over lines at eight positions of a row.
+    /// Computes the sums of eq. (7) over edges at the eight positions (x, y) with x from `xs`.
     fn line_sums(lines: &[Line], xs: &[f32; LANES], y: f32) -> WarpSums = line_sums_by
 }
 

@@ -3,7 +3,8 @@
 use nalgebra::Point2;
 use std::ops::Range;
 
-/// Minimum side of a block, pixels. The side is also at least four times the radius of the cost windows.
+/// Minimum side of a block, pixels. The side is also at least four times the radius of the windows over which costs are
+/// averaged.
 const MIN_SIDE_PX: usize = 16;
 /// Ratio of a block's side to its overlap with a neighbouring block. (With a ratio of 2, images of six scenes are
 /// 0.03 dB better on average, and refinement takes twice as long.)
@@ -21,8 +22,8 @@ pub struct BlockGrid {
 }
 
 impl BlockGrid {
-    /// Creates the grid for an image of this width and height. `window_radius_px` is the radius of the windows
-    /// around pixels over which costs are averaged.
+    /// Creates the grid for an image of this width and height. `window_radius_px` is the radius of the windows over
+    /// which costs are averaged.
     pub fn new(image: [usize; 2], window_radius_px: usize) -> Self {
         let side = MIN_SIDE_PX.max(4 * window_radius_px);
         Self { image, side, overlap: side / SIDES_PER_OVERLAP }
@@ -77,14 +78,14 @@ pub struct BlockArea {
 }
 
 impl BlockArea {
-    /// Returns the centre of the square in pixels. For an odd side, the result is half a pixel smaller along each
-    /// axis.
+    /// Returns the centre of the square in pixels. For an odd side, each coordinate is half a pixel smaller than the
+    /// true centre's.
     pub fn center(self) -> Point2<f64> {
         Point2::from(self.origin.map(|v| (v + self.side as isize / 2) as f64))
     }
 
-    /// Returns the parts of the block's rows that are inside the image. For each part, the three values are the
-    /// index in the block of its first pixel, the range of its columns in the image, and its row in the image.
+    /// Returns the parts of the block's rows that are inside the image. Each part is given by three values: the index
+    /// of its first pixel in the block, the range of its columns in the image, and its row in the image.
     pub fn rows(self) -> impl Iterator<Item = (usize, Range<usize>, usize)> {
         let Self { origin, side, image } = self;
         let inside = move |n: usize| {

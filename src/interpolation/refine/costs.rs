@@ -1,5 +1,5 @@
-//! Costs of motions. A cost is the difference of motion-compensated frames, averaged over a window. Such means
-//! change little from pixel to pixel, so that costs are computed on a coarse grid of points and interpolated.
+//! Costs of candidate motions. A cost is the difference of motion-compensated frames, averaged over a window. Window
+//! means change little from pixel to pixel, so costs are computed on a coarse grid of points and interpolated.
 
 use super::FourFrames;
 use super::motions::{AffineMotion, MotionHypotheses};
@@ -10,11 +10,11 @@ use crate::raster::{Image, box_filter, sample_all};
 use nalgebra::{Point2, Vector2};
 use std::sync::OnceLock;
 
-/// Minimum number of cost points along a window's radius. (With costs at every pixel, images of six scenes at
-/// 640×480 are 0.02 dB better on average, from −0.12 to +0.14 dB, and refinement takes twice as long.)
+/// Minimum number of points along a window's radius at which costs are computed. (With costs at every pixel, images of
+/// six scenes at 640×480 are 0.02 dB better on average, from −0.12 to +0.14 dB, and refinement takes twice as long.)
 const MIN_POINTS_IN_RADIUS: usize = 2;
-/// Minimum side of the cells of [`FrameCosts`], pixels. The side is also at least four times the radius of the cost
-/// windows.
+/// Minimum side of the cells of [`FrameCosts`], pixels. The side is also at least four times the radius of the windows
+/// over which costs are averaged.
 const MIN_CELL_PX: usize = 16;
 
 /// A square grid of points at pixel centres. The grid may extend beyond the image.
@@ -31,8 +31,8 @@ pub struct PointGrid {
 }
 
 impl PointGrid {
-    /// Returns the positions in a frame (0 before, 1 earlier, 2 later, 3 after) to which a motion takes the points,
-    /// in pixels, row by row.
+    /// Returns the positions to which a motion takes the grid's points in a frame (0 before, 1 earlier, 2 later, 3
+    /// after), in pixels, row by row.
     pub fn positions(&self, motion: &AffineMotion, frame: usize) -> Vec<[f32; 2]> {
         let mut positions = Vec::with_capacity(self.side * self.side);
         for row in 0..self.side {
@@ -49,8 +49,8 @@ impl PointGrid {
         positions
     }
 
-    /// Samples the image of a frame (0 before, 1 earlier, 2 later, 3 after) at [`Self::positions`]. The result has
-    /// one pixel per point.
+    /// Samples the image of a frame (0 before, 1 earlier, 2 later, 3 after) at the positions to which a motion takes
+    /// the grid's points. The result has one pixel per point.
     pub fn sample(&self, image: &Image, motion: &AffineMotion, frame: usize) -> Image {
         let mut samples = vec![0.0; self.side * self.side * image.channels()];
         sample_all(image, self.positions(motion, frame).into_iter(), &mut samples);
@@ -64,14 +64,14 @@ impl PointGrid {
 pub struct CostPoints {
     /// Distance between neighbouring points, pixels.
     pub step: usize,
-    /// Radius of the cost windows, as a number of steps between neighbouring points.
+    /// Radius of the windows over which costs are averaged, as a number of steps between neighbouring points.
     pub radius: usize,
-    /// Side of the block, pixels.
+    /// Side of the block or cell, pixels.
     block: usize,
 }
 
 impl CostPoints {
-    /// Creates the points for windows of this radius and blocks of this side, both in pixels.
+    /// Creates the grid of points for windows of this radius and blocks of this side, both in pixels.
     pub fn new(window_radius_px: usize, block: usize) -> Self {
         let step = (window_radius_px / MIN_POINTS_IN_RADIUS).max(1);
         Self { step, radius: (window_radius_px + step / 2) / step, block }
@@ -88,8 +88,8 @@ impl CostPoints {
         (self.block - 1).div_ceil(self.step) + 1 + 2 * self.radius
     }
 
-    /// Returns, for each point, the mean of `values` over the window around the point. Both have one value per
-    /// point, row by row.
+    /// Returns, for each point, the mean of `values` over the window around the point. `values` and the result have one
+    /// value per point, row by row.
     pub fn window_means(&self, values: &[f32]) -> Vec<f32> {
         box_filter(values, self.side(), self.side(), self.radius)
     }
@@ -121,17 +121,17 @@ impl CostPoints {
     }
 }
 
-/// Costs of the two frames of a pair, computed from the motions of tracks. At each point of the earlier and of the
-/// later frame, the cost is the smallest mean difference between this frame and an adjacent frame, over the motions of
-/// all nearby tracks.
+/// Minimum costs of the two frames of a pair, over the motions of tracks. At each point of the earlier and of the later
+/// frame, the cost is the smallest mean difference between this frame and an adjacent frame, over the motions of all
+/// nearby tracks.
 ///
 /// The costs don't depend on the instant. They depend on the inputs of [`Self::new`], on the pair's images, and on the
-/// frames before and after the pair. Only some parts of the frames need costs. The frames are therefore divided into
-/// square cells, and the costs of a cell are computed when one of them is first read.
+/// frames before and after the pair. Often only parts of the frames need costs. The frames are therefore divided into
+/// square cells. All costs of a cell are computed when one of them is first read.
 pub struct PairCosts([FrameCosts; 2]);
 
 impl PairCosts {
-    /// Creates the costs of a frame pair of this width and height, for the motions of its tracks. Costs are
+    /// Creates the costs of a frame pair of this width and height, for the motions of the pair's tracks. Costs are
     /// computed when they are first read.
     pub fn new(tracked: &TrackedPair, size: [usize; 2], options: &InterpolationOptions) -> Self {
         let earlier = tracked.motions(options.curved, |_, track| track.earlier);
@@ -174,18 +174,18 @@ impl PairCosts {
     }
 }
 
-/// The minimum cost at each point of a frame. A cost is the mean difference between this frame and an adjacent
-/// frame, over the window around the point. The adjacent frame is compensated by a motion of nearby tracks. The
-/// minimum is over the motions and over both adjacent frames. If it is small, one of the motions agrees with the
-/// frames at the point.
+/// The minimum cost at each point of a frame. A cost is the mean difference between this frame and an adjacent frame,
+/// over the window around the point. The adjacent frame is compensated by the motion of nearby tracks. The minimum is
+/// over the candidate motions and over both adjacent frames. If it is small, one of the motions agrees with the frames
+/// at the point.
 pub(super) struct FrameCosts {
     /// Number of this frame: 1 for the earlier, 2 for the later frame of the pair.
     frame: usize,
     /// Width and height of the frame, pixels.
     size: [usize; 2],
-    /// Motions to be tried, indexed by the tracks' positions in this frame.
+    /// Candidate motions, indexed by the tracks' positions in this frame.
     motions: MotionHypotheses,
-    /// Cost points of a cell. A cell is a square of pixels for which the same motions are tried.
+    /// Points of a cell at which costs are computed. A cell is a square of pixels for which the same motions are tried.
     points: CostPoints,
     /// Cells of the frame, row by row. Each cell holds the minimum costs at its points, row by row.
     cells: Vec<OnceLock<Vec<f32>>>,
@@ -301,7 +301,7 @@ mod tests {
         assert!(alone(-5.0, 10.5) == alone(0.5, 10.5));
     }
 
-    /// The image has several cells, and its size is not a multiple of the cell size. For the larger window, costs
+    /// Tests an image with several cells, whose size is not a multiple of the cell size. For the larger window, costs
     /// are computed at every second pixel.
     #[test]
     fn costs_equal_direct_ones() {

@@ -15,14 +15,17 @@ use crate::interpolation::warp::difference;
 use crate::raster::Image;
 use std::cell::OnceCell;
 
-/// Largest excess with which an outer frame has its full weight, for pixel values of 0 to 1. The excess is the outer
-/// frame's cost minus the cost of the middle frames.
+/// Largest excess with which an outer frame (before or after the pair) has its full weight, for pixel values of 0 to 1.
+/// The excess is the frame's mean difference from the composite of the pair, minus the mean difference between the
+/// frames of the pair.
 const OUTER_SLACK: f32 = 0.01;
-/// Excess of an outer frame beyond [`OUTER_SLACK`] at which its weight is 1/e of its full weight, for pixel values of 0
-/// to 1. The excess is the outer frame's cost minus the cost of the middle frames.
+/// Excess beyond [`OUTER_SLACK`] at which the weight of an outer frame (before or after the pair) falls to 1/e of its
+/// full weight, for pixel values of 0 to 1. The excess is the frame's mean difference from the composite of the pair,
+/// minus the mean difference between the frames of the pair.
 const OUTER_SOFTNESS: f32 = 0.01;
-/// Largest excess of an outer frame, averaged over a static block, as a fraction of [`OUTER_SLACK`]. The excess is the
-/// outer frame's cost minus the cost of the middle frames.
+/// Maximum excess of an outer frame (before or after the pair), averaged over a static block, as a fraction of
+/// [`OUTER_SLACK`]. The excess is the frame's mean difference from the composite of the pair, minus the mean difference
+/// between the frames of the pair.
 const STATIC_EXCESS_FRACTION: f32 = 0.25;
 /// Relative weight that is too small to be used. An outer frame is left out of the mean at pixels at which its weight
 /// is at most this value (the weights of a mean sum to 1). A hypothesis is left out of a block if, at every pixel, its
@@ -30,17 +33,17 @@ const STATIC_EXCESS_FRACTION: f32 = 0.25;
 pub const NEGLIGIBLE_WEIGHT: f32 = 1e-3;
 
 impl FourFrames<'_> {
-    /// Returns the weight of each outer frame at a vertical position in pixels, if all four frames agree. The
-    /// weight is 0 at a frame's time, so that the frame stays as filmed, and 1/4 halfway between the two middle
-    /// frames.
+    /// Returns the weight that the frame before the pair and the frame after the pair each have at a vertical position
+    /// in pixels, if all four frames agree. The weight is 0 at a frame's time, so that the frame stays as filmed, and
+    /// 1/4 halfway between the two frames of the pair.
     pub fn outer_weight(&self, y_px: f64) -> f32 {
         let fraction = self.fractions.at(y_px) as f32;
         0.25 * (4.0 * fraction * (1.0 - fraction))
     }
 }
 
-/// A block of the four frames, compensated by one motion. The frames are sampled at the cost points. They are also
-/// sampled at the block's pixels when these samples are first needed.
+/// A block of the four frames around an instant, compensated by one motion. The frames are sampled immediately at the
+/// cost points, which are a coarse grid. They are sampled at the block's pixels when these samples are first needed.
 pub struct CompensatedFrames<'a> {
     /// Affine motion, relative to the block's centre.
     pub motion: AffineMotion,
@@ -78,7 +81,7 @@ impl<'a> CompensatedFrames<'a> {
     }
 }
 
-/// A block's composite of the two middle frames, at the block's pixels and at the cost points.
+/// A block's composite of the two middle frames (the frames of the pair), at the block's pixels and at the cost points.
 pub struct MiddleFrames<'a> {
     pub at_pixels: Image,
     pub at_points: Image,
@@ -86,9 +89,9 @@ pub struct MiddleFrames<'a> {
     pub costs: &'a [f32],
 }
 
-/// Averages the outer frames into a block's composite of the middle frames. Each outer frame has a weight of at most
-/// `outer_weight`. At each pixel, an outer frame is compensated by that motion among `compensated` for which it differs
-/// least from the composite.
+/// Averages the outer frames (before and after the pair) into a block's composite of the middle frames (the pair). Each
+/// outer frame has a weight of at most `outer_weight`. At each pixel, an outer frame is compensated by the one motion
+/// in `compensated` with which it differs least from the composite.
 pub fn fuse(
     MiddleFrames { at_pixels: middle, at_points, costs }: MiddleFrames,
     compensated: &[CompensatedFrames],
@@ -136,13 +139,13 @@ pub fn fuse(
     fused
 }
 
-/// Returns whether nothing moves in a block. The outer frames are compared without motion compensation. Their excess is
-/// their cost minus the cost of the middle frames. In a static block, the excess of each outer frame is at most
-/// [`OUTER_SLACK`] at every pixel. Averaged over the block, it is at most [`STATIC_EXCESS_FRACTION`] times
-/// [`OUTER_SLACK`]; here a negative excess counts as 0.
+/// Returns whether nothing moves in a block. The outer frames (before and after the pair) are compared without motion
+/// compensation. Their excess is their cost minus the cost of the middle frames (the pair). In a static block, the
+/// excess of each outer frame is at most [`OUTER_SLACK`] at every pixel. Its mean over the block is at most
+/// [`STATIC_EXCESS_FRACTION`] times [`OUTER_SLACK`]; for this mean, a negative excess counts as 0.
 ///
 /// `outer_costs` are the costs of the outer frames, and `costs` is the cost of the middle frames. Each has one value
-/// for every pixel of the image. A `None` is skipped.
+/// for every pixel of the image. An outer frame whose costs are `None` is not checked.
 pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: BlockArea) -> bool {
     outer_costs.iter().flatten().all(|outer| {
         let (mut sum, mut count) = (0.0, 0.0);
@@ -159,8 +162,9 @@ pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: Block
     })
 }
 
-/// Returns the colours of a static block. They are a weighted mean of `cross_faded`, which is the cross-fade of the
-/// middle frames, and of the outer frames without motion compensation. The colours are 0 outside the image.
+/// Returns the colours of a static block: a weighted mean of `cross_faded`, which is the cross-fade of the pair's
+/// warped frames, and of the frames before and after the pair without motion compensation. The colours are 0 outside
+/// the image.
 pub fn static_mean(frames: &FourFrames, cross_faded: &Image, area: BlockArea) -> Vec<f32> {
     let weight = frames.outer_weight(area.center().y);
     let crop = |image: &Image| area.crop(image.data(), image.channels());

@@ -1,5 +1,5 @@
-//! Hypotheses about a block's pixels. A hypothesis is a motion with a visibility, which tells which frames see the
-//! surface. It has a cost and a weight at every pixel. The block's colours are the weighted mean of the hypotheses.
+//! Hypotheses about a block's pixels. A hypothesis is a motion together with a visibility: the set of frames that show
+//! the surface. It has a cost and a weight at every pixel. The block's colours are the weighted mean of the hypotheses.
 
 use super::blocks::BlockArea;
 use super::costs::PointGrid;
@@ -15,18 +15,21 @@ use std::borrow::Cow;
 const SOFTNESS: f32 = 0.02;
 /// Minimum weight of a hypothesis, so that the sum of weights is positive.
 const MIN_WEIGHT: f32 = 1e-30;
-/// Prior cost of the hypothesis that only one middle frame sees the surface, for an instant halfway between the two
-/// middle frames.
+/// Prior cost of the hypothesis that only one of the pair's two frames sees the surface, for an instant halfway between
+/// the frames. At other instants, this cost is divided by 2f. f is the time from the instant to the frame that does not
+/// see the surface, as a fraction of the frame interval.
 const ONE_FRAME_COST: f32 = 0.1;
 /// Minimum of 2f in the prior cost [`ONE_FRAME_COST`]/(2f), which prevents division by 0. f is the time from the
 /// instant to the frame that does not see the surface, as a fraction of the frame interval.
 const MIN_DOUBLE_FRACTION: f32 = 1e-3;
-/// Weight of one term in a hypothesis's cost: the amount by which another motion has a smaller cost in a middle frame.
+/// Weight of a term in a hypothesis's cost: the amount by which the cost of another motion is smaller
+/// ([`BlockHypotheses::better_explained`]).
 const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 /// Motion below which a surface counts as static, pixels per frame.
 const AT_REST_PX: f32 = 1.0;
 
-/// Visibility of the surface in the two middle frames, according to a hypothesis.
+/// Visibility of the surface in the two middle frames (the pair between which the instant lies), according to a
+/// hypothesis.
 enum Visibility {
     /// No surface is assumed. The colours are the cross-fade of the two warped frames.
     CrossFade,
@@ -52,7 +55,7 @@ impl Hypothesis {
     }
 }
 
-/// A block, with the motions that are tried for it.
+/// A block of pixels, with the frames compensated by each candidate motion.
 pub struct BlockHypotheses<'a> {
     shared: &'a SharedInputs<'a>,
     area: BlockArea,
@@ -61,13 +64,13 @@ pub struct BlockHypotheses<'a> {
     points: PointGrid,
     /// Mean difference of the two warped frames over the window around each of the block's pixels.
     costs: Vec<f32>,
-    /// Whether the two warped frames agree in the block. If they do, the outer frames are averaged in, and no
-    /// hypothesis except the cross-fade is tried.
+    /// Whether the two warped frames agree in the block. If they do, no hypothesis except the cross-fade is tried, and
+    /// the frames before and after the pair are averaged in.
     agree: bool,
 }
 
 impl<'a> BlockHypotheses<'a> {
-    /// Prepares a block: compensates the frames by each motion.
+    /// Compensates the frames around the instant by each candidate motion of a block.
     pub fn new(
         shared: &'a SharedInputs<'a>,
         area: BlockArea,
@@ -95,7 +98,7 @@ impl<'a> BlockHypotheses<'a> {
         self.shared.frames.fractions.at(self.area.center().y) as f32
     }
 
-    /// Returns the weighted mean of all hypotheses at each pixel.
+    /// Returns the block's colours and motions: at each pixel, the weighted mean of all hypotheses.
     pub fn mean(&self) -> RefinedBlock {
         let mut hypotheses = vec![Hypothesis::new(Visibility::CrossFade, self.costs.clone())];
         for index in (0..self.compensated.len()).filter(|_| !self.agree) {
@@ -130,9 +133,10 @@ impl<'a> BlockHypotheses<'a> {
         RefinedBlock { colors, motions }
     }
 
-    /// Adds the three hypotheses of one motion. In the first, both middle frames see the surface, and agree. In the
-    /// second, only the earlier one sees it, and agrees with the frame before. In the third, only the later one
-    /// sees it, and agrees with the frame after. `index` is the index of the motion.
+    /// Appends the hypotheses of motion number `index` to `all`, up to three. In the first, both middle frames see the
+    /// surface, and agree. In the second, only the earlier middle frame sees it, and agrees with the frame before. In
+    /// the third, only the later middle frame sees it, and agrees with the frame after. A hypothesis whose frames don't
+    /// exist is left out.
     fn add_hypotheses(&self, index: usize, all: &mut Vec<Hypothesis>) {
         let (compensated, points) = (&self.compensated[index], &self.shared.points);
         let cost = |a: usize, b: usize| {
@@ -248,7 +252,7 @@ impl<'a> BlockHypotheses<'a> {
         let change_px = change_px(0, 0).max(change_px(3, 1));
         let of_pixel = |(&cost, &of_warps): (&f32, &f32)| {
             // Both frames may show the same static surface although a body occludes it at the instant. The cost is
-            // therefore at least the cost of the warped frames.
+            // therefore at least the mean difference of the two warped frames.
             let cost = if motion_px < AT_REST_PX { cost.max(of_warps) } else { cost };
             [motion_px, change_px, cost]
         };
@@ -256,7 +260,8 @@ impl<'a> BlockHypotheses<'a> {
     }
 }
 
-/// Adds the interleaved values of pixels, times the pixels' weights, to `sums`.
+/// Adds the channels of pixels, multiplied by the pixels' weights, to `sums`. `values` and `sums` have interleaved
+/// channels.
 fn add_weighted(sums: &mut [f32], weights: &[f32], values: &[f32]) {
     let channels = sums.len() / weights.len();
     let values = values.chunks_exact(channels);

@@ -45,13 +45,14 @@ use hypotheses::BlockHypotheses;
 use motions::MotionHypotheses;
 use rayon::prelude::*;
 
-/// Maximum cost at any pixel of a block in which the two warped frames count as equal, for pixel values of 0 to 1. The
-/// cost is the mean absolute difference of the two warped frames over the window around the pixel.
+/// Maximum cost at the pixels of a block in which the two warped frames count as equal, for pixel values of 0 to 1. The
+/// cost of a pixel is the mean absolute difference of the two warped frames over the window around the pixel.
 const MAX_AGREEING_COST: f32 = 0.03;
-/// Maximum number of motions by which the frames before and after the pair are compensated, in a block in which the
-/// two warped frames agree.
+/// Maximum number of candidate motions by which the frames before and after the pair are compensated, in a block in
+/// which the two warped frames agree.
 const MAX_AGREEING_MOTIONS: usize = 2;
-/// Number of channels of an image of motions. Each channel is the weighted mean over a pixel's hypotheses:
+/// Number of channels of an image that holds each pixel's motion. Each channel is the weighted mean over the pixel's
+/// hypotheses of motion and visibility:
 ///
 /// 1. The length of the motion between the earlier and the later frame, pixels.
 /// 2. The change of the motion from one frame interval to the next, pixels per frame. It is the larger of the
@@ -86,7 +87,7 @@ impl<'a> FourFrames<'a> {
     }
 }
 
-/// Inputs that are the same for all blocks.
+/// Inputs of the refinement that are the same for all blocks.
 struct SharedInputs<'a> {
     frames: &'a FourFrames<'a>,
     motions: MotionHypotheses,
@@ -95,12 +96,12 @@ struct SharedInputs<'a> {
     cross_faded: &'a Image,
     /// Mean difference of the two warped frames over the window around each pixel, one value per pixel, row by row.
     costs: &'a [f32],
-    /// Displacement from each pixel of the instant's image to the surrounding frames, pixels, as the morph's warps give it:
-    /// [`MOTION_CHANNELS`] values per pixel.
+    /// Motion of each pixel according to the two warps: an image with [`MOTION_CHANNELS`] channels, as the function
+    /// [`warp_motions`] returns it.
     warp_motions: &'a Image,
     /// For the frame before and the frame after the pair: the mean difference between this frame, without motion
-    /// compensation, and the cross-fade, over the window around each pixel. `None` if the frame does not exist or
-    /// has no weight.
+    /// compensation, and the cross-fade of the two warped frames, over the window around each pixel. `None` if the
+    /// frame does not exist or has no weight.
     outer_costs: [Option<Vec<f32>>; 2],
     grid: BlockGrid,
     points: CostPoints,
@@ -109,16 +110,17 @@ struct SharedInputs<'a> {
 /// A refined block of pixels, row by row. Values at pixels outside the image are undefined.
 struct RefinedBlock {
     colors: Vec<f32>,
-    /// Motions, [`MOTION_CHANNELS`] values per pixel. `None` if the motions of the pixels are those of the warps.
+    /// Motions of the pixels, [`MOTION_CHANNELS`] values per pixel. `None` if they are the motions that the warps give.
     motions: Option<Vec<f32>>,
 }
 
-/// Returns the image at the instant, and an image of the pixels' motions with [`MOTION_CHANNELS`] channels. The
-/// image at the instant is the cross dissolve of the two warped frames, refined where they disagree. It is averaged
-/// with the frames before and after the pair where these agree with it. Its values are in 0..=1.
+/// Returns the interpolated image, and an image of its pixels' motions with [`MOTION_CHANNELS`] channels. The
+/// interpolated image is the cross dissolve of the two warped frames, refined where these disagree. It is averaged with
+/// the frames before and after the pair where these agree with it. Its values are in 0..=1.
 ///
-/// `warps` map the instant to the earlier and to the later frame. `motions` are the motions of the tracks, measured
-/// from the tracks' positions at the instant. Without tracks, only static blocks differ from the cross dissolve.
+/// `warps` map the interpolated image to the earlier and to the later frame. `motions` are the motions of the tracks,
+/// measured from the tracks' positions at the instant. Without tracks, only static blocks differ from the cross
+/// dissolve.
 pub(super) fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
@@ -165,9 +167,9 @@ pub(super) fn refined(
     (image, motions)
 }
 
-/// Returns an image of the pixels' motions according to two warps, with [`MOTION_CHANNELS`] channels. A motion is
-/// the distance between the pixel's source positions in the two frames. The change of the motion is unknown and set
-/// to 0. `costs` holds the third channel, row by row.
+/// Returns an image of the pixels' motions according to two warps, with [`MOTION_CHANNELS`] channels. The first channel
+/// is the distance between the pixel's source positions in the two frames. The second, the change of the motion, is
+/// unknown and set to 0. The third is `costs`, row by row.
 pub(super) fn warp_motions(warps: [&Warp; 2], costs: &[f32]) -> Image {
     let sources = warps[0].source.iter().zip(&warps[1].source);
     let motions = sources.map(|([ax, ay], [bx, by])| (ax - bx).hypot(ay - by));
@@ -175,9 +177,9 @@ pub(super) fn warp_motions(warps: [&Warp; 2], costs: &[f32]) -> Image {
     Image::from_data(warps[0].width, warps[0].height, MOTION_CHANNELS, data)
 }
 
-/// Refines block number `block`. Returns `None` if the block keeps the cross-fade of the two warped frames. This is so
-/// in three cases: its pixels are not needed; it has no candidate motions; or the warped frames agree, and neither the
-/// frame before nor the frame after the pair can be used.
+/// Refines block number `block`. Returns `None` if the block stays as the cross-fade of the two warped frames. This is
+/// so in three cases: its pixels are not needed; it has no candidate motions; or the warped frames agree, and neither
+/// the frame before nor the frame after the pair can be used.
 fn refined_block(shared: &SharedInputs, block: usize) -> Option<RefinedBlock> {
     let area = shared.grid.area(block);
     if shared.frames.parts.is_some_and(|parts| !parts.touches(area.origin, area.side)) {
@@ -202,8 +204,9 @@ fn refined_block(shared: &SharedInputs, block: usize) -> Option<RefinedBlock> {
     Some(BlockHypotheses::new(shared, area, motions, agree).mean())
 }
 
-/// Returns a copy of `image` with the refined blocks blended in, by the weights of the grid. `block` returns the
-/// values of a block by its number. For a block without values, the image's own values are blended.
+/// Returns a copy of `image` with the refined blocks blended in, by the weights of the grid ([`BlockGrid::weights`]).
+/// `block` returns the values of a block by its number. A block for which it returns `None` keeps the image's own
+/// values.
 fn blended<'a>(
     image: &Image,
     block: impl Fn(usize) -> Option<&'a [f32]>,

@@ -4,23 +4,23 @@ use crate::interpolation::tracked_pair::TrackMotion;
 use crate::registration::Neighbors;
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
 
-/// Maximum difference between the motions of two tracks that are fitted together, pixels per frame.
+/// Maximum difference between the motions of two tracks to which one affine motion is fitted, pixels per frame.
 const SAME_MOTION_PX: f64 = 1.5;
 /// Minimum number of tracks to which a motion is fitted. With a minimum of 1, motions of mismatched tracks would be
 /// tried too.
 const MIN_TRACKS: usize = 2;
 /// Maximum number of candidate motions per block. The motions with the nearest tracks are used.
 const MAX_MOTIONS: usize = 6;
-/// Exponent of the distance in a track's weight: the weight falls with this power of the distance from the block's
-/// centre.
+/// Exponent of a track's weight in a fit, (1 + distance)^−exponent. The distance is from the block's centre, pixels.
 const DISTANCE_POWER: i32 = 3;
-/// Ridge regularization of a fitted motion's derivative by position, pixels. The derivative is damped as if the tracks
-/// were spread out by this additional distance, with equal motions.
+/// Ridge regularization, in pixels, of the gradient of a fitted affine motion. It pulls the gradient towards 0, like
+/// additional tracks at this distance from the centre whose motions equal the motion of the centre. A larger value
+/// makes the fit closer to a translation.
 const RIDGE_PX: f64 = 2.0;
 
-/// Four affine motions: from one image to each of the four frames around an instant (before, earlier, later, after).
-/// The first image is the one in which the fitted tracks have their positions: the image at the instant, or a frame of
-/// the pair. A motion consists of the displacement of a centre point, and the derivative of the displacement by
+/// Four affine motions, from one image to each of the four frames around an instant (before, earlier, later, after).
+/// The image is the one in which the fitted tracks have their positions: the interpolated image, or a frame of the
+/// pair. Each motion is stored as the displacement of a centre point, and the derivative of the displacement by
 /// position.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AffineMotion {
@@ -55,14 +55,14 @@ impl AffineMotion {
         })
     }
 
-    /// Returns the displacement to a frame (0 before, 1 earlier, 2 later, 3 after) at the offset `from_center` from
-    /// the centre. Both are in pixels.
+    /// Returns the displacement to a frame (0 before, 1 earlier, 2 later, 3 after) of the point at the offset
+    /// `from_center` from the centre. Displacement and offset are in pixels.
     pub fn at(&self, frame: usize, from_center: Vector2<f64>) -> Vector2<f64> {
         self.to[frame] + self.per_px[frame] * from_center
     }
 }
 
-/// Tracks, indexed by position. The candidate motions around any point are fitted to these tracks.
+/// Spatial index of tracks, which gives the candidate motions around any point by fits to the tracks nearby.
 pub struct MotionHypotheses {
     pub motions: Vec<TrackMotion>,
     positions: Neighbors,

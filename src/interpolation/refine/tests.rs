@@ -161,7 +161,8 @@ fn motions_of_train() -> Vec<TrackMotion> {
     still.chain(moving).collect()
 }
 
-/// Without motion compensation, both frames are dark at the gap's position, because each shows another wagon there.
+/// Without motion compensation, both frames are dark at the gap's position, because each shows another wagon there. The
+/// light wall must nevertheless appear in the gap.
 #[test]
 fn what_other_motions_explain_does_not_fill_a_gap() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(train);
@@ -191,7 +192,7 @@ fn pixels_move_as_their_tracks_and_cost_more_without() {
     assert!(at(&followed, 5, 5) == PixelMotion::default(), "{:?}", at(&followed, 5, 5));
 }
 
-/// From the first to the second of the four frames, the square moves in the opposite direction.
+/// The square moves to the left between the first two frames, and to the right afterwards.
 #[test]
 fn the_change_of_a_bouncing_bodys_motion_is_known() {
     let frames = [1.0, 0.0, 1.0, 2.0].map(scene);
@@ -211,7 +212,8 @@ fn the_change_of_a_bouncing_bodys_motion_is_known() {
     assert!((bouncing.change_px - 12.0).abs() < 0.5, "{bouncing:?}");
 }
 
-/// The outer frames are averaged in with motion compensation, or without compensation if the difference is small.
+/// A slowly panned texture stays sharp. The frames before and after the pair are averaged in with motion compensation,
+/// or without compensation if the difference is small.
 #[test]
 fn slow_motion_is_not_blurred() {
     for (step, min_db) in [(0.02, 50.0), (0.08, 45.0), (0.33, 45.0)] {
@@ -245,7 +247,8 @@ fn panned(step: f32) -> f64 {
     psnr(&result, &pan(0.5))
 }
 
-/// No track follows the square. The wall behind it, which only the later frame shows, must not appear yet.
+/// No track follows the square. The wall behind it, which only the later frame shows, must not appear in an image close
+/// to the earlier frame's time.
 #[test]
 fn near_a_frame_what_only_the_other_shows_does_not_appear() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
