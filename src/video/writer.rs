@@ -48,13 +48,13 @@ impl Codec {
     /// Codecs that can be chosen by a file's suffix.
     pub const ALL: [Self; 4] = [Self::H264, Self::Vp9, Self::Gif, Self::Ffv1];
 
-    /// Returns H.264 if the given ffmpeg supports it, otherwise FFV1. It starts ffmpeg, so that an ffmpeg that can't
-    /// run is found before rendering begins.
+    /// Returns H.264 if the given ffmpeg supports it, otherwise FFV1. The check starts ffmpeg. If ffmpeg can't run, the
+    /// error thus comes before rendering begins.
     pub fn for_browsers(ffmpeg: &Path) -> Result<Self, VideoError> {
         Ok(if Self::H264.is_supported(ffmpeg)? { Self::H264 } else { Self::Ffv1 })
     }
 
-    /// Returns the codec of files with this suffix in lower case. `None` for an unknown suffix.
+    /// Returns the codec of video files with this suffix in lower case. `None` if the suffix is unknown.
     pub fn of_suffix(suffix: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|codec| codec.suffix() == suffix)
     }
@@ -126,17 +126,18 @@ impl Codec {
     }
 }
 
-/// A video file that is being written. It appears at its path when it is finished. If the writer is dropped before, no
-/// file is left.
+/// A video file that is being written. The file appears at its path when it is finished. If the writer is dropped
+/// before that, no file is left.
 pub struct VideoWriter {
     path: PathBuf,
-    /// Pipe to ffmpeg's standard input; `None` after the end of the video. This field is declared before the process,
-    /// so that it is dropped first. Closing the pipe makes ffmpeg end.
+    /// Pipe to ffmpeg's standard input; `None` after the end of the video. Closing the pipe makes ffmpeg end. This
+    /// field is declared before `process`, so that it is dropped first.
     stdin: Option<ChildStdin>,
     process: Option<Process>,
     size: (usize, usize, usize),
     depth: BitDepth,
-    /// Temporary folder into which ffmpeg writes. Declared last, so that it is removed after ffmpeg has ended.
+    /// Temporary folder into which ffmpeg writes. This field is declared last, so that the folder is removed after
+    /// ffmpeg has ended.
     temporary: Temporary,
 }
 
