@@ -1,6 +1,6 @@
 //! Quilts, the pictures of Looking Glass displays: a grid of views. The leftmost view is at the bottom left, and the
-//! rightmost view at the top right. The file's name ends in `_qsCxRaA`, with the number of columns C, the number of
-//! rows R, and the aspect ratio A of the views.
+//! rightmost view at the top right. The name of a quilt's file ends in `_qsCxRaA`, with the number of columns C, the
+//! number of rows R, and the aspect ratio A of the views.
 //!
 //! Sizes are from <https://docs.lookingglassfactory.com/keyconcepts/quilts>. View cones are from the vendor's
 //! LKG-Toolkit, or else are the documentation's standard of 35°. Two copies of this page differ for the 16-inch

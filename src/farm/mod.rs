@@ -59,7 +59,7 @@ pub struct FarmNeeds {
 }
 
 impl FarmJob {
-    /// Returns the job's files for all three engines, as pairs of file name and contents.
+    /// Returns the job's files for Open Job Description, Slurm and Flamenco, as pairs of file name and contents.
     pub fn files(&self) -> Vec<(String, String)> {
         let mut files = vec![
             ("openjd.json".to_owned(), openjd::template(self)),
@@ -69,7 +69,7 @@ impl FarmJob {
         files
     }
 
-    /// Writes the job's files for all three engines into a folder.
+    /// Writes the job's files for Open Job Description, Slurm and Flamenco into a folder.
     pub fn write(&self, folder: &Path) -> std::io::Result<()> {
         let mut files = self.files().into_iter();
         files.try_for_each(|(name, text)| write_atomically(&folder.join(name), text.as_bytes()))

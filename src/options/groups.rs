@@ -39,7 +39,7 @@ impl AutoOptions {
     }
 }
 
-/// The kinds of geometry proxy, cheapest first.
+/// The kinds of geometry proxy, which is an estimate of the scene's shape, from the cheapest to the most expensive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ProxyMethod {

@@ -47,7 +47,7 @@ options! {
 }
 
 impl RenderOptions {
-    /// Returns these options with another sync method.
+    /// Returns these options with `sync` as the method that synchronizes the cameras' images.
     #[must_use]
     pub fn with_sync(self, sync: SyncMethod) -> Self {
         Self { sync, ..self }

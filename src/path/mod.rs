@@ -121,12 +121,12 @@ pub enum PathError {
     Frames { duration_s: f64, frames: f64, rate_hz: f64 },
 }
 
-/// Maximum number of keys of a path: enough for an hour with 27 keys per second.
+/// Maximum number of key frames of a camera path: enough for an hour with 27 keys per second.
 const MAX_KEYS: usize = 100_000;
 /// Maximum absolute value of a time in the video and of an instant of the recording, seconds: more than a century.
 /// Within this range, differences of times are precise to microseconds.
 const MAX_SECONDS: f64 = 4e9;
-/// Minimum time between two keys, seconds. Smaller differences would be dominated by rounding errors.
+/// Minimum time in the video between two keys, seconds. Smaller differences would be dominated by rounding errors.
 const MIN_INTERVAL_S: f64 = 1e-6;
 /// Maximum absolute value of a lens parameter. Within this range, derivatives stay finite.
 const MAX_PARAM: f64 = 1e9;
@@ -147,9 +147,9 @@ pub fn is_rate_hz(rate_hz: f64) -> bool {
 }
 
 impl CameraPath {
-    /// Creates a path through keys, which must ascend in `at_s`. If `constant_speed` is true, the position moves at
-    /// constant speed from the first to the last key. Direction and lens follow the position along the path, but the
-    /// instant remains a function of the time in the video.
+    /// Creates a path through key frames, which must ascend in `at_s`. If `constant_speed` is true, the position moves
+    /// at constant speed from the first to the last key. Direction and lens then follow the position along the path,
+    /// but the instant remains a function of the time in the video.
     ///
     /// # Errors
     /// If `keys` is empty or too long, if a number is out of range, if `at_s` doesn't ascend, or if the keys' cameras
@@ -178,12 +178,12 @@ impl CameraPath {
         Ok(Self { keys, rate_hz: None, places, rotations, lenses, times, lengths })
     }
 
-    /// Returns the keys, ascending in `at_s`.
+    /// Returns the path's key frames, ascending in `at_s`.
     pub fn keys(&self) -> &[PathKey] {
         &self.keys
     }
 
-    /// Returns the time from the first to the last key, seconds.
+    /// Returns the path's duration: the time in the video from the first to the last key, seconds.
     pub fn duration_s(&self) -> f64 {
         self.keys[self.keys.len() - 1].at_s - self.keys[0].at_s
     }

@@ -3,8 +3,8 @@
 use super::curve::parabolic;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Maximum angle between the rotations of two keys that count as equal, radians. It covers the rounding errors of
-/// quaternions.
+/// Maximum angle between the rotations of two keys of a spline that count as equal, radians. It covers the rounding
+/// errors of quaternions.
 const SAME_DIRECTION_RAD: f64 = 1e-9;
 
 /// Returns the rotation vector (axis times angle, radians) from one rotation to another along the shorter arc, in the

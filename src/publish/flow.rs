@@ -1,4 +1,4 @@
-//! Depth and motion of a published frame: quantized, then compressed without further loss.
+//! Depth and motion of a published frame: quantized, which loses precision, and then compressed without further loss.
 
 use crate::light_field::LoadedFrame;
 use crate::scene_flow::{Element, ElementMap, FlowMap};

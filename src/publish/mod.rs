@@ -155,7 +155,7 @@ pub fn publish(
 struct Encoding<'a> {
     field: &'a LightField,
     options: &'a RenderOptions,
-    /// The frames as (camera index, frame index), in order of time.
+    /// Identifiers of the frames to publish, as (camera index, frame index), in order of time.
     ids: &'a [(usize, usize)],
     span_s: (f64, f64),
 }

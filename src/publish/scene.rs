@@ -71,7 +71,7 @@ pub(super) fn scene(
     })
 }
 
-/// Returns the upper three rows of the camera-from-world matrix, row by row.
+/// Returns the upper three rows of the 4×4 matrix `cam_from_world`, row by row.
 fn pose(cam_from_world: &Isometry3<f64>) -> Vec<f64> {
     let matrix = cam_from_world.to_matrix();
     (0..3).flat_map(|row| (0..4).map(move |column| matrix[(row, column)])).collect()

@@ -40,7 +40,8 @@ pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
 #[pyclass(name = "Capture", module = "stlfr", frozen)]
 pub struct PyCapture {
     capture: Arc<Capture>,
-    /// The most recently used light fields, latest first. Each caches registered frames for later views.
+    /// LRU cache of open light fields, the most recently used first. Each light field caches registered frames for
+    /// later views.
     opened: Mutex<Vec<Opened>>,
 }
 

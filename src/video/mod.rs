@@ -16,7 +16,7 @@ pub enum VideoError {
     /// ffmpeg failed to write the video. The reason is ffmpeg's own message.
     #[error("{path}: can't be written ({reason})")]
     Encode { path: PathBuf, reason: String },
-    /// ffmpeg was built without the encoder that the file's format needs.
+    /// ffmpeg was built without the encoder that the video file's format needs.
     #[error(
         "{ffmpeg}: has no encoder {encoder}, which .{suffix} needs; install an ffmpeg with it, or write .mkv"
     )]

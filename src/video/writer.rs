@@ -141,11 +141,11 @@ pub struct VideoWriter {
     temporary: Temporary,
 }
 
-/// Name of the video file in its temporary folder.
+/// Name of the unfinished video file in its temporary folder.
 const FILE: &str = "video";
 
 impl VideoWriter {
-    /// Begins a video. All frames have the size and the number of channels (1 or 3) of `like`.
+    /// Begins to write a video to `path`. All frames have the size and the number of channels (1 or 3) of `like`.
     pub fn create(
         ffmpeg: &Path,
         path: &Path,
@@ -155,7 +155,8 @@ impl VideoWriter {
         Self::sized(ffmpeg, path, (like.width(), like.height(), like.channels()), format)
     }
 
-    /// Begins a video. All frames have the size (width, height, channels), in pixels and with 1 or 3 channels.
+    /// Begins to write a video to `path`. All frames have the size (width, height, channels), in pixels and with 1 or 3
+    /// channels.
     pub fn sized(
         ffmpeg: &Path,
         path: &Path,
