@@ -1,5 +1,6 @@
-//! Space-time light field rendering (Wang, Sun, Yang, IEEE TVCG 13(4), 2007). It takes the videos of calibrated cameras
-//! that are not synchronized, and renders the view from any position near the cameras, at any instant.
+//! Space-time light field rendering (Wang, Sun, Yang, IEEE TVCG 13(4), 2007). The input is the videos of calibrated
+//! cameras that are not synchronized. The output is the view from any position near the cameras, at any instant of the
+//! recording.
 //!
 //! ```
 //! use std::sync::Arc;
@@ -132,20 +133,22 @@
 //!
 //! `stlfr render --path` renders a video along a camera path. The path is read from a JSON file ([`path`] describes the
 //! format) or from the animated camera of a `.blend` file, or it is one of four ready-made paths: `sweep`, `orbit`,
-//! `bullet-time` and `dolly`. Ready-made paths are fitted to the rig and to the scene's depths, so that the cameras see
-//! all of every view. `--time` stops time at one instant on any path. `--trail` overlays several instants in each image
-//! of the video, all rendered from this image's viewpoint; the trail ends at this image's instant.
+//! `bullet-time` and `dolly`. Ready-made paths are fitted to the rig and to the scene's depths, so that every part of
+//! every view lies inside of a camera's image. `--time` freezes time at one instant on any path. `--trail` overlays
+//! several instants in each image of the video, all rendered from this image's viewpoint; the trail ends at this
+//! image's instant.
 //!
 //! The suffix of the file after `-o` chooses the format. An `.exr` file has the channels `R`, `G`, `B` and `A` in
 //! linear light as half floats, and `Z`, the depth along the camera's axis in metres. Pixels without depth have `Z` =
-//! 1e10. The channels `forward.u`, `forward.v`, `backward.u` and `backward.v` say how far each point moves to the next
-//! image and to the previous one, in pixels to the right and up. These are Nuke's names. `Vector.X` to `Vector.W` have
-//! the same motion as Blender's pass: X and Y are `backward`, Z and W are `forward` with the opposite sign. In a
-//! sequence of images, the motion has two causes: the scene moves between the instants of two images, and the viewpoint
-//! may move too. The first image has no previous image, and the last image has no next image; the missing motion is the
-//! negative of the other one. A single image has the motion of the scene during one frame interval of the recording.
-//! Pixels that show nothing have motion 0. Motion is computed with `--proxy scene-flow`; where time stands still, with
-//! any method. Otherwise, the file does not have these channels, and a note says so.
+//! 1e10. The channels `forward.u` and `forward.v` hold the motion of each surface point to the next image, in pixels to
+//! the right and up. `backward.u` and `backward.v` hold its motion to the previous image. These are Nuke's channel
+//! names. `Vector.X` to `Vector.W` have the same motion as Blender's pass: X and Y are `backward`, Z and W are
+//! `forward` with the opposite sign. In a sequence of images, the motion has two causes: the scene moves between the
+//! instants of two images, and the viewpoint may move too. The first image has no previous image, and the last image
+//! has no next image; the missing motion is the negative of the other one. A single image has the motion of the scene
+//! during one frame interval of the recording. Pixels that no camera sees have motion 0. Images at which time is frozen
+//! have these channels with any method. Other images have them only with `--proxy scene-flow`; with other methods, a
+//! note reports that they are missing.
 //!
 //! `--quilt` renders all views of a Looking Glass display into one image, and `--stereo` the views of two eyes. All
 //! these views look in the same direction. Their frustums are sheared so that points in the plane at the distance
@@ -184,15 +187,17 @@
 //! `stlfr view CAPTURE` opens a page in the browser; Ctrl+C ends the command. Drag to move the viewpoint, and turn the
 //! wheel to zoom. Play the recording, slow it down, or stop time and move along the cameras. The page shows two
 //! pictures side by side; the border between them can be dragged. Each picture shows one of these: the space-time light
-//! field, traditional light field rendering (without synchronization), the truth, the depths, or *which cameras a pixel
-//! comes from*. The legend shows the blending weights and the depth at the pointer. *Save* saves the whole picture, and
-//! a `view.json` with which `stlfr render --camera` renders this view. `?` lists the keys; the keyboard alone suffices.
+//! field, traditional light field rendering (without synchronization), the ground truth, the depths, or *which cameras
+//! a pixel comes from*. The legend shows the blending weights and the depth at the pointer. *Save* saves the whole
+//! picture, and a `view.json` with which `stlfr render --camera` renders this view. `?` lists the keys; the page can
+//! also be used with the keyboard alone.
 //!
-//! While nothing moves, pictures are rendered with the options `--preset` and `--options`, as by `stlfr render`, and
-//! with the methods that are chosen on the page. While the viewpoint moves, the same options are used if the results at
-//! this instant are cached, and otherwise those of the preset `draft`; the picture of full quality then fades in. Only
-//! programs on this machine can reach the page; its address contains a random token. A link to a place on the page is
-//! valid until the server ends. `stlfr view CAPTURE --at LINK` opens this place again in a later run.
+//! While viewpoint and time don't change, pictures are rendered as by `stlfr render`: with the options given by
+//! `--preset` and `--options`, and with the methods chosen on the page. While the viewpoint moves, the same options are
+//! used if the results at this instant are cached, and otherwise those of the preset `draft`; the picture of full
+//! quality then fades in. Only programs on this machine can reach the page; its address contains a random token. The
+//! page's address is also a link to the current viewpoint and time. The link is valid until the server ends. In a later
+//! run, `stlfr view CAPTURE --at LINK` opens the page at the same viewpoint and time.
 //!
 //! # On the web
 //!
@@ -206,10 +211,11 @@
 //!
 //! # On several machines
 //!
-//! If machines share a capture's folder, run the same `stlfr capture` on all of them to film faster. Each machine films
-//! images that no other machine has started. The files are the same as those that a single machine would write. If a
-//! machine shows no sign of life for `--silence` seconds (60 by default), other machines film the images that it had
-//! started. All other images are filmed once. The machines' clocks may be wrong.
+//! `stlfr capture` renders the images of a simulated camera rig in Blender; this is called filming. If several machines
+//! share a capture's folder, run the same `stlfr capture` on all of them to film faster. Each machine films images that
+//! no other machine has started. The files are the same as those that a single machine would write. If a machine shows
+//! no activity for `--silence` seconds (60 by default), other machines film the images that it had started. All other
+//! images are filmed once. The machines' clocks may be wrong.
 //!
 //! `stlfr farm CAPTURE -o JOB` writes job files that describe all the work, from the set-up to the comparison, for
 //! three render farm engines: an Open Job Description (for AWS Deadline Cloud; `openjd run` runs it on one machine),
@@ -242,25 +248,25 @@
 //! ```
 //!
 //! `stlfr.methods()` lists the methods of each stage, `stlfr.options()` all options with their defaults, ranges and
-//! units. `capture.render(..., proceed=f)` calls `f(done, total)` before every step of every instant, and stops if it
-//! returns something false. `capture.moment(0.1)` prepares one instant; its method `view(camera)` then renders many
-//! views of this instant quickly.
+//! units. `capture.render(..., proceed=f)` calls `f(done, total)` before every step of the work, with the number of
+//! finished instants and of all instants. Rendering stops if the call returns a false value. `capture.moment(0.1)`
+//! prepares one instant; its method `view(camera)` then renders many views of this instant quickly.
 //!
 //! # Limits
 //!
 //! - To estimate temporal offsets, something must move in the scene, and not only along the line of cameras. Otherwise,
-//!   the offsets are unknown, and the program says so.
+//!   the offsets are unknown, and the program reports this.
 //! - If only thin or untextured objects move, the errors of offsets from 12 frames are up to 0.01 frame interval. Their
 //!   standard errors show it.
 //! - A lost frame is found only if other cameras film before and after it. A frame that was lost at the very start or
 //!   end of a recording may be missed. If several cameras lose a frame at nearly the same time, the positions of these
 //!   frames may be ambiguous; the offsets of these cameras are then unknown.
 //! - The check of a calibration by COLMAP is only as precise as the images allow. With small or noisy images, or a
-//!   distant scene, larger errors pass the check. The check states how large. With few features, it states that there
-//!   is no verdict.
+//!   distant scene, larger errors pass the check; the check reports how large. With few features, the check reports
+//!   that it can't decide.
 //! - `stlfr calibrate` needs cameras that don't move, and a textured static part of the scene. If all cameras look in
-//!   the same direction, the images hardly determine the focal length. It is then close to an initial guess, and the
-//!   command says so.
+//!   the same direction, the images hardly determine the focal length. The estimate is then close to its initial guess,
+//!   and the command reports this.
 //! - Changes by automatic exposure and white balance are corrected only if the camera sees still, textured surfaces,
 //!   and if the changes differ between cameras. A sudden change is corrected as one of half a second or more. If all
 //!   cameras change alike, it is assumed that the light in the scene changes.
@@ -269,17 +275,17 @@
 //!   the undistorted image. Cameras must not move. The following assume that all rows of a frame are exposed at the
 //!   same time: `--sync nearest` and `crossfade`, traditional light field rendering, the rough alignment of recordings,
 //!   the estimation of gains, `plan`, and the page of `publish`. `export --frames` writes frames as filmed.
-//! - Bodies that move by more than 60 pixels per frame can't be tracked. They are blurred, and their depths are wrong.
-//!   `--proxy scene-flow` needs no tracks, and shows bodies that move by up to 120 pixels per frame.
+//! - Objects that move by more than 60 pixels per frame can't be tracked. They are blurred, and their depths are wrong.
+//!   `--proxy scene-flow` needs no tracks, and shows objects that move by up to 120 pixels per frame.
 //! - A thin object that moves by more than its thickness from one frame to the next, such as a pendulum's rod, vanishes
 //!   between the two frames.
-//! - The background in narrow gaps between bodies that move along the line of cameras gets the motion of these bodies.
-//!   There, interpolation by OpenCV's optical flow DIS is up to 0.5 dB better.
+//! - The background in narrow gaps between objects that move along the line of cameras gets the motion of these
+//!   objects. There, interpolation by OpenCV's optical flow DIS is up to 0.5 dB better.
 //! - For eight cameras at 640×480, `--proxy scene-flow` takes 1 GB of memory, and 35 to 45 seconds of processor time
 //!   for each instant that `prepare` has not prepared. `stlfr view` uses the results that `prepare` has stored, or else
 //!   depth per pixel.
-//! - A body that bounces between two frames of a camera is misplaced in this camera's synchronized image.
-//!   `--sync all-cameras` takes the body from other cameras that filmed it at that time.
+//! - An object that bounces between two frames of a camera is misplaced in this camera's synchronized image.
+//!   `--sync all-cameras` takes the object from other cameras that filmed it at that time.
 //! - `capture --engine workbench` renders instantaneous exposures only. A camera with an exposure time needs the engine
 //!   Cycles.
 //! - The Blender extension is tested in `bpy` without a window. `tests/window/walk.py` tries it in a window,

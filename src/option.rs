@@ -37,7 +37,7 @@ pub struct OptionChoice {
     pub help: &'static str,
 }
 
-/// An option's declaration, together with its value in one set of options.
+/// An option's declaration, and the value that the option has in one particular struct of options.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct DeclaredOption {
     /// The option's path in an options file, such as `blend.cameras`.
@@ -53,8 +53,8 @@ pub struct DeclaredOption {
     /// Unit of a numeric option, such as `px`. If the option is a count, the noun for the counted things, such as
     /// `cameras`.
     pub unit: Option<&'static str>,
-    /// Allowed names of an option of kind [`OptionKind::Choice`], from the cheapest to the dearest method. Empty for
-    /// other options.
+    /// Allowed names of an option of kind [`OptionKind::Choice`], from the cheapest to the most expensive method. Empty
+    /// for other options.
     pub choices: Vec<OptionChoice>,
     /// The option's value if it is a number. It may be NaN, which `value` can't represent because JSON has no NaN.
     #[serde(skip)]
@@ -119,12 +119,13 @@ pub fn options_schema(options: &[DeclaredOption]) -> Value {
 
 /// Implemented by the types of options' values, and by structs that group options.
 pub trait OptionValue {
-    /// Appends `option` to `options`, with the kind of this type, the given default, and `self` as its value. A group
-    /// of options appends each of its options.
+    /// Declares a value as an option: appends `option` to `options`, with the kind of the value's type, the default
+    /// `default` and the value `self`. For a struct that groups options, appends one option per field instead.
     fn declare(&self, default: &Self, option: DeclaredOption, options: &mut Vec<DeclaredOption>);
 }
 
-/// Converts a value to JSON, as in an options file. An `f32` is written with the fewest digits that identify it.
+/// Converts an option's value to JSON, in the form that it has in an options file. An `f32` is written with the fewest
+/// decimal digits that identify it.
 fn in_json(value: &impl Serialize) -> Value {
     serde_json::to_string(value).and_then(|text| serde_json::from_str(&text)).unwrap_or_default()
 }
@@ -158,7 +159,7 @@ impl<M: Method> OptionValue for M {
     }
 }
 
-/// Returns the names and help texts of all methods of a stage, cheapest first.
+/// Returns the names and help texts of all methods of the enum `M`, from the cheapest to the most expensive.
 pub fn choices<M: Method>() -> Vec<OptionChoice> {
     M::ALL.iter().map(|m| OptionChoice { name: m.name(), help: m.help() }).collect()
 }

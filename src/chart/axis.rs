@@ -1,7 +1,7 @@
 //! Axes of charts: positions of values on the page, and ticks at round values.
 
-/// Maps values to positions on the page, linearly or logarithmically. Positions are in pixels or fractions of the
-/// width.
+/// Axis of a chart: maps values to positions on the page, linearly or logarithmically. Positions are in pixels or
+/// fractions of the width.
 pub(super) struct Axis {
     /// The smallest value of the axis, or the value's decimal logarithm on a logarithmic axis.
     low: f64,
@@ -14,21 +14,21 @@ pub(super) struct Axis {
     log: bool,
 }
 
-/// Margin beyond the smallest and the largest value, as a fraction of the range of the values.
+/// Margin of an axis beyond the smallest and the largest value, as a fraction of the range of the values.
 const MARGIN: f64 = 0.05;
 
 /// Approximate number of ticks on an axis.
 const TICKS: f64 = 6.0;
 
 /// Largest number of ticks on an axis. Without this limit, rounding errors in a small range of huge values would
-/// produce thousands.
+/// produce thousands of ticks.
 const MAX_TICKS: usize = 20;
 
 impl Axis {
     /// Makes an axis that shows all values. Its ends are at the positions `from` and `to`.
     ///
-    /// Values that aren't finite are ignored, and on a logarithmic axis also values that aren't positive. With a single
-    /// value or none, the axis still has a range of positive length.
+    /// Values that aren't finite are ignored, and on a logarithmic axis also values that aren't positive. If there is
+    /// at most one value, the axis still has a range of positive length.
     pub fn around(values: impl Iterator<Item = f64>, log: bool, from: f64, to: f64) -> Self {
         let values = values.map(|v| if log { v.log10() } else { v }).filter(|v| v.is_finite());
         let (low, high) = values
@@ -45,7 +45,7 @@ impl Axis {
         (0.0..=1.0).contains(&fraction).then_some(self.from + fraction * (self.to - self.from))
     }
 
-    /// Returns round values on the axis, about [`TICKS`] of them.
+    /// Returns the values of the axis's ticks: round values, about [`TICKS`] of them.
     pub fn ticks(&self) -> Vec<f64> {
         let raw = (self.high - self.low) / TICKS;
         if self.log && raw > 0.12 {
@@ -68,7 +68,7 @@ impl Axis {
     }
 }
 
-/// Formats a tick's value, with a typographic minus sign and without digits that are rounding errors.
+/// Formats a tick's value, with a typographic minus sign and without decimal digits that are only rounding errors.
 pub(super) fn tick_text(tick: f64) -> String {
     if tick != 0.0 && (tick.abs() < 1e-4 || tick.abs() >= 1e6) {
         return format!("{tick:.0e}").replace('-', "−");

@@ -1,19 +1,19 @@
-//! Dot plots: labelled rows of dots on one axis, as SVG for use inside of an HTML page.
+//! Dot plots: labelled rows of dots on one horizontal axis, as SVG for use inside of an HTML page.
 //!
-//! Every element has a CSS class. The page's style sheet defines the colours for light and dark schemes.
+//! Every SVG element has a CSS class. The HTML page's style sheet defines the colours for light and dark schemes.
 
 use super::axis::{Axis, tick_text};
 use super::template::filled;
 use minijinja::{Value, context};
 
-/// Labelled rows of dots on a common horizontal axis.
+/// A dot plot: labelled rows of dots on a common horizontal axis.
 #[derive(Clone, Debug, Default)]
 pub struct DotPlot {
     /// The rows, from top to bottom.
     pub rows: Vec<DotRow>,
-    /// Label of the axis: quantity and unit.
+    /// Label of the horizontal axis: quantity and unit.
     pub x_label: String,
-    /// True if the axis extends equally far to both sides of 0, and a line marks 0.
+    /// Whether the axis extends equally far to both sides of 0, with a line at 0.
     pub symmetric: bool,
 }
 
@@ -25,13 +25,14 @@ pub struct DotRow {
     pub dots: Vec<Dot>,
 }
 
-/// A dot of a row. Values are in the axis's unit.
+/// A dot of a dot plot's row. Values are in the unit of the plot's axis.
 #[derive(Clone, Debug, Default)]
 pub struct Dot {
     pub value: f64,
     /// Half the length of the error bar, in the axis's unit. `None` for no error bar.
     pub bar: Option<f64>,
-    /// Number of the dot's colour. The page's CSS classes `s0` to `s5` define six colours, which repeat.
+    /// Number of the dot's colour. The number modulo 6 selects one of the page's CSS classes `s0` to `s5`, each with a
+    /// colour.
     pub series: usize,
     /// Text of the dot's tooltip.
     pub title: String,
@@ -45,7 +46,7 @@ impl Dot {
         self.value.is_finite() && self.bar.is_none_or(f64::is_finite)
     }
 
-    /// Returns the two ends of the error bar. Without an error bar, both are the dot's value.
+    /// Returns the two ends of the dot's error bar. Without an error bar, both ends are the dot's value.
     fn ends(&self) -> [f64; 2] {
         let bar = self.bar.unwrap_or(0.0);
         [self.value - bar, self.value + bar]
@@ -53,8 +54,8 @@ impl Dot {
 }
 
 impl DotPlot {
-    /// Returns the plot as inline SVG of class `plot`, in two versions: `wide`, and `narrow` for phones. The page shows
-    /// one of the two. The text is empty if no dot is finite.
+    /// Returns the plot as inline SVG of class `plot`, in two versions: `wide`, and `narrow` for phones. The page's
+    /// style sheet shows one of the two versions. The text is empty if no dot is finite.
     pub fn svg(&self) -> String {
         let dots = self.rows.iter().flat_map(|r| &r.dots).filter(|d| d.is_finite());
         let mut ends: Vec<f64> = dots.flat_map(Dot::ends).collect();

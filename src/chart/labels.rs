@@ -2,15 +2,15 @@
 
 use super::template::{ADVANCE, TEXT_SIZE};
 
-/// Rectangle on the page: left, top, right and bottom, pixels.
+/// Rectangle on a chart's page: left, top, right and bottom, pixels.
 pub(super) type Box4 = [f64; 4];
 
-/// Candidate distances of a text from its point, pixels, in the order in which they are tried.
+/// Candidate distances of a label's text from its point, pixels, in the order in which they are tried.
 const DISTANCES: [f64; 6] = [7.0, 14.0, 24.0, 36.0, 50.0, 66.0];
-/// Number of candidate directions at each distance.
+/// Number of candidate directions of a label's text from its point, at each candidate distance.
 const DIRECTIONS: usize = 16;
-/// First candidate direction, radians anticlockwise from the right: up and to the left. In a plot of quality over cost,
-/// the area up and left of the best points is free.
+/// First candidate direction of a label's text from its point, radians anticlockwise from the right: up and to the
+/// left. In a plot of quality over cost, the area up and left of the best points is free.
 const FIRST_ANGLE: f64 = 2.4;
 
 fn overlap(a: &Box4, b: &Box4) -> bool {
@@ -27,10 +27,11 @@ fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     [x - w, y - h, x + w, y + h]
 }
 
-/// Chooses a rectangle for each text, next to the text's point. Each label is a point and a text.
+/// Chooses a rectangle for the text of each label, next to the label's point. A label is a point and a text. All
+/// coordinates are pixels.
 ///
-/// The rectangle is the nearest candidate inside of the frame that overlaps neither an obstacle nor the rectangle of an
-/// earlier text. If no candidate qualifies, the first candidate is taken.
+/// The rectangle is the nearest candidate inside of `frame` that overlaps neither an obstacle nor the rectangle of an
+/// earlier text. If there is no such candidate, the first candidate is taken.
 pub(super) fn place(labels: &[([f64; 2], &str)], obstacles: &[Box4], frame: &Box4) -> Vec<Box4> {
     let mut taken: Vec<Box4> = obstacles.to_vec();
     labels

@@ -1,4 +1,5 @@
-//! Line and scatter charts, with ticks, error bars, labels and a key.
+//! Line and scatter charts, with ticks, error bars, labels and a key. The key is a column of explanations beside the
+//! chart.
 
 use super::axis::{Axis, tick_text};
 use super::labels::{self, Box4};
@@ -20,11 +21,11 @@ pub struct Chart {
     pub y_shows: Option<(f64, f64)>,
     /// Point sets of the chart. Later series are drawn over earlier series.
     pub series: Vec<Series>,
-    /// Horizontal lines, such as a true value or a target: each with its y value and label.
+    /// Horizontal lines, such as the true value or a target. Each has a y value and a label.
     pub rules: Vec<(f64, String)>,
-    /// Texts next to points.
+    /// Texts next to points of the chart.
     pub labels: Vec<Label>,
-    /// Explanations at the right of the frame, one entry per line of text.
+    /// Explanations (the chart's key) at the right of the chart's frame, one entry per line of text.
     pub key: Vec<String>,
 }
 
@@ -40,9 +41,9 @@ pub struct Label {
 /// A set of points with a common colour.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// Name in the legend. If the name is empty, the series isn't in the legend.
+    /// Name of the series in the legend. If the name is empty, the series isn't in the legend.
     pub label: String,
-    /// The points, in the order in which the line joins them. Points that aren't finite are not drawn.
+    /// The points of the series, in the order in which the line joins them. Points that aren't finite are not drawn.
     pub points: Vec<ChartPoint>,
     /// Whether the points are joined by a line.
     pub line: bool,
@@ -57,9 +58,9 @@ pub struct Series {
 pub struct ChartPoint {
     pub x: f64,
     pub y: f64,
-    /// Half the length of the error bar along y, in the y axis's unit. 0 for no error bar.
+    /// Half the length of the error bar along y, in the y axis's unit. 0 if there is no error bar.
     pub bar: f64,
-    /// The two ends of the error bar along x, in the x axis's unit. `None` for no error bar.
+    /// The two ends of the error bar along x, in the x axis's unit. `None` if there is no error bar.
     pub x_range: Option<(f64, f64)>,
 }
 
@@ -72,19 +73,20 @@ impl From<(f64, f64)> for ChartPoint {
 /// Width of a chart without a key, pixels.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 340.0;
-/// Left, right, top and bottom margins between the chart's edges and its frame, pixels. They contain the ticks and
-/// titles.
+/// Left, right, top and bottom margins between the chart's edges and its frame, pixels. The margins contain the ticks'
+/// values and the titles.
 const MARGINS: [f64; 4] = [74.0, 16.0, 34.0, 48.0];
 /// Height of a line of text, pixels.
 const ROW: f64 = 15.0;
-/// Scale factor of a chart with a key, relative to a chart without one. The width of the key itself is not scaled.
+/// Scale factor of a chart with a key (explanations beside its frame), relative to a chart without a key. The width of
+/// the key itself is not scaled.
 const KEYED: f64 = 1.4;
 /// Colours of the series, which differ in hue and in lightness.
 const COLORS: [&str; 8] =
     ["#0b62a4", "#d1495b", "#2a9d5c", "#8a5fbf", "#c77d00", "#00868b", "#6b4c3b", "#555555"];
 const FAINT: &str = "#b4b4b4";
 
-/// Draws charts side by side, `columns` charts per row, as one standalone SVG file.
+/// Draws charts in a grid with `columns` charts per row. Returns one standalone SVG document.
 ///
 /// `columns` is clamped to the range from 1 to the number of charts. Without charts, the page is empty.
 pub fn svg(charts: &[Chart], columns: usize) -> String {
@@ -127,8 +129,8 @@ impl Chart {
         longest.map_or(0.0, |n| ADVANCE * n as f64 + 16.0)
     }
 
-    /// Returns the row of text in which the key starts, counted from 0. It lies below the legend's rows and one empty
-    /// row.
+    /// Returns the row of text in which the key (the explanations beside the frame) starts, counted from 0. Above it
+    /// are the legend's rows and one empty row.
     fn key_from(&self) -> usize {
         let names = self.series.iter().filter(|s| !s.label.is_empty()).count();
         if names > 0 { names + 1 } else { 0 }
@@ -152,7 +154,8 @@ impl Chart {
         Axes { x, y, frame }
     }
 
-    /// Returns the values for the SVG template, in pixels from the chart's top left corner.
+    /// Returns the values that are filled into the chart's SVG template. Positions are in pixels from the chart's top
+    /// left corner.
     fn drawn(&self) -> Value {
         let axes = self.axes();
         let ticks = |axis: &Axis| -> Vec<Value> {
@@ -190,8 +193,8 @@ impl Chart {
         [left, top, left + 26.0 + ADVANCE * longest, top + ROW * rows + 4.0]
     }
 
-    /// Places the texts next to their points, without overlapping dots, lines, the legend or each other. A line joins a
-    /// distant text to its point.
+    /// Places the labels' texts next to their points, without overlapping dots, lines, the legend or each other. A line
+    /// joins a distant text to its point. Returns the values that are filled into the SVG template.
     fn drawn_labels(&self, axes: &Axes) -> Vec<Value> {
         let placed: Vec<([f64; 2], &Label)> = self
             .labels
@@ -219,13 +222,13 @@ impl Chart {
 }
 
 impl Series {
-    /// Returns the points inside of the axes, each with its position on the page.
+    /// Returns the points of the series that lie inside of the axes, each with its position on the page, pixels.
     fn placed(&self, axes: &Axes) -> Vec<([f64; 2], ChartPoint)> {
         let place = |p: &ChartPoint| Some(([axes.x.at(p.x)?, axes.y.at(p.y)?], *p));
         self.points.iter().filter_map(place).collect()
     }
 
-    /// Returns the positions that labels must not cover: the dots, and points on the line every 6 pixels.
+    /// Returns the positions that labels must not cover, pixels: the dots, and points on the line every 6 pixels.
     fn obstacles(&self, axes: &Axes) -> Vec<[f64; 2]> {
         let mut positions: Vec<[f64; 2]> = self.placed(axes).iter().map(|(at, _)| *at).collect();
         if self.line {

@@ -3,10 +3,10 @@
 use minijinja::syntax::SyntaxConfig;
 use minijinja::{Environment, Value};
 
-/// Width of a letter, pixels.
+/// Width of a letter in a chart's texts, pixels. The font is monospaced.
 pub(super) const ADVANCE: f64 = 7.0;
 
-/// Font size, pixels. A letter of a monospaced font is 0.6 times as wide, which is [`ADVANCE`].
+/// Font size of a chart's texts, pixels. A letter of a monospaced font is 0.6 times as wide, which is [`ADVANCE`].
 pub(super) const TEXT_SIZE: f64 = 11.7;
 
 /// Fills in an SVG template. The template's values can be formatted by two filters: `px` writes a position with one

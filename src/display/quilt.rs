@@ -1,13 +1,13 @@
 //! Quilts, the pictures of Looking Glass displays: a grid of views. The leftmost view is at the bottom left, and the
-//! rightmost view at the top right. The file's name ends in `_qsCxRaA`, with the number of columns C, the number of
-//! rows R, and the aspect ratio A of the views.
+//! rightmost view at the top right. The name of a quilt's file ends in `_qsCxRaA`, with the number of columns C, the
+//! number of rows R, and the aspect ratio A of the views.
 //!
 //! Sizes are from <https://docs.lookingglassfactory.com/keyconcepts/quilts>. View cones are from the vendor's
-//! LKG-Toolkit, or else are the documentation's standard of 35°. Two copies of that page differ for the 16-inch
+//! LKG-Toolkit, or else are the documentation's standard of 35°. Two copies of this page differ for the 16-inch
 //! landscape display. The copy that also lists 27-inch displays has 8×6 views in 7680×4320 pixels, here `16-landscape`.
 //! The other copy has 7×7 views in 5999×5999 pixels, here `16-landscape-7x7`. The copy with the 27-inch displays is
-//! assumed to be newer, but the vendor doesn't say so. A file's name gives the layout, so that the vendor's programs
-//! show both.
+//! assumed to be newer, but the vendor doesn't confirm this. The name of a quilt's file gives the layout, so that the
+//! vendor's programs show either layout correctly.
 
 use super::sheared;
 use crate::camera::{Camera, CameraModel};
@@ -24,11 +24,12 @@ pub struct QuiltLayout {
     pub size_px: [usize; 2],
     /// Width of the display divided by its height. Each view has this aspect ratio, and is stretched to its tile.
     pub aspect: f64,
-    /// Angle between the first and the last view, seen from the middle of the plane of convergence, in degrees.
+    /// Angle between the directions to the first and to the last view's camera, seen from the middle of the plane of
+    /// convergence, in degrees.
     pub cone_deg: f64,
 }
 
-/// Reason why a text doesn't describe a quilt's layout. The message is the end of a sentence that begins with the text,
+/// Reason why a text doesn't describe a quilt's layout. The message continues a sentence that begins with this text,
 /// such as "is no display".
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum QuiltLayoutError {
@@ -78,8 +79,8 @@ fn names() -> String {
     DEVICES.map(|(name, _)| name).join(", ")
 }
 
-/// Parses the name of a display, or the form `COLUMNSxROWS:WIDTHxHEIGHT`. In the second form, the views have the aspect
-/// ratio of their tiles.
+/// Parses the name of a known display, or the form `COLUMNSxROWS:WIDTHxHEIGHT` with the quilt's size in pixels. In the
+/// second form, the views have the aspect ratio of their tiles.
 impl FromStr for QuiltLayout {
     type Err = QuiltLayoutError;
 
@@ -131,17 +132,17 @@ impl QuiltLayout {
         [column * width, self.size_px[1] - (row + 1) * height]
     }
 
-    /// Returns the text that describes the layout in the name of a quilt's file, such as `_qs8x6a0.75`. It stands at
-    /// the end of the name, before the extension.
+    /// Returns the text that describes the layout in the name of a quilt's file, such as `_qs8x6a0.75`. The text stands
+    /// at the end of the name, before the extension.
     pub fn name(&self) -> String {
         let aspect = format!("{:.5}", self.aspect);
         let aspect = aspect.trim_end_matches('0').trim_end_matches('.');
         format!("_qs{}x{}a{aspect}", self.columns, self.rows)
     }
 
-    /// Returns the cameras of all views, the leftmost first. `view` is in their middle. The first and the last camera
-    /// are `cone_deg` degrees apart, seen from the point `convergence_m` metres ahead of `view`. All views show the
-    /// largest centred part of `view` that has the display's aspect ratio.
+    /// Returns the cameras of all views of a quilt, the leftmost first. `view` is in their middle. The first and the
+    /// last camera are `cone_deg` degrees apart, seen from the point `convergence_m` metres ahead of `view`. All views
+    /// show the largest centred part of `view` that has the display's aspect ratio.
     pub fn cameras(&self, view: &Camera, cone_deg: f64, convergence_m: f64) -> Vec<Camera> {
         let framed = self.framed(view);
         let last = (self.views() - 1) as f64;

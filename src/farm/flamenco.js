@@ -18,7 +18,7 @@ function compileJob(job) {
     }
 }
 
-// The further arguments of every task of a step.
+// Returns one list per task of a step: the task's additional arguments, which choose its parts of the work.
 function parts(chunks, settings) {
     if (!chunks) {
         return [[]];

@@ -1,4 +1,4 @@
-//! Jobs for render farms. A job consists of steps, each a command of `stlfr`: filming, rendering and so on. A job is
+//! Jobs for render farms. A job consists of steps, each a command of `stlfr`, such as filming or rendering. A job is
 //! written for three engines (Open Job Description, Slurm and Flamenco), which all run the same commands. Every command
 //! may be run again: it then continues its work, or writes the same files.
 //!
@@ -42,11 +42,12 @@ pub struct FarmStep {
 /// number of parts in a chunk. Users can change this number when they submit the job.
 #[derive(Clone, Debug)]
 pub struct FarmChunks {
-    /// Kind of the work, such as `film`: a lower-case word. The name of the setting for the chunk size contains it.
+    /// Kind of the work, such as `film`: a lower-case word. The chunk size is a setting of the job, whose name contains
+    /// this word.
     pub kind: &'static str,
     /// Number of parts into which the work is divided.
     pub count: u32,
-    /// Default number of parts in a chunk. A task of the farm does one chunk.
+    /// Default number of parts in a chunk. Each task of the render farm does one chunk.
     pub size: u32,
 }
 
@@ -58,7 +59,7 @@ pub struct FarmNeeds {
 }
 
 impl FarmJob {
-    /// Returns the job's files for all three engines, as pairs of file name and contents.
+    /// Returns the job's files for Open Job Description, Slurm and Flamenco, as pairs of file name and contents.
     pub fn files(&self) -> Vec<(String, String)> {
         let mut files = vec![
             ("openjd.json".to_owned(), openjd::template(self)),
@@ -68,13 +69,14 @@ impl FarmJob {
         files
     }
 
-    /// Writes the job's files for all three engines into a folder.
+    /// Writes the job's files for Open Job Description, Slurm and Flamenco into a folder.
     pub fn write(&self, folder: &Path) -> std::io::Result<()> {
         let mut files = self.files().into_iter();
         files.try_for_each(|(name, text)| write_atomically(&folder.join(name), text.as_bytes()))
     }
 
-    /// Returns one [`FarmChunks`] for each kind of work: the first in the order of the steps.
+    /// Returns one [`FarmChunks`] for each kind of work in the job. Of several steps with the same kind, the first
+    /// step's is returned.
     fn kinds(&self) -> Vec<&FarmChunks> {
         let mut kinds: Vec<&FarmChunks> = Vec::new();
         for chunks in self.steps.iter().filter_map(|step| step.chunks.as_ref()) {

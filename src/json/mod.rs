@@ -1,4 +1,4 @@
-//! Reads JSON files. An error is one sentence, which names the invalid field.
+//! Reads JSON files into Rust types. An error is one sentence, which names the invalid field.
 
 mod objects;
 
@@ -32,7 +32,7 @@ pub fn read_within<T: DeserializeOwned>(path: &Path, max_bytes: u64) -> Result<T
     parse(&read_text(path, max_bytes)?).map_err(JsonError::Content)
 }
 
-/// Parses a value from JSON. A list in place of a struct's object is an error.
+/// Parses a value from JSON text. A list in place of a struct's object is an error.
 ///
 /// # Errors
 /// A sentence that starts with the invalid field, if the field is known.
@@ -44,7 +44,7 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     Ok(value)
 }
 
-/// Words of the parser's messages that name Rust's number types, and the plain words that replace them.
+/// Words in serde's error messages that name Rust's number types, and the plain words that replace them.
 const NUMBERS: [(&str, &str); 5] = [
     ("expected usize", "expected a whole number"),
     ("expected u64", "expected a whole number"),
@@ -53,7 +53,8 @@ const NUMBERS: [(&str, &str); 5] = [
     ("expected f32", "expected a number"),
 ];
 
-/// Returns the sentence of a parsing error. A syntax error outside of all fields starts with "is no JSON".
+/// Returns the sentence that describes a parsing error. The sentence of a syntax error outside of all fields starts
+/// with "is no JSON".
 fn refusal(error: &serde_path_to_error::Error<serde_json::Error>) -> String {
     let sentence = error.to_string();
     let is_syntax = error.inner().is_syntax() || error.inner().is_eof();

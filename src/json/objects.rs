@@ -1,5 +1,5 @@
-//! A deserializer that accepts only JSON objects for structs. Serde also accepts a list of a struct's values in the
-//! order of its fields, which no JSON Schema allows.
+//! A deserializer that accepts only JSON objects for structs. By default, serde also accepts a list of the struct's
+//! values in the order of its fields, which the JSON Schemas of the program's files don't allow.
 
 use serde::de::{DeserializeSeed, Deserializer, EnumAccess, MapAccess, SeqAccess};
 use serde::de::{VariantAccess, Visitor};

@@ -27,7 +27,7 @@ options! {
 }
 
 impl AutoOptions {
-    /// Returns options with automatic choice of the methods of all stages, and with the default budgets.
+    /// Returns options that choose the methods of all stages automatically, with the default error budgets.
     pub fn all() -> Self {
         Self { sync: true, proxy: true, blend: true, ..Self::default() }
     }
@@ -39,7 +39,7 @@ impl AutoOptions {
     }
 }
 
-/// The kinds of geometry proxy, cheapest first.
+/// The kinds of geometry proxy, which is an estimate of the scene's shape, from the cheapest to the most expensive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ProxyMethod {
@@ -48,10 +48,11 @@ pub enum ProxyMethod {
     /// The paper's mesh. Its vertices are triangulated correspondences, and a plane forms the background.
     #[default]
     Mesh,
-    /// Depth per pixel, estimated from the images of several cameras, with occlusion.
+    /// Depth per pixel, estimated from the images of several cameras with occlusion reasoning.
     Depth,
-    /// Depth and motion of every frame, estimated from all cameras at their own capture times. For a view, the points
-    /// of the frames nearest in time are moved to the view's instant. This proxy needs no synchronized images.
+    /// Depth and motion per pixel of every frame, estimated from all cameras at their own capture times. For a view,
+    /// the surface points of the frames nearest in time are moved to the view's instant. This proxy needs no
+    /// synchronized images.
     SceneFlow,
 }
 
@@ -110,8 +111,8 @@ options! {
 }
 
 impl TrailOptions {
-    /// Returns the instants, in seconds, that a view at `time_s` overlays, latest first. Without a trail, `time_s` is
-    /// the only instant.
+    /// Returns the instants, in seconds, whose images a view at `time_s` overlays, latest first. Without a trail,
+    /// `time_s` is the only instant.
     pub(crate) fn instants_s(&self, time_s: f64) -> Vec<f64> {
         if self.duration_s <= 0.0 || self.instants < 2 {
             return vec![time_s];
@@ -120,7 +121,7 @@ impl TrailOptions {
         (0..self.instants).map(|k| time_s - step_s * k as f64).collect()
     }
 
-    /// Returns the number of instants that a view overlays.
+    /// Returns the number of instants whose images a view overlays. 1 without a trail.
     pub fn count(&self) -> usize {
         self.instants_s(0.0).len()
     }

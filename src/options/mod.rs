@@ -1,5 +1,5 @@
-//! The options: everything that determines an image, except the capture. They are the method of each stage and the
-//! method's parameters.
+//! The options of rendering: the method of each stage, and the methods' parameters. Together with the capture, the
+//! viewpoint and the instant, they determine a rendered image.
 //!
 //! | options | content | read by |
 //! |---|---|---|
@@ -47,13 +47,13 @@ options! {
 }
 
 impl RenderOptions {
-    /// Returns these options with another sync method.
+    /// Returns these options with `sync` as the method that synchronizes the cameras' images.
     #[must_use]
     pub fn with_sync(self, sync: SyncMethod) -> Self {
         Self { sync, ..self }
     }
 
-    /// Returns all options, each with its declaration and its value in `self`.
+    /// Returns all options, each with its declaration and with its value in `self`.
     pub fn declared(&self) -> Vec<DeclaredOption> {
         let mut options = Vec::new();
         self.declare(&Self::default(), DeclaredOption::default(), &mut options);

@@ -8,7 +8,7 @@ use serde_json::Value;
 impl RenderOptions {
     /// Parses an options file, which is a JSON object. Missing options have the values of a preset. The preset is the
     /// argument `preset`, or else the preset named in the file's field `preset`, or else the default preset. If the
-    /// file names a stage's method, the automatic choice for this stage is turned off.
+    /// file names the method of a stage, the automatic choice of this stage's method is turned off.
     ///
     /// The error is a sentence that starts with the path of the wrong field. A value out of its range is an error.
     pub fn parse(text: &str, preset: Option<Preset>) -> Result<Self, String> {
@@ -37,8 +37,8 @@ impl RenderOptions {
     }
 
     /// Sets the option with the path `name`, such as `blend.cameras`. `value` is JSON, but the name of a method needs
-    /// no quotes. If `name` is a group, such as `proxy`, the group's method is set. If a stage's method is set, the
-    /// automatic choice for this stage is turned off.
+    /// no quotes. If `name` is a group, such as `proxy`, the group's method is set. If the method of a stage is set,
+    /// the automatic choice of this stage's method is turned off.
     ///
     /// The error is a sentence that starts with the option's path.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
@@ -65,18 +65,19 @@ impl RenderOptions {
     }
 }
 
-/// Pairs of JSON pointers: an option that names a stage's method, and the option that turns on its automatic choice.
+/// Pairs of JSON pointers to options: the option that names the method of a stage, and the option that turns on the
+/// automatic choice of this method.
 const CHOSEN: [(&str, &str); 3] =
     [("/sync", "/auto/sync"), ("/proxy/method", "/auto/proxy"), ("/blend/method", "/auto/blend")];
 
-/// The field `preset` of an options file, in a JSON object of its own.
+/// The field `preset` of an options file, as a JSON object with this field alone.
 #[derive(Deserialize)]
 struct NamedPreset {
     preset: Preset,
 }
 
-/// Merges `over` into `into`. Objects are merged field by field. Any other value of `over` replaces the value in
-/// `into`.
+/// Merges the JSON value `over` into `into`. Objects are merged field by field. Any other value of `over` replaces the
+/// value in `into`.
 fn merge(into: &mut Value, over: &Value) {
     match (into, over) {
         (Value::Object(into), Value::Object(over)) => {

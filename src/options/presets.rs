@@ -5,7 +5,8 @@ use crate::interpolation::SyncMethod;
 use crate::method::methods;
 use serde::{Deserialize, Serialize};
 
-/// The presets, cheapest first. `tests/bench/README.md` compares them with other combinations of methods.
+/// The presets, from the fastest to the most accurate. `tests/bench/README.md` compares them with other combinations of
+/// methods.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
@@ -13,8 +14,8 @@ pub enum Preset {
     Draft,
     /// Methods with most of the accuracy of `Best`, in a fraction of its time.
     Balanced,
-    /// Methods chosen by measurements of the capture ([`AutoOptions::all`]). A dearer method is chosen only where a
-    /// cheaper one would exceed the error budgets of [`AutoOptions`].
+    /// Methods chosen by measurements of the capture ([`AutoOptions::all`]). A more expensive method is chosen only
+    /// where a cheaper one would exceed the error budgets of [`AutoOptions`].
     #[default]
     Best,
 }

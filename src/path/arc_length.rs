@@ -3,12 +3,12 @@
 use super::curve::Hermite;
 use nalgebra::Vector3;
 
-/// Number of parts into which the interval between two keys is divided. The table has the arc length at the end of each
-/// part. With fewer parts, the quadrature is inaccurate at cusps.
+/// Number of parts into which the interval between two keys is divided. The table [`ArcLength`] has the arc length at
+/// the end of each part. With fewer parts, the quadrature of the arc length is inaccurate at cusps of the curve.
 const PARTS: usize = 32;
 
-/// Number of bisections in the search for a parameter inside of a part. They determine the parameter to 1e-12 of the
-/// part's length.
+/// Number of bisections by which a parameter is found inside of one part of an interval ([`PARTS`]). They determine the
+/// parameter to 1e-12 of the part's length.
 const HALVINGS: usize = 40;
 
 /// Position of a key, metres, and tangent of the curve at the key, metres per unit of the parameter.
@@ -18,13 +18,13 @@ type PlaceAndTangent = (Vector3<f64>, Vector3<f64>);
 #[derive(Clone, Debug)]
 pub(super) struct ArcLength {
     keys: Vec<(f64, PlaceAndTangent)>,
-    /// Pairs of a parameter and the curve's arc length up to it, metres. Both ascend.
+    /// Pairs of a parameter and the curve's arc length from its start to this parameter, metres. Both ascend.
     lengths: Vec<(f64, f64)>,
 }
 
 impl ArcLength {
-    /// Computes the table for the curve through keys. `at` holds the parameters of the keys, and `places` their
-    /// positions and tangents. `None` if the curve's length is 0 or not finite.
+    /// Computes the table of arc lengths for the curve through keys. `at` has the parameters of the keys, ascending,
+    /// and `places` their positions and tangents. `None` if the curve's length is 0 or not finite.
     pub fn new(at: &[f64], places: &[PlaceAndTangent]) -> Option<Self> {
         let keys: Vec<_> = at.iter().copied().zip(places.iter().copied()).collect();
         let mut curve = Self { keys, lengths: vec![(at[0], 0.0)] };
@@ -64,8 +64,9 @@ impl ArcLength {
         half * pairs.sum::<f64>()
     }
 
-    /// Returns the curve's parameter at the position of a point at the time `at`. The point moves along the whole curve
-    /// at constant speed, while the time runs from the first key's parameter to the last key's parameter.
+    /// Returns the curve's parameter at the time `at`, for a point that moves along the whole curve at constant speed.
+    /// The point starts at the time that equals the first key's parameter. It arrives at the time that equals the last
+    /// key's parameter.
     pub fn parameter(&self, at: f64) -> f64 {
         let (first, last) = (self.lengths[0].0, self.lengths[self.lengths.len() - 1].0);
         let wanted = self.whole() * (at - first) / (last - first);

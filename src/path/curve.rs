@@ -1,14 +1,15 @@
-//! Tangents at the keys of a spline, and cubic Hermite interpolation between two keys.
+//! Tangents at the keys (interpolated points) of a spline, and cubic Hermite interpolation between two keys.
 
 use nalgebra::Vector3;
 use std::ops::{Add, Mul, Sub};
 
-/// Maximum distance between two keys that count as the same position, metres.
+/// Maximum distance between two keys of a spline that count as the same position, metres.
 const SAME_PLACE_M: f64 = 1e-9;
 
-/// Returns the tangents at keys. A tangent is the derivative of the parabola through the key and its two neighbours; at
-/// the first and the last key, of the parabola through the three nearest keys. A tangent is 0 if a neighbour is at the
-/// same position. `at` has the parameters of the keys, ascending.
+/// Returns the tangent of a spline at each key (interpolated point). A tangent is the derivative of the parabola
+/// through the key and its two neighbours; at the first and the last key, of the parabola through the three nearest
+/// keys. A tangent is 0 if a neighbour is at the same position. `at` has the parameters of the keys, ascending, and
+/// `values` their positions, metres.
 pub(super) fn tangents(at: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let steps: Vec<Vector3<f64>> =
         (1..at.len()).map(|k| (values[k] - values[k - 1]) / (at[k] - at[k - 1])).collect();
@@ -17,9 +18,9 @@ pub(super) fn tangents(at: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>>
     parabolic(at, &steps, &stands)
 }
 
-/// Returns the tangents at keys by parabolas through three keys. `slopes` has the mean slope in each interval between
-/// keys. `stands` is true for each interval in which nothing moves. The tangents at both ends of such an interval are
-/// 0.
+/// Returns the tangent of a spline at each key (interpolated point), by parabolas through three keys. `at` has the
+/// parameters of the keys, ascending. `slopes` has the mean slope in each interval between keys. `stands` is true for
+/// each interval in which nothing moves. The tangents at both ends of such an interval are 0.
 pub(super) fn parabolic(at: &[f64], slopes: &[Vector3<f64>], stands: &[bool]) -> Vec<Vector3<f64>> {
     let length = |k: usize| at[k + 1] - at[k];
     let end = |near: usize, far: usize| {
@@ -41,9 +42,9 @@ pub(super) fn parabolic(at: &[f64], slopes: &[Vector3<f64>], stands: &[bool]) ->
     (0..at.len()).map(|k| if is_still(k) { Vector3::zeros() } else { tangent(k) }).collect()
 }
 
-/// Returns the slopes at keys of a monotone cubic interpolation (Fritsch and Butland 1984). Between two keys, the
-/// interpolation stays within the range of their values. If all values lie on a line, the interpolation is this line.
-/// `at` has the parameters of the keys, ascending.
+/// Returns the slope of a monotone cubic spline at each key (Fritsch and Butland 1984). Between two keys, the spline
+/// stays within the range of their values. If the values are a linear function of the parameter, so is the spline. `at`
+/// has the parameters of the keys, ascending, and `values` their values.
 pub(super) fn monotone_tangents(at: &[f64], values: &[f64]) -> Vec<f64> {
     let last = at.len() - 1;
     let length = |k: usize| at[k + 1] - at[k];
@@ -73,13 +74,14 @@ pub(super) fn monotone_tangents(at: &[f64], values: &[f64]) -> Vec<f64> {
     (0..=last).map(tangent).collect()
 }
 
-/// Sets the tangents to 0 at all keys where `rests` is true.
+/// Sets the tangents of a spline to 0 at all keys where `rests` is true.
 pub(super) fn resting<T: Default>(rests: &[bool], tangents: Vec<T>) -> Vec<T> {
     let pairs = tangents.into_iter().zip(rests);
     pairs.map(|(tangent, rests)| if *rests { T::default() } else { tangent }).collect()
 }
 
-/// Position of a parameter in the interval between two keys.
+/// The interval between two keys of a spline that contains a given parameter, and the parameter's position in this
+/// interval. It evaluates cubic Hermite polynomials there.
 pub(super) struct Hermite {
     /// Index of the key at the start of the interval.
     pub key: usize,
@@ -112,19 +114,20 @@ impl Hermite {
     {
         let t = self.passed;
         let (u, h) = (1.0 - t, self.length);
-        // This form gives exactly `a` if nothing moves. Views that are equal are then found in caches.
+        // If `a` and `b` are equal and the slopes are 0, this form gives exactly `a`. Equal views are then found in
+        // caches.
         a + ((b - a) * (t * t * (1.0 + 2.0 * u))
             + a_slope * (h * t * u * u)
             + b_slope * (-h * t * t * u))
     }
 
-    /// Interpolates like [`Self::value`] between two pairs of value and slope, with the slopes of a monotone
-    /// interpolation. The result is clamped to the range of the two values, against rounding errors.
+    /// Interpolates like [`Self::value`] between two pairs of value and slope. The slopes are those of
+    /// [`monotone_tangents`]. The result is clamped to the range of the two values, against rounding errors.
     pub fn monotone(&self, a: (f64, f64), b: (f64, f64)) -> f64 {
         self.value(a, b).clamp(a.0.min(b.0), a.0.max(b.0))
     }
 
-    /// Returns the derivative of [`Self::value`] with respect to the parameter.
+    /// Returns the derivative of [`Self::value`] with respect to the parameter. 0 if the interval has no length.
     pub fn slope(
         &self,
         (a, a_slope): (Vector3<f64>, Vector3<f64>),

@@ -1,4 +1,4 @@
-//! The JSON format of a camera path, and its checks.
+//! The JSON format of a camera path, and the checks of its fields.
 
 use super::{CameraPath, PathError, PathKey, is_rate_hz};
 use crate::camera::ViewFormat;
@@ -7,7 +7,7 @@ use serde::Deserialize;
 const FORMAT: &str = "stlfr-path";
 const VERSION: u32 = 1;
 
-/// A camera path as read from a JSON file, before its checks.
+/// A camera path as read from a JSON file. Its fields are not checked yet ([`Self::path`] checks them).
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PathFormat {
@@ -32,10 +32,10 @@ struct ReadKey {
 }
 
 impl PathFormat {
-    /// Checks every field, and returns the path.
+    /// Checks every field, and converts the file's contents to a camera path.
     ///
     /// # Errors
-    /// A sentence that starts with the invalid field.
+    /// A sentence that starts with the name of the invalid field.
     pub fn path(self) -> Result<CameraPath, String> {
         if self.format != FORMAT {
             return Err(format!("format: must be {FORMAT}"));

@@ -1,7 +1,8 @@
-//! Camera paths: position, direction, lens and instant of a view as continuous functions of the time in a video.
+//! Camera paths: position, direction, lens and instant of a view as continuous functions of the time in a video. The
+//! lens of a view is its intrinsic parameters. The instant is the time in the recording that the view shows.
 //!
-//! A path is given by keys. Position, direction, lens and instant are interpolated between the keys, with continuous
-//! first derivatives:
+//! A path is given by key frames, here called keys. Position, direction, lens and instant are interpolated between the
+//! keys, with continuous first derivatives:
 //!
 //! - The position follows cubic Hermite splines, with tangents from parabolas through three keys. It does not move
 //!   between keys at the same position.
@@ -22,10 +23,10 @@
 //! ```
 //!
 //! `at_s` is the time of the key in the video. `time_s` is the instant of the recording that the video then shows. Both
-//! are in seconds. Between keys with equal `time_s`, time stands still. Between keys with descending `time_s`, it runs
-//! backwards. At a key with `rest`, position, direction, lens and instant come to rest: their derivatives are 0. With
-//! `"constant_speed": true`, the position moves at constant speed, and only the instant rests at such a key. `rate_hz`,
-//! `rest` and `constant_speed` are optional.
+//! are in seconds. Between keys with equal `time_s`, time stands still. Between keys with descending `time_s`, time
+//! runs backwards. At a key with `rest`, position, direction, lens and instant come to rest: their derivatives are 0.
+//! With `"constant_speed": true`, the position moves at constant speed, and only the instant rests at such a key.
+//! `rate_hz`, `rest` and `constant_speed` are optional.
 //!
 //! | file | what |
 //! |---|---|
@@ -51,24 +52,25 @@ use curve::{Hermite, monotone_tangents, resting, tangents};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rotation::{cumulative, rotation_tangents};
 
-/// A key of a camera path: the view at a time in the video, and the instant of the recording that it shows.
+/// A key frame of a camera path: the view at one time in the video, and the instant of the recording that this view
+/// shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathKey {
     /// Time of the key in the video, seconds.
     pub at_s: f64,
     /// Instant of the recording that the video shows at this key, seconds on the reference camera's clock.
     pub time_s: f64,
-    /// Position, direction and lens of the view.
+    /// Pose, lens model and image size of the view.
     pub camera: Camera,
-    /// Whether position, direction, lens and instant come to rest at this key: their derivatives are 0. If the path has
-    /// a constant speed, only the instant comes to rest.
+    /// Whether the derivatives of the camera's position, direction, lens and instant are 0 at this key, so that the
+    /// motion comes to rest. On a path with constant speed, only the instant's derivative is 0.
     pub rest: bool,
 }
 
 /// A frame of a video along a camera path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathFrame {
-    /// Position, direction and lens of the view.
+    /// Pose, lens model and image size of the view.
     pub camera: Camera,
     /// Instant of the recording that the frame shows, seconds on the reference camera's clock.
     pub time_s: f64,
@@ -78,24 +80,27 @@ pub struct PathFrame {
 #[derive(Clone, Debug)]
 pub struct CameraPath {
     keys: Vec<PathKey>,
-    /// Frame rate of the video for which the path was made, hertz. `None` if it is not given.
+    /// Frame rate of the video for which the path was made, hertz. `None` if the path doesn't specify a frame rate.
     pub rate_hz: Option<f64>,
-    /// Camera centre and tangent at every key. Centres are in the world, metres. Tangents are derivatives by the time
-    /// in the video, metres per second.
+    /// Camera centre and tangent of the centre's curve at every key. Centres are in the world, metres. Tangents are
+    /// derivatives with respect to the time in the video, metres per second.
     places: Vec<(Vector3<f64>, Vector3<f64>)>,
     /// Rotation `world_from_cam` and angular velocity at every key. Angular velocities are in the camera's frame,
     /// radians per second of the video.
     rotations: Vec<(UnitQuaternion<f64>, Vector3<f64>)>,
-    /// For each parameter of the camera model, pairs of its value and its slope at every key. Slopes are per second of
-    /// the video.
+    /// For each parameter of the camera model, one pair per key: the parameter's value, and its derivative with respect
+    /// to the time in the video.
     lenses: Vec<Vec<(f64, f64)>>,
-    /// Instant of every key, seconds, and its slope, seconds per second of the video.
+    /// One pair per key: the instant of the recording, seconds, and its derivative with respect to the time in the
+    /// video.
     times: Vec<(f64, f64)>,
-    /// Arc lengths of the curve of positions. `None` if the speed is not constant, or if the curve has no length.
+    /// Arc lengths of the curve of camera centres. `None` if the path has no constant speed, or if this curve has no
+    /// length.
     lengths: Option<ArcLength>,
 }
 
-/// Reason why keys don't form a path, or why a path can't be divided into frames. The message names the invalid field.
+/// Reason why keys don't form a camera path, or why a path can't be divided into frames. The message names the invalid
+/// field.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum PathError {
     #[error("keys: there are none")]
@@ -116,20 +121,20 @@ pub enum PathError {
     Frames { duration_s: f64, frames: f64, rate_hz: f64 },
 }
 
-/// Maximum number of keys of a path: enough for an hour with 27 keys per second.
+/// Maximum number of key frames of a camera path: enough for an hour with 27 keys per second.
 const MAX_KEYS: usize = 100_000;
-/// Maximum absolute time in the video, and maximum absolute instant, seconds: more than a century. Within this range,
-/// differences of times are precise to microseconds.
+/// Maximum absolute value of a time in the video and of an instant of the recording, seconds: more than a century.
+/// Within this range, differences of times are precise to microseconds.
 const MAX_SECONDS: f64 = 4e9;
-/// Minimum time between two keys, seconds. Smaller differences would be dominated by rounding errors.
+/// Minimum time in the video between two keys, seconds. Smaller differences would be dominated by rounding errors.
 const MIN_INTERVAL_S: f64 = 1e-6;
 /// Maximum absolute value of a lens parameter. Within this range, derivatives stay finite.
 const MAX_PARAM: f64 = 1e9;
-/// Minimum frame rate, hertz: a frame in 17 minutes, for time lapses.
+/// Minimum frame rate of a video, hertz: one frame every 17 minutes, for time lapses.
 pub const MIN_RATE_HZ: f64 = 1e-3;
-/// Maximum frame rate, hertz.
+/// Maximum frame rate of a video, hertz.
 pub const MAX_RATE_HZ: f64 = 1e3;
-/// Frame rate of a path that has none of its own, hertz.
+/// Default frame rate of a video along a camera path, hertz. It is used if neither the path nor the user specifies one.
 pub const PATH_RATE_HZ: f64 = 30.0;
 /// Default duration of a ready-made path, seconds.
 pub const READY_MADE_S: f64 = 4.0;
@@ -142,12 +147,12 @@ pub fn is_rate_hz(rate_hz: f64) -> bool {
 }
 
 impl CameraPath {
-    /// Creates a path through keys, which must ascend in `at_s`. If `constant_speed` is true, the position moves at
-    /// constant speed from the first to the last key. Direction and lens follow the position along the path, but the
-    /// instant remains a function of the time in the video.
+    /// Creates a path through key frames, which must ascend in `at_s`. If `constant_speed` is true, the position moves
+    /// at constant speed from the first to the last key. Direction and lens then follow the position along the path,
+    /// but the instant remains a function of the time in the video.
     ///
     /// # Errors
-    /// If there is no key or too many, if a number is out of range, if the keys don't ascend, or if their cameras
+    /// If `keys` is empty or too long, if a number is out of range, if `at_s` doesn't ascend, or if the keys' cameras
     /// differ in lens model or image size.
     pub fn new(keys: Vec<PathKey>, constant_speed: bool) -> Result<Self, PathError> {
         check(&keys)?;
@@ -173,21 +178,21 @@ impl CameraPath {
         Ok(Self { keys, rate_hz: None, places, rotations, lenses, times, lengths })
     }
 
-    /// Returns the keys, ascending in `at_s`.
+    /// Returns the path's key frames, ascending in `at_s`.
     pub fn keys(&self) -> &[PathKey] {
         &self.keys
     }
 
-    /// Returns the time from the first to the last key, seconds.
+    /// Returns the path's duration: the time in the video from the first to the last key, seconds.
     pub fn duration_s(&self) -> f64 {
         self.keys[self.keys.len() - 1].at_s - self.keys[0].at_s
     }
 
-    /// Returns the path, stretched in time to another duration in seconds. Its first key is then at 0 s. A path with
-    /// one key is unchanged.
+    /// Returns the path, stretched or compressed in time to `duration_s` seconds. Its first key is then at 0 s. A path
+    /// with one key is unchanged.
     ///
     /// # Errors
-    /// If the keys are too close to each other then, or too far apart.
+    /// If the new times are out of range or too close together.
     pub fn lasting(&self, duration_s: f64) -> Result<Self, PathError> {
         if self.keys.len() == 1 {
             return Ok(self.clone());
@@ -198,7 +203,8 @@ impl CameraPath {
         Ok(Self { rate_hz: self.rate_hz, ..Self::new(keys, self.lengths.is_some())? })
     }
 
-    /// Returns the path with all instants moved by `seconds`. If `seconds` is positive, the path shows later instants.
+    /// Returns the path with `seconds` added to the instant of the recording that each view shows. If `seconds` is
+    /// positive, the path shows later instants.
     #[must_use]
     pub fn later(mut self, seconds: f64) -> Self {
         self.keys.iter_mut().for_each(|key| key.time_s += seconds);
@@ -206,8 +212,8 @@ impl CameraPath {
         self
     }
 
-    /// Returns the view at `passed_s` seconds after the first key. Times before the first key give the view of the
-    /// first key. Times after the last key give the view of the last key.
+    /// Returns the view and its instant at `passed_s` seconds of the video after the first key. Times before the first
+    /// key give the view of the first key. Times after the last key give the view of the last key.
     pub fn at(&self, passed_s: f64) -> PathFrame {
         let at_s = self.keys[0].at_s + passed_s.clamp(0.0, self.duration_s());
         let moved_s = self.lengths.as_ref().map_or(at_s, |lengths| lengths.parameter(at_s));
@@ -226,7 +232,8 @@ impl CameraPath {
         PathFrame { camera: Camera { model, cam_from_world, ..first.clone() }, time_s }
     }
 
-    /// Returns the number of frames of a video with this duration and frame rate.
+    /// Returns the number of frames of a video with this duration and frame rate. The first frame is at the start. The
+    /// last frame is at the end, or less than one frame interval before it.
     ///
     /// # Errors
     /// If the number exceeds the maximum of a million frames.

@@ -1,11 +1,11 @@
-//! Ready-made camera paths, which are chosen by name and fitted to any rig. Everywhere on a path, the rig's cameras
-//! together see everything that the path's view shows at the scene's depths. A path is as large as this condition and
-//! the rig's extent allow.
+//! Ready-made camera paths, which are chosen by name and fitted to any camera rig. A path is made as large as the rig's
+//! extent and one condition allow: everything that a view of the path shows, at the scene's depths, lies inside of the
+//! image of at least one camera.
 //!
 //! The rig is modelled by two parabolas: the cameras' centres and the cameras' directions, as functions of the
 //! coordinate along the rig's longest extent. The model suits lines, arcs and grids of cameras.
 //!
-//! Known limit: occlusion is not considered. Surfaces that the cameras don't see may leave holes.
+//! Known limit: occlusion is not considered. Surfaces that no camera sees may leave holes in the views.
 
 use super::{CameraPath, PathError, PathKey};
 use crate::camera::{Camera, CameraModel};
@@ -30,52 +30,56 @@ methods!(ReadyMadePath {
     Dolly = "dolly": "ahead towards the subject, and back",
 });
 
-/// What a ready-made path is fitted to: the rig, the depths of the scene, and the times of the recording and the video.
+/// Data to which a ready-made path is fitted: the rig, the depths of the scene, and the times of the recording and the
+/// video.
 #[derive(Clone, Copy, Debug)]
 pub struct PathScene<'a> {
     /// Cameras of the rig, at least one.
     pub cameras: &'a [Camera],
-    /// Camera whose lens and image size the views have. Its distortion is left out.
+    /// Camera whose image size the views have. Its field of view is narrowed for the views. Its distortion and its
+    /// principal point are ignored.
     pub lens: &'a Camera,
-    /// Depths of the scene in front of `lens`, metres: of its nearest part, of the subject, and of its farthest part.
+    /// Depths of the scene in front of `lens`, metres: of the scene's nearest part, of the subject, and of the scene's
+    /// farthest part.
     pub depths_m: [f64; 3],
     /// First and last instant that the views may show, seconds from the capture's start. `frozen_s` may lie outside of
     /// this span.
     pub span_s: (f64, f64),
     /// Instant at which time is frozen, seconds from the capture's start. All views show this instant, except that time
-    /// runs at the start and at the end of a bullet-time video. With `None`, time is frozen only in the middle of a
-    /// bullet-time video, at the middle of `span_s`.
+    /// runs at the start and at the end of a bullet-time video. If it is `None`, time runs within `span_s`; a
+    /// bullet-time video then freezes time in its middle part, at the middle of `span_s`.
     pub frozen_s: Option<f64>,
     /// Duration of the video, seconds.
     pub duration_s: f64,
 }
 
-/// Number of intervals between the keys of a path. Splines through the keys approximate the path's formula. With fewer
-/// keys, an orbit bulges.
+/// Number of intervals between the keys of a ready-made path. Splines through the keys approximate the path's formula.
+/// With fewer keys, an orbit deviates from its ellipse between them.
 const KEYS: usize = 24;
 
 /// Candidates for the field of view of a path's views. Each is the width of a view divided by the width of the view of
-/// [`PathScene::lens`], at the same depth. A narrower view leaves more room to move.
+/// [`PathScene::lens`], at the same depth. With a narrower field of view, the path can be larger.
 const LENSES: [f64; 4] = [0.95, 0.85, 0.7, 0.55];
 
-/// Extent of a path that is large enough, as a fraction of the rig's extent. The fields of view in [`LENSES`] are tried
-/// in their order until a path is so large.
+/// Sufficient extent of a path, as a fraction of the rig's extent. The fields of view in [`LENSES`] are tried in their
+/// order, until one allows a path of this extent.
 const ENOUGH: f64 = 0.6;
 
 /// Number of bisections in the search for the largest extent of a path.
 const HALVINGS: usize = 12;
 
-/// Number of grid points along each side of a view. Cameras must see every grid point at each of the scene's depths.
+/// Number of grid points along each side of a view. Each grid point, at each of the scene's depths, must be inside of
+/// at least one camera's image.
 const SEEN_POINTS: usize = 9;
 
-/// Fractions of the duration of a bullet-time video at which time stops and starts again.
+/// Times at which time stops and starts again in a bullet-time video, as fractions of the video's duration.
 const STOP: [f64; 2] = [0.25, 0.75];
 
-/// Maximum length of a dolly movement, as a fraction of the distance to the nearest part of the scene.
+/// Maximum length of a dolly movement (towards the subject), as a fraction of the distance to the scene's nearest part.
 const DOLLY: f64 = 0.4;
 
 impl ReadyMadePath {
-    /// Returns the path, fitted to a scene.
+    /// Returns this ready-made path, fitted to a scene.
     ///
     /// # Errors
     /// If a time or the duration in `scene` is out of range.
@@ -95,7 +99,8 @@ impl ReadyMadePath {
                 break;
             }
         }
-        // If the cameras don't see all of a view even without any movement, the narrowest field of view is used.
+        // If the cameras don't see all of a view even without any movement, the path stands still, with the narrowest
+        // field of view.
         let (extent, field) = best.unwrap_or((0.0, LENSES[LENSES.len() - 1]));
         CameraPath::new(self.keys(scene, &rig, (extent, field)), false)
     }
@@ -132,9 +137,9 @@ impl ReadyMadePath {
         (0..=KEYS).map(key).collect()
     }
 
-    /// Returns the instant that is shown after a fraction `passed` of the video, seconds. Time runs at its true speed,
-    /// or more slowly if the recording is shorter than the video. In bullet time, it stops during the middle half of
-    /// the video.
+    /// Returns the instant of the recording that is shown after a fraction `passed` of the video, seconds from the
+    /// capture's start. Time runs at its true speed, or more slowly if the recording is shorter than the video. In
+    /// bullet time, it stops during the middle half of the video.
     fn time_s(self, scene: &PathScene, passed: f64) -> f64 {
         let (first_s, last_s) = scene.span_s;
         let middle_s = 0.5 * (first_s + last_s);
@@ -164,8 +169,9 @@ fn eased(x: f64) -> f64 {
     0.5 * (1.0 - (PI * x).cos())
 }
 
-/// Returns the largest extent from 0 to 1 for which `is_seen` is true, by bisection. `is_seen` must also be true for
-/// all smaller extents. `None` if it is false for 0.
+/// Returns the largest extent of a path from 0 to 1 for which `is_seen` is true, by bisection. `is_seen` returns
+/// whether cameras see all views of a path with a given extent; it must also be true for all smaller extents. `None` if
+/// it is false for the extent 0.
 fn largest(is_seen: impl Fn(f64) -> bool) -> Option<f64> {
     if !is_seen(0.0) {
         return None;
@@ -181,7 +187,7 @@ fn largest(is_seen: impl Fn(f64) -> bool) -> Option<f64> {
     Some(seen)
 }
 
-/// Returns a pinhole lens without distortion, with its principal point in the middle of the image. Its view at any
+/// Returns the intrinsics of a pinhole camera, with its principal point in the middle of the image. Its view at any
 /// depth is `field` times as wide as the view of `lens`.
 fn narrowed(lens: &Camera, field: f64) -> CameraModel {
     let (fx, fy, ..) = lens.model.intrinsics();
@@ -189,22 +195,25 @@ fn narrowed(lens: &Camera, field: f64) -> CameraModel {
     CameraModel::Pinhole { fx: fx / field, fy: fy / field, cx, cy }
 }
 
-/// A rig, modelled as a curve of positions and directions.
+/// Model of a camera rig: the cameras' positions and directions as two parabolas along the rig's longest extent.
 struct RigCurve {
-    /// Mean of the cameras' centres in the world, metres. The fields `ahead` and `down` are the mean directions of the
-    /// cameras' z and y axes, as unit vectors in the world.
+    /// Mean of the cameras' centres in the world, metres.
     center: Vector3<f64>,
+    /// Mean direction of the cameras' z axes, unit vector in the world.
     ahead: Vector3<f64>,
+    /// Mean direction of the cameras' y axes, unit vector in the world.
     down: Vector3<f64>,
     /// Two vectors in the world, metres: along the longest and along the second longest extent of the cameras' centres.
     /// The length of a vector is the maximum distance, along it, of a camera's centre from `center`.
     axes: [Vector3<f64>; 2],
     /// Coefficients of 1, s and s² in the parabola of the cameras' positions, metres. The coordinate s runs from −1 to
-    /// 1 along the rig's longest extent. The field `aheads` has the coefficients for the cameras' directions.
+    /// 1 along the rig's longest extent.
     places: [Vector3<f64>; 3],
+    /// Coefficients of 1, s and s² in the parabola of the cameras' directions. The coordinate s runs from −1 to 1 along
+    /// the rig's longest extent.
     aheads: [Vector3<f64>; 3],
-    /// Depths of the scene, measured from `center` along `ahead`, metres: of its nearest part, of the subject, and of
-    /// its farthest part.
+    /// Depths of the scene, measured from `center` along `ahead`, metres: of the scene's nearest part, of the subject,
+    /// and of the scene's farthest part.
     depths_m: [f64; 3],
 }
 
@@ -240,21 +249,21 @@ impl RigCurve {
         Self { center, ahead, down, axes, places, aheads, depths_m }
     }
 
-    /// Returns the position at the rig coordinates (s, t), in the world, metres. s runs from −1 to 1 along the longest
-    /// extent of the rig, and t along the second longest.
+    /// Returns the position in the world, metres, at the rig coordinates (s, t). The coordinate s runs from −1 to 1
+    /// along the longest extent of the rig, and t from −1 to 1 along the second longest.
     fn place(&self, [s, t]: [f64; 2]) -> Vector3<f64> {
         at(&self.places, s) + self.axes[1] * t
     }
 
     /// Returns the pose `cam_from_world` of a view at the rig coordinates (s, t), each from −1 to 1. The view has the
-    /// direction that the rig's cameras have at s. It is moved by `ahead_m` metres in this direction.
+    /// direction that the rig's cameras have at s. The view is moved by `ahead_m` metres in this direction.
     fn pose(&self, along: [f64; 2], ahead_m: f64) -> Isometry3<f64> {
         let ahead = at(&self.aheads, along[0]).try_normalize(1e-9).unwrap_or(self.ahead);
         looking(self.place(along) + ahead * ahead_m, ahead, self.down)
     }
 
-    /// Returns the pose `cam_from_world` at the rig coordinates (s, t), each from −1 to 1, that looks at the subject.
-    /// The subject is the point straight ahead of the rig's centre at the subject's depth.
+    /// Returns the pose `cam_from_world` of a view that looks at the subject from the rig coordinates (s, t), each from
+    /// −1 to 1. The subject is the point straight ahead of the rig's centre at the subject's depth.
     fn aimed(&self, along: [f64; 2]) -> Isometry3<f64> {
         let place = self.place(along);
         let subject = self.center + self.ahead * self.depths_m[1];
@@ -262,8 +271,8 @@ impl RigCurve {
         looking(place, ahead, self.down)
     }
 
-    /// Returns whether every grid point of a view, at each of the scene's depths, is seen by at least one of the
-    /// cameras.
+    /// Returns whether every point of a grid in a view, at each of the scene's depths, is inside of the image of at
+    /// least one of `cameras`. Occlusion is ignored.
     fn sees(&self, view: &Camera, cameras: &[Camera]) -> bool {
         let center = view.center();
         let last = (SEEN_POINTS - 1) as f64;
@@ -286,8 +295,8 @@ fn is_inside(camera: &Camera, point: &Point3<f64>) -> bool {
     camera.project(point).is_some_and(|pixel| camera.contains(&pixel))
 }
 
-/// Returns the directions of the largest and the second largest extent of points, unit length. `scatter` is the scatter
-/// matrix of the points. The first direction has a positive component along `right`.
+/// Returns two unit vectors: the directions of the largest and of the second largest extent of some points. `scatter`
+/// is the scatter matrix of the points. The first direction has no negative component along `right`.
 fn extents(scatter: &Matrix3<f64>, right: Vector3<f64>) -> [Vector3<f64>; 2] {
     let eigen = scatter.symmetric_eigen();
     let mut order = [0, 1, 2];
@@ -297,8 +306,8 @@ fn extents(scatter: &Matrix3<f64>, right: Vector3<f64>) -> [Vector3<f64>; 2] {
     [if first.dot(&right) < 0.0 { -first } else { first }, axis(1)]
 }
 
-/// Returns the coefficients of 1, s and s² of the least-squares parabola through `values`. `along` has the coordinates
-/// s of the values, from −1 to 1. If fewer than three coordinates are different, the parabola has a lower degree.
+/// Returns the coefficients of 1, s and s² of the least-squares parabola through `values`. `along` has the coordinate s
+/// of each value, from −1 to 1. If fewer than three coordinates are distinct, the parabola has a lower degree.
 fn parabola(along: &[f64], values: &[Vector3<f64>]) -> [Vector3<f64>; 3] {
     let basis = |s: f64| Vector3::new(1.0, s, s * s);
     let mean = values.iter().sum::<Vector3<f64>>() / values.len() as f64;

@@ -3,18 +3,18 @@
 use super::curve::parabolic;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Maximum angle between the rotations of two keys that count as equal, radians. It covers the rounding errors of
-/// quaternions.
+/// Maximum angle between the rotations of two keys of a spline that count as equal, radians. It covers the rounding
+/// errors of quaternions.
 const SAME_DIRECTION_RAD: f64 = 1e-9;
 
-/// Returns the rotation vector from one rotation to another along the shorter arc, radians, in the frame of `from`. If
-/// the two differ by half a turn, one of the two arcs is chosen.
+/// Returns the rotation vector (axis times angle, radians) from one rotation to another along the shorter arc, in the
+/// frame of `from`. If the two rotations differ by half a turn, either arc may be returned.
 fn step(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> Vector3<f64> {
     (from.inverse() * to).scaled_axis()
 }
 
-/// Returns the angular velocity at each key, radians per unit of the parameter. The vector is in the local (rotated)
-/// frame of the key. `at` has the parameters of the keys, ascending.
+/// Returns the angular velocity of a spline of rotations at each key, radians per unit of the parameter. The vector is
+/// in the local (rotated) frame of the key. `at` has the parameters of the keys, ascending.
 pub(super) fn rotation_tangents(
     at: &[f64],
     rotations: &[UnitQuaternion<f64>],

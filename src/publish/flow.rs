@@ -1,4 +1,4 @@
-//! Depth and motion of a published frame: quantized, then compressed without further loss.
+//! Depth and motion of a published frame: quantized, which loses precision, and then compressed without further loss.
 
 use crate::light_field::LoadedFrame;
 use crate::scene_flow::{Element, ElementMap, FlowMap};
@@ -7,8 +7,8 @@ use flate2::write::ZlibEncoder;
 use serde::Serialize;
 use std::io::Write;
 
-/// Number of values of depth and motion per block: disparity, velocity (2), acceleration (2), and rate of change of the
-/// disparity.
+/// Number of values of depth and motion per block of pixels: disparity, velocity (2), acceleration (2), and rate of
+/// change of the disparity.
 const CHANNELS: usize = 6;
 
 /// Quantization steps of depth and motion in published frames.
@@ -16,11 +16,12 @@ const CHANNELS: usize = 6;
 pub(super) struct FlowSteps {
     /// Side of a square block of pixels that share one value of depth and motion, pixels.
     pub block_px: usize,
-    /// Quantization step of the disparity, pixels, at a baseline of twice the distance between neighbouring cameras.
+    /// Quantization step of the disparity, pixels. The disparity is for a baseline of twice the distance between
+    /// neighbouring cameras, or less in a wide array.
     pub disparity_px: f32,
-    /// Quantization step of the velocity's components, pixels per frame.
+    /// Quantization step of the components of a surface point's velocity in the image, pixels per frame.
     pub velocity_px: f32,
-    /// Quantization step of the acceleration's components, pixels per frame².
+    /// Quantization step of the components of a surface point's acceleration in the image, pixels per frame².
     pub acceleration_px: f32,
     /// Quantization step of the disparity's rate of change, pixels per frame.
     pub rate_px: f32,
@@ -54,7 +55,7 @@ impl ElementImage {
         Self { width, height, disparity_px, elements }
     }
 
-    /// Returns depth and motion for the frame at half its width and height.
+    /// Returns depth and motion for the same frame at half its width and height.
     pub fn halved(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let half = |e: Element| Element {
@@ -137,9 +138,9 @@ impl BlockMap {
         f32::from(disparity) * steps.disparity_px / self.disparity_px
     }
 
-    /// Compresses the map by zlib. The channels follow one another. In each channel, all low bytes come before all high
-    /// bytes. A value is coded as the residual of its prediction from the left and upper neighbours. The sign of a
-    /// residual is in the lowest bit.
+    /// Compresses the map by zlib. In the stream, the channels follow one another. In each channel, all low bytes come
+    /// before all high bytes. A value is coded as its difference from the prediction by its left and upper neighbours
+    /// ([`predicted`]). The sign of this difference is in the lowest bit.
     pub fn packed(&self) -> Vec<u8> {
         let mut planes = Vec::with_capacity(self.blocks.len() * 2 * CHANNELS);
         for channel in 0..CHANNELS {

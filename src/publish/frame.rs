@@ -10,7 +10,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder, ImageFormat};
 use std::collections::BTreeMap;
 
-/// Published frames, by (camera index, frame index).
+/// Published frames of all cameras, by (camera index, frame index).
 pub(super) type Published = BTreeMap<(usize, usize), PublishedFrame>;
 
 /// A frame that is encoded for the published page at a given quality.
@@ -22,7 +22,7 @@ pub(super) struct PublishedFrame {
     pub is_color: bool,
     pub jpeg: Vec<u8>,
     pub map: BlockMap,
-    /// Depth and motion of the surface at each pixel of the frame, as a zlib stream.
+    /// Depth and motion of the surface at each pixel of the frame, quantized in blocks, as a zlib stream.
     pub flow: Vec<u8>,
 }
 

@@ -9,12 +9,13 @@ use crate::options::RenderOptions;
 use crate::raster::Image;
 use crate::scene_flow::{MappedFrame, blend, confidences};
 
-/// Number of views by which a site's quality is measured. They differ in place and instant.
+/// Number of views by which a site's quality is measured. The views differ in viewpoint and instant.
 const HELD: usize = 4;
 
 /// Returns the PSNR, decibels, of views from the published frames against the same views from the capture. Each view is
-/// halfway between two cameras. The instants are spread over the span `span_s`, seconds. The views are rendered here
-/// and not by a browser. Views without any difference have no value in the result.
+/// halfway between two cameras. The instants are spread over the span `span_s`, seconds. Only pixels with content in
+/// both images are compared. The views are rendered here and not by a browser. A view without any difference has no
+/// value in the result.
 pub(super) fn measured(
     field: &LightField,
     options: &RenderOptions,
@@ -44,7 +45,8 @@ pub(super) fn measured(
 }
 
 /// Returns a view halfway between a camera and its nearest neighbour. The camera is `held` places after the reference
-/// camera in the capture. The view's size is halved `halvings` times. `None` for a single camera.
+/// camera in the list of cameras, which wraps around. The view's size is halved `halvings` times. `None` if all cameras
+/// are at the same place, or if the view is too small to be halved.
 fn held_view(field: &LightField, held: usize, halvings: usize) -> Option<Camera> {
     let capture = field.capture();
     let cameras: Vec<&Camera> = capture.cameras.iter().map(|c| &c.camera).collect();

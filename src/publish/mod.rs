@@ -1,8 +1,8 @@
-//! Publication of a light field as a site: a folder for any static web server. The visitor's graphics card renders the
-//! views.
+//! Publication of a light field as a site: a folder for any static web server. On the site's page, the visitor's
+//! graphics card renders the views.
 //!
 //! ```text
-//! frames, depth, motion ── JPEG, quantized maps ── base64 in scripts ── page: WebGL 2 moves and blends as scene flow does
+//! frames, depth, motion ── JPEG, quantized maps ── base64 in scripts ── page: WebGL 2, as in `scene_flow`
 //! ```
 //!
 //! | file | what |
@@ -13,11 +13,11 @@
 //! | `measure.rs` | comparison of views from published frames with views from the capture |
 //! | `scene.rs` | the description of the light field for the page |
 //! | `site.rs` | the files of the folder |
-//! | `page/` | the page; `shaders.js` and `renderer.js` do what `scene_flow` does: splats, confidences and blend |
+//! | `page/` | the page; `shaders.js` and `renderer.js` implement splats, confidences and blending of `scene_flow` |
 //!
 //! The page loads nothing from outside its folder: its Content-Security-Policy forbids this. Frames are stored in
 //! scripts, as base64, because browsers refuse to read other files beside a page that is opened from disk. Base64 makes
-//! the frames a third larger. Most web servers compress scripts, which removes that third.
+//! the frames a third larger. Most web servers compress scripts, which reverses this.
 //!
 //! Known limits: the page keeps the viewpoint among the cameras. A view is blended from at most eight cameras.
 
@@ -49,8 +49,8 @@ pub struct PublishOptions {
     /// First and last published instant, seconds on the reference camera's clock from the capture's start. `None`: the
     /// time in which all cameras have frames or, if there is none, the time of the reference camera's frames.
     pub span_s: Option<(f64, f64)>,
-    /// Largest width and height of the published frames, pixels. Larger frames are halved until they fit. `None`: no
-    /// limit.
+    /// Largest width and height of the published frames, pixels. Larger frames are halved in both directions until they
+    /// fit. `None`: no limit.
     pub max_size: Option<[usize; 2]>,
     /// Largest size of all files in the site's folder together, bytes.
     pub max_bytes: u64,
@@ -88,26 +88,27 @@ pub struct Publication {
     pub jpeg: u8,
     /// Side of the square blocks of pixels that share one value of depth and motion, pixels.
     pub block_px: usize,
-    /// Quantization step of the disparity, pixels, at a baseline of twice the distance between neighbouring cameras.
+    /// Quantization step of the disparity, pixels. The disparity is for a baseline of twice the distance between
+    /// neighbouring cameras, or less in a wide array.
     pub disparity_step_px: f32,
-    /// Size of the images in the folder's files, encoded in base64, bytes.
+    /// Size of all frames' images in the folder's files, encoded in base64, bytes.
     pub image_bytes: u64,
-    /// Size of depth and motion in the folder's files, encoded in base64, bytes.
+    /// Size of all frames' depth and motion in the folder's files, encoded in base64, bytes.
     pub flow_bytes: u64,
     /// Size of all files in the folder, bytes.
     pub bytes: u64,
     /// PSNR, decibels, of a few views from the published frames against the same views from the capture. The views are
-    /// halfway between cameras, at instants between frames. Views without any difference are left out. Empty for a
+    /// halfway between cameras, at instants between frames. A view without any difference has no value. Empty for a
     /// single camera.
     pub psnr_db: Vec<f64>,
 }
 
-/// Publishes a light field, with depth and motion of its frames, as a site in `folder`. Depth and motion that aren't
-/// stored on disk yet are computed and stored.
+/// Publishes a light field, with depth and motion of its frames, as a site in `folder`. If depth and motion aren't
+/// stored on disk yet, they are computed and stored.
 ///
 /// # Errors
-/// If the folder contains anything but an earlier site, if the scene's range of depths is unknown, or if the site is
-/// larger than `max_bytes` at every quality.
+/// If `folder` contains anything but an earlier site, if the scene's range of depths is unknown, or if the site is
+/// larger than `max_bytes` at every quality setting.
 pub fn publish(
     field: &LightField,
     options: &RenderOptions,
@@ -154,12 +155,12 @@ pub fn publish(
 struct Encoding<'a> {
     field: &'a LightField,
     options: &'a RenderOptions,
-    /// The frames as (camera index, frame index), in order of time.
+    /// Identifiers of the frames to publish, as (camera index, frame index), in order of time.
     ids: &'a [(usize, usize)],
     span_s: (f64, f64),
 }
 
-/// Encoded frames and files of a site, at the best quality whose size is within the limit.
+/// Encoded frames and files of a site, at the best quality setting at which the site is within its size limit.
 struct EncodedSite {
     quality: Quality,
     published: Published,
@@ -171,7 +172,7 @@ struct EncodedSite {
 const FRAMES_AT_ONCE: usize = 8;
 
 impl Encoding<'_> {
-    /// Encodes all frames at the best quality at which the site is within the size limit.
+    /// Encodes all frames at the best quality setting at which the site is within its size limit.
     fn encoded(
         &self,
         wanted: &PublishOptions,
@@ -213,8 +214,8 @@ impl Encoding<'_> {
         Ok(published)
     }
 
-    /// Returns the number of halvings after which the frames of all cameras fit into `max_size`, width and height in
-    /// pixels. Returns 0 without a limit.
+    /// Returns how many times frames must be halved in width and height, so that the frames of all cameras fit into
+    /// `max_size`. `max_size` is a width and a height in pixels. Returns 0 if it is `None`.
     fn halvings(&self, max_size: Option<[usize; 2]>) -> usize {
         let Some([width, height]) = max_size else { return 0 };
         let cameras = || self.field.capture().cameras.iter().map(|c| &c.camera);

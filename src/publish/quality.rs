@@ -6,15 +6,15 @@ use serde::Serialize;
 /// Quality setting of published frames: frame size, JPEG quality, and quantization steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Quality {
-    /// Number of times that each frame is halved in width and height.
+    /// Number of times that each frame is halved in width and height before it is encoded.
     pub halvings: usize,
     /// JPEG quality of the frames, 1 to 100.
     pub jpeg: u8,
     pub steps: FlowSteps,
 }
 
-/// Smallest quantization steps of depth and motion. An error of half a step displaces a pixel by one or two hundredths
-/// of a pixel in a view between two cameras.
+/// Smallest quantization steps of depth and motion. With an error of half a step, a view between two cameras shows
+/// surfaces displaced by one or two hundredths of a pixel.
 const FINEST: FlowSteps = FlowSteps {
     block_px: 1,
     disparity_px: 1.0 / 16.0,
@@ -24,7 +24,7 @@ const FINEST: FlowSteps = FlowSteps {
 };
 
 /// Quality settings for frames of one size, best first. Each is a JPEG quality, the side of a block in pixels, and a
-/// factor. All other quantization steps are this factor times those of [`FINEST`].
+/// factor. All other quantization steps are those of [`FINEST`] times this factor.
 const LADDER: [(u8, usize, f32); 11] = [
     (94, 1, 1.0),
     (92, 1, 2.0),

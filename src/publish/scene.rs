@@ -6,12 +6,12 @@ use crate::light_field::LightField;
 use nalgebra::Isometry3;
 use serde_json::{Value, json};
 
-/// Number of frames per file. A view is blended from at most eight frames, one per camera. If eight cameras film one
-/// after the other, these are eight successive frames.
+/// Number of frames per file of a site. A view is blended from at most eight frames, one per camera. If eight cameras
+/// film one after the other, these are eight successive frames.
 const FRAMES_A_FILE: usize = 8;
 
-/// Returns the frames of each file, as ((camera index, frame index), frame). All files and frames are in the order of
-/// `order`, which is by time.
+/// Returns the frames of each file of a site, as ((camera index, frame index), frame). `order` has the indices of the
+/// frames in order of time. Files, and frames in a file, are in this order.
 pub(super) fn files<'a>(
     order: &[(usize, usize)],
     published: &'a Published,
@@ -44,7 +44,7 @@ pub(super) fn scene(
             "is_color": frame.is_color,
             "disparity_px": frame.map.disparity_px,
             "blocks": [frame.map.width, frame.map.height],
-            // A static light field doesn't change in time, and has no frame times.
+            // A static light field doesn't change in time, and has no span of time per camera.
             "filmed": field.span_s(camera).filter(|_| !capture.is_static()).map(in_frames),
         }))
     });
@@ -71,7 +71,7 @@ pub(super) fn scene(
     })
 }
 
-/// Returns the upper three rows of the camera-from-world matrix, row by row.
+/// Returns the upper three rows of the 4×4 matrix `cam_from_world`, row by row.
 fn pose(cam_from_world: &Isometry3<f64>) -> Vec<f64> {
     let matrix = cam_from_world.to_matrix();
     (0..3).flat_map(|row| (0..4).map(move |column| matrix[(row, column)])).collect()

@@ -5,7 +5,7 @@ use crate::host::temporary::Temporary;
 use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 
-/// Files of a site's page, each as (name, contents).
+/// Files of a published site that don't depend on the light field, each as (name, contents).
 const PAGE: [(&str, &str); 9] = [
     ("index.html", include_str!("page/index.html")),
     ("icon.svg", include_str!("../live/page/icon.svg")),
@@ -17,28 +17,29 @@ const PAGE: [(&str, &str); 9] = [
     ("input.js", include_str!("page/input.js")),
     ("main.js", include_str!("page/main.js")),
 ];
-/// Name of the file with the light field's description.
+/// Name of a published site's file with the light field's description.
 const SCENE: &str = "scene.js";
-/// Name of the folder that contains the files of frames.
+/// Name of a published site's folder that contains the files of frames.
 const FRAMES: &str = "frames";
 /// Text in the `index.html` of every site, by which a folder is recognized as an earlier site.
 const MARK: &str = "<meta name=\"generator\" content=\"stlfr publish\">";
 /// Maximum size of an `index.html` that is read to recognize an earlier site, bytes.
 const MAX_INDEX_BYTES: u64 = 1 << 20;
 
-/// Returns the relative path of the file of frames with this index.
+/// Returns the path of a file of frames, relative to the site's folder. `index` is the file's number, from 0.
 fn frames_file(index: usize) -> String {
     format!("{FRAMES}/{index:04}.js")
 }
 
-/// Files of a site in addition to the page's own files, as (relative path, text). They contain the light field's
+/// Files of a published site that depend on the light field, as (relative path, text). They contain the light field's
 /// description, and the frames.
 pub(super) struct SiteFiles {
     files: Vec<(String, String)>,
 }
 
 impl SiteFiles {
-    /// Creates the files for a light field's description, and for frames in base64, one text per file.
+    /// Creates the site's files from a light field's description and its frames. `frames` has one text in base64 per
+    /// file.
     pub fn new(scene: &serde_json::Value, frames: Vec<String>) -> Self {
         let mut files = vec![(SCENE.to_owned(), format!("stlfr.scene({scene});\n"))];
         let frames = frames.into_iter().enumerate();
@@ -48,13 +49,14 @@ impl SiteFiles {
         Self { files }
     }
 
-    /// Returns the size of all files of the site, bytes, including the page's own files.
+    /// Returns the size of all files of the site together, bytes. It includes the page's own files.
     pub fn bytes(&self) -> u64 {
         let page: usize = PAGE.iter().map(|(_, text)| text.len()).sum();
         self.files.iter().map(|(_, text)| text.len() as u64).sum::<u64>() + page as u64
     }
 
-    /// Writes the site's folder. An earlier site is replaced, and [`check_folder`] refuses any other content.
+    /// Writes the site's folder. An earlier site in the folder is replaced. An error if the folder has any other
+    /// content ([`check_folder`]).
     pub fn write(&self, folder: &Path) -> Result<(), PublishError> {
         let failed = |source| PublishError::Write { path: folder.to_owned(), source };
         check_folder(folder)?;
@@ -83,7 +85,8 @@ impl SiteFiles {
     }
 }
 
-/// Returns an error unless the folder is missing, is empty, or contains an earlier site and nothing else.
+/// Returns an error unless a site can be written to `folder`: the folder is missing, is empty, or contains an earlier
+/// site and nothing else.
 pub fn check_folder(folder: &Path) -> Result<(), PublishError> {
     let refused = |reason: String| Err(PublishError::Folder { path: folder.to_owned(), reason });
     let Ok(found) = folder.symlink_metadata() else { return Ok(()) };

@@ -40,19 +40,21 @@ pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
 #[pyclass(name = "Capture", module = "stlfr", frozen)]
 pub struct PyCapture {
     capture: Arc<Capture>,
-    /// The most recently used light fields, latest first. Each caches registered frames for later views.
+    /// LRU cache of open light fields, the most recently used first. Each light field caches registered frames for
+    /// later views.
     opened: Mutex<Vec<Opened>>,
 }
 
-/// Maximum number of open light fields of a capture, one for each set of options. More would take more memory. With
-/// fewer, a viewer that alternates between a fast and an accurate method would register frames again each time.
+/// Maximum number of open light fields of a capture, one for each set of options. Each open light field takes memory
+/// for its cache. With a smaller maximum, a viewer that alternates between a fast and an accurate method would register
+/// frames again each time.
 const MAX_OPENED: usize = 2;
 
-/// A light field, and the options with which it was opened.
+/// A light field that is open in Python, and the options with which it was opened.
 #[derive(Clone)]
 struct Opened {
     options: RenderOptions,
-    /// Options after the automatic choice of methods ([`pipeline::resolved`]).
+    /// Options of the light field after the automatic choice of methods ([`pipeline::resolved`]).
     resolved: RenderOptions,
     field: Arc<LightField>,
 }
@@ -77,7 +79,8 @@ impl PyCapture {
         self.capture.cameras.iter().map(|c| c.id.as_str()).collect()
     }
 
-    /// The cameras in the order of capture.json, each as a dict in the form that `camera` returns.
+    /// All cameras of the capture, in the order of capture.json. Each is a dict in the form that the method `camera`
+    /// returns.
     #[getter]
     fn cameras<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         self.capture.cameras.iter().map(|c| camera_to_python(py, Some(&c.id), &c.camera)).collect()
@@ -95,8 +98,8 @@ impl PyCapture {
     }
 
     /// Returns the first and the last time at which a camera has images, seconds on the reference camera's clock.
-    /// Without `camera_id`, returns the first and the last time of all cameras' images. Unknown clock offsets are
-    /// estimated first.
+    /// Without `camera_id`, returns the first and the last time at which any camera has images. Unknown clock offsets
+    /// are estimated first.
     #[pyo3(signature = (camera_id=None))]
     fn covered_s(&self, py: Python<'_>, camera_id: Option<&str>) -> PyResult<(f64, f64)> {
         let camera = camera_id.map(|id| self.index(id)).transpose()?;
@@ -114,7 +117,7 @@ impl PyCapture {
         span.ok_or_else(|| value_error("the clock is unknown"))
     }
 
-    /// Id of the reference camera. Times are seconds on its clock.
+    /// Id of the reference camera. The times of views are seconds on this camera's clock.
     #[getter]
     fn reference(&self) -> &str {
         &self.capture.cameras[self.capture.reference].id
@@ -122,8 +125,8 @@ impl PyCapture {
 
     /// Projects world points (N, 3), in metres, to pixels (N, 2) of a camera.
     ///
-    /// The centre of the top-left pixel is (0.5, 0.5). A point without a projection gives a row of NaN. Pixels may lie
-    /// outside of the image.
+    /// The centre of the top-left pixel is (0.5, 0.5). A point without a projection, such as a point behind the camera,
+    /// gives a row of NaN. Pixels may lie outside of the image.
     fn project<'py>(
         &self,
         py: Python<'py>,
@@ -134,13 +137,14 @@ impl PyCapture {
         projected(py, camera, &points)
     }
 
-    /// Returns the middle of every frame's exposure, seconds on the camera's own clock.
+    /// Returns the time of every frame of a camera: the middle of the frame's exposure, seconds on the camera's own
+    /// clock.
     fn times<'py>(&self, py: Python<'py>, camera_id: &str) -> PyResult<Bound<'py, PyArray1<f64>>> {
         Ok(self.capture.times_in_file_s(self.index(camera_id)?).into_pyarray(py))
     }
 
-    /// Returns a camera's frame as an array (H, W, channels) in the camera's bit depth. The channels are RGB or grey,
-    /// as the camera's `color` in capture.json says.
+    /// Returns a camera's recorded frame as an array (H, W, channels) in the camera's bit depth. The channels are RGB
+    /// or grey, depending on the camera's field `color` in capture.json.
     fn frame<'py>(
         &self,
         py: Python<'py>,
@@ -179,18 +183,19 @@ impl PyCapture {
     }
 
     /// Renders the view of a camera at a time in seconds on the reference camera's clock. Either `camera` or `like`
-    /// says which camera: `camera` is a dict in the form that `Capture.camera` returns; `like` is the id of a camera of
-    /// the capture, or the name of a view of the ground truth.
+    /// must be given: `camera` is a dict in the form that `Capture.camera` returns; `like` is the id of a camera of the
+    /// capture, or the name of a view of the ground truth.
     ///
-    /// Returns an array (H, W, channels) in the capture's bit depth. The channels are RGB or grey. An alpha channel
-    /// follows if `alpha` is true; by default, it follows if there are pixels that no camera sees.
+    /// Returns an array (H, W, channels) in the capture's bit depth. The channels are RGB or grey. If `alpha` is true,
+    /// an alpha channel follows. By default, an alpha channel follows if there are pixels that no camera sees.
     ///
     /// `options` has the contents of a file for `stlfr render --options`. Its values override those of `preset`. The
     /// name of an option may be a path, such as `blend.cameras`. The value of `proxy` or `blend` may be the name of a
     /// method.
     ///
-    /// `proceed(done, total)` is called before every step of every instant; only a motion trail has more than one
-    /// instant. If the call returns a false value, rendering stops with an InterruptedError.
+    /// `proceed(done, total)` is called before every step of the work, with the number of finished instants and of all
+    /// instants; only a motion trail has more than one instant. If the call returns a false value, rendering stops with
+    /// an InterruptedError.
     #[pyo3(
         signature = (time_s, **settings),
         text_signature = "($self, time_s, *, camera=None, like=None, options=None, preset=None, alpha=None, proceed=None)"
@@ -235,13 +240,13 @@ impl PyCapture {
         view_to_python(py, &rendered, this.capture.bit_depth(), alpha)
     }
 
-    /// The frames of a camera path, as `stlfr render --path` renders them: a list of dicts with `time_s` and `camera`,
-    /// which `render` takes.
+    /// Returns the frames of a camera path, as `stlfr render --path` renders them: a list of dicts with the arguments
+    /// `time_s` and `camera` of `render`.
     ///
-    /// `path` is the name of a ready-made path, which is fitted to this capture, the name of a path's file, or a dict
-    /// with the content of such a file. `rate_hz` is the frame rate, by default the path's own, or else 30.
-    /// `duration_s` is the duration to which the path is stretched; a ready-made path lasts 4 s by default. `time_s` is
-    /// an instant at which time is frozen.
+    /// `path` is one of these: the name of a ready-made path, which is fitted to this capture; the name of a path's
+    /// file; a dict with the content of such a file. `rate_hz` is the frame rate, by default the path's own, or else
+    /// 30. `duration_s` is the duration to which the path is stretched; a ready-made path lasts 4 s by default.
+    /// `time_s` is an instant at which time is frozen for the whole path.
     #[pyo3(
         signature = (path, **settings),
         text_signature = "($self, path, *, rate_hz=None, duration_s=None, time_s=None, options=None, preset=None)"
@@ -271,10 +276,10 @@ impl PyCapture {
         settings.frames_to_python(py, &path)
     }
 
-    /// Prepares one instant for rendering many views of it. The cameras' images at this instant are computed once,
-    /// here.
+    /// Prepares one instant of the recording, so that many views of it can be rendered quickly. The cameras' images at
+    /// this instant are computed once, here.
     ///
-    /// A motion trail in the options is ignored.
+    /// A motion trail in `options` is ignored.
     #[pyo3(signature = (time_s, *, options=None, preset=None))]
     fn moment(
         &self,
@@ -288,7 +293,7 @@ impl PyCapture {
         let time_s = time_s - self.capture.time_origin_s;
         let moment = py.detach(|| {
             let Opened { resolved, field, .. } = self.opened(options)?;
-            // All views show one instant.
+            // The views of a `Moment` show one instant, without a trail.
             let options = RenderOptions { trail: TrailOptions::default(), ..resolved };
             field.corrected_all(time_s, &options, &Context::unattended())?;
             Ok::<_, RenderError>(PyMoment { field, time_s, options, depth })
@@ -312,8 +317,8 @@ pub struct PyMoment {
 
 #[pymethods]
 impl PyMoment {
-    /// Renders the view of a camera, given as a dict, at this instant. The pixels are those that `Capture.render`
-    /// returns with the same options, except that a motion trail is ignored.
+    /// Renders the view of a camera, given as a dict in the form that `Capture.camera` returns, at this instant. The
+    /// pixels equal those of `Capture.render` with the same options, except that a motion trail is ignored.
     #[pyo3(signature = (camera, *, alpha=None))]
     fn view<'py>(
         &self,
@@ -328,7 +333,7 @@ impl PyMoment {
     }
 }
 
-/// Keyword arguments of `Capture.render`.
+/// Keyword arguments of the Python method `Capture.render`.
 struct ViewSettings {
     camera: Option<Camera>,
     like: Option<String>,
@@ -363,14 +368,14 @@ impl ViewSettings {
     }
 }
 
-/// Converts a Python dict in the form of a camera in `capture.json` to a camera.
+/// Converts a Python dict to a camera. The dict has the form of a camera in `capture.json`.
 fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
     let format: ViewFormat = from_python(object, "camera")?;
     format.camera().map_err(|e| value_error(format!("camera: {e}")))
 }
 
-/// Projects world points (N, 3), in metres, to pixels (N, 2) of a camera, given as a dict. A point without a projection
-/// gives a row of NaN.
+/// Projects world points (N, 3), in metres, to pixels (N, 2) of a camera. `camera` is a dict in the form that
+/// `Capture.camera` returns. A point without a projection, such as a point behind the camera, gives a row of NaN.
 #[pyfunction]
 pub fn project<'py>(
     py: Python<'py>,
@@ -404,15 +409,16 @@ fn projected<'py>(
     Ok(pixels.into_pyarray(py))
 }
 
-/// Returns whether rendering continues: the result of the caller's Python function, or true if there is no function.
+/// Returns whether rendering continues: the truth value of the result of the caller's Python function `proceed`, or
+/// true if `proceed` is `None`.
 fn goes_on(proceed: Option<&Py<PyAny>>, done: usize, total: usize) -> PyResult<bool> {
     let Some(proceed) = proceed else { return Ok(true) };
     Python::attach(|py| proceed.call1(py, (done, total))?.is_truthy(py))
 }
 
 impl PyCapture {
-    /// Returns the light field for these options, and the options after the automatic choice of methods. Both are
-    /// cached for later calls.
+    /// Returns the light field for these options, with the options after the automatic choice of methods. Light field
+    /// and options are cached for later calls.
     fn opened(&self, options: RenderOptions) -> Result<Opened, RenderError> {
         let mut cached = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(k) = cached.iter().position(|opened| opened.options == options) {

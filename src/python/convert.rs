@@ -15,13 +15,13 @@ use serde_json::{Map, Value, json};
 use std::error::Error;
 use std::io::ErrorKind;
 
-/// Returns a Python `ValueError` for bad input. Its message is the sentence that the command line would print.
+/// Returns a Python `ValueError` for bad input. Its message is the text of `error`, as the command line would print it.
 pub fn value_error(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
 /// Converts a Python value to a Rust value, through JSON. The Python value consists of dicts, lists, numbers and
-/// strings. Error messages start with `what`.
+/// strings. Error messages start with `what`, the name of the argument.
 pub fn from_python<T: DeserializeOwned>(value: &Bound<'_, PyAny>, what: &str) -> PyResult<T> {
     crate::json::parse(&json_of(value)?).map_err(|e| value_error(format!("{what}: {e}")))
 }
@@ -42,9 +42,10 @@ pub fn file_error(error: impl Error + 'static) -> PyErr {
     value_error(error)
 }
 
-/// Returns the options of a call: those of a preset, overridden by `options`. If `preset` is `None`, the preset is the
-/// one that `options` names, or else the default preset. All values are checked as on the command line. The name of an
-/// option may be a path, such as `blend.cameras`. The value of `proxy` or `blend` may be the name of a method.
+/// Returns the options of a Python call: a preset's options, overridden by the dict `options`. If `preset` is `None`,
+/// the preset is the one that `options` names, or else the default preset. All values are checked as on the command
+/// line. The name of an option may be a path, such as `blend.cameras`. The value of `proxy` or `blend` may be the name
+/// of a method.
 pub fn checked(
     options: Option<&Bound<'_, PyAny>>,
     preset: Option<&str>,
@@ -66,7 +67,8 @@ pub fn names<M: Method>() -> String {
     M::ALL.iter().map(|method| method.name()).collect::<Vec<_>>().join(", ")
 }
 
-/// Converts options whose names are paths, such as `blend.cameras`, to the nested form of an options file.
+/// Converts a JSON object of options whose names may be paths, such as `blend.cameras`, to the nested form of an
+/// options file.
 fn nested(options: Value) -> Value {
     let Value::Object(options) = options else { return options };
     let mut found = Map::new();
@@ -101,8 +103,9 @@ pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound
     py.import("json")?.call_method1("loads", (json,))
 }
 
-/// Converts a rendered view to an array (H, W, channels) of integers with the bit depth `depth`. `alpha` says whether
-/// to add an alpha channel; with `None`, it is added only if there are pixels that no camera sees.
+/// Converts a rendered view to an array (H, W, channels) of integers with the bit depth `depth`. An alpha channel is
+/// added if `alpha` is true. If `alpha` is `None`, an alpha channel is added only if there are pixels that no camera
+/// sees.
 pub fn view_to_python<'py>(
     py: Python<'py>,
     view: &Rendered,
@@ -130,7 +133,8 @@ pub fn image_to_python<'py>(
     })
 }
 
-/// Converts a camera to a Python dict in the form of `capture.json`. `id`, if given, is the camera's name in it.
+/// Converts a camera to a Python dict in the form of a camera in `capture.json`. If `id` is given, it becomes the
+/// dict's field `id`.
 pub fn camera_to_python<'py>(
     py: Python<'py>,
     id: Option<&str>,

@@ -1,4 +1,4 @@
-//! Functions of the Python module that need no open capture.
+//! Functions of the Python module `stlfr` that don't need an open capture.
 
 use super::convert::{checked, file_error, from_python, json_of, to_python, value_error};
 use crate::camera::CameraFormat;
@@ -21,8 +21,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Returns the methods of the options `sync`, `proxy`, `trail` and `preset`: a dict by option, each with the default
-/// method and the list of all methods.
+/// Returns the methods that the options `sync`, `proxy`, `trail` and `preset` can name. The result is a dict with one
+/// entry per option: the name of the default method, and the list of all methods.
 #[pyfunction]
 pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let stages = json!({
@@ -34,13 +34,13 @@ pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &stages)
 }
 
-/// Returns all options, each with its default, range, unit and help.
+/// Returns a list of all options, each with its default, range, unit and help text.
 #[pyfunction]
 pub fn options(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &RenderOptions::default().declared())
 }
 
-/// Returns the quilt layouts of light-field displays, each with the name of its display.
+/// Returns a list of the quilt layouts of known light-field displays, each with the display's name.
 #[pyfunction]
 pub fn displays(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     let display = |(name, layout): &(&str, QuiltLayout)| {
@@ -51,8 +51,8 @@ pub fn displays(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &QuiltLayout::of_displays().iter().map(display).collect::<Vec<_>>())
 }
 
-/// Runs the command line with `arguments`, and returns the exit code. `program` is the path of the program `stlfr`. If
-/// `lines` is true, progress is printed on standard output, one JSON object per line.
+/// Runs the command line of `stlfr` with `arguments`, and returns the exit code. `program` is the path of the program
+/// `stlfr`. If `lines` is true, progress is printed on standard output, one JSON object per line.
 #[pyfunction]
 #[pyo3(signature = (program, arguments, *, lines=false))]
 pub fn run_command(py: Python<'_>, program: PathBuf, arguments: Vec<OsString>, lines: bool) -> u8 {
@@ -64,21 +64,23 @@ fn stage<M: Method>() -> Value {
     json!({ "default": M::default().name(), "methods": choices::<M>() })
 }
 
-/// Reads and checks a rig file, and returns its contents. Fields with their default values are omitted.
+/// Reads and checks a rig file, which describes a simulated camera rig. Returns its contents as a dict. Fields with
+/// their default values are omitted.
 #[pyfunction]
 pub fn read_rig(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
     let rig = py.detach(|| Rig::read(&path)).map_err(file_error)?;
     to_python(py, &rig)
 }
 
-/// Raises ValueError for a rig that `stlfr rig --check` would refuse.
+/// Raises ValueError if `stlfr rig --check` would refuse a rig. `rig` is a dict with the contents of a rig file.
 #[pyfunction]
 pub fn check_rig(py: Python<'_>, rig: &Bound<'_, PyAny>) -> PyResult<()> {
     let text = json_of(rig)?;
     py.detach(|| Rig::parse(&text)).map(drop).map_err(value_error)
 }
 
-/// Returns the rig that `stlfr rig` would write for the same options, including the seed.
+/// Returns the contents of the rig file that `stlfr rig` would write with the same options. `options` is a dict, and
+/// includes the random seed.
 #[pyfunction]
 #[pyo3(signature = (options=None))]
 pub fn generate_rig<'py>(
@@ -90,7 +92,8 @@ pub fn generate_rig<'py>(
     to_python(py, &py.detach(|| options.generate()).map_err(value_error)?)
 }
 
-/// Returns the files of a COLMAP text model, by name. `images` are pairs of image name and camera.
+/// Returns the files of a COLMAP text model, as a dict from file name to contents. `images` are pairs of image name and
+/// camera. A camera is a dict with exactly width, height, model, params and cam_from_world, as in capture.json.
 #[pyfunction]
 pub fn colmap_text<'py>(
     py: Python<'py>,
@@ -105,9 +108,9 @@ pub fn colmap_text<'py>(
     to_python(py, &py.detach(|| exchange::colmap_text(&images)))
 }
 
-/// Compares a capture with its ground truth, like `stlfr compare`, and writes the results into the capture's folder
-/// `review`. Returns the paths of the report and of `review.json`. If `lines` is true, progress is printed on standard
-/// output, one JSON object per line.
+/// Compares rendered views of a capture with the capture's ground truth, like `stlfr compare`. The results are written
+/// into the capture's folder `review`. Returns the paths of the report and of `review.json`. If `lines` is true,
+/// progress is printed on standard output, one JSON object per line.
 #[pyfunction]
 #[pyo3(signature = (path, *, options=None, lines=false))]
 pub fn compare<'py>(

@@ -1,6 +1,6 @@
 //! The Python module `stlfr`, which is built with the Cargo feature `python`. Each function converts its arguments,
-//! releases the GIL, makes one call, and converts the result. Bad input raises `ValueError` with the sentence that the
-//! command line would print.
+//! releases the GIL, makes one call of the library, and converts the result. Bad input raises `ValueError` with the
+//! sentence that the command line would print.
 
 mod capture;
 mod convert;
@@ -9,7 +9,8 @@ mod path;
 
 use pyo3::prelude::*;
 
-/// The compiled part of the Python module. `blender/module/stlfr` exports it under the public name, with type stubs.
+/// The compiled part of the Python module `stlfr`. The Python package in `blender/module/stlfr` exports it under the
+/// public name, with type stubs.
 #[pymodule(name = "_native")]
 mod native {
     #[pymodule_export]

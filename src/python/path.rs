@@ -1,4 +1,4 @@
-//! The frames of a camera path: `Capture.path`.
+//! Arguments and result of the Python method `Capture.path`, which returns the frames of a camera path.
 
 use super::convert::{
     camera_to_python, checked, file_error, from_python, names, to_python, value_error,
@@ -15,16 +15,16 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
 
-/// Where the keys of a path come from.
+/// The camera path that the argument `path` of the Python method `Capture.path` describes.
 pub enum PathKeys {
     Given(CameraPath),
-    /// A ready-made path. Its keys are fitted to the capture.
+    /// A ready-made path, whose keys are still to be fitted to the capture.
     ReadyMade(ReadyMadePath),
 }
 
 impl PathKeys {
-    /// Reads a path's source: the name of a ready-made path such as `"orbit"`, the name of a path's file, or a dict
-    /// with the content of such a file.
+    /// Reads the argument `path`: the name of a ready-made path such as `"orbit"`, the name of a path's JSON file, or a
+    /// dict with the content of such a file.
     pub fn of(source: &Bound<'_, PyAny>) -> PyResult<Self> {
         let wrong = |error: String| value_error(format!("path: {error}"));
         if source.is_instance_of::<PyDict>() {
@@ -46,12 +46,13 @@ impl PathKeys {
     }
 }
 
-/// The keyword arguments of `Capture.path`.
+/// The keyword arguments of the Python method `Capture.path`.
 #[derive(Default)]
 pub struct PathSettings {
     rate_hz: Option<f64>,
     duration_s: Option<f64>,
-    /// The instant that all frames show, seconds on the reference's clock. `None` if time runs as the path's keys say.
+    /// The instant that all frames show, seconds on the reference camera's clock. `None` if the path's keys determine
+    /// the instant of each frame.
     pub time_s: Option<f64>,
     pub options: RenderOptions,
 }
@@ -88,12 +89,13 @@ impl PathSettings {
         Ok(read)
     }
 
-    /// Duration of a ready-made path, seconds.
+    /// Returns the duration of a ready-made path, seconds: the argument `duration_s`, or else [`READY_MADE_S`].
     pub fn ready_made_s(&self) -> f64 {
         self.duration_s.unwrap_or(READY_MADE_S)
     }
 
-    /// A path's frames as a list of dicts: `time_s`, on the reference's clock, and `camera`.
+    /// Converts a camera path to the list of its frames. Each frame is a dict: `time_s` is its instant, seconds on the
+    /// reference camera's clock, and `camera` is its view.
     pub fn frames_to_python<'py>(
         &self,
         py: Python<'py>,

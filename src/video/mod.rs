@@ -1,5 +1,5 @@
 //! Video files, read and written by ffmpeg as a child process, without a shell. File names are passed in a form that
-//! ffmpeg can't take for an option.
+//! ffmpeg can't mistake for an option.
 
 mod reader;
 mod writer;
@@ -16,7 +16,7 @@ pub enum VideoError {
     /// ffmpeg failed to write the video. The reason is ffmpeg's own message.
     #[error("{path}: can't be written ({reason})")]
     Encode { path: PathBuf, reason: String },
-    /// ffmpeg was built without the encoder that the file's format needs.
+    /// ffmpeg was built without the encoder that the video file's format needs.
     #[error(
         "{ffmpeg}: has no encoder {encoder}, which .{suffix} needs; install an ffmpeg with it, or write .mkv"
     )]
@@ -35,7 +35,7 @@ pub fn ffmpeg_on_path() -> Option<PathBuf> {
     std::env::split_paths(&paths).map(|p| p.join("ffmpeg")).find(|p| p.is_file())
 }
 
-/// Strips a prefix such as "[name @ address]" from an ffmpeg message.
+/// Strips prefixes such as "[name @ address]" from an ffmpeg message.
 fn without_address(line: &str) -> &str {
     let mut line = line.trim();
     while let Some((_, rest)) = line.strip_prefix('[').and_then(|l| l.split_once("] ")) {

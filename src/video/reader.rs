@@ -16,33 +16,37 @@ use std::process::{Command, Stdio};
 const CONTAINERS: &str =
     "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,mxf,nut,yuv4mpegpipe,ogg,asf,flv,ivf";
 
-/// Name of the file to which ffmpeg writes the size of the images, and the time stamps in microseconds.
+/// Name of the temporary file to which ffmpeg writes the size of the images, and the time stamps of the frames in
+/// microseconds.
 const STAMPS_FILE: &str = "stamps.txt";
 
-/// Name of the file to which ffmpeg writes the first interlaced frame, if there is one.
+/// Name of the temporary file in which ffmpeg lists the first interlaced frame, if there is one.
 const FIELDS_FILE: &str = "fields.txt";
 
-/// Returns the file name of a decoded frame.
+/// Returns the file name of the decoded frame with the given index, counted from 0.
 pub(crate) fn frame_name(index: usize) -> String {
     format!("{index:06}.png")
 }
 
-/// Maximum side of the blocks in which codecs store images, pixels.
+/// Maximum side of the blocks in which codecs store images, pixels. Limits on the image size are rounded up to
+/// multiples of it.
 const BLOCK_PX: usize = 128;
 
-/// Limits on the frames of a video. A video that exceeds them is refused.
+/// Limits on the number of a video's frames and on their size. A video that exceeds them is refused.
 #[derive(Clone, Copy, Debug)]
 pub struct VideoLimits {
     pub max_frames: usize,
-    /// Width and height of the images, pixels.
+    /// Expected width and height of the images, pixels. The maximum number of pixels of an image is their product,
+    /// after both are rounded up to multiples of 128.
     pub size: [usize; 2],
 }
 
-/// Maximum width and height of an image, pixels.
+/// Maximum width and height of an image, pixels. [`inspect`] has no expected image size, and names this size in its
+/// error message instead.
 const MAX_SIDE_PX: usize = 65_536;
 
-/// Path of the open file on the child process's standard input. The child reads this file even if another file is moved
-/// to its path meanwhile.
+/// Path under which ffmpeg reads the open file on its standard input. ffmpeg reads this file even if another file is
+/// moved to the video's path meanwhile.
 const INPUT: &str = "file:/proc/self/fd/0";
 
 /// Size of a video's images after decoding and rotation, and the time stamps of its frames.
@@ -54,8 +58,8 @@ pub struct VideoFacts {
     pub times_s: Vec<f64>,
 }
 
-/// Decodes the first video stream into image files in `folder`: 000000.png, 000001.png and so on. The memory use
-/// doesn't depend on the length. Returns the time stamp of every frame, seconds.
+/// Decodes a file's first video stream into image files in `folder`: 000000.png, 000001.png and so on. The memory use
+/// doesn't depend on the video's length. Returns the time stamp of every frame, seconds.
 ///
 /// # Errors
 /// If there are more frames or larger images than `limits` allow, if frames are interlaced, and for any error in the
@@ -80,8 +84,8 @@ pub fn decode(
     Ok(facts(&ended, folder, limits.max_frames, limits.size)?.times_s)
 }
 
-/// Decodes the first video stream without writing its images. `folder` is for temporary files. The errors are those of
-/// [`decode`].
+/// Decodes a file's first video stream without writing its images. Returns the images' size and the frames' time
+/// stamps. `folder` is for temporary files. The errors are those of [`decode`].
 pub fn inspect(
     ffmpeg: &Path,
     video: &File,
@@ -94,7 +98,8 @@ pub fn inspect(
     facts(&ended, folder, max_frames, [MAX_SIDE_PX; 2])
 }
 
-/// Returns the ffmpeg command that decodes its standard input and stops at the first error.
+/// Returns the ffmpeg command that decodes its standard input and stops at the first error. Output files with relative
+/// names are written into `folder`. An image of more than `max_pixels` pixels is an error.
 fn command(ffmpeg: &Path, folder: &Path, max_pixels: usize) -> Command {
     let mut command = Command::new(ffmpeg);
     command
@@ -109,7 +114,8 @@ fn command(ffmpeg: &Path, folder: &Path, max_pixels: usize) -> Command {
     command
 }
 
-/// Adds two listings to ffmpeg's outputs: the time stamps and the interlaced frames. Then runs ffmpeg to its end.
+/// Runs an ffmpeg command to its end, after adding two listings to its outputs: the time stamps of all frames, and the
+/// first interlaced frame.
 fn run(
     command: &mut Command,
     ffmpeg: &Path,
@@ -128,8 +134,8 @@ fn run(
         .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })
 }
 
-/// Reads image size and time stamps from ffmpeg's listings. An error if ffmpeg failed, or if the video is interlaced or
-/// too long. `size` is used only in the message about too large images.
+/// Reads image size and time stamps from ffmpeg's listings in `folder`. An error if ffmpeg failed, or if the video is
+/// interlaced or too long. `size` is used only in the error message about too large images.
 fn facts(
     ended: &Ended,
     folder: &Path,
@@ -163,7 +169,8 @@ fn dimensions(listing: &str) -> Option<[usize; 2]> {
     Some([width.parse().ok()?, height.parse().ok()?])
 }
 
-/// Returns an error if ffmpeg failed or reported any error.
+/// Returns an error if ffmpeg failed or reported any error. `size`, the expected image size in pixels, is used only in
+/// the message about too large images.
 fn succeeded(ended: &Ended, folder: &Path, size: [usize; 2]) -> Result<(), VideoError> {
     if let Some(found) = too_large(&ended.stderr) {
         let [width, height] = size;
@@ -180,14 +187,14 @@ fn succeeded(ended: &Ended, folder: &Path, size: [usize; 2]) -> Result<(), Video
     Ok(())
 }
 
-/// Returns the size of the images, such as "70000x70000", if ffmpeg reported that they are larger than allowed.
-/// Otherwise returns `None`.
+/// Returns the size of a video's images, such as "70000x70000", if ffmpeg's messages report that the images are larger
+/// than allowed. Otherwise returns `None`.
 fn too_large(messages: &str) -> Option<&str> {
     let before = &messages[..messages.find(" exceeds specified max pixel count")?];
     Some(before.rsplit_once("Picture size ")?.1)
 }
 
-/// Returns the error of a full or read-only disk if ffmpeg reported one, otherwise `None`.
+/// Returns the error of a full or read-only disk if ffmpeg's messages report it, otherwise `None`.
 fn full_disk(messages: &str) -> Option<io::Error> {
     [libc::ENOSPC, libc::EDQUOT, libc::EFBIG, libc::EROFS].into_iter().find_map(|number| {
         let error = io::Error::from_raw_os_error(number);

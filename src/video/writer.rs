@@ -48,13 +48,13 @@ impl Codec {
     /// Codecs that can be chosen by a file's suffix.
     pub const ALL: [Self; 4] = [Self::H264, Self::Vp9, Self::Gif, Self::Ffv1];
 
-    /// Returns H.264 if the given ffmpeg supports it, otherwise FFV1. It starts ffmpeg, so that an ffmpeg that can't
-    /// run is found before rendering begins.
+    /// Returns H.264 if the given ffmpeg supports it, otherwise FFV1. The check starts ffmpeg. If ffmpeg can't run, the
+    /// error thus comes before rendering begins.
     pub fn for_browsers(ffmpeg: &Path) -> Result<Self, VideoError> {
         Ok(if Self::H264.is_supported(ffmpeg)? { Self::H264 } else { Self::Ffv1 })
     }
 
-    /// Returns the codec of files with this suffix in lower case. `None` for an unknown suffix.
+    /// Returns the codec of video files with this suffix in lower case. `None` if the suffix is unknown.
     pub fn of_suffix(suffix: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|codec| codec.suffix() == suffix)
     }
@@ -126,25 +126,26 @@ impl Codec {
     }
 }
 
-/// A video file that is being written. It appears at its path when it is finished. If the writer is dropped before, no
-/// file is left.
+/// A video file that is being written. The file appears at its path when it is finished. If the writer is dropped
+/// before that, no file is left.
 pub struct VideoWriter {
     path: PathBuf,
-    /// Pipe to ffmpeg's standard input; `None` after the end of the video. This field is declared before the process,
-    /// so that it is dropped first. Closing the pipe makes ffmpeg end.
+    /// Pipe to ffmpeg's standard input; `None` after the end of the video. Closing the pipe makes ffmpeg end. This
+    /// field is declared before `process`, so that it is dropped first.
     stdin: Option<ChildStdin>,
     process: Option<Process>,
     size: (usize, usize, usize),
     depth: BitDepth,
-    /// Temporary folder into which ffmpeg writes. Declared last, so that it is removed after ffmpeg has ended.
+    /// Temporary folder into which ffmpeg writes. This field is declared last, so that the folder is removed after
+    /// ffmpeg has ended.
     temporary: Temporary,
 }
 
-/// Name of the video file in its temporary folder.
+/// Name of the unfinished video file in its temporary folder.
 const FILE: &str = "video";
 
 impl VideoWriter {
-    /// Begins a video. All frames have the size and the number of channels (1 or 3) of `like`.
+    /// Begins to write a video to `path`. All frames have the size and the number of channels (1 or 3) of `like`.
     pub fn create(
         ffmpeg: &Path,
         path: &Path,
@@ -154,7 +155,8 @@ impl VideoWriter {
         Self::sized(ffmpeg, path, (like.width(), like.height(), like.channels()), format)
     }
 
-    /// Begins a video. All frames have the size (width, height, channels), in pixels and with 1 or 3 channels.
+    /// Begins to write a video to `path`. All frames have the size (width, height, channels), in pixels and with 1 or 3
+    /// channels.
     pub fn sized(
         ffmpeg: &Path,
         path: &Path,

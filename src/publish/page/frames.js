@@ -1,16 +1,17 @@
 "use strict";
 
-// The global that the files of the scene and of the frames call.
+// The page's global object. The scripts `scene.js` and `frames/*.js` call its functions to hand over their data.
 const stlfr = {};
 window.stlfr = stlfr;
 
-// Memory of the graphics card for frames, bytes; on phones.
+// Maximum memory of the graphics card for decoded frames, bytes. It is smaller on devices with a touch screen, such as
+// phones.
 const MAX_FRAME_BYTES = matchMedia("(pointer: coarse)").matches ? 160e6 : 400e6;
 const CHANNELS = 6;
-// Frames that are decoded at once.
+// Maximum number of frames that are decoded at the same time.
 const MAX_DECODING = 3;
 
-// The scripts of frames that are on their way: by number, what takes their bytes.
+// The files of frames that are being loaded: from the file's number to the function that receives its bytes.
 const arriving = new Map();
 
 stlfr.frames = (file, text) => {
@@ -20,7 +21,7 @@ stlfr.frames = (file, text) => {
   arriving.get(file)?.(bytes);
 };
 
-// The bytes of a file of frames.
+// Loads a file of frames. Returns a promise of its bytes, decoded from base64.
 function fetched(file) {
   return new Promise((resolve, reject) => {
     const script = document.createElement("script");
@@ -32,14 +33,16 @@ function fetched(file) {
   });
 }
 
-// Decompresses zlib.
+// Decompresses a zlib stream.
 async function inflated(bytes) {
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// Depth and motion from their planes: disparity, velocity and rate of a block, and its acceleration. A value is the difference
-// from the median of its left neighbour, the one above, and their plane.
+// Decodes the depth and motion of a frame's blocks from byte planes, as `BlockMap::packed` in flow.rs writes them. A
+// value is stored as its difference from a prediction: the median of the left value, the value above, and left + above
+// − upper left. In the result, `flow` has the disparity plus one, the velocity (2) and the disparity's rate of change
+// of each block, and `bend` has the acceleration (2). All are in quantization steps.
 function unpacked(planes, width, height) {
   const count = width * height;
   if (planes.length !== 2 * CHANNELS * count) throw new Error("A file of this page is damaged.");
@@ -67,14 +70,15 @@ function unpacked(planes, width, height) {
   return { flow, bend };
 }
 
-// Largest differences within a cell of blocks that one point stands for while something moves: of disparities, and of
-// velocities a frame, pixels.
+// Maximum ranges of disparity, and of each component of velocity per frame, in a cell of blocks, pixels. While
+// something moves, such a cell is drawn as one point.
 const CELL_DISPARITY_PX = 0.5;
 const CELL_VELOCITY_PX = 0.5;
-// Sides of these cells, blocks, largest first.
+// Candidate sides of cells of blocks, in blocks, largest first.
 const CELLS = [4, 2, 1];
 
-// The points of a map for pictures in motion: large where depth and motion hardly change. A point is x + y · 2¹⁴ + side · 2²⁸.
+// Divides a frame's map into square cells of blocks, for drawing while something moves. Cells are large where depth and
+// motion hardly change. Each cell is one number, x + y · 2¹⁴ + side · 2²⁸, in blocks.
 function cells(flow, width, height, steps) {
   const points = [];
   const most = [CELL_DISPARITY_PX / steps.disparity_px, CELL_VELOCITY_PX / steps.velocity_px, CELL_VELOCITY_PX / steps.velocity_px];
@@ -109,7 +113,8 @@ function cells(flow, width, height, steps) {
   return new Uint32Array(points);
 }
 
-// The frames: their files, and those that the graphics card has, as layers of textures.
+// All frames of the site: their files, and the frames that are in the graphics card's memory, as layers of array
+// textures.
 class Frames {
   constructor(gl, scene, onready) {
     this.gl = gl;
@@ -133,7 +138,7 @@ class Frames {
     this.blocks = [most((c) => c.blocks[0]), most((c) => c.blocks[1])];
     const bytes = 4 * this.size[0] * this.size[1] + 14 * this.blocks[0] * this.blocks[1];
     const layers = Math.min(gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS), Math.floor(MAX_FRAME_BYTES / bytes));
-    // As many as a view needs twice, so that the next instant's can be there too.
+    // At least twice the maximum number of frames of a view, so that frames of the next instant have room too.
     this.layers = new Array(Math.min(this.all.length, Math.max(2 * MAX_SOURCES, layers))).fill(null);
     const texture = (format, [width, height], filter) => arrayTexture(gl, format, [width, height, this.layers.length], filter);
     this.images = texture(gl.RGBA8, this.size, gl.LINEAR);
@@ -142,7 +147,8 @@ class Frames {
     this.trusts = texture(gl.RG8, this.blocks, gl.NEAREST);
   }
 
-  // The frames from which a view is blended: those nearest in time, one of each of the nearest cameras, nearest first.
+  // Returns the frames from which the view at `center` and `time` is blended. They belong to the `most` nearest cameras
+  // that film at this time, the nearest camera first. From each camera, the frame nearest in time is taken.
   of(center, time, most) {
     const films = (c) => !c.filmed || (time >= c.filmed[0] && time <= c.filmed[1]);
     const away = (c) => Math.hypot(...c.center.map((v, k) => v - center[k]));
@@ -154,7 +160,8 @@ class Frames {
     });
   }
 
-  // Asks for these frames, and if `all`, then for those nearest to the time as far as there is room.
+  // Requests the frames `first`. If `all` is true, also requests the frames nearest to `time`, as far as there are
+  // layers for them.
   want(first, time, all) {
     const rest = all ? [...this.all].sort((f, g) => Math.abs(f.time - time) - Math.abs(g.time - time)) : [];
     this.wanted = [...new Set([...first, ...rest])].slice(0, this.layers.length);
@@ -216,7 +223,8 @@ class Frames {
     frame.trust = null;
   }
 
-  // A layer without a frame, or that of the wanted frames' last or of one that isn't wanted.
+  // Returns the index of a layer for a new frame. It is a layer without a frame, or else that of a frame that isn't
+  // wanted, or else that of the wanted frame with the lowest priority. A frame in the layer is evicted.
   freeLayer() {
     const free = this.layers.indexOf(null);
     if (free >= 0) return free;

@@ -1,18 +1,19 @@
 "use strict";
 
-// What the visitor does: place, in the rig's axes, and time. `touched` is called at every input.
+// The visitor's input: it moves the viewpoint, in the rig's axes, and the time.
 
-// Time for which the view rests after an input before it sways again, seconds.
+// Time after an input until the viewpoint sways again, seconds.
 const REST_S = 2.5;
-// The sway: fractions of the rig's half extent, and seconds.
+// Sway of the viewpoint along each of the rig's axes: amplitude as a fraction of the rig's half extent, and period in
+// seconds.
 const SWAY = [[0.55, 11], [0.5, 7.3], [0.35, 13.7]];
-// Time in which the view comes nearer to where it shall be by a factor of e, seconds.
+// Time constant of the viewpoint's exponential approach to its target, seconds.
 const EASE_S = 0.12;
-// Shortest time in which the span is played, seconds: short spans are slow motion.
+// Minimum duration in which the span of time is played, seconds. Shorter spans are played in slow motion.
 const MIN_PLAY_S = 5;
-// Turn of the device that moves the view across half the rig, degrees.
+// Rotation of the device that moves the viewpoint by half of the rig's extent, degrees.
 const TILT_DEG = 18;
-// Turn of the wheel that passes the span, pixels.
+// Scroll distance of the wheel that moves the time through the whole span, pixels.
 const WHEEL_PX = 1600;
 
 class Motion {
@@ -36,7 +37,7 @@ class Motion {
     this.isStill = false;
   }
 
-  // A place by its coordinates, and a time; the rest stays.
+  // Sets the given coordinates of the viewpoint, and the time if it is given. Other coordinates are unchanged.
   set({ x, y, z, time }) {
     const given = [x, y, z];
     if (given.some((v) => v !== undefined)) {
@@ -54,12 +55,13 @@ class Motion {
     this.touch();
   }
 
-  // Moves on by so many seconds; `mayPlay` says whether the frames are there. Returns whether anything moved.
+  // Advances viewpoint and time by `seconds`. Time advances only if `mayPlay` is true, which means that the frames are
+  // loaded. Returns whether viewpoint or time changed.
   step(seconds, mayPlay) {
     const before = [...this.place, this.time].join();
     if (this.isPlaying && mayPlay) {
       this.time += this.direction * this.speed * seconds;
-      // Back and forth, without a jump.
+      // At an end of the span, time reverses instead of jumping.
       if (this.time > this.span[1]) [this.time, this.direction] = [Math.max(2 * this.span[1] - this.time, this.span[0]), -1];
       if (this.time < this.span[0]) [this.time, this.direction] = [Math.min(2 * this.span[0] - this.time, this.span[1]), 1];
     }
@@ -70,7 +72,7 @@ class Motion {
     this.swayed += seconds * this.swaying;
     const sway = SWAY.map(([size, period], k) => size * this.half[k] * this.swaying * Math.sin((2 * Math.PI * this.swayed) / period));
     const tilted = [this.tilt[0] * this.half[0], this.tilt[1] * this.half[1], 0];
-    // While it sways, it comes back to the middle.
+    // While the viewpoint sways, its target returns to the rig's middle.
     if (sways) this.target = sum(this.target, scaled(sum(this.middle, scaled(this.target, -1)), Math.min(1, seconds / 6)));
     const goal = this.rig.clamped(sum(sum(this.target, sway), tilted));
     const share = 1 - Math.exp(-seconds / EASE_S);
@@ -82,7 +84,7 @@ class Motion {
   }
 }
 
-// The element's events move the viewpoint and time of `motion`.
+// Moves the viewpoint and time of `motion` by the element's events. Calls `changed` after each event.
 function listen(element, motion, changed) {
   const pointers = new Map();
   const spread = () => {
@@ -102,7 +104,7 @@ function listen(element, motion, changed) {
     const side = Math.min(element.clientWidth, 1.3 * element.clientHeight);
     const [x, y] = [event.clientX - from[0], event.clientY - from[1]].map((v) => v / side / pointers.size);
     const closer = pointers.size > 1 ? (spread() - before) / side : 0;
-    // The scene follows the hand: to the right, as the viewpoint goes to the left.
+    // The scene follows the pointer: if the pointer moves to the right, the viewpoint moves to the left.
     const by = [-2 * x, 2 * y, 2 * closer];
     motion.shift(by.map((v, k) => 1.4 * v * Math.max(motion.half[k], 0.35 * Math.max(...motion.half))));
     changed();
@@ -115,7 +117,7 @@ function listen(element, motion, changed) {
       motion.shift([(event.deltaX || event.deltaY) * lines * motion.half[0] / 400, 0, 0]);
     } else {
       const time = motion.time + (event.deltaY * lines * motion.length) / WHEEL_PX;
-      // Beyond the ends of the span, the page around this one scrolls.
+      // Beyond the ends of the span, the event isn't consumed, so that a page that embeds this page scrolls.
       if (time < motion.span[0] || time > motion.span[1]) {
         motion.set({ time });
         changed();
@@ -144,14 +146,16 @@ function listen(element, motion, changed) {
 
 let hasAskedForTilt = false;
 
-// Some browsers ask the visitor, and only after a touch. Others have the question, but allow it from the start.
+// Requests access to the device's orientation, in browsers that have such a request. Some of them ask the visitor, and
+// only after a touch. Others grant access without asking.
 function askForTilt() {
   if (hasAskedForTilt || typeof DeviceOrientationEvent === "undefined" || !DeviceOrientationEvent.requestPermission) return;
   hasAskedForTilt = true;
   DeviceOrientationEvent.requestPermission().catch(() => {});
 }
 
-// The device's turn away from how it was held moves the viewpoint; how it is held is followed slowly.
+// Moves the viewpoint by the device's rotation away from a reference orientation. The reference orientation slowly
+// follows the device's orientation.
 function followTilt(motion, changed) {
   let held = null;
   addEventListener("deviceorientation", ({ beta, gamma }) => {

@@ -1,7 +1,8 @@
 "use strict";
 
-// How views are drawn while something moves, best first: cameras, whether a point may stand for a cell of blocks, size of the
-// picture, and whether images are sampled by a cubic.
+// Quality levels of views while something moves, best first: number of cameras, whether a cell of blocks is drawn as
+// one point, scale of the picture, and whether images are sampled by cubic interpolation. `anyTrust` allows confidences
+// that were computed together with other frames.
 const LEVELS = [
   { cameras: 8, hasCells: false, scale: 1, isCubic: true },
   { cameras: 8, hasCells: true, scale: 1, isCubic: true },
@@ -11,20 +12,24 @@ const LEVELS = [
   { cameras: 3, hasCells: true, scale: 0.4, isCubic: false },
 ].map((level) => ({ ...level, anyTrust: true }));
 const AT_REST = { cameras: MAX_SOURCES, hasCells: false, scale: 1, isCubic: true, anyTrust: false };
-// The level that is tried first.
+// Index of the quality level that is used first.
 const FIRST_LEVEL = 2;
-// Intervals between pictures above which the next level is used, and below which the one before, milliseconds.
+// Thresholds of the interval between pictures, milliseconds. Above SLOW_MS, the next lower quality level is used. Below
+// FAST_MS for PATIENCE pictures, the next better level is used.
 const SLOW_MS = 38;
 const FAST_MS = 20;
-// Pictures that are drawn quickly before a better level is tried; it grows each time that was too slow.
+// Number of pictures that must be fast before a better quality level is tried. It is multiplied by 4 each time that a
+// level turns out to be too slow, up to MAX_PATIENCE.
 const PATIENCE = 24;
 const MAX_PATIENCE = 2000;
-// Intervals that are judged together: a number, and on slow cards a time.
+// Number of intervals between pictures whose median chooses the quality level. On slow graphics cards, fewer intervals
+// suffice if they last JUDGED_MS milliseconds together.
 const JUDGED = 8;
 const JUDGED_MS = 500;
-// Largest focal length of a picture, as a multiple of the frames': more has no more detail.
+// Maximum focal length of a picture, as a multiple of the frames' focal length. A larger picture would have no more
+// detail.
 const MAX_ENLARGEMENT = 2;
-// Largest number of the screen's pixels a pixel of the page.
+// Maximum number of canvas pixels per CSS pixel, in each direction.
 const MAX_PIXEL_RATIO = 2;
 
 const byId = (id) => document.getElementById(id);
@@ -82,9 +87,9 @@ class Viewer {
     requestAnimationFrame((now) => this.frame(now));
   }
 
-  // What a page's own scripts, and tests, may call.
+  // Offers functions and values to other scripts on the page, and to tests.
   offer() {
-    // A view as `view.json` of `stlfr render --camera` has it, at an instant, seconds, as a canvas.
+    // Returns a canvas with the view of a `view.json` (as for `stlfr render --camera`) at an instant in seconds.
     stlfr.picture = async (view, seconds) => {
       const target = viewOf(view);
       const time = (seconds - this.scene.origin_s) / (this.scene.frame_s || 1);
@@ -104,7 +109,7 @@ class Viewer {
     stlfr.motion = this.motion;
   }
 
-  // An address that ends with #t=0.1&x=0.02 begins there, with time stopped.
+  // Moves to the viewpoint and time in the address's fragment, such as #t=0.1&x=0.02, and stops time.
   follow(hash) {
     const given = new URLSearchParams(hash.slice(1));
     const number = (name) => {
@@ -146,7 +151,7 @@ class Viewer {
     if (this.drewMoving && moved) this.adapt(interval);
     this.drewMoving = false;
     if (this.asked || !(moved || this.isDirty || (isResting && !this.isExact))) return;
-    // The first picture is a quick one.
+    // The first picture has a fast quality level, so that it appears soon.
     const quality = isResting && this.isShown ? AT_REST : LEVELS[this.level];
     const size = this.pixelSize;
     const whole = this.rig.view(motion.place, size);
@@ -157,7 +162,8 @@ class Viewer {
     const ready = sources.filter((s) => s.frame.layer >= 0);
     this.isReady = ready.length === sources.length;
     this.isDirty = false;
-    // The first picture has all that it needs; later ones do with what is there.
+    // The first picture is drawn when all its frames are loaded. Later pictures are drawn from the frames that are
+    // loaded.
     if (!this.isReady && (!this.isShown || ready.length === 0)) return;
     try {
       if (this.canvas.width !== size[0] || this.canvas.height !== size[1]) [this.canvas.width, this.canvas.height] = size;
@@ -168,7 +174,7 @@ class Viewer {
       return;
     }
     this.isExact = quality === AT_REST && this.isReady;
-    // After the first picture, the other frames are asked for.
+    // After the first picture, another call requests the other frames.
     this.isDirty = !this.isReady || !this.isShown;
     this.drewMoving = !isResting;
     this.statistics.pictures += 1;
@@ -176,7 +182,7 @@ class Viewer {
     this.isShown = true;
   }
 
-  // Chooses the level by the median interval between the last pictures.
+  // Chooses the quality level by the median interval between the last pictures.
   adapt(milliseconds) {
     const { intervals } = this;
     intervals.push(milliseconds);
@@ -195,7 +201,7 @@ class Viewer {
     this.statistics.level = this.level;
   }
 
-  // The bar's elements show the state.
+  // Shows the state in the bar: the play button, the time slider and the clock.
   update() {
     const { motion, scene } = this;
     const seconds = scene.origin_s + scene.frame_s * motion.time;

@@ -21,7 +21,7 @@ function setSampling(gl, target, filter) {
   for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(target, name, gl.CLAMP_TO_EDGE);
 }
 
-// A program, and its uniforms by name.
+// A shader program, and its uniforms by name.
 class Program {
   constructor(gl, vertex, fragment) {
     this.gl = gl;
@@ -36,7 +36,8 @@ class Program {
     gl.linkProgram(this.program);
   }
 
-  // Looks the uniforms up: when it is first used, so that programs are compiled together.
+  // Returns the program's uniforms by name. They are looked up when the program is first used, so that the browser can
+  // compile all programs at the same time.
   get uniforms() {
     if (this.found) return this.found;
     const gl = this.gl;
@@ -79,7 +80,7 @@ class Program {
   }
 }
 
-// Draws views: candidates of each frame, then their blend, then what no frame has.
+// Draws views in three passes: it splats each frame to candidates, blends the candidates, and fills the holes.
 class Renderer {
   constructor(canvas, scene, onready) {
     this.canvas = canvas;
@@ -97,23 +98,23 @@ class Renderer {
     this.frames = new Frames(gl, scene, onready);
     gl.bindVertexArray(gl.createVertexArray());
     gl.disable(gl.DITHER);
-    // Of points without an attribute.
+    // Value of the vertex attribute for points that are drawn without an array of cells.
     gl.vertexAttribI4ui(0, 0, 0, 0, 0);
     this.framebuffer = gl.createFramebuffer();
     this.targets = null;
-    // Views towards the scene have points nearer than any frame.
+    // A viewpoint nearer to the scene than the cameras sees larger inverse depths than any frame.
     this.maxInverseDepth = 2 * Math.max(scene.max_inverse_depth, 1e-9);
     this.maxPoint = gl.getParameter(gl.ALIASED_POINT_SIZE_RANGE)[1];
     const { steps } = scene;
     this.map = { steps: [steps.disparity_px, steps.velocity_px, steps.acceleration_px, steps.rate_px], block_px: steps.block_px };
   }
 
-  // The programs that sample images.
+  // Creates the programs that sample images. Their shaders begin with `head`, which chooses the interpolation.
   sampling(head) {
     return { blend: new Program(this.gl, WHOLE, head + BLEND), fill: new Program(this.gl, WHOLE, head + FILL) };
   }
 
-  // Textures of a view's size: candidates, blend and filled picture.
+  // Creates the textures for views of this size: candidates, blended picture with depths, and filled picture.
   resize([width, height]) {
     const gl = this.gl;
     if (this.targets && this.targets.size[0] === width && this.targets.size[1] === height) return;
@@ -136,7 +137,8 @@ class Renderer {
     };
   }
 
-  // Binds the framebuffer with these attachments.
+  // Binds the framebuffer for drawing into the textures that the function `attach` attaches. `count` is the number of
+  // colour attachments.
   into(attach, [width, height], count = 1) {
     const gl = this.gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
@@ -163,7 +165,8 @@ class Renderer {
     return { flows: [array, frames.flows], bends: [array, frames.bends] };
   }
 
-  // The confidences of frames that are used together. `anySet`: those of another set do too, if there are any.
+  // Computes the confidences of frames that are blended together. If `anySet` is true, confidences that were computed
+  // together with other frames are reused.
   trust(sources, anySet) {
     const gl = this.gl;
     const key = sources.map(({ frame }) => frame.layer + ":" + frame.time).sort().join();
@@ -191,7 +194,7 @@ class Renderer {
     }
   }
 
-  // A view of this size, in `targets.filled`, from frames that are all ready.
+  // Draws a view into `targets.filled`. All frames of `sources` must be loaded.
   draw(view, time, sources, quality) {
     const gl = this.gl;
     this.resize(view.size);
@@ -204,7 +207,8 @@ class Renderer {
     const disparities = sources.map((s) => s.camera.disparity_px);
     const images = [gl.TEXTURE_2D_ARRAY, this.frames.images];
     const shared = { count: sources.length, layers, sizes };
-    // The cubic is compiled when it is first used: the first picture is sooner without.
+    // The programs with cubic interpolation are compiled when they are first used, so that the first picture appears
+    // sooner.
     const programs = quality.isCubic ? (this.programs.fine ??= this.sampling(`${HEAD}#define IS_CUBIC\n`)) : this.programs.quick;
     this.into(() => { this.flat(colors)(); this.flat(depths, 1)(); }, size, 2);
     programs.blend.use({
@@ -269,7 +273,7 @@ class Renderer {
     gl.disable(gl.DEPTH_TEST);
   }
 
-  // Shows the last view in the middle of the canvas, as large as `shown`.
+  // Shows the last view in the middle of the canvas. `shown` is its width and height there, pixels.
   show(shown) {
     const gl = this.gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -281,7 +285,7 @@ class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  // The last view as a canvas; transparent where no camera filmed.
+  // Returns the last view as a canvas. It is transparent where no camera has image content.
   picture() {
     const gl = this.gl;
     const [width, height] = this.targets.size;

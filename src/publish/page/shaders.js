@@ -1,9 +1,11 @@
 "use strict";
 
-// What src/scene_flow/confidence.rs, splat.rs and blend.rs compute, with their constants by the same names.
+// Shaders with the computations of confidence.rs, splat.rs and blend.rs in src/scene_flow. Constants have the same
+// names as there.
 
 const MAX_SOURCES = 8;
-// Pixels around a view's candidates: a splat whose centre is outside of what is drawn is not drawn at all.
+// Margin around a view in the texture of candidates, pixels. A splat whose centre is outside of the texture is not
+// drawn at all, even if the splat extends into the view.
 const MARGIN = 8;
 
 const HEAD = `#version 300 es
@@ -18,8 +20,9 @@ precision highp usampler2DArray;
 #define MARGIN ${MARGIN}
 `;
 
-// The map of a frame. `flows` holds the disparity, in steps and one more, the velocity and the disparity's rate; `bends` the
-// acceleration; `trusts` the confidence, and the sides at which there is another surface.
+// Reads the map of a frame. In quantization steps, `flows` holds the disparity plus one, the velocity and the
+// disparity's rate of change, and `bends` holds the acceleration. `trusts` holds the confidence, and the sides of a
+// block beyond which there is another surface.
 const MAP = `
 uniform isampler2DArray flows;
 uniform isampler2DArray bends;
@@ -51,7 +54,7 @@ vec3 projected(mat3 a, vec3 b, vec3 point) {
 const WHOLE = `${HEAD}
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 
-// The confidence of a frame's blocks, and their edges.
+// Computes the confidence of each block of a frame, and the block's sides beyond which there is another surface.
 const CONFIDENCE = `${HEAD}${MAP}
 uniform int own;
 uniform ivec2 blocks;
@@ -103,7 +106,8 @@ void main() {
   found = vec4(max(confirmed / all, 1.0 / 255.0), sides / 255.0, 0.0, 0.0);
 }`;
 
-// A point for every block, or for cells of blocks where they are alike, moved to the instant and projected into the view.
+// Draws a point for every block, or for every cell of similar blocks. The point is moved to the view's instant and
+// projected into the view.
 const SPLAT_VERTEX = `${HEAD}${MAP}
 uniform int layer;
 uniform ivec2 blocks;
@@ -169,8 +173,9 @@ void main() {
   value = vec3(scale, to.z / max_inverse_depth, (log2(weight) + 32.0) / 64.0);
 }`;
 
-// A candidate: where the frame shows it, its inverse depth, and its weight. Of candidates at one depth, the one whose centre is
-// nearest stays.
+// Writes a splat's candidate for a pixel of the view: the position in the frame, the inverse depth, and the weight. Of
+// a frame's candidates for a pixel, the nearest surface remains; at equal depths, the candidate with the nearest
+// centre.
 const SPLAT = `${HEAD}
 uniform vec2 frame_size;
 uniform float max_score;
@@ -211,11 +216,11 @@ vec3 image(vec2 at, int layer, vec2 size) { return bilinear(clamp(at, vec2(0.5),
 #endif
 `;
 
-// A statement for each source, k. Constant indices of arrays are several times as fast as variable ones where there is no
-// graphics card.
+// Repeats a statement for each source k. Array indices in the shader are thus constant. Without a graphics card,
+// constant indices are several times as fast as variable indices.
 const each = (statement) => Array.from({ length: MAX_SOURCES }, (_, k) => `  ${statement.replaceAll("[k]", `[${k}]`)}`).join("\n");
 
-// The pixel of the nearest cluster of candidates with enough weight, and what shows through it.
+// Blends the candidates of a pixel: it shows the nearest cluster with enough weight, and what is visible through it.
 const BLEND = `${SAMPLING}
 uniform usampler2DArray candidates;
 uniform int count;
@@ -319,7 +324,8 @@ ${each("if (weights[k] > 0.0 && depths[k] > front && support(depths[k]) > FRONT 
   if (opacity < 1.0) color.rgb = mix(mean_of(behind).rgb, color.rgb, opacity);
 }`;
 
-// What no map has gets the depth of what is behind it, and the colour of the nearest frame that shows that depth.
+// Fills holes, which are pixels without candidates. A hole gets the depth of the farthest surface at its border, and
+// the colour from the nearest camera's frame that shows this depth.
 const FILL = `${MAP}${SAMPLING}
 uniform sampler2D colors;
 uniform usampler2D depths;
@@ -371,7 +377,7 @@ void main() {
   if (!is_filmed) color = vec4(0.0);
 }`;
 
-// The view in a rectangle of the canvas, over the page's colour.
+// Draws the view into a rectangle of the canvas, over the page's background colour.
 const SHOW = `${HEAD}
 uniform sampler2D colors;
 uniform vec2 size;

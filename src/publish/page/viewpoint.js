@@ -1,6 +1,6 @@
 "use strict";
 
-// Vectors are lists; matrices of three rows are lists of nine, row after row.
+// Vectors are arrays of three numbers. 3×3 matrices are arrays of nine numbers, row by row.
 
 const sum = (p, q) => p.map((v, k) => v + q[k]);
 const scaled = (p, s) => p.map((v) => v * s);
@@ -14,7 +14,7 @@ const transform = (m, p) => [0, 1, 2].map((k) => dot(row(m, k), p));
 const lensMatrix = ([fx, fy, cx, cy]) => [fx, 0, cx, 0, fy, cy, 0, 0, 1];
 const inverseLens = ([fx, fy, cx, cy]) => [1 / fx, 0, -cx / fx, 0, 1 / fy, -cy / fy, 0, 0, 1];
 
-// A camera: its lens, rotation and translation from the world, and centre.
+// Creates a camera: image size, lens, rotation and translation from the world to the camera, and centre in the world.
 function camera(size, lens, rotation, translation) {
   return { size, lens, rotation, translation, center: scaled(transform(transposed(rotation), translation), -1) };
 }
@@ -24,8 +24,9 @@ function cameraFromPose(size, lens, pose) {
   return camera(size, lens, Array.from({ length: 9 }, (_, k) => at(k)), [3, 7, 11].map((k) => pose[k]));
 }
 
-// From pixels and inverse depths of one camera to those of another: h = A (x, y, 1) + q b. A is column after column, as WebGL
-// takes it.
+// Returns the projection from one camera to another: h = A (x, y, 1) + q b. Here, (x, y) is a pixel and q an inverse
+// depth of the camera `from`, and h is the homogeneous pixel of the camera `to`. A is column by column, as WebGL takes
+// it.
 function projection(from, to) {
   const rotation = product(to.rotation, transposed(from.rotation));
   const translation = sum(to.translation, scaled(transform(rotation, from.translation), -1));
@@ -33,16 +34,18 @@ function projection(from, to) {
   return { a: transposed(product(product(lens, rotation), inverseLens(from.lens))), b: transform(lens, translation) };
 }
 
-// How much of a picture is cropped at most so that it fills the page, as a factor of the picture's size.
+// Maximum factor by which a picture is enlarged, and cropped, to fill the page. 1 is the size at which all of it fits.
 const MAX_CROP = 1.6;
-// Enlargement by which the frames' borders stay outside of views from beside the cameras.
+// Enlargement of views, so that the frames' borders stay outside of views from beside the cameras.
 const ZOOM = 1.05;
-// Distance at which a camera's direction has half its weight, in distances between cameras.
+// Distance from the viewpoint at which a camera's direction has half its weight, in units of the distance between
+// neighbouring cameras.
 const SOFT_SPACINGS = 0.5;
-// Margin of viewpoints along axes along which there are no cameras, in distances between cameras.
+// Minimum half extent of the range of viewpoints along each of the rig's axes, in units of the distance between
+// neighbouring cameras.
 const MARGIN_SPACINGS = 0.4;
 
-// The rig's own axes: x to the right, y up, z ahead, metres from the mean of the cameras.
+// The camera rig, with its own axes: x to the right, y up, z ahead, metres from the mean of the cameras' centres.
 class Rig {
   constructor(scene) {
     this.cameras = scene.cameras;
@@ -61,7 +64,7 @@ class Rig {
     }
   }
 
-  // The rotation from the world to the mean direction of the cameras by weight.
+  // Returns the rotation from the world to a view in the cameras' mean direction. `weight` returns a camera's weight.
   looking(weight) {
     const directions = [2, 1].map((k) => this.cameras.map((c) => scaled(row(c.rotation, k), weight(c))).reduce(sum));
     const ahead = unit(directions[0]);
@@ -77,8 +80,8 @@ class Rig {
 
   clamped(place) { return place.map((v, k) => Math.min(Math.max(v, this.low[k]), this.high[k])); }
 
-  // The view from a place in these axes, in the mean direction of the cameras nearby, as large as `page` or as what the cameras
-  // see of it.
+  // Returns the view from a viewpoint in the rig's axes, in the mean direction of the cameras nearby. Its size is
+  // `page`, pixels, or smaller if the view would otherwise be cropped more than MAX_CROP allows.
   view([x, y, z], page) {
     const center = sum(this.middle, transform(transposed(this.axes), [x, -y, z]));
     const soft = Math.max(SOFT_SPACINGS * this.spacing, 1e-9);
@@ -94,7 +97,7 @@ class Rig {
   }
 }
 
-// A view as `view.json` of `stlfr render --camera` has it.
+// Converts a view in the form of a `view.json`, as for `stlfr render --camera`, to a camera.
 function viewOf({ width, height, model, params, cam_from_world: { rotation_wxyz: q, translation } }) {
   if (model !== "PINHOLE") throw new Error("model: must be PINHOLE");
   const [w, x, y, z] = scaled(q, 1 / Math.hypot(...q));
