@@ -1,7 +1,10 @@
 """A capture without one of its cameras, whose images become the truth: what a light field shows where nobody filmed.
 
+    .venv/bin/python tests/bench/left_out.py rig RIG CAMERA OUT
     .venv/bin/python tests/bench/left_out.py cut CAPTURE CAMERA OUT
     .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--way NAME ...]
+
+`rig` writes the rig file OUT, in which CAMERA doesn't film but is the only view, with true depth.
 
 `cut` writes the capture OUT, in which CAMERA doesn't film. Its true images at the instants of the truth are the views
 `left-out`, the only ones. The clocks are the true ones. Files are linked, not copied.
@@ -32,6 +35,19 @@ WAYS = {
     "scene flow": ["--proxy", "scene-flow"],
 }
 """What is compared: options of `stlfr render`."""
+
+
+def write_rig(rig: Path, camera: str, out: Path) -> None:
+    """Write the rig in which the camera is the only view."""
+    content = json.loads(rig.read_text())
+    [ours] = [c for c in content["cameras"] if c["id"] == camera]
+    content["cameras"].remove(ours)
+    if content.get("reference") == camera:
+        content["reference"] = content["cameras"][0]["id"]
+    of_camera = ("rate_hz", "delay_s", "jitter_s")
+    view = {name: value for name, value in ours.items() if name not in of_camera}
+    content["views"] = [{**view, "id": "left-out"}]
+    out.write_text(json.dumps(content, indent=2))
 
 
 def cut(capture: Path, camera: str, out: Path) -> None:
@@ -117,6 +133,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     commands = parser.add_subparsers(dest="command", required=True)
+    leaving = commands.add_parser("rig")
+    leaving.add_argument("rig", type=Path)
+    leaving.add_argument("camera")
+    leaving.add_argument("out", type=Path)
     cutting = commands.add_parser("cut")
     cutting.add_argument("capture", type=Path)
     cutting.add_argument("camera")
@@ -128,7 +148,9 @@ def main() -> None:
     scoring.add_argument("--instants", type=int, default=1)
     scoring.add_argument("--way", action="append", choices=WAYS)
     arguments = parser.parse_args()
-    if arguments.command == "cut":
+    if arguments.command == "rig":
+        write_rig(arguments.rig, arguments.camera, arguments.out)
+    elif arguments.command == "cut":
         cut(arguments.capture, arguments.camera, arguments.out)
     else:
         a = arguments
