@@ -109,12 +109,20 @@ impl ViewFormat {
     /// Checks every field and converts the view to a camera. The largest allowed number of pixels is smaller for a view
     /// than for an input image.
     pub fn camera(self) -> Result<Camera, CameraFormatError> {
-        let Self { width, height, model, params, cam_from_world, .. } = self;
-        let camera = CameraFormat { width, height, model, params, cam_from_world }.camera()?;
+        let format = CameraFormat::from(self);
+        let camera = format.camera()?;
+        let CameraFormat { width, height, .. } = format;
         if u64::from(width) * u64::from(height) > MAX_VIEW_PIXELS {
             return Err(CameraFormatError::Pixels { width, height, max: MAX_VIEW_PIXELS });
         }
         Ok(camera)
+    }
+}
+
+impl From<ViewFormat> for CameraFormat {
+    fn from(view: ViewFormat) -> Self {
+        let ViewFormat { width, height, model, params, cam_from_world, .. } = view;
+        Self { width, height, model, params, cam_from_world }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Functions of the Python module `stlfr` that don't need an open capture.
 
 use super::convert::{checked, file_error, from_python, json_of, to_python, value_error};
-use crate::camera::CameraFormat;
+use crate::camera::{CameraFormat, ViewFormat};
 use crate::capture::{Capture, Opening, OutputGuard, Truth};
 use crate::cli;
 use crate::compare::{CompareOptions, ComparedLightField, FILES, Renderer, compare as compared};
@@ -93,13 +93,15 @@ pub fn generate_rig<'py>(
 }
 
 /// Returns the files of a COLMAP text model, as a dict from file name to contents. `images` are pairs of image name and
-/// camera. A camera is a dict with exactly width, height, model, params and cam_from_world, as in capture.json.
+/// camera. A camera is a dict in the format of capture.json.
 #[pyfunction]
 pub fn colmap_text<'py>(
     py: Python<'py>,
     images: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let images: Vec<(String, CameraFormat)> = from_python(images, "images")?;
+    let images: Vec<(String, ViewFormat)> = from_python(images, "images")?;
+    let named = |(name, view): (String, ViewFormat)| (name, CameraFormat::from(view));
+    let images: Vec<(String, CameraFormat)> = images.into_iter().map(named).collect();
     for (k, (name, _)) in images.iter().enumerate() {
         if name.is_empty() || name.contains(char::is_control) {
             return Err(value_error(format!("images[{k}]: {name:?} is no name of an image")));

@@ -41,10 +41,6 @@ pub struct VideoLimits {
     pub size: [usize; 2],
 }
 
-/// Maximum width and height of an image, pixels. [`inspect`] has no expected image size, and names this size in its
-/// error message instead.
-const MAX_SIDE_PX: usize = 65_536;
-
 /// Path under which ffmpeg reads the open file on its standard input. ffmpeg reads this file even if another file is
 /// moved to the video's path meanwhile.
 const INPUT: &str = "file:/proc/self/fd/0";
@@ -81,7 +77,7 @@ pub fn decode(
         .args(["-c:v", "png", "-compression_level", "1"])
         .args(["-start_number", "0", "-f", "image2", "%06d.png"]);
     let ended = run(&mut command, ffmpeg, video, limits.max_frames)?;
-    Ok(facts(&ended, folder, limits.max_frames, limits.size)?.times_s)
+    Ok(facts(&ended, folder, limits.max_frames, Some(limits.size))?.times_s)
 }
 
 /// Decodes a file's first video stream without writing its images. Returns the images' size and the frames' time
@@ -95,7 +91,7 @@ pub fn inspect(
     let max_pixels = usize::try_from(MAX_PIXELS).unwrap_or(usize::MAX);
     let mut command = command(ffmpeg, folder, max_pixels);
     let ended = run(&mut command, ffmpeg, video, max_frames)?;
-    facts(&ended, folder, max_frames, [MAX_SIDE_PX; 2])
+    facts(&ended, folder, max_frames, None)
 }
 
 /// Returns the ffmpeg command that decodes its standard input and stops at the first error. Output files with relative
@@ -135,12 +131,12 @@ fn run(
 }
 
 /// Reads image size and time stamps from ffmpeg's listings in `folder`. An error if ffmpeg failed, or if the video is
-/// interlaced or too long. `size` is used only in the error message about too large images.
+/// interlaced or too long. `size`, if known, is used only in the error message about too large images.
 fn facts(
     ended: &Ended,
     folder: &Path,
     max_frames: usize,
-    size: [usize; 2],
+    size: Option<[usize; 2]>,
 ) -> Result<VideoFacts, VideoError> {
     succeeded(ended, folder, size)?;
     let text = |name: &str| {
@@ -169,12 +165,15 @@ fn dimensions(listing: &str) -> Option<[usize; 2]> {
     Some([width.parse().ok()?, height.parse().ok()?])
 }
 
-/// Returns an error if ffmpeg failed or reported any error. `size`, the expected image size in pixels, is used only in
-/// the message about too large images.
-fn succeeded(ended: &Ended, folder: &Path, size: [usize; 2]) -> Result<(), VideoError> {
+/// Returns an error if ffmpeg failed or reported any error. `size`, the expected image size in pixels if known, is used
+/// only in the message about too large images.
+fn succeeded(ended: &Ended, folder: &Path, size: Option<[usize; 2]>) -> Result<(), VideoError> {
     if let Some(found) = too_large(&ended.stderr) {
-        let [width, height] = size;
-        return Err(wrong(format!("has images of {found} pixels, its camera {width}x{height}")));
+        let allowed = match size {
+            Some([width, height]) => format!("its camera {width}x{height}"),
+            None => format!("at most {MAX_PIXELS} in all are read"),
+        };
+        return Err(wrong(format!("has images of {found} pixels, {allowed}")));
     }
     let message = ended.stderr.lines().map(without_address).find(|line| !line.is_empty());
     if let Some(source) = full_disk(&ended.stderr) {

@@ -389,3 +389,5 @@ def test_colmaps_text_has_cameras_alone() -> None:
     camera |= {"params": [60, 60, 32, 24]}
     with pytest.raises(ValueError, match=r"images\[1\]: .* is no name of an image"):
         stlfr.colmap_text([("a/0000.png", camera), ("b\nc", camera)])
+    whole = {**camera, "id": "a", "frames": "a/%d.png", "clock": {"times_s": [0.0]}}
+    assert stlfr.colmap_text([("a", whole)]) == stlfr.colmap_text([("a", camera)])
