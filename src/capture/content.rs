@@ -1,4 +1,4 @@
-//! Hashes of a capture's content, and results cached on disk under keys that include this hash.
+//! Hash of a capture's content, and results cached on disk under keys that include this hash.
 //!
 //! Results are stored in postcard's binary form. A frame that changes after the capture was opened is an error.
 //! Therefore no result is computed from a mixture of old and new content, or stored under the key of another content.
@@ -134,8 +134,9 @@ impl Capture {
         Ok(self.cache.for_content(self.content_hash()?))
     }
 
-    /// Loads the cached result of these inputs. `None` if no result is stored. The capture's content is hashed only if
-    /// the cache has results of this kind.
+    /// Loads the result of this kind that was computed from `inputs` and stored in the cache on disk. `None` if there
+    /// is no such result, or if it can't be decoded. The capture's content is hashed only if the cache has results of
+    /// this kind.
     pub(crate) fn load_stored<T: DeserializeOwned>(
         &self,
         kind: CacheKind,
@@ -144,7 +145,8 @@ impl Capture {
         postcard::from_bytes(&self.stored_bytes(kind, inputs)?).ok()
     }
 
-    /// Looks up the cache entry of these inputs without decoding it. `None` if the cache has no such entry.
+    /// Looks up the stored result of this kind for `inputs` in the cache on disk, without decoding it. `None` if the
+    /// cache has no such result.
     pub(crate) fn stored(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Stored> {
         let bytes = self.stored_bytes(kind, inputs)?.len() as u64 + ENTRY_OVERHEAD_BYTES;
         Some(Stored { bytes, was_there: true })
@@ -155,7 +157,7 @@ impl Capture {
         cache.load(kind, inputs)
     }
 
-    /// Stores the result of these inputs in the cache on disk.
+    /// Stores `result`, which was computed from `inputs`, in the cache on disk.
     ///
     /// # Errors
     /// The errors of [`Self::cache`], and [`CaptureError::Write`] if the result can't be written.
@@ -176,7 +178,7 @@ impl Capture {
     }
 }
 
-/// A result that is stored in the cache on disk.
+/// Facts about a result that is stored in the cache on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stored {
     /// Size of the cache entry's file, bytes.
