@@ -5,7 +5,7 @@ use std::path::Path;
 /// The clock of the imported cameras. Values that the user leaves out are read from the recordings.
 #[derive(Clone, Copy, Debug)]
 pub struct ImportClock {
-    /// Frame rate, in hertz; `None` if the times of the frames come from a file or from the videos.
+    /// Frame rate, in hertz; `None` if the times of the frames are read from a file or from the videos.
     pub rate_hz: Option<f64>,
     /// Time of the first frame on each camera's own clock, in seconds. If a video's own time stamps are used, this time
     /// is added to them.
