@@ -33,7 +33,7 @@ pub struct CaptureFacts {
     pub rig: String,
     pub reference: String,
     pub cameras: usize,
-    /// Smallest and largest number of frames of a camera.
+    /// Smallest and largest number of frames among the cameras.
     pub frames: (usize, usize),
     /// Image size of the reference camera: width and height, pixels.
     pub size_px: (usize, usize),

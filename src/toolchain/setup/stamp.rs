@@ -36,7 +36,7 @@ impl Stamp {
             .map_err(|e| file_error(&self.path, e))
     }
 
-    /// Removes the file that marks a part of the Python environment as complete. Must be called before this part is
+    /// Removes the file that marks a part of the Python environment as complete. This must be done before the part is
     /// replaced.
     pub fn remove(&self) -> Result<(), ToolchainError> {
         ignore_absent(std::fs::remove_file(&self.path)).map_err(|e| file_error(&self.path, e))
@@ -116,7 +116,7 @@ fn add_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<(), ToolchainErr
 mod tests {
     use super::*;
 
-    /// Returns a source tree with a complete environment.
+    /// Returns a source tree with a complete Python environment.
     fn finished() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         for file in [
@@ -139,8 +139,8 @@ mod tests {
         folder
     }
 
-    /// Returns whether the packages, and whether the whole environment, still count as complete after `file` has
-    /// changed.
+    /// Changes the file `file` of a source tree with a complete environment. Returns whether the environment's
+    /// packages, and whether the whole environment, still count as complete.
     fn after(file: &str) -> (bool, bool) {
         let folder = finished();
         std::fs::write(folder.path().join(file), "changed").unwrap();
