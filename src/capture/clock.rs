@@ -4,7 +4,8 @@
 use super::{Capture, FilmedCamera};
 use nalgebra::Point2;
 
-/// Shortest allowed time between two frames, seconds. The estimation of offsets and trajectories divides by this time.
+/// Shortest allowed time between two frames of a camera, seconds. The estimation of offsets and trajectories divides by
+/// the time between frames.
 const MIN_FRAME_S: f64 = 1e-9;
 /// Largest allowed absolute time, seconds (3000 years). Unix times are accepted in seconds and refused in milliseconds.
 pub(super) const MAX_TIME_S: f64 = 1e11;

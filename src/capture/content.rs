@@ -46,8 +46,9 @@ impl ContentHashes {
         self.frames.get(frame).and_then(|known| known.hash.get()).copied()
     }
 
-    /// Returns an error if a frame's bytes differ from those of an earlier reading. At the first reading, returns an
-    /// error if the file was replaced or modified since the capture was opened.
+    /// Returns an error if a frame's file, whose state and hash are `read`, has other bytes than when it was read
+    /// earlier. At the first reading, returns an error if the file was replaced or modified since the capture was
+    /// opened.
     pub fn require_unchanged(&self, frame: &Path, read: &FileRead) -> Result<(), CaptureError> {
         let Some(known) = self.frames.get(frame) else { return Ok(()) };
         let is_opened = known.state.is_none_or(|state| read.state.has_content_of(&state));
@@ -76,8 +77,8 @@ impl Clone for ContentHash {
 }
 
 impl Capture {
-    /// Returns the capture with only the given cameras, in this order. If the reference isn't among them, the first one
-    /// becomes the reference.
+    /// Returns the capture with only the given cameras, in this order. If the reference isn't among them, the first of
+    /// them becomes the reference.
     pub(crate) fn with_cameras(&self, cameras: &[usize]) -> Self {
         let errors = self.calibration_errors.as_ref();
         Self {

@@ -41,7 +41,8 @@ use std::sync::Arc;
 /// Name of the file that describes a capture, in the capture's folder.
 pub const CAPTURE_FILE: &str = "capture.json";
 
-/// An opened capture: its folder, its cameras with their frames, and the covariance of its calibration errors.
+/// An opened capture, which is the recording of a calibrated camera array: its folder, its cameras with their frames,
+/// and the covariance of its calibration errors.
 #[derive(Clone, Debug)]
 pub struct Capture {
     /// The capture's name in `capture.json`.

@@ -71,9 +71,9 @@ pub struct Truth {
     pub offsets: Vec<TruthOffset>,
     /// True exposure times of every camera.
     pub shutter: Vec<TruthShutter>,
-    /// True images of views at single instants.
+    /// Ground-truth images of views at single instants.
     pub views: Vec<TruthView>,
-    /// True images of one view over time. `None` if no such images were filmed.
+    /// Ground-truth images of one view over time. `None` if no such images were filmed.
     #[serde(default)]
     pub video: Option<TruthVideo>,
     /// Path of the file with the point tracks, `tracks/tracks.json`, relative to `truth/`. `None` if no points were
@@ -117,10 +117,10 @@ pub struct TruthShutter {
     pub times_s: Vec<f64>,
 }
 
-/// Largest number of true images in [`Truth::views`].
+/// Largest number of ground-truth images in [`Truth::views`].
 const MAX_VIEWS: usize = 10_000;
 
-/// A true image of a view at an instant.
+/// A ground-truth image of a view at an instant.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthView {
@@ -141,7 +141,7 @@ pub struct TruthView {
     pub motion: String,
 }
 
-/// True images of one view over time.
+/// Ground-truth images of one view over time.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthVideo {
@@ -223,7 +223,7 @@ impl Truth {
         }
     }
 
-    /// Returns an error if the bytes of a file have changed since it was first read.
+    /// Returns an error if a file, which now has the given hash, has changed since it was first read.
     fn require_unchanged(&self, path: &Path, hash: blake3::Hash) -> Result<(), CaptureError> {
         match *lock(&self.hashes).entry(path.to_owned()).or_insert(hash) == hash {
             true => Ok(()),

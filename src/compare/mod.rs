@@ -120,7 +120,7 @@ pub struct ComparedView<'a> {
     pub shape: Images<'a>,
 }
 
-/// Options of a comparison.
+/// Options of a comparison of rendered images with the ground truth.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CompareOptions {

@@ -81,7 +81,7 @@ struct ScoreRow {
     scores: Vec<Option<RegionScores>>,
 }
 
-/// The scores of one image by one method.
+/// The scores of an image that one method rendered, for a [`ScoreTable`].
 struct ScoredImage<'a> {
     labels: [String; 2],
     method: &'static str,

@@ -148,8 +148,8 @@ impl VideoInstants {
         })
     }
 
-    /// Returns a view and `frames` times, which are evenly spaced over the span in which an image of every camera can
-    /// be interpolated. There are no ground-truth images. [`ReviewVideo::write`] describes how the view is chosen.
+    /// Chooses a view, and `frames` times that are evenly spaced over the span in which an image of every camera can be
+    /// interpolated. There are no ground-truth images. [`ReviewVideo::write`] describes how the view is chosen.
     fn spanning(comparison: &Comparison, frames: usize) -> Result<Self, ReviewVideoError> {
         let capture = comparison.renderer.field().capture();
         let span_s = comparison.renderer.field().common_span_s();

@@ -121,7 +121,7 @@ fn text_images(bytes: &[u8]) -> Result<Vec<ModelImage>, String> {
     Ok(images)
 }
 
-/// Number of values before the image's name in the first of its two lines in `images.txt`.
+/// Number of values before the image's name in the first of an image's two lines in `images.txt`.
 const IMAGE_FIELDS: usize = 9;
 
 /// Returns the rest of a line after its first `count` fields, which are separated by white space.

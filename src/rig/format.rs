@@ -32,7 +32,7 @@ pub struct Rig {
     /// Seed of the random errors in exposure times, and of the sensors' noise.
     #[schemars(range(max = MAX_SEED))]
     pub seed: u64,
-    /// Filming cameras, at least one.
+    /// Cameras that film the scene, at least one.
     #[schemars(length(min = 1))]
     pub cameras: Vec<RigCamera>,
     /// Virtual cameras from which ground truth is rendered, in addition to the filming cameras.

@@ -1,5 +1,5 @@
 //! Stamps: files that mark the parts of the Python environment as complete. A stamp contains a hash of everything from
-//! which its part was built.
+//! which its part of the environment was built.
 
 use super::file_error;
 use crate::host::{hash_file, ignore_absent, read_bytes, read_text, write_atomically};
@@ -15,8 +15,8 @@ pub(super) struct Stamps {
     pub module: Stamp,
 }
 
-/// A stamp: a file that marks a part of the Python environment as complete. The file should contain the expected hash
-/// of everything from which this part is built.
+/// A stamp: a file that marks a part of the Python environment as complete. A valid stamp contains the hash of
+/// everything from which this part is built.
 pub(super) struct Stamp {
     path: PathBuf,
     expected: String,
