@@ -1,4 +1,4 @@
-//! Errors of a capture's calibration: the fields of `capture.json` that state them, and their covariance.
+//! Errors of a capture's calibration: their covariance, and the fields of `capture.json` that state them.
 //!
 //! A calibration error of a camera has the same effect on all features in all of its frames. Therefore it doesn't
 //! average out over the features.
@@ -82,6 +82,7 @@ impl CalibrationStdFormat {
 
     /// Returns the standard deviation of a calibration parameter's error. The unit is radians for rotations, metres for
     /// translations, and pixels for the principal point. The focal length's error is a fraction of the focal length.
+    /// Distortion is assumed to be without error.
     fn of(&self, parameter: CameraParameter) -> f64 {
         match parameter {
             CameraParameter::Rotation(_) => self.rotation_deg.to_radians(),
@@ -121,7 +122,8 @@ impl CalibrationErrors {
         }
     }
 
-    /// Builds the diagonal covariance of independent errors with the given standard deviations, one entry per camera.
+    /// Builds the diagonal covariance of independent calibration errors. `stated` has the standard deviations of each
+    /// camera's errors; `None` for a camera without errors.
     fn independent(stated: &[Option<CalibrationStdFormat>]) -> Self {
         let of_lens = [
             CameraParameter::Focal,
@@ -144,7 +146,8 @@ impl CalibrationErrors {
         Self { parameters, covariance }
     }
 
-    /// Builds the covariance from its lower triangle in `format`. The error message doesn't name the field.
+    /// Builds the covariance of the calibration errors from its lower triangle in `format`. The caller adds the field's
+    /// name to the error message.
     fn estimated(
         format: &CalibrationCovarianceFormat,
         cameras: &[&Camera],
@@ -188,7 +191,8 @@ impl CalibrationErrors {
         Ok(Self { parameters, covariance })
     }
 
-    /// Returns the covariance of the errors of the given cameras only. The cameras are renumbered in the given order.
+    /// Returns the covariance of the calibration errors of the given cameras only. The cameras are renumbered in the
+    /// given order.
     pub(super) fn of_cameras(&self, cameras: &[usize]) -> Self {
         let mut parameters = Vec::new();
         let mut rows = Vec::new();

@@ -4,12 +4,13 @@
 use super::{Capture, FilmedCamera};
 use nalgebra::Point2;
 
-/// Shortest allowed time between two frames, seconds. The estimation of offsets and trajectories divides by this time.
+/// Shortest allowed time between two frames of a camera, seconds. The estimation of offsets and trajectories divides by
+/// the time between frames.
 const MIN_FRAME_S: f64 = 1e-9;
 /// Largest allowed absolute time, seconds (3000 years). Unix times are accepted in seconds and refused in milliseconds.
 pub(super) const MAX_TIME_S: f64 = 1e11;
 
-/// Longest allowed readout time of a rolling shutter, seconds. Real cameras take at most a tenth of it.
+/// Longest allowed readout time of a rolling shutter, seconds. Real cameras need at most 0.1 s.
 const MAX_READOUT_S: f64 = 1.0;
 /// Relative tolerance when the readout time is compared with the frame interval. Times in files are rounded decimals.
 const READOUT_ROUNDING: f64 = 1e-6;
@@ -28,7 +29,7 @@ pub struct Clock {
     pub shared: bool,
     /// Whether the clock's rate may differ from the rate of the reference camera's clock.
     pub drift: bool,
-    /// Whether frames may be missing although the times show no gap.
+    /// Whether the camera may have lost frames although its times show no gap.
     pub lost: bool,
     /// Time from the exposure of a frame's first row to the exposure of its last row, seconds. 0 for a global shutter.
     /// [`RowTimes`] gives the time of each row.
@@ -38,8 +39,9 @@ pub struct Clock {
 /// Exposure times of an image's rows, relative to the frame's time. A rolling shutter exposes the rows one after
 /// another, from the first to the last, at a constant rate. The frame's time is the time of the middle of the image.
 ///
-/// Rows are counted in the camera's own image, with lens distortion. On a clock whose rate differs by
-/// [`MAX_DRIFT_PPM`], row times are wrong by a thousandth of the readout time. This error is neglected.
+/// Rows are counted in the camera's own image, with lens distortion. If the rate of the camera's clock differs by
+/// [`MAX_DRIFT_PPM`] from the reference's, row times are wrong by a thousandth of the readout time. This error is
+/// neglected.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RowTimes {
     s_per_px: f64,
@@ -72,8 +74,8 @@ impl RowTimes {
 }
 
 impl Clock {
-    /// Returns an error unless the times are strictly ascending and at least [`MIN_FRAME_S`] apart. The error message
-    /// doesn't name the file.
+    /// Returns an error unless the times are strictly ascending and at least [`MIN_FRAME_S`] apart. The caller adds the
+    /// file's name to the error message.
     pub(super) fn ascends(&self) -> Result<(), String> {
         match self.times_s.windows(2).position(|w| !(w[1] - w[0] >= MIN_FRAME_S)) {
             None => Ok(()),
@@ -85,7 +87,7 @@ impl Clock {
     }
 
     /// Returns an error unless the readout time is from 0 to [`MAX_READOUT_S`] and at most the median time between
-    /// frames. The error message doesn't name the file.
+    /// frames. The caller adds the file's name to the error message.
     pub(super) fn readout_fits(&self) -> Result<(), String> {
         let readout_s = self.readout_s;
         if !(0.0..=MAX_READOUT_S).contains(&readout_s) {
@@ -147,7 +149,7 @@ pub struct FrameTimes<'a> {
 }
 
 impl<'a> FrameTimes<'a> {
-    /// Makes the times of frames with a global shutter.
+    /// Makes the times of frames from a camera with a global shutter, whose rows are all exposed at the frame's time.
     pub fn global(times_s: &'a [f64]) -> Self {
         Self { times_s, rows: RowTimes::default() }
     }

@@ -1,4 +1,4 @@
-//! Hashes of a capture's content, and results cached on disk under keys that include this hash.
+//! Hash of a capture's content, and results cached on disk under keys that include this hash.
 //!
 //! Results are stored in postcard's binary form. A frame that changes after the capture was opened is an error.
 //! Therefore no result is computed from a mixture of old and new content, or stored under the key of another content.
@@ -46,8 +46,9 @@ impl ContentHashes {
         self.frames.get(frame).and_then(|known| known.hash.get()).copied()
     }
 
-    /// Returns an error if a frame's bytes differ from those of an earlier reading. At the first reading, returns an
-    /// error if the file was replaced or modified since the capture was opened.
+    /// Returns an error if a frame's file, whose state and hash are `read`, has other bytes than when it was read
+    /// earlier. At the first reading, returns an error if the file was replaced or modified since the capture was
+    /// opened.
     pub fn require_unchanged(&self, frame: &Path, read: &FileRead) -> Result<(), CaptureError> {
         let Some(known) = self.frames.get(frame) else { return Ok(()) };
         let is_opened = known.state.is_none_or(|state| read.state.has_content_of(&state));
@@ -76,8 +77,8 @@ impl Clone for ContentHash {
 }
 
 impl Capture {
-    /// Returns the capture with only the given cameras, in this order. If the reference isn't among them, the first one
-    /// becomes the reference.
+    /// Returns the capture with only the given cameras, in this order. If the reference isn't among them, the first of
+    /// them becomes the reference.
     pub(crate) fn with_cameras(&self, cameras: &[usize]) -> Self {
         let errors = self.calibration_errors.as_ref();
         Self {
@@ -134,8 +135,9 @@ impl Capture {
         Ok(self.cache.for_content(self.content_hash()?))
     }
 
-    /// Loads the cached result of these inputs. `None` if no result is stored. The capture's content is hashed only if
-    /// the cache has results of this kind.
+    /// Loads the result of this kind that was computed from `inputs` and stored in the cache on disk. `None` if there
+    /// is no such result, or if it can't be decoded. The capture's content is hashed only if the cache has results of
+    /// this kind.
     pub(crate) fn load_stored<T: DeserializeOwned>(
         &self,
         kind: CacheKind,
@@ -144,7 +146,8 @@ impl Capture {
         postcard::from_bytes(&self.stored_bytes(kind, inputs)?).ok()
     }
 
-    /// Looks up the cache entry of these inputs without decoding it. `None` if the cache has no such entry.
+    /// Looks up the stored result of this kind for `inputs` in the cache on disk, without decoding it. `None` if the
+    /// cache has no such result.
     pub(crate) fn stored(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Stored> {
         let bytes = self.stored_bytes(kind, inputs)?.len() as u64 + ENTRY_OVERHEAD_BYTES;
         Some(Stored { bytes, was_there: true })
@@ -155,7 +158,7 @@ impl Capture {
         cache.load(kind, inputs)
     }
 
-    /// Stores the result of these inputs in the cache on disk.
+    /// Stores `result`, which was computed from `inputs`, in the cache on disk.
     ///
     /// # Errors
     /// The errors of [`Self::cache`], and [`CaptureError::Write`] if the result can't be written.
@@ -176,7 +179,7 @@ impl Capture {
     }
 }
 
-/// A result that is stored in the cache on disk.
+/// Facts about a result that is stored in the cache on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stored {
     /// Size of the cache entry's file, bytes.

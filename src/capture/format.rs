@@ -33,7 +33,7 @@ pub struct CaptureFormat {
     pub calibration_covariance: Option<CalibrationCovarianceFormat>,
 }
 
-/// A camera with its frames.
+/// A camera in `capture.json`: its lens, its pose, its clock, and the path of its frames.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FilmedCameraFormat {
@@ -93,7 +93,7 @@ pub struct ClockFormat {
     /// Whether the clock's rate may differ from the rate of the reference camera's clock.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub drift: bool,
-    /// Whether frames may be missing although the times show no gap.
+    /// Whether the camera may have lost frames although its times show no gap.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub lost: bool,
     /// Readout time of a rolling shutter: the time from the exposure of the first row to the exposure of the last row,
@@ -105,7 +105,7 @@ pub struct ClockFormat {
 
 impl CaptureFormat {
     /// Checks the format, the version, the capture's name and the cameras' ids. Returns the index of the reference
-    /// camera. The error message doesn't name the file.
+    /// camera. The caller adds the file's name to the error message.
     pub(super) fn check(&self) -> Result<usize, String> {
         if self.format != "stlfr-capture" {
             return Err(format!("format: is '{}', must be 'stlfr-capture'", short(&self.format)));
@@ -181,8 +181,8 @@ impl FilmedCameraFormat {
 
 impl ClockFormat {
     /// Checks the fields, and returns the clock of a camera with `frames` frames. `video` is the camera's video file,
-    /// whose time stamps must not contradict `rate_hz`; `None` for an image sequence. The error message doesn't name
-    /// the file.
+    /// whose time stamps must not contradict `rate_hz`; `None` for an image sequence. The caller adds the file's name
+    /// to the error message.
     fn open(&self, frames: usize, video: Option<&VideoFile>) -> Result<Clock, String> {
         let offer = || video.map_or(String::new(), |v| format!("; {}", v.offer()));
         let times_s = match (self.rate_hz, self.first_s, &self.times_s) {

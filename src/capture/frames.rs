@@ -3,7 +3,8 @@
 use std::io::ErrorKind;
 use std::path::{Component, Path, PathBuf};
 
-/// Files and folders in a capture's folder that the program itself writes.
+/// Names of the files and folders in a capture's folder that the program itself writes. The path of a camera's frames
+/// must not start with any of these names.
 const RESERVED: [&str; 5] = [super::CAPTURE_FILE, "offsets.json", "offsets.svg", ".stlfr", ".film"];
 
 /// A printf pattern with one integer field, split around the field: `cam0/%04d.png` becomes `cam0/`, 4 and `.png`.
@@ -57,7 +58,7 @@ impl<'a> Pattern<'a> {
 }
 
 /// Finds the files of an image sequence, numbered from 0 without gaps. `root` is the canonical path of the capture's
-/// folder. The error message doesn't name the file.
+/// folder. The caller adds the name of `capture.json` to the error message.
 pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     let parsed = Pattern::parse(pattern)?;
     must_be_relative(pattern)?;
@@ -78,8 +79,8 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     Ok(files)
 }
 
-/// Finds the video that a camera's `frames` field names. `None` if the field names an image sequence. The error message
-/// doesn't name `capture.json`.
+/// Finds the video that a camera's `frames` field names. `None` if the field names an image sequence. The caller adds
+/// the name of `capture.json` to the error message.
 pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
     if name.contains('%') {
         return Ok(None);
@@ -94,8 +95,8 @@ pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> 
     Ok(Some(real))
 }
 
-/// Returns the canonical path of a file in `root`. `None` if the file doesn't exist. The error message gives the
-/// reason, such as a symbolic link that leads out of `root`.
+/// Returns the canonical path of a regular file inside the folder `root`. `None` if the file doesn't exist. Returns an
+/// error, with the reason, for a folder and for a symbolic link that leads out of `root`.
 fn file(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
     let real = match root.join(name).canonicalize() {
         Ok(real) => real,

@@ -41,7 +41,8 @@ use std::sync::Arc;
 /// Name of the file that describes a capture, in the capture's folder.
 pub const CAPTURE_FILE: &str = "capture.json";
 
-/// A capture: its folder, its cameras, and the errors of their calibration.
+/// An opened capture, which is the recording of a calibrated camera array: its folder, its cameras with their frames,
+/// and the covariance of its calibration errors.
 #[derive(Clone, Debug)]
 pub struct Capture {
     /// The capture's name in `capture.json`.
@@ -57,7 +58,7 @@ pub struct Capture {
     pub time_origin_s: f64,
     /// Covariance of the calibration's errors. `None` if `capture.json` states no such errors.
     pub calibration_errors: Option<Arc<CalibrationErrors>>,
-    /// The capture's cache on disk. [`Capture::cache`] adds the hash of the capture's content to the cache's keys.
+    /// The capture's cache on disk. Its keys lack the hash of the capture's content, which [`Capture::cache`] adds.
     cache: DiskCache,
     hashes: Arc<ContentHashes>,
     content: ContentHash,
@@ -79,7 +80,7 @@ pub struct FilmedCamera {
     pub frames: Vec<PathBuf>,
     /// The video file that the frames were decoded from. `None` for an image sequence.
     pub video: Option<VideoFile>,
-    /// The largest bit depth of the frames.
+    /// The largest bit depth among the camera's frames.
     pub bit_depth: BitDepth,
 }
 
@@ -113,7 +114,7 @@ pub enum CaptureError {
     /// A file is not JSON, or has missing or wrong fields.
     #[error("{path}: {source}")]
     Json { path: PathBuf, source: JsonError },
-    /// A file or the cache of decoded videos can't be written.
+    /// A file in the capture's folder can't be written: a cached result or a decoded video.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
     /// The contents of a file are refused. The reason starts with the name of the wrong field, if it is known.
@@ -261,8 +262,8 @@ impl Capture {
         })
     }
 
-    /// Returns the reference camera's median time between frames, seconds. It is the unit of offsets "in frames". 0 if
-    /// the reference has one frame.
+    /// Returns the reference camera's frame interval: the median time between its frames, seconds. Offsets that are
+    /// stated in frames are in units of this interval. 0 if the reference has one frame.
     pub fn frame_s(&self) -> f64 {
         self.cameras[self.reference].clock.frame_s()
     }

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 pub enum NamedView {
     /// A camera of the capture, as an index into [`Capture::cameras`].
     Filming(usize),
-    /// A view without a filming camera: its lens and pose.
+    /// A view that no camera of the capture has: its image size, lens and pose.
     Free(Camera),
 }
 

@@ -1,9 +1,9 @@
 //! Checks of output paths, so that no output overwrites a part of a capture.
 //!
 //! These parts are protected: `capture.json`, the frames, all names that match a camera's frame pattern, `truth/`,
-//! `colmap/`, the offsets and the cache. Paths that lead to protected files through symbolic links are refused too.
-//! Other files in the capture's folder, and its folder `review/`, may be overwritten. While a simulated rig films into
-//! a folder, the whole folder is protected.
+//! `colmap/`, the estimated offsets and the cache. Paths that lead to protected files through symbolic links are
+//! refused too. Other files in the capture's folder, and its folder `review/`, may be overwritten. While a simulated
+//! capture is being filmed, its whole folder is protected.
 
 use super::{CAPTURE_FILE, CaptureError, frames};
 use crate::host::obstacle;
@@ -15,7 +15,8 @@ use std::path::{Path, PathBuf};
 /// Protected paths in a capture's folder, in addition to `capture.json` and the frames.
 const PARTS: [&str; 6] = ["truth", "colmap", ".stlfr", FILM, "offsets.json", "offsets.svg"];
 
-/// Hidden folder of the filming script. If this folder exists and `capture.json` doesn't, filming is unfinished.
+/// Name of the hidden folder, in a capture's folder, in which the filming script stores its state. If this folder
+/// exists and `capture.json` doesn't, filming is unfinished.
 pub(super) const FILM: &str = ".film";
 
 /// Checks output paths before a computation begins. An output file may overwrite a regular file, but no output may
@@ -23,11 +24,11 @@ pub(super) const FILM: &str = ".film";
 pub struct OutputGuard {
     /// Folder of the capture that the command reads. `None` if the command reads no capture.
     own: Option<PathBuf>,
-    /// Protected paths by folder, for the folders checked so far. `None` for a folder that isn't a capture.
+    /// Protected paths of each folder that was checked so far. `None` for a folder that isn't a capture.
     known: HashMap<PathBuf, Option<ProtectedPaths>>,
 }
 
-/// Protected paths of one capture. All paths are canonical.
+/// Paths of one capture that outputs must not overwrite. All paths are canonical.
 struct ProtectedPaths {
     root: PathBuf,
     is_filming: bool,
@@ -45,12 +46,14 @@ struct FramePattern {
 }
 
 impl OutputGuard {
-    /// Makes a guard for the capture in the folder `own`, and for all captures whose folders contain an output.
+    /// Makes a guard that protects the capture in the folder `own`, and every other capture whose folder contains an
+    /// output path.
     pub fn new(own: Option<&Path>) -> Self {
         Self { own: own.map(Path::to_owned), known: HashMap::new() }
     }
 
-    /// Returns an error if `path` is not allowed as an output file.
+    /// Returns an error if `path` can't be an output file: something other than a regular file has this path, or the
+    /// path is a protected part of a capture.
     pub fn check_file(&mut self, path: &Path) -> Result<(), CaptureError> {
         let name = path.as_os_str().as_encoded_bytes();
         if path.file_name().is_none() || name.ends_with(b"/") || name.ends_with(b"/.") {
@@ -62,8 +65,10 @@ impl OutputGuard {
         self.check(path, false, ProtectedPaths::against_file)
     }
 
-    /// Returns an error if `path` is not allowed as an output folder. `names` lists what will be written into the
-    /// folder: files, and sub-folders with a final `/`. These files and sub-folders may exist already.
+    /// Returns an error if `path` can't be an output folder: it is a capture's folder, a folder of frames, or a
+    /// protected part of a capture. `names` lists what will be written into the folder: files, and sub-folders with a
+    /// final `/`. Files and sub-folders with these names may exist already. Files must not be protected, and
+    /// sub-folders must not be symbolic links.
     pub fn check_folder(&mut self, path: &Path, names: &[&str]) -> Result<(), CaptureError> {
         must_be_a_folder(path)?;
         self.check(path, true, ProtectedPaths::against_capture)?;
@@ -74,8 +79,9 @@ impl OutputGuard {
         })
     }
 
-    /// Returns an error if `path` is not allowed as the folder of a new or unfinished capture. An unfinished capture
-    /// must not contain symbolic links to folders, because filming would write through them.
+    /// Returns an error if `path` can't be the folder of a new or unfinished capture, because it is no folder or a
+    /// protected part of another capture. An unfinished capture must not contain symbolic links to folders, because
+    /// filming would write through them.
     pub fn check_capture(&mut self, path: &Path) -> Result<(), CaptureError> {
         must_be_a_folder(path)?;
         if !path.join(CAPTURE_FILE).exists() {
@@ -89,7 +95,7 @@ impl OutputGuard {
     /// Returns an error if a path is protected. The path is checked against the protected paths of the command's own
     /// capture, and of all captures in folders above the path. Symbolic links in parent folders are resolved. If
     /// `is_folder` is true, a symbolic link at the path itself is resolved too. `against` returns the reason why a path
-    /// is protected, or `None` if it isn't.
+    /// is protected, or `None` if the path isn't protected.
     fn check(
         &mut self,
         path: &Path,

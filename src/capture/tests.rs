@@ -36,7 +36,7 @@ fn opens_with_the_defaults() {
     assert_eq!(capture.read_frame(1, 2).unwrap().pixel(3, 3), [128.0 / 255.0; 3]);
 }
 
-/// Returns a diagonal `calibration_covariance` of two cameras' poses, with this variance for each parameter.
+/// Returns a diagonal `calibration_covariance` of two cameras' poses, in which each parameter has the given variance.
 fn covariance(variance: f64) -> Value {
     let row = |k: usize| [vec![0.0; k], vec![variance]].concat();
     json!({"lens": [], "rows": (0..12).map(row).collect::<Vec<_>>()})

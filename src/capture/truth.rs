@@ -1,5 +1,5 @@
-//! Ground truth of a simulated capture, in the capture's folder `truth/`. Only `compare` and `tradeoff` read its images
-//! and clocks. `render --like` reads the cameras of its views.
+//! Ground truth of a simulated capture, in the capture's folder `truth/`. Only the commands `compare` and `tradeoff`
+//! read its images and clocks. `render --like` reads the lenses and poses of its views.
 //!
 //! # A benchmark of sub-frame synchronization
 //!
@@ -11,12 +11,12 @@
 //! |---|---|
 //! | `capture.json` | the input of a method: frames, cameras, nominal clocks |
 //! | `truth/truth.json` `offsets` | time on the reference's clock = time on the camera's clock + `offset_s` |
-//! | `shutter` | the true middle of every exposure, including the hidden jitter |
+//! | `shutter` | the true middle of every exposure, including random jitter, which the time stamps may omit |
 //! | `views` | images of all cameras and of views beside them at common instants, with depth (metres along +z, +inf where there is no surface) and motion (pixels that a surface point moves within one frame before or after, whichever is larger) |
 //! | `video` | images of one view at regular times |
 //! | `tracks` | 3D points on the surfaces, their pixels and their visibility at every frame of every camera |
 //!
-//! `tracks/tracks.json`:
+//! The file `truth/tracks/tracks.json` describes the tracks:
 //!
 //! ```json
 //! { "format": "stlfr-tracks", "version": 1, "objects": ["wall", "ball"], "object": [0, 1, 1],
@@ -39,9 +39,10 @@
 //! visibility are those at the exposure time of the point's own row. Images, depth and motion of `views` are always of
 //! one instant. File names are relative to `truth/tracks/`.
 //!
-//! A method under test writes `{"reference": "cam3", "cameras": [{"id": "cam0", "offset_s": 0.0123, "std_err_s":
-//! 0.0001}, …]}`, with `null` for a camera whose offset is unknown. `stlfr compare CAPTURE --offsets FILE` then prints
-//! each camera's error in frames and in standard errors, with the median and the maximum.
+//! A synchronization method writes its results into a file with the contents `{"reference": "cam3", "cameras": [{"id":
+//! "cam0", "offset_s": 0.0123, "std_err_s": 0.0001}, …]}`. Both numbers are `null` for a camera whose offset is
+//! unknown. The command `stlfr compare CAPTURE --offsets FILE` then prints each camera's error, in frame intervals and
+//! in standard errors, with the median and the maximum.
 
 use super::{CaptureError, require_size};
 use crate::camera::{Camera, CameraFormat};
@@ -70,9 +71,9 @@ pub struct Truth {
     pub offsets: Vec<TruthOffset>,
     /// True exposure times of every camera.
     pub shutter: Vec<TruthShutter>,
-    /// True images of views at single instants.
+    /// Ground-truth images of views at single instants.
     pub views: Vec<TruthView>,
-    /// True images of one view over time. `None` if no such images were filmed.
+    /// Ground-truth images of one view over time. `None` if no such images were filmed.
     #[serde(default)]
     pub video: Option<TruthVideo>,
     /// Path of the file with the point tracks, `tracks/tracks.json`, relative to `truth/`. `None` if no points were
@@ -86,8 +87,9 @@ pub struct Truth {
     hashes: Arc<Mutex<HashMap<PathBuf, blake3::Hash>>>,
 }
 
-/// True clock of one camera. With t_first, the time of the camera's first frame: time_ref = time_cam + `offset_s` +
-/// (time_cam − t_first) · `rate_ppm` · 1e-6.
+/// True clock of one camera. It converts a time on the camera's clock, t_cam, to the reference's clock: t_ref = t_cam +
+/// `offset_s` + (t_cam − t_first) · `rate_ppm` · 1e-6. Here t_first is the time of the camera's first frame, on the
+/// camera's clock.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthOffset {
@@ -115,10 +117,10 @@ pub struct TruthShutter {
     pub times_s: Vec<f64>,
 }
 
-/// Largest number of true images in [`Truth::views`].
+/// Largest number of ground-truth images in [`Truth::views`].
 const MAX_VIEWS: usize = 10_000;
 
-/// A true image of a view at an instant.
+/// A ground-truth image of a view at an instant.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthView {
@@ -139,7 +141,7 @@ pub struct TruthView {
     pub motion: String,
 }
 
-/// True images of one view over time.
+/// Ground-truth images of one view over time.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthVideo {
@@ -168,8 +170,8 @@ impl Truth {
         Ok(Some(truth))
     }
 
-    /// Checks the format, the version, and all names, ids and cameras. Names and ids must be valid in `capture.json`.
-    /// The error message doesn't name the file.
+    /// Checks the format, the version, and all names, ids and cameras. The rules for names and ids are those of
+    /// `capture.json`. The caller adds the file's name to the error message.
     fn check(&self) -> Result<(), String> {
         if self.format != "stlfr-truth" || self.version != 1 {
             return Err("format and version must be 'stlfr-truth' and 1".into());
@@ -207,7 +209,8 @@ impl Truth {
         self.offsets.iter().find(|o| o.id == id)
     }
 
-    /// Returns the path of a file of the ground truth. An error if the file doesn't exist or lies outside of `truth/`.
+    /// Returns the canonical path of a file of the ground truth. `relative` is its path relative to `truth/`. Returns
+    /// an error if the file doesn't exist or lies outside of `truth/`.
     pub fn file(&self, relative: &str) -> Result<PathBuf, CaptureError> {
         let path = self.folder.join(relative);
         let inside = Path::new(relative).components().all(|c| matches!(c, Component::Normal(_)));
@@ -220,7 +223,7 @@ impl Truth {
         }
     }
 
-    /// Returns an error if the bytes of a file have changed since it was first read.
+    /// Returns an error if a file, which now has the given hash, has changed since it was first read.
     fn require_unchanged(&self, path: &Path, hash: blake3::Hash) -> Result<(), CaptureError> {
         match *lock(&self.hashes).entry(path.to_owned()).or_insert(hash) == hash {
             true => Ok(()),
@@ -228,7 +231,8 @@ impl Truth {
         }
     }
 
-    /// Returns the hash of a file of the ground truth. All later reads of the file must find the same bytes.
+    /// Returns the hash of a file of the ground truth. `relative` is its path relative to `truth/`. Later reads of the
+    /// file return an error if its bytes have changed.
     pub(crate) fn hash(&self, relative: &str) -> Result<blake3::Hash, CaptureError> {
         let path = self.file(relative)?;
         let hash =
@@ -236,7 +240,8 @@ impl Truth {
         self.require_unchanged(&path, hash).map(|()| hash)
     }
 
-    /// Reads an image of the ground truth. The image must have the camera's size.
+    /// Reads an image of the ground truth. `relative` is its path relative to `truth/`. Returns an error if the image's
+    /// size differs from the size of `camera`.
     pub(crate) fn image(&self, relative: &str, camera: &Camera) -> Result<Image, CaptureError> {
         let path = self.file(relative)?;
         let (image, read) = read_hashed_image(&path)?;
@@ -245,8 +250,8 @@ impl Truth {
         Ok(image)
     }
 
-    /// Reads a depth or motion image of the ground truth. Returns H×W values row by row. The image must have the
-    /// camera's size.
+    /// Reads a depth or motion image of the ground truth. `relative` is its path relative to `truth/`. Returns H×W
+    /// values row by row, or an error if the image's size differs from the size of `camera`.
     pub(crate) fn array(&self, relative: &str, camera: &Camera) -> Result<Vec<f32>, CaptureError> {
         let path = self.file(relative)?;
         let (bytes, read) = read_hashed(&path, MAX_ARRAY_BYTES)
@@ -259,7 +264,7 @@ impl Truth {
     }
 }
 
-/// Largest array that is read, bytes: 8192×8192 float32 and a header.
+/// Largest npy file that is read, bytes: an array of 8192×8192 float32 values, and a header.
 const MAX_ARRAY_BYTES: u64 = (256 << 20) + 10 + 0xffff;
 
 /// Reads a depth or motion image: an H×W array in numpy's file format, version 1. Returns the width, the height, and
@@ -275,7 +280,7 @@ pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), CaptureError>
 }
 
 /// Parses an H×W array of little-endian float32 in numpy's file format. Returns the width, the height, and the values
-/// row by row. The error message doesn't name the file.
+/// row by row. The caller adds the file's name to the error message.
 fn parse_array(file: &[u8]) -> Result<(usize, usize, Vec<f32>), String> {
     let rest = file.strip_prefix(b"\x93NUMPY\x01\x00").ok_or("is no npy file")?;
     let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;
@@ -302,7 +307,7 @@ fn parse_array(file: &[u8]) -> Result<(usize, usize, Vec<f32>), String> {
 mod tests {
     use super::*;
 
-    /// Returns the bytes of a file as numpy writes it.
+    /// Returns the bytes of an npy file with this type, this shape and these data, as numpy writes it.
     fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
         let mut header =
             format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");

@@ -6,7 +6,8 @@
 //!
 //! The installed ffmpeg, 5.1 or newer, must be able to read the video. The frames' times come from `capture.json`,
 //! because containers round time stamps (Matroska to 1 ms). A `rate_hz` that contradicts the video's time stamps is an
-//! error. The error message names the file in the cache that lists the time stamps as `times_s`.
+//! error. The error message names a file in the cache that lists the time stamps, so that the user can copy them into
+//! `capture.json` as `times_s`.
 
 use super::{CaptureError, CaptureSource};
 use crate::host::temporary::Temporary;
@@ -25,7 +26,8 @@ pub const MAX_FRAMES: usize = 100_000;
 
 const DECODED_VIDEOS: CacheKind = CacheKind { name: "video", version: 1 };
 
-/// Name of the file, in the folder of decoded frames, that lists the video's own time stamps for the user.
+/// Name of the JSON file, in the folder of decoded frames, with the time stamps that the video file contains. The user
+/// can copy them into `capture.json`.
 const STAMPS_FILE: &str = "frames.json";
 
 /// Largest rounding error of the time between two time stamps, seconds. Matroska rounds time stamps to whole
@@ -47,7 +49,7 @@ pub struct VideoFile {
     stamps_s: Vec<f64>,
 }
 
-/// The cache entry of a decoded video.
+/// Cache entry of a decoded video: the time stamps and the hashes of its frames.
 #[derive(Serialize, Deserialize)]
 struct DecodedVideo {
     /// The time stamp of each frame in the video file, seconds.
@@ -64,7 +66,7 @@ fn hash(cache: &DiskCache, path: &Path) -> Result<blake3::Hash, CaptureError> {
 
 impl VideoFile {
     /// Opens a video whose images must have the given size, `[width, height]` in pixels. The video is decoded unless
-    /// its frames are cached. `wrong` converts a reason into an error.
+    /// its frames are cached. `wrong` converts the reason why the video is refused into an error that names the camera.
     pub(super) fn open(
         source: &CaptureSource,
         path: PathBuf,
@@ -99,8 +101,8 @@ impl VideoFile {
         (0..self.frames.len()).map(|k| self.folder.join(frame_name(k))).collect()
     }
 
-    /// Loads the cache entry. Returns `false` if there is no entry, or if its frames are incomplete or don't match
-    /// their hashes.
+    /// Loads the hashes and the time stamps of the decoded frames from the video's cache entry. Returns `false` if
+    /// there is no entry, if decoded frames are missing, or if they don't match their hashes.
     fn load(&mut self, cache: &DiskCache) -> bool {
         let entry = cache.load_json::<DecodedVideo>(DECODED_VIDEOS, self.hash.as_bytes());
         let Some(entry) = entry else { return false };
@@ -168,7 +170,8 @@ impl VideoFile {
 
     /// Returns an error if a constant frame rate contradicts the video's own time stamps. Each interval between two
     /// frames may differ by 50 % from 1 / `rate_hz`. The duration from the first to the last frame may differ by 1 %
-    /// from its expected value. [`ROUNDING_S`] is added to both tolerances. The error message doesn't name the file.
+    /// from its expected value. [`ROUNDING_S`] is added to both tolerances. The caller adds the name of `capture.json`
+    /// to the error message.
     pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
         let frame_s = 1.0 / rate_hz;
         let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
@@ -191,15 +194,17 @@ impl VideoFile {
         ))
     }
 
-    /// Returns the advice that follows an error message about a clock that contradicts the video.
+    /// Returns advice for the end of an error message about frame times that are missing or wrong in `capture.json`.
+    /// The advice is to give `times_s`, and names the file that lists the video's own time stamps.
     pub(super) fn offer(&self) -> String {
         let stamps = self.folder.join(STAMPS_FILE);
         format!("give times_s (the video's own are in {})", stamps.display())
     }
 }
 
-/// Returns the hashes of the decoded frames in a folder. `None` if they don't match the cache entry. The entry may be
-/// forged, because its checksum uses no secret. The number of frames in the entry is therefore checked first.
+/// Returns the hashes of the decoded frames in a folder. `None` if they don't match the hashes in the cache entry, or
+/// if frames are missing. An attacker may have written the entry, because its checksum uses no secret. The number of
+/// frames in the entry is therefore checked before any frame is read.
 fn matching_hashes(
     cache: &DiskCache,
     folder: &Path,
@@ -225,8 +230,8 @@ fn hash_frames(cache: &DiskCache, folder: &Path, frames: usize) -> io::Result<Ve
     Ok(found.iter().map(|read| read.hash).collect())
 }
 
-/// Opens the file that is locked while a video is decoded into `folder`. A pipe or a symbolic link in its place is
-/// removed first.
+/// Opens the lock file beside `folder`. A process locks this file while it decodes a video into `folder`. A pipe or a
+/// symbolic link at the lock file's path is removed first.
 fn lock_file(folder: &Path) -> io::Result<File> {
     let path = folder.with_extension("lock");
     remove_special(&path)?;
@@ -235,7 +240,8 @@ fn lock_file(folder: &Path) -> io::Result<File> {
     File::options().write(true).create(true).truncate(false).custom_flags(flags).open(path)
 }
 
-/// Name of the folder of decoded frames while a video is being decoded. The folder lies in a temporary folder.
+/// Name of the folder, inside a temporary folder, into which a video is decoded. It is moved into the cache when all
+/// frames are decoded.
 const FRAMES: &str = "frames";
 
 #[cfg(test)]

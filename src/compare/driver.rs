@@ -1,4 +1,4 @@
-//! Runs a comparison: all instants of the ground truth, then the files of the report.
+//! Runs a comparison with the ground truth: the loop over all instants, then the files of the report.
 
 use super::results::{CaptureFacts, Metrics, OffsetResult, StageTimes, headline};
 use super::{
@@ -14,9 +14,11 @@ use std::time::Instant;
 
 /// Compares the renderer's images with the ground truth, and writes the results into the folder `out`.
 ///
-/// A true image from a filming camera's place is compared with this camera's synchronized image. Any other true image
-/// is compared with three blended views per proxy geometry. They are blended from each camera's nearest frame
-/// (traditional LFR), from the synchronized images (ST-LFR), and from the true images of all cameras (perfect sync).
+/// A ground-truth image with the pose of a camera of the array is compared with this camera's synchronized image, which
+/// is interpolated at the image's instant. Any other ground-truth image is compared with three blended views per proxy
+/// geometry. They are blended from each camera's nearest frame (traditional light field rendering), from the
+/// synchronized images (space-time light field rendering), and from the ground-truth images of all cameras (perfect
+/// synchronization).
 ///
 /// # Errors
 /// [`CompareError::NoTruth`] if `truth` is `None`. The ground truth and the options are checked before anything is

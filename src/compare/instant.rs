@@ -1,5 +1,5 @@
-//! Compares the images of one instant of the ground truth: synchronizes the cameras, measures their images, and writes
-//! the pictures. `views.rs` blends views from these images.
+//! Compares the images of one instant with the ground truth: interpolates each camera's image at the instant, measures
+//! its error, and writes the pictures. `views.rs` blends views from these images.
 
 use super::results::{StageTimes, SyncResult, ViewResult};
 use super::sheet::{Panel, sheet};
@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Inputs of the comparison that are the same for all instants.
+/// Inputs of a comparison that are the same for all instants.
 pub(super) struct Comparison<'a> {
     pub renderer: &'a dyn Renderer,
     pub truth: &'a Truth,
@@ -24,16 +24,16 @@ pub(super) struct Comparison<'a> {
     pub out: &'a Path,
 }
 
-/// The results of the instants compared so far.
+/// The results of the comparison, for the instants compared so far.
 #[derive(Default)]
 pub(super) struct Results {
     pub sync: Vec<SyncResult>,
     pub views: Vec<ViewResult>,
-    /// The true images that the report's viewer shows, each with its comparison sheets.
+    /// The ground-truth images that the report's viewer shows, each with its comparison sheets.
     pub figures: Vec<Figure>,
 }
 
-/// A true image with its view and its instant. Rendered images are compared with this image.
+/// A ground-truth image, with its view and its instant, that rendered images are compared with.
 pub(super) struct ComparedTarget<'a> {
     pub instant: &'a TrueInstant,
     pub view: &'a TrueView,
@@ -43,8 +43,8 @@ pub(super) struct ComparedTarget<'a> {
 /// An image, or a sentence that says why the image is missing.
 pub(super) type ImageOrReason = Result<Image, String>;
 
-/// A sync method with the synchronized image of each camera, in the capture's order. A missing image is replaced by a
-/// sentence that gives the reason.
+/// A synchronization method, which is a method of temporal interpolation, and the image that it interpolated for each
+/// camera at one instant, in the capture's order. A sentence with the reason replaces a missing image.
 pub(super) type SynchronizedBy = (SyncMethod, Vec<Result<Arc<Synchronized>, String>>);
 
 const RENDERING: &str = "synchronized images";
@@ -52,7 +52,8 @@ const BLENDING: &str = "views";
 const MEASURING: &str = "truth, metrics, sheets and files";
 
 impl Comparison<'_> {
-    /// Compares all true images of one instant with rendered images, and appends the scores to `results`.
+    /// Compares rendered images with all ground-truth images of one instant. Appends the scores to `results`, and adds
+    /// the run times to `stages`.
     pub fn compare(
         &self,
         instant: &TrueInstant,
@@ -85,9 +86,10 @@ impl Comparison<'_> {
         Ok(())
     }
 
-    /// Synthesizes the synchronized images at an instant, by sync method and camera. If a view is to be blended,
-    /// `nearest` and the chosen method synchronize all cameras. In all other cases, only cameras with a true image are
-    /// synchronized.
+    /// Interpolates the cameras' images at an instant. Returns the images by synchronization method and camera. If the
+    /// ground truth has a view that is no camera's, `nearest` and the chosen method interpolate the images of all
+    /// cameras, because the view is blended from them. Otherwise, and by the other methods, only the images of cameras
+    /// with a ground-truth image are interpolated.
     fn synchronize(&self, instant: &TrueInstant) -> Vec<SynchronizedBy> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
         let cameras = self.renderer.field().capture().cameras.len();
@@ -104,7 +106,9 @@ impl Comparison<'_> {
         self.options.methods().into_iter().map(all).collect()
     }
 
-    /// Measures the images of one filming camera at an instant, one image per sync method.
+    /// Measures the errors of a camera's synchronized images, one image per synchronization method, against the
+    /// camera's ground-truth image. Writes the images and a comparison sheet. Returns the scores, and the viewer's
+    /// figure.
     fn measure_sync(
         &self,
         target: &ComparedTarget,
@@ -149,13 +153,14 @@ impl Comparison<'_> {
         Ok((rows, Figure::new(&self.truth.views[view.index].id, true_file, sheets, truth, first)))
     }
 
-    /// Returns the path of a file in the comparison's folder. An error if the path contains a symbolic link.
+    /// Returns the path of a file in the comparison's folder. Returns an error if the path contains a symbolic link.
     pub(super) fn file(&self, name: &str) -> Result<PathBuf, CompareError> {
         let failed = |source| CompareError::Write { path: self.out.join(name), source };
         beneath(self.out, name).map_err(failed)
     }
 
-    /// Writes an image in the capture's bit depth. Returns the file's path relative to the comparison's folder.
+    /// Writes an image in the capture's bit depth. `coverage` marks the rendered pixels; all others become transparent.
+    /// Returns the file's path relative to the comparison's folder.
     pub(super) fn write(
         &self,
         target: &ComparedTarget,
@@ -183,8 +188,8 @@ impl Comparison<'_> {
         Ok(SheetFile { file, title })
     }
 
-    /// Returns the image as its file will hold it: clamped and rounded. An error if the image's size differs from the
-    /// size of the true image.
+    /// Returns the image as it will be read from its file: clamped to 0..=1, and rounded to the bit depth. Returns an
+    /// error if the image's size differs from the size of the ground-truth image `truth`.
     pub(super) fn checked(&self, image: Result<&Image, &String>, truth: &Image) -> ImageOrReason {
         let image = image.map_err(Clone::clone)?;
         if (image.width(), image.height()) != (truth.width(), truth.height()) {

@@ -4,7 +4,7 @@
 use crate::raster::Image;
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
-/// Height of a line of text, pixels: 16 for the glyphs, 2 between lines.
+/// Height of a line of text, pixels: 16 for the glyphs, and 2 between lines.
 pub const LINE_PX: usize = 18;
 
 /// Style of a line of text.

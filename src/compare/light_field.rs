@@ -1,4 +1,4 @@
-//! Implements [`Renderer`] for a light field.
+//! The renderer of a comparison for a light field: an implementation of [`Renderer`].
 
 use super::results::StageTime;
 use super::{ComparedView, Renderer, TRADITIONAL};
@@ -12,7 +12,7 @@ use crate::progress::Reporter;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A light field with its rendering options.
+/// A light field with its rendering options. It renders the images that are compared with the ground truth.
 pub struct ComparedLightField {
     field: LightField,
     options: RenderOptions,
@@ -52,9 +52,9 @@ impl Renderer for ComparedLightField {
     }
 
     fn view(&self, view: &ComparedView) -> Result<Rendered, String> {
-        // A true image shows one instant, so a motion trail is switched off.
+        // A ground-truth image shows one instant, so the option for a motion trail is switched off.
         let mut options = RenderOptions { trail: TrailOptions::default(), ..self.options.clone() };
-        // The traditional baseline must not depend on the options.
+        // Traditional light field rendering is the baseline, so it uses the default options of blending and geometry.
         if matches!(view.images, Images::By(TRADITIONAL)) && options.sync != TRADITIONAL {
             let RenderOptions { blend, proxy, .. } = RenderOptions::default();
             (options.blend, options.proxy) = (blend, proxy);

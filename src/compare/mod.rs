@@ -18,7 +18,7 @@
 //! | `light_field.rs` | the renderer of a light field |
 //! | `instant.rs` | one instant: synchronizes the cameras and measures their images |
 //! | `views.rs` | one view at an instant: blends the view by every method, and measures the results |
-//! | `truths.rs` | the true images and their moving parts |
+//! | `truths.rs` | the ground-truth images and their moving parts |
 //! | `results.rs` | the contents of `metrics.json` and `timings.json`, and the main results |
 //! | `sheet.rs`, `lettering.rs` | pictures with labels |
 //! | `viewer.rs` | the data of the report's viewer |
@@ -26,8 +26,8 @@
 //! | `video.rs` | the review video |
 //! | `review.rs` | the layout of `review.blend` |
 //!
-//! Known limits: images are measured after rounding to the bit depth of their files. The true images contain an unknown
-//! amount of rendering noise, which bounds every PSNR.
+//! Known limits: images are measured after rounding to the bit depth of their files. The ground-truth images contain an
+//! unknown amount of rendering noise, which bounds every PSNR.
 
 mod driver;
 mod instant;
@@ -74,12 +74,13 @@ pub const FILES: [&str; 8] = [
     "video/",
 ];
 
-/// The sync method of traditional light field rendering, the baseline: each camera's frame nearest in time.
+/// Synchronization method (method of temporal interpolation) of traditional light field rendering, the baseline: each
+/// camera's frame nearest in time.
 pub const TRADITIONAL: SyncMethod = SyncMethod::Nearest;
 
-/// Renders the images that are compared with the ground truth. [`ComparedLightField`] implements it for an opened light
-/// field. Tests implement it with images of known error. Calls are sequential, so an implementation may use all cores
-/// and a cache.
+/// Renders the images that are compared with the ground truth. [`ComparedLightField`] implements this trait for an
+/// opened light field. Tests implement it with images of known error. Its methods are called one after another, so an
+/// implementation may use all cores and a cache.
 ///
 /// Times are seconds on the reference's clock, from the capture's start
 /// ([`Capture::time_origin_s`](crate::capture::Capture::time_origin_s) subtracted). An `Err` is a sentence for the
@@ -88,7 +89,8 @@ pub trait Renderer: Sync {
     /// Returns the light field, with the capture and its temporal offsets.
     fn field(&self) -> &LightField;
 
-    /// Synthesizes a filming camera's image at a time, from frames of the capture, by the given sync method.
+    /// Interpolates a camera's image at the time `time_s` from frames of the capture, by the given synchronization
+    /// method. `camera` is an index into the capture's cameras.
     fn synchronized(
         &self,
         sync: SyncMethod,
@@ -96,7 +98,7 @@ pub trait Renderer: Sync {
         time_s: f64,
     ) -> Result<Arc<Synchronized>, String>;
 
-    /// Renders a view, blended from images of the filming cameras.
+    /// Renders a view by blending images of the capture's cameras.
     fn view(&self, view: &ComparedView) -> Result<Rendered, String>;
 
     /// Returns the options of all rendering stages. They are written into `metrics.json`.
@@ -112,32 +114,33 @@ pub struct ComparedView<'a> {
     pub target: &'a Camera,
     pub time_s: f64,
     pub proxy: ProxyMethod,
-    /// The filming cameras' images that are blended.
+    /// The images of the capture's cameras that are blended into the view.
     pub images: Images<'a>,
-    /// The filming cameras' images from which depth per pixel is estimated.
+    /// The images of the capture's cameras from which the depth of each pixel is estimated.
     pub shape: Images<'a>,
 }
 
-/// Options of a comparison.
+/// Options of a comparison of rendered images with the ground truth.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CompareOptions {
-    /// The sync method of space-time light field rendering (ST-LFR): how a camera's image between two of its frames is
-    /// made.
+    /// The synchronization method of space-time light field rendering (ST-LFR): how a camera's image between two of its
+    /// frames is made.
     pub sync: SyncMethod,
-    /// True to measure all sync methods on the filming cameras, false to measure only `nearest` and `sync`.
+    /// True to measure the cameras' images by all synchronization methods, false to measure them only by `nearest` and
+    /// by the method in `sync`.
     pub all_methods: bool,
-    /// Threshold of the moving part, pixels. A pixel belongs to the moving part if its surface point moves by more than
-    /// this value within one frame before or after the image's instant.
+    /// Threshold that defines the moving part of an image, pixels. A pixel belongs to the moving part if its surface
+    /// point moves by more than this value within one frame before or after the image's instant.
     pub moving_threshold_px: f32,
-    /// Dilation of the mask of the moving part, pixels. Each pixel of the mask grows by this value to the left, right,
-    /// top and bottom, into a square.
+    /// Dilation of the mask of an image's moving part, pixels. Each pixel of the mask grows by this value to the left,
+    /// right, top and bottom, into a square.
     pub moving_dilation_px: usize,
     /// Viewing condition of the FLIP metric: pixels per degree of visual angle.
     pub pixels_per_degree: f64,
-    /// Factor by which the difference images of the sheets are amplified.
+    /// Factor by which the difference images of the comparison sheets are amplified.
     pub difference_gain: f32,
-    /// Options of the side-by-side review video. `None` writes no video.
+    /// Options of the side-by-side review video. If it is `None`, no video is made.
     pub video: Option<video::VideoOptions>,
 }
 
@@ -203,7 +206,7 @@ impl CompareOptions {
         }
     }
 
-    /// Returns the sync methods to measure, cheapest first.
+    /// Returns the synchronization methods whose images are measured, from the cheapest to the most expensive.
     fn methods(&self) -> Vec<SyncMethod> {
         let wanted = |m: &SyncMethod| self.all_methods || [TRADITIONAL, self.sync].contains(m);
         SyncMethod::ALL.iter().copied().filter(wanted).collect()

@@ -1,12 +1,13 @@
-//! Errors of temporal offsets against the ground truth: the sub-frame synchronization benchmark.
+//! Errors of estimated temporal offsets against the ground truth: the benchmark of sub-frame synchronization.
 
 use super::results::OffsetResult;
 use crate::capture::Truth;
 use crate::offset::{CameraOffset, Offsets};
 
 impl OffsetResult {
-    /// Compares a camera's offset with its true offset. `given` is the camera's offset, `None` if it is missing.
-    /// `frame_s` is the frame interval in seconds. Without `frame_s`, the errors in frames are `None`.
+    /// Compares a camera's estimated temporal offset with its true offset `truth_s`. `given` is the estimated offset,
+    /// `None` if it is missing. `frame_s` is the frame interval in seconds. Without `frame_s`, the errors in frames are
+    /// `None`.
     pub(super) fn new(
         camera: &str,
         given: Option<&CameraOffset>,
@@ -33,9 +34,9 @@ impl OffsetResult {
     }
 }
 
-/// Returns the errors of the offsets of all cameras except the reference, in the order of the ground truth. `frame_s`
-/// is the reference camera's frame interval, seconds. An error if the offsets aren't relative to the camera
-/// `reference`, or if `offsets` has a camera that the ground truth lacks.
+/// Returns the errors of the estimated offsets of all cameras except the reference, in the order of the ground truth.
+/// `frame_s` is the reference camera's frame interval, seconds. Returns an error if the offsets aren't relative to the
+/// camera `reference`, or if `offsets` has a camera that the ground truth lacks.
 pub fn score_offsets(
     offsets: &Offsets,
     truth: &Truth,
@@ -60,7 +61,8 @@ pub fn score_offsets(
     Ok(scored.collect())
 }
 
-/// Returns the absolute errors of the estimated offsets in frames, ascending. Cameras without an error are skipped.
+/// Returns the absolute errors of the estimated offsets in frame intervals, ascending. Cameras without an error are
+/// skipped.
 pub fn errors_frames(scored: &[OffsetResult]) -> Vec<f64> {
     let errors = scored.iter().filter_map(|camera| camera.error_frames);
     let mut errors: Vec<f64> = errors.map(f64::abs).collect();

@@ -1,19 +1,19 @@
 "use strict";
-// The viewer: two pictures of one view with a border between them, and the same small place by every method.
+// The viewer: two pictures of one view with a border between them, and the same small crop of every method's picture.
 
 const byId = (id) => document.getElementById(id);
 const groups = JSON.parse(byId("pictures").textContent);
 const views = groups.flatMap((group) => group.views.map((view) => ({ ...view, group })));
 const TRUTH = "truth";
-/** The range of the bars beneath the crops, decibels. */
+/** The PSNRs at which a bar beneath a crop is empty and full, decibels. */
 const METER_DB = [15, 45];
 
 const number = (value, digits) => (value === null || value === undefined ? "–" : value.toFixed(digits).replace("-", "−"));
 const psnr = (scores) => (scores.psnr_db === null && scores.pixels > 0 ? "identical" : `${number(scores.psnr_db, 1)} dB`);
-/** The part that the picker's numbers are of: the moving one, or of a view without motion the whole. */
+/** The part of the image whose scores the picker shows: the moving part, or the whole image if nothing moves. */
 const part = (scores) => (scores.moving.pixels > 0 ? "moving" : "whole");
 
-/** What is shown. `left` and `right` are "truth", or the row and the column of a picture, such as "1,2". */
+/** The viewer's state. `left` and `right` are "truth", or the row and the column of a picture, such as "1,2". */
 const state = { view: 0, left: TRUTH, right: "", differs: false, gain: 4, at: 50, place: [0.5, 0.5], zoom: 8 };
 
 const view = () => views[state.view];
@@ -36,7 +36,7 @@ function element(name, properties, ...children) {
   return made;
 }
 
-/** Selects a view. A picture that the view has not becomes the first choice of its group. */
+/** Selects a view. If it lacks the picture shown at the right, its first picture is shown; at the left, the truth. */
 function select(index) {
   const before = view().group;
   state.view = index;
@@ -55,7 +55,7 @@ function select(index) {
   draw();
 }
 
-/** Makes the picker: the truth, then a button for each picture, rows of proxies and columns of methods. */
+/** Makes the picker: buttons for the truth and for each picture, with a row per proxy and a column per method. */
 function fillPicker(cells, ratio) {
   const { rows, columns } = view().group;
   const named = rows.some(Boolean);
@@ -97,7 +97,7 @@ function button(cell, key, crop) {
   return made;
 }
 
-/** Shows the state. */
+/** Updates the page to show the current state. */
 function draw() {
   const { differs, gain, at } = state;
   const stage = byId("stage");
@@ -123,7 +123,7 @@ function draw() {
   drawLoupe();
 }
 
-/** Sets an image's file, unless it shows it already. */
+/** Sets the file and the label of an image element. A file that is shown already is not loaded again. */
 function show(image, file, label) {
   if (image.getAttribute("src") !== file) image.src = file;
   image.alt = label;
@@ -136,7 +136,7 @@ function described(key) {
   return element("span", { textContent: `${labelOf(key)}: ${text}` });
 }
 
-/** Moves the loupe's frame, and what the crops show. */
+/** Moves the loupe's frame, and the crops to the part of the picture that is inside the frame. */
 function drawLoupe() {
   const { place, zoom, differs, gain } = state;
   const size = 1 / zoom;
@@ -149,7 +149,7 @@ function drawLoupe() {
     const hasDifference = differs && made.dataset.key !== TRUTH;
     const files = [fileOf(made.dataset.key), ...(hasDifference ? [view().truth] : [])].map((file) => `url("${encodeURI(file)}")`);
     const image = files.join(", ");
-    // An assignment of the same image would load it again.
+    // Assigning the same image again would make the browser load it again.
     if (crop.dataset.image !== image) crop.style.backgroundImage = crop.dataset.image = image;
     Object.assign(crop.style, {
       backgroundSize: `${100 * zoom}% ${100 * zoom}%`,
@@ -167,7 +167,7 @@ function change(values) {
 }
 
 const clamp = (value, most) => Math.min(most, Math.max(0, value));
-/** An event's place on the stage, as fractions of its width and height. */
+/** The pointer's position on the stage, as fractions of the stage's width and height. */
 function placeOf(event) {
   const box = byId("stage").getBoundingClientRect();
   return [clamp((event.clientX - box.left) / box.width, 1), clamp((event.clientY - box.top) / box.height, 1)];
@@ -236,7 +236,7 @@ if (views.length) {
   select(0);
 }
 
-// A link to a folded part, and printing, unfold it.
+// A collapsed part of the report is opened if a link leads to it. All parts are opened for printing.
 const unfold = () => document.querySelector(`details[id="${CSS.escape(location.hash.slice(1))}"]`)?.setAttribute("open", "");
 addEventListener("hashchange", unfold);
 addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((part) => (part.open = true)));

@@ -58,15 +58,15 @@ fn in_script(value: &impl Serialize) -> Value {
     Value::from_safe_string(text.replace('<', "\\u003c"))
 }
 
-/// Returns the summary of the views with the proxy geometry that the command `render` uses. `None` if no such view was
-/// rendered.
+/// Returns the summary of the blended views for one proxy geometry: the one that `stlfr render` uses with the options
+/// of the comparison. `None` if no such view was rendered.
 fn rendered(metrics: &Metrics) -> Option<&ViewHeadline> {
     let headline = &metrics.headline;
     let proxy = headline.methods.iter().find(|method| method.is_rendered)?.proxy;
     headline.views.iter().find(|views| views.proxy == proxy)
 }
 
-/// A table of scores. Each row is a compared image, each column a method.
+/// A table of scores in the report. Each row is a compared image, each column a method.
 #[derive(Serialize)]
 struct ScoreTable {
     columns: Vec<&'static str>,
@@ -81,7 +81,7 @@ struct ScoreRow {
     scores: Vec<Option<RegionScores>>,
 }
 
-/// The scores of one image by one method.
+/// The scores of an image that one method rendered, for a [`ScoreTable`].
 struct ScoredImage<'a> {
     labels: [String; 2],
     method: &'static str,
@@ -90,7 +90,8 @@ struct ScoredImage<'a> {
 }
 
 impl ScoreTable {
-    /// Makes a table. Images with the same labels form one row.
+    /// Makes a table. Images with the same labels form one row, and the scores of each image are in the column of its
+    /// method.
     fn new<'a>(columns: Vec<&'static str>, images: impl Iterator<Item = ScoredImage<'a>>) -> Self {
         let (mut rows, mut missing): (Vec<ScoreRow>, Vec<String>) = Default::default();
         for ScoredImage { labels, method, scores, reason } in images {
@@ -165,21 +166,23 @@ fn rounded(v: f64, digits: usize) -> String {
     if zero { text.trim_start_matches('-').to_owned() } else { text }
 }
 
-/// Formats the PSNR of [`crate::metrics::Scores`]. Identical images have an infinite PSNR, which becomes "identical".
+/// Formats the PSNR of [`crate::metrics::Scores`]. Identical images have no finite PSNR, and give the text `identical`.
 fn psnr(scores: Value) -> Result<String, minijinja::Error> {
     let (pixels, psnr_db) = (scores.get_attr("pixels")?, scores.get_attr("psnr_db")?);
     let same = psnr_db.is_none() && u64::try_from(pixels).unwrap_or(0) > 0;
     Ok(if same { "identical".into() } else { num(psnr_db, 1) })
 }
 
-/// Returns the smallest and the largest fraction of a view that is measured, percent. `None` if no view was measured.
+/// Returns the smallest and the largest percentage of a blended view's pixels on which the view was compared with the
+/// ground truth, among all views. `None` if no view was compared.
 fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
     let fractions = || metrics.views.iter().filter_map(|v| v.measured);
     let (min, max) = (fractions().min_by(f64::total_cmp)?, fractions().max_by(f64::total_cmp)?);
     Some([min, max].map(|fraction| format!("{:.1}", 100.0 * fraction)))
 }
 
-/// Returns names and help texts of the given methods. The help texts start in lower case, for use within a sentence.
+/// Returns the names and help texts of the methods that occur, each once. The help texts start in lower case, for use
+/// within a sentence.
 fn explained<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<Value> {
     let explain = |method: M| {
         let mut letters = method.help().chars();
@@ -190,7 +193,8 @@ fn explained<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<Value> {
     used(occurring).into_iter().map(explain).collect()
 }
 
-/// Returns the SVG plot of the offset errors in thousandths of a frame, with error bars of two standard errors.
+/// Returns the SVG plot of the errors of the estimated offsets, in thousandths of a frame interval, with error bars of
+/// ±2 standard errors.
 fn offset_plot(metrics: &Metrics) -> String {
     let rows: Vec<DotRow> = metrics
         .offsets
@@ -210,8 +214,8 @@ fn offset_plot(metrics: &Metrics) -> String {
     DotPlot { rows, x_label, symmetric: true }.svg()
 }
 
-/// Returns the SVG plot of the PSNR on the moving part of each camera's image. Each camera has a row, each sync method
-/// a colour.
+/// Returns the SVG plot of the PSNR of each camera's synchronized images, on the pixels of moving surfaces. Each camera
+/// has a row, each synchronization method a colour.
 fn sync_plot(metrics: &Metrics) -> String {
     let methods = used(metrics.sync.iter().map(|row| row.method));
     let dots = metrics.sync.iter().map(|row| ScoredDot {
@@ -223,8 +227,8 @@ fn sync_plot(metrics: &Metrics) -> String {
     psnr_plot(dots, "PSNR on the moving part, dB (a dot per instant)")
 }
 
-/// Returns the SVG plot of the PSNR on the moving part of each view. Each view with each proxy geometry has a row, each
-/// method a colour.
+/// Returns the SVG plot of the PSNR of each blended view, on the pixels of moving surfaces. Each view with each proxy
+/// geometry has a row, each method a colour.
 fn view_plot(metrics: &Metrics) -> String {
     let dots = metrics.views.iter().map(|row| {
         let label = format!("{}, {}", row.view, row.proxy.name());
@@ -238,7 +242,7 @@ fn view_plot(metrics: &Metrics) -> String {
     psnr_plot(dots, "PSNR on the moving part, dB")
 }
 
-/// A dot in a PSNR plot, for one image.
+/// A dot in a PSNR plot: the score of one image.
 struct ScoredDot {
     /// Label of the dot's row.
     label: String,
@@ -247,8 +251,8 @@ struct ScoredDot {
     scores: Option<RegionScores>,
 }
 
-/// Returns an SVG plot of the PSNR on the moving part. Dots with the same label form a row. Rows are in order of first
-/// appearance.
+/// Returns an SVG plot of PSNRs on the pixels of moving surfaces. Dots with the same label form a row. Rows are in
+/// order of first appearance.
 fn psnr_plot(dots: impl Iterator<Item = ScoredDot>, x_label: &str) -> String {
     let mut rows: Vec<DotRow> = Vec::new();
     for ScoredDot { label, title, series, scores } in dots {

@@ -33,11 +33,11 @@ pub struct CaptureFacts {
     pub rig: String,
     pub reference: String,
     pub cameras: usize,
-    /// Smallest and largest number of frames of a camera.
+    /// Smallest and largest number of frames among the cameras.
     pub frames: (usize, usize),
     /// Image size of the reference camera: width and height, pixels.
     pub size_px: (usize, usize),
-    /// Frame interval of the reference camera, seconds. Errors in "frames" are in this unit.
+    /// Frame interval of the reference camera, seconds. It is the unit of all errors "in frames".
     pub frame_s: f64,
     pub bits: u32,
 }
@@ -48,25 +48,25 @@ pub struct Headline {
     pub offset: OffsetHeadline,
     pub sync: SyncHeadline,
     pub views: Vec<ViewHeadline>,
-    /// Median scores of every view method with every proxy geometry. The first entry is the baseline, traditional LFR.
+    /// Median scores of every [`ViewMethod`] with every proxy geometry. The first entry is the baseline, traditional
+    /// light field rendering.
     pub methods: Vec<MethodHeadline>,
-    /// Number of missing images: synchronized images of cameras, blended views, and cameras' images that are missing in
-    /// blended views.
+    /// Number of images that could not be rendered: synchronized images of cameras, and blended views. A camera whose
+    /// image is missing when a view is blended counts as another missing image.
     pub missing_images: usize,
-    /// Number of images that should have been rendered: synchronized images of cameras, blended views, and the cameras'
-    /// images for every blended view.
+    /// Number of images that the comparison asked for: synchronized images of cameras, blended views, and for every
+    /// blended view one image of each camera.
     pub wanted_images: usize,
     /// The most frequent reason for a missing image. `None` if no image is missing.
     pub missing_reason: Option<String>,
 }
 
-/// Scores of one view method with one proxy geometry: medians over all views.
+/// Scores of one [`ViewMethod`] with one proxy geometry: medians over all views.
 #[derive(Clone, Debug, Serialize)]
 pub struct MethodHeadline {
     pub proxy: ProxyMethod,
     pub method: ViewMethod,
-    /// Whether the command `render` uses this method and this proxy geometry, if it is given the options of the
-    /// comparison.
+    /// Whether `stlfr render`, if given the options of the comparison, would use this method with this proxy geometry.
     pub is_rendered: bool,
     pub scores: RegionScores,
     pub views: usize,
@@ -77,13 +77,14 @@ pub struct MethodHeadline {
 pub struct OffsetHeadline {
     pub median_frames: Option<f64>,
     pub worst_frames: Option<f64>,
-    /// Number of cameras whose clock differs from the reference's clock.
+    /// Number of cameras that don't share the reference's clock, so that their offsets have to be estimated.
     pub unknown_clocks: usize,
-    /// Number of cameras whose clock differs from the reference's clock and whose offset was estimated.
+    /// Number of cameras that don't share the reference's clock and whose offset was estimated.
     pub estimated: usize,
 }
 
-/// PSNR gain of the chosen sync method over the nearest frame, on the pixels of moving surfaces.
+/// PSNR gain of the chosen synchronization method over the nearest frame, on the pixels of moving surfaces, over all
+/// cameras and instants.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct SyncHeadline {
     pub method: SyncMethod,
@@ -92,14 +93,15 @@ pub struct SyncHeadline {
     pub images: usize,
 }
 
-/// PSNR gain of ST-LFR over traditional LFR, and PSNR gap to perfect synchronization, with one proxy geometry.
+/// PSNR gain of space-time light field rendering (ST-LFR) over traditional light field rendering, and PSNR gap between
+/// ST-LFR and perfect synchronization. Medians over all views with one proxy geometry, in decibels.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ViewHeadline {
     pub proxy: ProxyMethod,
     pub gain_whole_db: Option<f64>,
     pub gain_moving_db: Option<f64>,
-    /// PSNR of perfect synchronization minus PSNR of ST-LFR over the whole image, median over views, decibels. Negative
-    /// if ST-LFR is better. `None` if no view has both values.
+    /// PSNR with perfect synchronization minus PSNR of space-time light field rendering (ST-LFR), over the whole image:
+    /// median over views, decibels. Negative if ST-LFR is better. `None` if no view has both values.
     pub gap_whole_db: Option<f64>,
     pub gap_moving_db: Option<f64>,
     pub views: usize,
@@ -115,13 +117,14 @@ pub struct OffsetResult {
     pub truth_s: Option<f64>,
     pub error_frames: Option<f64>,
     pub std_err_frames: Option<f64>,
-    /// The offset's error divided by its standard error. `None` if either is unknown, or if the standard error is 0.
+    /// The offset's error divided by its standard error. `None` if the error or the standard error is unknown, or if
+    /// the standard error is 0.
     pub z: Option<f64>,
     /// Sentence that says why the offset is unknown. `None` if the offset is known.
     pub reason: Option<String>,
 }
 
-/// Scores of a filming camera's image at one instant, made by one sync method.
+/// Scores of a camera's image that one synchronization method interpolated at one instant.
 #[derive(Clone, Debug, Serialize)]
 pub struct SyncResult {
     pub view: String,
@@ -135,16 +138,18 @@ pub struct SyncResult {
     pub reason: Option<String>,
 }
 
-/// Method of a blended view: which images of the filming cameras are blended. Reports name a method by its help text.
+/// Method of a blended view: which images of the capture's cameras are blended. Reports show a method's help text as
+/// its name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViewMethod {
     /// Traditional light field rendering: blends each camera's nearest frame.
     #[default]
     TraditionalLfr,
-    /// Space-time light field rendering: blends images synchronized by the chosen sync method.
+    /// Space-time light field rendering: blends images that the chosen synchronization method interpolated.
     StLfr,
-    /// Blends the true images of all cameras at the instant. The result shows what perfect synchronization would reach.
+    /// Blends the ground-truth images of all cameras at the instant. The result shows what perfect synchronization
+    /// would reach.
     PerfectSync,
 }
 
@@ -163,10 +168,10 @@ pub struct ViewResult {
     pub method: ViewMethod,
     /// Number of cameras whose images are blended.
     pub cameras: usize,
-    /// Cameras whose images are missing at this instant and aren't blended, with the reasons.
+    /// Cameras whose images are missing at this instant, so that they aren't blended, each with the reason.
     pub excluded: Vec<ExcludedCamera>,
-    /// Fraction of the view's pixels that are measured: the pixels covered by every method with every proxy geometry.
-    /// `None` if the view has no image.
+    /// Fraction of the view's pixels that are compared with the ground truth: the pixels that every method renders with
+    /// every proxy geometry. `None` if the view has no image.
     pub measured: Option<f64>,
     pub scores: Option<RegionScores>,
     pub image: Option<String>,
@@ -187,7 +192,7 @@ pub struct StageTime {
     pub seconds: f64,
 }
 
-/// Wall-clock times: one entry per stage, with the sum over all calls of the stage.
+/// Wall-clock times of a comparison: one entry per stage, with the sum over all calls of the stage.
 pub(super) struct StageTimes(pub Vec<StageTime>);
 
 impl StageTimes {
@@ -209,13 +214,14 @@ impl StageTimes {
     }
 }
 
-/// Returns the methods that occur, each once, from the cheapest to the most expensive.
+/// Returns the methods in `occurring`, each once, from the cheapest to the most expensive.
 pub(super) fn used<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<M> {
     let occurring: Vec<M> = occurring.collect();
     M::ALL.iter().copied().filter(|method| occurring.contains(method)).collect()
 }
 
-/// Summarizes all results into the main results. `rendered` is the proxy geometry that the command `render` uses.
+/// Summarizes the scores of all offsets, synchronized images (`sync`) and blended views into the main results.
+/// `rendered` is the proxy geometry that `stlfr render` uses.
 pub(super) fn headline(
     options: &CompareOptions,
     rendered: ProxyMethod,
@@ -252,8 +258,8 @@ pub(super) fn headline(
     }
 }
 
-/// Returns the reasons of all missing images, one reason per image. A camera's image that is missing in a blended view
-/// is counted too.
+/// Returns why images are missing: one reason per synchronized image or blended view that could not be rendered, and
+/// one per camera whose image is missing when a view is blended.
 fn missing_reasons<'a>(sync: &'a [SyncResult], views: &'a [ViewResult]) -> Vec<&'a str> {
     let unknown = |reason: &'a Option<String>| reason.as_deref().unwrap_or("no image");
     let cameras = sync.iter().filter(|s| s.scores.is_none()).map(|s| unknown(&s.reason));
@@ -267,8 +273,8 @@ fn most_frequent(reasons: &[&str]) -> Option<String> {
     reasons.iter().max_by_key(count).map(|reason| (*reason).to_owned())
 }
 
-/// Returns the median scores over views of every method with every proxy geometry. The baseline is first: traditional
-/// LFR with the cheapest proxy.
+/// Returns the median scores, over all views, of every [`ViewMethod`] with every proxy geometry. The baseline is first:
+/// traditional light field rendering with the cheapest proxy geometry.
 fn method_headlines(views: &[ViewResult], rendered: ProxyMethod) -> Vec<MethodHeadline> {
     let mut found = Vec::new();
     for method in used(views.iter().map(|v| v.method)) {
@@ -299,8 +305,8 @@ fn method_headlines(views: &[ViewResult], rendered: ProxyMethod) -> Vec<MethodHe
     found
 }
 
-/// Returns the PSNR gains of the chosen sync method over the nearest frame in decibels, on the pixels of moving
-/// surfaces. Each image that both methods rendered gives one entry.
+/// Returns the PSNR gains of the chosen synchronization method over the nearest frame, in decibels, on the pixels of
+/// moving surfaces. There is one gain for each camera and instant at which both methods rendered an image.
 fn sync_gains(options: &CompareOptions, sync: &[SyncResult]) -> Vec<f64> {
     let psnr = |view: &str, method: SyncMethod| {
         let found = sync.iter().find(|s| s.view == view && s.method == method)?;

@@ -10,10 +10,10 @@ use serde::Serialize;
 /// Name of the layout file in the comparison's folder.
 pub const FILE: &str = "review.json";
 
-/// Display time of a still picture, seconds.
+/// Display time of a still picture in the review, seconds.
 const STILL_S: f64 = 2.0;
 
-/// Frame rate of the sequences of still pictures, hertz.
+/// Frame rate of the review's sequences of still pictures, hertz.
 const STILL_RATE_HZ: f64 = 12.0;
 
 /// Contents of `review.json`. Paths are relative to the file's folder.
@@ -27,7 +27,7 @@ pub(super) struct ReviewLayout {
     reels: Vec<Reel>,
 }
 
-/// A sequence of shots with a common frame rate.
+/// A sequence of shots in the Blender file, with a common frame rate.
 #[derive(Debug, Serialize)]
 struct Reel {
     name: &'static str,
@@ -35,8 +35,8 @@ struct Reel {
     shots: Vec<ReviewShot>,
 }
 
-/// True picture and the pictures of two methods, shown side by side for a number of frames. A missing picture is
-/// `None`.
+/// The ground-truth picture or video and those of two methods, shown side by side for a number of frames. A missing
+/// picture is `None`.
 #[derive(Debug, Serialize)]
 struct ReviewShot {
     label: String,
@@ -53,8 +53,8 @@ struct ReviewPanel {
     file: String,
 }
 
-/// Returns the layout of the review. The video, the blended views and the filming cameras' images have one sequence
-/// each.
+/// Returns the layout of the review. It has up to three sequences: the video, the blended views, and the images of the
+/// capture's cameras.
 pub(super) fn layout(metrics: &Metrics, video: Option<&ReviewVideo>) -> ReviewLayout {
     let mut reels: Vec<Reel> = video.map(movie_reel).into_iter().collect();
     for (name, shots) in [("Views", view_shots(metrics)), ("Cameras", camera_shots(metrics))] {
@@ -87,8 +87,9 @@ fn movie_reel(video: &ReviewVideo) -> Reel {
     Reel { name: "Video", rate_hz: video.rate_hz, shots: vec![shot] }
 }
 
-/// Makes a shot of still pictures from the pictures of traditional LFR and ST-LFR, in this order. The true picture is
-/// the file `truth.png` in their folder. Returns `None` if neither method has a picture.
+/// Makes a shot of still pictures. `panels` are the pictures of traditional and of space-time light field rendering, in
+/// this order. The ground-truth picture is the file `truth.png` in the same folder. Returns `None` if neither method
+/// has a picture.
 fn still(label: String, panels: [Option<ReviewPanel>; 2]) -> Option<ReviewShot> {
     let (folder, _) = panels.iter().flatten().next()?.file.rsplit_once('/')?;
     let truth = Some(format!("{folder}/truth.png"));

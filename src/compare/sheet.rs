@@ -1,4 +1,4 @@
-//! Comparison sheets: the true image and each method's image side by side, with labels. Below are the amplified
+//! Comparison sheets: the ground-truth image and each method's image side by side, with labels. Below are the amplified
 //! differences.
 
 use super::lettering::{LINE_PX, TextStyle, width_px, write};
@@ -7,13 +7,13 @@ use crate::metrics::{RegionScores, Scores};
 use crate::raster::Image;
 use std::borrow::Cow;
 
-/// Grey value of the background, from 0 to 1.
+/// Grey value of a sheet's background, from 0 to 1.
 const BACKGROUND: f32 = 0.09;
 const TITLE: TextStyle = TextStyle { bold: true, color: [0.93; 3] };
 const CAPTION: TextStyle = TextStyle { bold: false, color: [0.65; 3] };
-/// Tint of the pixels of moving surfaces: red, green and blue, each from 0 to 1.
+/// Tint of the pixels of moving surfaces in the marked ground-truth image: red, green and blue, each from 0 to 1.
 const MOVING_TINT: [f32; 3] = [1.0, 0.62, 0.18];
-/// Tint of the pixels of static surfaces: red, green and blue, each from 0 to 1.
+/// Tint of the pixels of static surfaces in the marked ground-truth image: red, green and blue, each from 0 to 1.
 const STILL_TINT: [f32; 3] = [0.45; 3];
 /// Width of the margins between panels and around them, pixels.
 const MARGIN_PX: usize = 12;
@@ -29,15 +29,16 @@ pub(super) struct Panel<'a> {
     pub title: String,
     /// The image, or the reason why the image is missing.
     pub image: Result<&'a Image, &'a String>,
-    /// Scores of the image against the true image. `None` if there is no image.
+    /// Scores of the image against the ground-truth image. `None` if there is no image.
     pub scores: Option<RegionScores>,
 }
 
-/// Draws a comparison sheet as an RGB image. The true image is at the left, with its moving part marked below. The
-/// methods' images follow. Below each method's image is its absolute difference from the true image, times `gain`.
+/// Draws a comparison sheet as an RGB image. The ground-truth image is at the left, with its moving part marked below.
+/// The methods' images follow. Below each method's image is its absolute difference from the ground-truth image, times
+/// `gain`.
 ///
 /// # Panics
-/// If an image differs from the true image in size or number of channels.
+/// If an image differs from the ground-truth image in size or number of channels.
 pub(super) fn sheet(title: &str, truth: &TrueImage, panels: &[Panel], gain: f32) -> Image {
     let factor = truth.image.width().max(truth.image.height()).div_ceil(MAX_PANEL_PX);
     let [width, height] = [truth.image.width(), truth.image.height()].map(|n| n.div_ceil(factor));
@@ -80,7 +81,8 @@ pub(super) fn sheet(title: &str, truth: &TrueImage, panels: &[Panel], gain: f32)
     sheet
 }
 
-/// Returns the true image in dark grey, with the pixels of moving surfaces tinted.
+/// Returns the ground-truth image in dark grey, with tinted pixels: one tint for moving surfaces, another for static
+/// ones.
 fn marked(truth: &TrueImage) -> Image {
     let gray = truth.image.to_gray();
     let pixels = gray.data().iter().zip(&truth.moving).flat_map(|(v, moves)| {
@@ -100,7 +102,8 @@ fn difference(a: &Image, b: &Image, gain: f32) -> Image {
     Image::from_data(a.width(), a.height(), a.channels(), data.collect())
 }
 
-/// Returns three lines of text: PSNR, SSIM and FLIP, each for the whole image and for the moving part.
+/// Formats an image's scores as three lines of text: PSNR, SSIM and FLIP, each for the whole image and for the moving
+/// part.
 fn score_lines(scores: &RegionScores) -> [String; 3] {
     let number = |v: Option<f64>, digits: usize| match v {
         Some(v) => format!("{v:.digits$}"),

@@ -14,7 +14,7 @@ const ORIGIN_S: f64 = 100.0;
 /// A valid camera id that isn't safe as a file name.
 const EVIL: &str = "an odd id";
 
-/// Returns the JSON of a camera with 8 frames per second. Its frame times are exact binary numbers.
+/// Returns the JSON of a camera with 8 frames per second, whose frame times are exact in binary.
 fn camera(id: &str) -> Value {
     json!({"width": W, "height": H, "model": "PINHOLE", "params": [24.0, 24.0, 12.0, 10.0],
         "cam_from_world": {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]},
@@ -27,7 +27,7 @@ fn scene() -> Image {
     Image::from_data(W, H, 3, data)
 }
 
-/// Returns an npy file with a motion of 2 px in the top left quarter, and 0 elsewhere.
+/// Returns the bytes of an npy file with a motion of 2 px in the image's top left quarter, and 0 elsewhere.
 fn motion() -> Vec<u8> {
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({H}, {W}), }}\n");
@@ -46,8 +46,8 @@ struct Set {
 }
 
 impl Set {
-    /// Writes a capture of two cameras, with the ids `a` and [`EVIL`]. The ground truth has images of one instant: from
-    /// both cameras' places and from a new view. `change` edits the ground truth before it is written.
+    /// Writes a capture of two cameras, with the ids `a` and [`EVIL`]. The ground truth has images of one instant: with
+    /// the poses of both cameras, and from a new view. `change` edits the ground truth before it is written.
     fn new(change: impl FnOnce(&mut Value)) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let capture = json!({"format": "stlfr-capture", "version": 1, "name": "<b>tiny</b>",
@@ -111,14 +111,14 @@ fn offsets() -> Offsets {
     Offsets { reference: "a".into(), cameras }
 }
 
-/// A renderer whose errors are known. The image of a camera differs from the true image by 0.1 with `nearest`, and by
-/// 0.01 with all other sync methods. A rendered view is the mean of the cameras' images.
+/// A renderer whose errors are known. The image of a camera differs from the ground-truth image by 0.1 with `nearest`,
+/// and by 0.01 with all other synchronization methods. A rendered view is the mean of the cameras' images.
 struct Fake {
     field: LightField,
     truth: Image,
-    /// Index of a camera for which every sync method except `nearest` fails.
+    /// Index of a camera for which every synchronization method except `nearest` fails.
     broken: Option<usize>,
-    /// Number of covered pixels of a rendered view. They are its first pixels, row by row.
+    /// Number of covered pixels of a rendered view: the first pixels, row by row.
     covered: usize,
     options: RenderOptions,
 }

@@ -1,4 +1,4 @@
-//! The true images of a comparison. They are checked before anything is rendered.
+//! The ground-truth images of a comparison. They are checked before anything is rendered.
 
 use super::{CompareError, CompareOptions};
 use crate::camera::Camera;
@@ -6,37 +6,38 @@ use crate::capture::{Capture, Color, Truth};
 use crate::metrics::moving_part;
 use crate::raster::{BitDepth, Image};
 
-/// Smallest time between two instants, seconds. True images closer in time belong to one instant.
+/// Smallest time between two instants, seconds. Ground-truth images closer in time belong to one instant.
 const SAME_INSTANT_S: f64 = 1e-6;
 
 /// An instant at which the ground truth has images.
 pub(crate) struct TrueInstant {
     /// Time of the instant as in `truth.json`, in seconds on the reference camera's clock.
     pub time_s: f64,
-    /// Time of the instant from the capture's start, in seconds on the reference camera's clock.
+    /// Time of the instant from the capture's start, in seconds on the reference camera's clock: `time_s` minus the
+    /// capture's time origin.
     pub inner_s: f64,
     pub views: Vec<TrueView>,
 }
 
-/// One true image of an instant.
+/// A ground-truth image of an instant, before it is read.
 pub(crate) struct TrueView {
     /// Index of the view in [`Truth::views`].
     pub index: usize,
-    /// Index of the filming camera at the view's place. `None` if no camera is there.
+    /// Index of the capture's camera with the same lens and pose as the view. `None` if there is no such camera.
     pub like: Option<usize>,
     pub camera: Camera,
     /// Unique base name of the view's output files.
     pub stem: String,
 }
 
-/// A true image, and the row-major mask of the pixels whose surface moves.
+/// A ground-truth image, and the row-major mask of the pixels whose surface moves.
 pub(crate) struct TrueImage {
     pub image: Image,
     pub moving: Vec<bool>,
 }
 
-/// Groups the views of the ground truth by instant, in the order of `truth.json`. An error if an image file is missing
-/// or a view is invalid.
+/// Groups the views of the ground truth by instant, in the order of `truth.json`. Returns an error if an image or
+/// motion file is missing, or if a view is invalid.
 pub(crate) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInstant>, CompareError> {
     let mut instants: Vec<TrueInstant> = Vec::new();
     for (index, view) in truth.views.iter().enumerate() {
@@ -84,8 +85,8 @@ pub(crate) fn slug(name: &str) -> String {
 }
 
 impl TrueView {
-    /// Reads a true image and computes the mask of its moving part. The image is converted to grey if the rendered
-    /// images are grey, otherwise to RGB.
+    /// Reads a ground-truth image and computes the mask of the pixels whose surface moves. The image is converted to
+    /// grey if the rendered images are grey, otherwise to RGB.
     pub fn read(
         &self,
         truth: &Truth,
@@ -111,8 +112,9 @@ impl TrueView {
     }
 }
 
-/// Returns `image` with the pixels of the true image in place of its uncovered pixels. Metrics that compare windows of
-/// pixels then find no error at the uncovered pixels. `covered` has one value per pixel, row by row.
+/// Returns `image` with the pixels of the ground-truth image `truth` in place of its uncovered pixels. Metrics that
+/// compare windows of pixels, such as SSIM, then find no error at the uncovered pixels. `covered` has one value per
+/// pixel, row by row.
 pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
     let n = image.channels();
     let mut filled = image.clone();
@@ -124,8 +126,8 @@ pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Ima
     filled
 }
 
-/// Returns the image that a file of this bit depth would contain. Values are clamped to 0..=1 and rounded. The image is
-/// converted to grey for 1 channel, otherwise to RGB.
+/// Returns the image as it would be read from a file of this bit depth: clamped to 0..=1, and rounded. The image is
+/// converted to grey if `channels` is 1, otherwise to RGB.
 pub(crate) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Image {
     let mut image = if channels == 1 { image.to_gray() } else { image.to_rgb() };
     let most = ((1u32 << bits(depth)) - 1) as f32;

@@ -1,5 +1,5 @@
-//! The review video: true images, traditional LFR and ST-LFR side by side over time. For `review.blend`, each of the
-//! three is also written as a separate lossless video.
+//! The review video: ground-truth images, traditional light field rendering and space-time light field rendering side
+//! by side over time. For `review.blend`, each of the three is also written as a separate lossless video.
 
 use super::instant::Comparison;
 use super::results::ViewMethod;
@@ -20,11 +20,11 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VideoOptions {
-    /// Number of frames. Ignored if the ground truth has a video: then the times of that video are used.
+    /// Number of frames. It is ignored if the ground truth has a video, whose times are then used.
     pub frames: usize,
     /// Frame rate at which the review video is shown, hertz.
     pub rate_hz: f64,
-    /// Path of the ffmpeg program that encodes. It is not written into the results.
+    /// Path of the ffmpeg program that encodes the videos. It is not written into the results.
     #[serde(skip)]
     pub ffmpeg: PathBuf,
 }
@@ -58,15 +58,15 @@ pub(super) struct ReviewVideo {
     pub view: String,
     pub frames: usize,
     pub rate_hz: f64,
-    /// Lossless videos of the true images and of each method. Each entry is a name (`truth` or the method's name) and a
-    /// path relative to the comparison's folder.
+    /// Lossless videos of the ground-truth images and of each method. Each entry is a name (`truth` or the method's
+    /// name) and a path relative to the comparison's folder.
     pub movies: Vec<(&'static str, String)>,
 }
 
 impl ReviewVideo {
     /// Renders and writes the videos. They show the view and the times of the video in the ground truth. If the ground
-    /// truth has no video, the times cover the span in which all cameras can give an image. The view is then the first
-    /// view of the ground truth that no camera filmed. If there is none, it is the reference camera's view.
+    /// truth has no video, the times cover the span in which an image of every camera can be interpolated. The view is
+    /// then the first view of the ground truth whose pose is not that of a camera, or else the reference camera's view.
     ///
     /// The proxy geometry is the one in the renderer's options. `codec` encodes the side-by-side video.
     pub fn write(
@@ -117,18 +117,18 @@ impl ReviewVideo {
     }
 }
 
-/// A view at several times, with its true images.
+/// A view at several times, with its ground-truth images, if there are any.
 struct VideoInstants {
     target: Camera,
     /// Times from the capture's start, in seconds on the reference camera's clock.
     times_s: Vec<f64>,
-    /// Files of the true images, one per time. Empty if there are no true images.
+    /// Files of the ground-truth images, one per time. Empty if there are none.
     truth: Vec<PathBuf>,
     view: String,
 }
 
 impl VideoInstants {
-    /// Takes the view, the times and the true images from the video in the ground truth.
+    /// Takes the view, the times and the images from the video in the ground truth.
     fn of_truth(comparison: &Comparison, video: &TruthVideo) -> Result<Self, ReviewVideoError> {
         let wrong = |reason: &str| ReviewVideoError::Field(reason.to_owned());
         if video.times_s.is_empty() || video.times_s.iter().any(|t| !t.is_finite()) {
@@ -148,8 +148,8 @@ impl VideoInstants {
         })
     }
 
-    /// Returns a view and `frames` times, which are evenly spaced over the span that all cameras cover. There are no
-    /// true images. [`ReviewVideo::write`] describes how the view is chosen.
+    /// Chooses a view, and `frames` times that are evenly spaced over the span in which an image of every camera can be
+    /// interpolated. There are no ground-truth images. [`ReviewVideo::write`] describes how the view is chosen.
     fn spanning(comparison: &Comparison, frames: usize) -> Result<Self, ReviewVideoError> {
         let capture = comparison.renderer.field().capture();
         let span_s = comparison.renderer.field().common_span_s();
@@ -164,7 +164,8 @@ impl VideoInstants {
         Ok(Self { target, times_s, truth: Vec::new(), view })
     }
 
-    /// Renders the images at the time with index `k`: the true image, if there is one, and one image per method.
+    /// Returns the images at the time with index `k`: the ground-truth image, if there is one, and one rendered image
+    /// per method.
     fn panels(
         &self,
         comparison: &Comparison,
@@ -202,7 +203,7 @@ impl VideoInstants {
     }
 }
 
-/// An image of the review video at one time: the true image, or the image of a method.
+/// An image of the review video at one time: the ground-truth image, or the image of a method.
 struct VideoPanel {
     name: &'static str,
     title: String,

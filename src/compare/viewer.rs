@@ -7,7 +7,7 @@ use crate::metrics::RegionScores;
 use crate::raster::Image;
 use serde::Serialize;
 
-/// Number of columns and rows of the grid in which the initial position of the magnifier is searched.
+/// Number of columns and rows of the grid of image cells that is searched for the magnifier's initial position.
 const GRID: [usize; 2] = [16, 12];
 
 /// File and title of a comparison sheet.
@@ -17,12 +17,12 @@ pub(super) struct SheetFile {
     pub title: String,
 }
 
-/// A true image that the viewer shows next to the rendered images.
+/// A ground-truth image that the viewer shows next to the rendered images.
 #[derive(Clone, Debug)]
 pub(super) struct Figure {
     /// Id of the view in the ground truth.
     view: String,
-    /// File of the true image, relative to the comparison's folder.
+    /// File of the ground-truth image, relative to the comparison's folder.
     truth: String,
     pub sheets: Vec<SheetFile>,
     size_px: [usize; 2],
@@ -31,8 +31,9 @@ pub(super) struct Figure {
 }
 
 impl Figure {
-    /// Makes a figure. The magnifier is placed where the first rendered image differs most from the true image. If any
-    /// surface moves, only the moving part counts. Without a rendered image, the magnifier is placed in the middle.
+    /// Makes a figure. Its magnifier is initially where the first rendered image differs most from the ground-truth
+    /// image. If any surface moves, only pixels of moving surfaces count. Without a rendered image, the magnifier is in
+    /// the middle.
     pub fn new(
         view: &str,
         file: String,
@@ -46,8 +47,9 @@ impl Figure {
     }
 }
 
-/// Finds the block of 2×2 cells of [`GRID`] in which the sum of absolute differences is largest. Returns the block's
-/// centre, as fractions of the image's width and height. If any surface moves, only pixels of moving surfaces count.
+/// Finds the block of 2×2 cells of [`GRID`] in which `image` differs most from the ground-truth image, by the sum of
+/// absolute differences. Returns the block's centre, as fractions of the image's width and height. If any surface
+/// moves, only pixels of moving surfaces count.
 fn focus(truth: &TrueImage, image: &Image) -> [f64; 2] {
     let [columns, rows] = GRID;
     let (width, height, channels) =
@@ -68,7 +70,8 @@ fn focus(truth: &TrueImage, image: &Image) -> [f64; 2] {
     [(best.0 + 1) as f64 / columns as f64, (best.1 + 1) as f64 / rows as f64]
 }
 
-/// A group of views. The pictures of each view are arranged in a table with the same rows and columns.
+/// A group of views in the report's viewer. The pictures of each view are arranged in a table; all views of the group
+/// have the same rows and columns.
 #[derive(Debug, Serialize)]
 pub(super) struct ViewerGroup {
     title: &'static str,
@@ -83,11 +86,11 @@ pub(super) struct ViewerGroup {
 #[derive(Debug, Serialize)]
 struct ViewerView {
     title: String,
-    /// File of the true image, relative to the comparison's folder.
+    /// File of the ground-truth image, relative to the comparison's folder.
     truth: String,
     size_px: [usize; 2],
     focus: [f64; 2],
-    /// The pictures, indexed by row and column.
+    /// The view's pictures, indexed by the row and the column of the group's table.
     cells: Vec<Vec<ViewerCell>>,
 }
 
@@ -99,8 +102,8 @@ struct ViewerCell {
     reason: Option<String>,
 }
 
-/// Returns the views of a comparison in two groups: first the new views, then the views of the filming cameras. A group
-/// without views is left out.
+/// Returns the views of a comparison in two groups: first the new views, then the views of the capture's cameras. A
+/// group without views is left out.
 pub(super) fn groups(metrics: &Metrics, figures: &[Figure]) -> Vec<ViewerGroup> {
     let mut groups = vec![new_views(metrics, figures), filming_cameras(metrics, figures)];
     groups.retain(|group| !group.views.is_empty());

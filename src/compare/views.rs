@@ -22,7 +22,8 @@ pub(super) struct Blend {
 }
 
 impl Comparison<'_> {
-    /// Blends a view by every method with every proxy geometry.
+    /// Renders a view by every [`ViewMethod`] with every proxy geometry. `truths` are the instant's ground-truth
+    /// images, and `images` the synchronized images of the cameras, from which the view is blended.
     pub(super) fn blend(
         &self,
         target: &ComparedTarget,
@@ -95,8 +96,8 @@ impl Comparison<'_> {
         ProxyMethod::ALL.iter().copied().filter(is_compared)
     }
 
-    /// Measures all blends of one view, on the pixels that all of them cover. Writes the sheets, and returns the
-    /// results and the viewer's figure.
+    /// Measures the errors of all blended images of one view, on the pixels that every one of them covers. Writes the
+    /// images and the comparison sheets. Returns the results, and the viewer's figure.
     pub(super) fn measure_view(
         &self,
         target: &ComparedTarget,
@@ -134,7 +135,7 @@ impl Comparison<'_> {
         Ok((rows, Figure::new(id, true_file, sheets, truth, first)))
     }
 
-    /// Measures all blends of a view, writes their images to files, and returns the results.
+    /// Measures the errors of all blended images of a view, writes the images to files, and returns the results.
     fn view_results(
         &self,
         target: &ComparedTarget,
@@ -162,7 +163,7 @@ impl Comparison<'_> {
     }
 }
 
-/// Returns the row-major mask of the pixels that all rendered blends cover.
+/// Returns the row-major mask of the pixels that all rendered blended images of a view cover.
 fn common_coverage(blends: &[Blend], images: &[ImageOrReason], pixels: usize) -> Vec<bool> {
     let mut covered = vec![true; pixels];
     let with_image = blends.iter().zip(images).filter(|(_, image)| image.is_ok());

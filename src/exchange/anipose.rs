@@ -1,5 +1,5 @@
-//! Calibrations in TOML with OpenCV's conventions: `Calib.toml` of Anipose and Pose2Sim, and `camera_array.toml` of
-//! caliscope.
+//! Reader of calibrations in TOML with OpenCV's conventions: `Calib.toml` of Anipose and Pose2Sim, and
+//! `camera_array.toml` of caliscope.
 //!
 //! Each camera is a table, either at the top level or under `cameras`. The fields of a camera are `size`, `matrix` (of
 //! the intrinsics), `distortions` (k1 k2 p1 p2 k3 k4 k5 k6, or the four coefficients of a fisheye lens), `rotation` (a
@@ -21,7 +21,7 @@ use toml::{Table, Value};
 /// the file's size in memory.
 const MAX_BYTES: u64 = 2 << 20;
 
-/// The fields of a camera's table. Other fields are skipped.
+/// The fields of a camera's table in the TOML file. Fields that are not listed here are skipped.
 #[derive(Debug, Deserialize)]
 struct CameraTable {
     name: Option<Value>,
@@ -46,8 +46,9 @@ enum Rotation {
     Matrix([[f64; 3]; 3]),
 }
 
-/// Reads the cameras in the order of the file. A camera's name is its field `name`. If this field is missing, the name
-/// is that of the table, or `cam_0` for the table `0` under `cameras`. Cameras with `ignore` are skipped.
+/// Reads the cameras of a TOML calibration in the order of the file. A camera's name is its field `name`. If this field
+/// is missing, the name is that of the table, or `cam_0` for the table `0` under `cameras`. Cameras whose field
+/// `ignore` is true are skipped.
 ///
 /// Errors: no camera, two cameras with the same name, a camera without size, lens or pose, an intrinsic matrix with
 /// skew, an unknown lens.
@@ -83,7 +84,7 @@ pub fn read_anipose(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     Ok(cameras)
 }
 
-/// Returns a parser's message on one line. The message's line breaks only serve to mark the position of the error.
+/// Converts a parser's error message to one line. Its line breaks only serve to mark the position of the error.
 fn one_line(message: &str) -> String {
     message.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -27,13 +27,14 @@ struct ModelImage {
     translation: [f64; 3],
 }
 
-/// Parsers of the cameras file and of the images file, in this order. The caller adds the file's name to their error
+/// Two parsers: of COLMAP's cameras file, and of its images file. The caller adds the file's name to their error
 /// messages.
 type Readers = (fn(&[u8]) -> Result<Lenses, String>, fn(&[u8]) -> Result<Vec<ModelImage>, String>);
 
 /// Reads the folder of a COLMAP model. Returns one [`NamedCamera`] per image, named after the image and sorted by image
-/// number. Binary files are preferred to text files, as in COLMAP. If the model has rigs and frames, they give the
-/// poses. If it has colmap4d's `times`, this file gives the times of the images.
+/// number. Binary files are preferred to text files, as in COLMAP. If the model has rigs and frames, the poses follow
+/// from them. If it has the file `times` of colmap4d, an extension of COLMAP's format, the images' times are read from
+/// this file.
 ///
 /// Errors: no images, too many images or cameras, a file that is not regular or larger than `MAX_MODEL_BYTES`, an
 /// unknown camera model, a camera that is invalid in a capture.
@@ -58,9 +59,9 @@ pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     cameras.collect()
 }
 
-/// Returns the camera of an image. `frame_pose` is the camera-from-world pose that follows from the image's frame and
-/// rig. It overrides the image's own pose; `None` if the model has no such pose. `time_ns` is `None` if the model has
-/// no time of the image.
+/// Returns the camera of an image, with the image's name and time. `frame_pose` is the camera-from-world pose that
+/// follows from the image's frame and rig. It overrides the pose in `image`; `None` if the model has no such pose.
+/// `time_ns` is `None` if the model has no time of the image.
 fn named(
     lenses: &Lenses,
     image: ModelImage,
@@ -120,10 +121,10 @@ fn text_images(bytes: &[u8]) -> Result<Vec<ModelImage>, String> {
     Ok(images)
 }
 
-/// Number of values before the name in an image's first line.
+/// Number of values before the image's name in the first of an image's two lines in `images.txt`.
 const IMAGE_FIELDS: usize = 9;
 
-/// Returns the rest of a line after its first `count` fields.
+/// Returns the rest of a line after its first `count` fields, which are separated by white space.
 fn after_fields(line: &str, count: usize) -> &str {
     (0..count).fold(line, |rest, _| {
         rest.find(char::is_whitespace).map_or("", |end| rest[end..].trim_start())
@@ -210,7 +211,7 @@ fn numbers(values: &[f64]) -> String {
     values.iter().copied().map(number).collect::<Vec<_>>().join(" ")
 }
 
-/// Returns the shortest text that parses to the same double, with an exponent as in C, such as `1e-07`.
+/// Formats a double as the shortest text that parses to the same double, with an exponent as in C, such as `1e-07`.
 fn number(value: f64) -> String {
     let text = format!("{value:?}");
     let Some((digits, exponent)) = text.split_once('e') else { return text };

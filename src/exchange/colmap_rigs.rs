@@ -1,5 +1,5 @@
-//! Optional files of COLMAP models: rigs and frames, which give the poses of images since COLMAP 3.12, and times of
-//! images in the format of colmap4d (specification 1.0).
+//! Reader of optional files of COLMAP models: rigs and frames, which give the poses of images since COLMAP 3.12, and
+//! times of images as in colmap4d, an extension of COLMAP's format (specification 1.0).
 
 use super::colmap_values::{Bytes, MAX_MODEL_BYTES, has_values, pose, text, value};
 use super::{ExchangeError, check_count, content, read_bytes};
@@ -8,7 +8,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::str::SplitWhitespace;
 
-/// Names of colmap4d's files: the times of the images, and the times' unit and meaning.
+/// Names of the files that colmap4d, an extension of COLMAP's format, adds to a model: the times of the images, and the
+/// unit and the meaning of these times.
 pub(super) const TIME_FILES: [&str; 2] = ["times.bin", "time_meta.json"];
 
 /// Type and number of a sensor in a COLMAP rig. Only sensors of the type [`CAMERA`] are used.
@@ -107,7 +108,8 @@ fn binary_pose(bytes: &mut Bytes) -> Result<Isometry3<f64>, String> {
     pose(rotation, [bytes.f64()?, bytes.f64()?, bytes.f64()?])
 }
 
-/// Parses every line that has values. The error starts with the number of the line.
+/// Parses every line of a text file, except empty lines and comments, with the function `parse`. An error message
+/// starts with the number of the line.
 fn lines<T>(
     bytes: &[u8],
     mut parse: impl FnMut(&mut SplitWhitespace) -> Result<T, String>,
@@ -164,8 +166,9 @@ fn text_frames(bytes: &[u8]) -> Result<Vec<ModelFrame>, String> {
     })
 }
 
-/// Returns the times of images in nanoseconds, by image number. If an image has several times, the last one is used.
-/// The binary file is preferred to the text file. Returns an empty map if the model has neither.
+/// Reads the times of a COLMAP model's images from the file `times.bin`, or else from `times.txt`. Returns them in
+/// nanoseconds, by image number. If an image has several times, the last one is used. Returns an empty map if neither
+/// file exists.
 pub(super) fn image_times(folder: &Path) -> Result<HashMap<u32, i64>, ExchangeError> {
     let [binary, in_text]: [PathBuf; 2] = ["times.bin", "times.txt"].map(|name| folder.join(name));
     let times = if binary.exists() {

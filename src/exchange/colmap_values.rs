@@ -25,7 +25,7 @@ pub(super) fn text(bytes: &[u8]) -> Result<&str, String> {
     std::str::from_utf8(bytes).map_err(|_| "is no text".into())
 }
 
-/// Parses the next value of a line. `what` names the value in the error.
+/// Parses the next value of a line. `what` is the name of the value in the error message.
 pub(super) fn value<T: FromStr>(fields: &mut SplitWhitespace, what: &str) -> Result<T, String> {
     let field = fields.next().ok_or_else(|| format!("{what} is missing"))?;
     field.parse().map_err(|_| format!("{what} can't be '{field}'"))
@@ -37,7 +37,7 @@ pub(super) fn has_values(line: &str) -> bool {
     !line.is_empty() && !line.starts_with('#')
 }
 
-/// Bytes from whose front little-endian values are read. Each read value is removed from the slice.
+/// Reader of little-endian values from the front of a byte slice. Values that were read are removed from the slice.
 pub(super) struct Bytes<'a>(pub &'a [u8]);
 
 impl Bytes<'_> {
@@ -66,7 +66,7 @@ impl Bytes<'_> {
         Ok(name.to_owned())
     }
 
-    /// Skips `count` records of `size` bytes each.
+    /// Skips `count` records of `size` bytes each. Fewer remaining bytes are an error.
     pub fn skip(&mut self, count: u64, size: u64) -> Result<(), String> {
         let bytes = count.checked_mul(size).and_then(|n| usize::try_from(n).ok());
         self.0 = bytes.and_then(|n| self.0.get(n..)).ok_or("is cut short")?;
@@ -78,7 +78,7 @@ impl Bytes<'_> {
     }
 }
 
-/// Encodes the number of entries that COLMAP writes before a list.
+/// Encodes the length of a list as 8 bytes, as COLMAP writes it before the list's entries.
 pub(super) fn counted(entries: usize) -> Vec<u8> {
     (entries as u64).to_le_bytes().to_vec()
 }

@@ -5,12 +5,13 @@ use crate::host::read_text;
 use crate::text::short;
 use std::path::Path;
 
-/// Size limit of a table, in bytes. The frame times of sixteen cameras at 60 Hz take about 80 MB per hour.
+/// Size limit of a CSV table, in bytes. A table with the frame times of sixteen cameras at 60 Hz takes about 80 MB per
+/// hour.
 const MAX_BYTES: u64 = 128 << 20;
 
-/// Reads some columns of a table. `wanted` lists the accepted names of each column. `row` is called for each line. Its
-/// arguments are the names of the columns that were found, in lower case, and the values of the line, both in the order
-/// of `wanted`. Empty lines are skipped.
+/// Reads some columns of a CSV table. For each column to read, `wanted` lists its accepted names. `row` is called for
+/// each line after the first one. Its arguments are the names of the columns that were found, in lower case, and the
+/// values of the line, both in the order of `wanted`. Empty lines are skipped.
 ///
 /// # Errors
 /// A missing column, a line with too few or too many values, or an error of `row`.
@@ -51,8 +52,8 @@ fn columns<const N: usize>(
     Ok(())
 }
 
-/// Splits a line into its values, without surrounding blanks. A comma between quotes belongs to the value. The quotes
-/// are removed.
+/// Splits a line of a CSV table into its values, without surrounding blanks. A comma between quotes belongs to the
+/// value. The quotes are removed.
 fn fields(line: &str) -> Vec<String> {
     let mut fields = vec![String::new()];
     let mut is_quoted = false;
@@ -71,8 +72,9 @@ fn fields(line: &str) -> Vec<String> {
 }
 
 /// Parses a decimal number and converts it to nanoseconds, rounded to the nearest. `unit_digits` gives the unit of the
-/// number: 9 for seconds, 6 for milliseconds, 3 for microseconds, 0 for nanoseconds. The conversion is exact, because
-/// decimal digits are not rounded to a double first. The caller adds the file's name to the error message.
+/// number: 9 for seconds, 6 for milliseconds, 3 for microseconds, 0 for nanoseconds. The digits are not rounded to a
+/// double first, because a double can't hold a Unix time to the nanosecond. The caller adds the file's name to the
+/// error message.
 pub(super) fn nanoseconds(text: &str, unit_digits: usize) -> Result<i64, String> {
     let wrong = || format!("'{}' is no time", short(text));
     let (sign, digits) = match text.strip_prefix('-') {

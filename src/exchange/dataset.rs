@@ -2,11 +2,12 @@
 //!
 //! | format | files |
 //! |---|---|
-//! | COLMAP | `images/cam0/0000.png`, `sparse/0/` with a binary model and colmap4d's times (specification 1.0) |
+//! | COLMAP | `images/cam0/0000.png`, `sparse/0/` with a binary model, and with the times in files of its extension colmap4d (specification 1.0) |
 //! | NeRF | `images/cam0/0000.png`, `transforms.json` with a `time` for every image, in seconds |
 //! | LLFF | `cam00.mp4` and so on, in the order of the rows of `poses_bounds.npy` |
 //!
-//! If the cameras are synchronized, the images of one instant form a frame of a rig in COLMAP's model.
+//! If the cameras are synchronized, the images of one instant form a *frame* in COLMAP's model: a set of images from
+//! the cameras of one rig.
 
 use super::colmap::COLMAP_BINARY_FILES;
 use super::colmap_rigs::TIME_FILES;
@@ -20,10 +21,10 @@ use crate::video::{Codec, VideoFormat, VideoWriter};
 use nalgebra::Isometry3;
 use std::path::{Path, PathBuf};
 
-/// The format of a dataset.
+/// File format of a dataset for another program.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DatasetFormat {
-    /// COLMAP's binary model. If `is_synchronized`, images with the same time form a frame of a rig.
+    /// COLMAP's binary model. If `is_synchronized`, images with the same time form a frame of a rig in this model.
     Colmap { is_synchronized: bool },
     /// NeRF's `transforms.json`.
     Nerf,
@@ -48,8 +49,8 @@ pub struct Dataset {
     format: DatasetFormat,
     cameras: Vec<(String, Camera)>,
     images: Vec<DatasetImage>,
-    /// The video of each camera; `None` before the camera's first image. This field is declared before `temporary`, so
-    /// that the videos are dropped before the temporary folder is removed.
+    /// The writer of each camera's video, for LLFF only; `None` before the camera's first image. This field is declared
+    /// before `temporary`, so that the writers are dropped before the temporary folder is removed.
     videos: Vec<Option<VideoWriter>>,
     temporary: Temporary,
 }
@@ -58,8 +59,8 @@ pub struct Dataset {
 const WHOLE: &str = "dataset";
 
 impl Dataset {
-    /// Begins a dataset. `cameras` are pairs of an id and a camera. Returns an error if the target folder isn't empty,
-    /// or if the format can't represent a lens.
+    /// Begins a dataset that will be written to the folder `target`. `cameras` are pairs of an id and a camera. Returns
+    /// an error if the target folder isn't empty, or if the format can't represent a lens.
     pub fn create(
         target: &Path,
         format: DatasetFormat,
@@ -84,7 +85,8 @@ impl Dataset {
         self.temporary.path().join(WHOLE).join(name)
     }
 
-    /// Returns an error with this message, in which the path of the target replaces the path of the temporary folder.
+    /// Returns an error about the target folder. If `message` starts with the path of the temporary folder, which the
+    /// user doesn't know, this path is removed.
     fn of_target(&self, message: String) -> ExchangeError {
         let path = format!("{}/", self.temporary.path().join(WHOLE).display());
         content(&self.target, message.strip_prefix(&path).unwrap_or(&message))
@@ -127,14 +129,15 @@ impl Dataset {
         Ok(())
     }
 
-    /// Returns the index of a camera's row in `poses_bounds.npy`. The rows are sorted as described at [`write_llff`].
+    /// Returns the index of a camera's row in LLFF's `poses_bounds.npy`. The rows are sorted as described at
+    /// [`write_llff`].
     fn row(&self, camera: usize) -> usize {
         let ids: Vec<String> = self.cameras.iter().map(|(id, _)| id.clone()).collect();
         let order = numbered_order(&ids).unwrap_or_else(|| (0..ids.len()).collect());
         order.iter().position(|&k| k == camera).unwrap_or(camera)
     }
 
-    /// Writes the calibration, and moves the dataset to its final path.
+    /// Finishes the videos, writes the calibration, and moves the dataset to its final path.
     pub fn finish(mut self) -> Result<(), ExchangeError> {
         for video in std::mem::take(&mut self.videos).into_iter().flatten() {
             video.finish().map_err(|e| self.of_target(e.to_string()))?;
@@ -181,7 +184,8 @@ impl Dataset {
         self.cameras.iter().map(named).collect()
     }
 
-    /// Writes COLMAP's binary model and colmap4d's files. Cameras and images are numbered from 1.
+    /// Writes COLMAP's binary model, and the images' times in the files of colmap4d, an extension of COLMAP's format.
+    /// Cameras and images are numbered from 1.
     fn write_colmap(&self, folder: &Path, is_synchronized: bool) -> Result<(), ExchangeError> {
         let (mut lenses, mut images) = (counted(self.cameras.len()), counted(self.images.len()));
         for (number, (_, camera)) in (1_u32..).zip(&self.cameras) {
@@ -227,7 +231,7 @@ impl Dataset {
         rigs
     }
 
-    /// Returns the bytes of COLMAP's frames file. Each instant is a frame, which has all images of this time.
+    /// Returns the bytes of COLMAP's frames file. Each instant is a frame, which consists of all images with this time.
     fn frames(&self) -> Vec<u8> {
         let mut instants: Vec<i64> = self.images.iter().map(|image| image.time_ns).collect();
         instants.sort_unstable();
@@ -249,7 +253,8 @@ impl Dataset {
         frames
     }
 
-    /// Returns the contents of the file that describes colmap4d's times.
+    /// Returns the contents of `time_meta.json`, a file of colmap4d (an extension of COLMAP's format). It states the
+    /// unit, the meaning and the clock of the images' times.
     fn time_meta(&self) -> serde_json::Value {
         let device = |(number, (id, _)): (usize, &(String, Camera))| {
             (id.clone(), serde_json::json!({ "camera_ids": [number + 1] }))

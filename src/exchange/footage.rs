@@ -1,5 +1,4 @@
-//! Search for the frames of each camera: a folder of images, a video, or images that a calibration lists with their
-//! times.
+//! Finds the frames of each camera: a folder of images, a video, or images that a calibration lists with their times.
 
 use super::pairing::{
     Pairs, entries, extension, id_of, is_image, is_same, numbers, one_each, pair, pair_by_table,
@@ -13,7 +12,7 @@ use crate::raster::read_header;
 use crate::video::{VideoError, VideoFacts, inspect};
 use std::path::{Path, PathBuf};
 
-/// A camera with its recorded frames.
+/// A camera with its frames: the image files or the video, and the times.
 pub(super) struct Footage {
     pub id: String,
     pub camera: NamedCamera,
@@ -88,9 +87,9 @@ pub(super) fn find(
     Ok(FoundFootage { footage, notes, has_one_clock: false })
 }
 
-/// Reads the frame times from the request's file, or else from `timestamps.csv` beside the images. Returns the path of
-/// the file and the times. Returns `None` if neither file is given, or if the request has a frame rate in place of
-/// times. `notes` receives sentences for the user.
+/// Reads the frame times from the table that the request names, or else from `timestamps.csv` beside the images.
+/// Returns the path of the file and the times. Returns `None` if neither file is given, or if the request's frame rate
+/// replaces `timestamps.csv`. `notes` receives sentences for the user.
 fn frame_times(
     request: &ImportRequest,
     notes: &mut Vec<String>,
@@ -125,7 +124,7 @@ fn checked_times(
     Err(content(file, format!("has {} times of {id} for {frames} frames", times.len())))
 }
 
-/// Reads the image size and the time stamps of a video.
+/// Reads the image size and the time stamps of a video with ffmpeg. `scratch` is a folder for temporary files.
 fn facts(path: &Path, opening: &Opening, scratch: &Path) -> Result<VideoFacts, ExchangeError> {
     let unread = |source| ExchangeError::Read { path: path.to_owned(), source };
     let Some(ffmpeg) = opening.ffmpeg else {
@@ -155,7 +154,8 @@ pub(super) fn image_size(frames: &FootageFrames) -> Result<[usize; 2], ExchangeE
     }
 }
 
-/// Returns the images of a folder, sorted by the numbers in their names. Numbers that are not consecutive are an error.
+/// Returns the image files of a folder, sorted by the last number in each name. Numbers that are not consecutive are an
+/// error.
 fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let mut files = entries(folder)?;
     files.retain(|path| is_image(path));
@@ -217,7 +217,8 @@ fn listed(images: &[NamedCamera], folder: &Path) -> Result<FoundFootage, Exchang
     Ok(FoundFootage { footage, notes, has_one_clock: true })
 }
 
-/// Returns the path of an image that a calibration lists. The names in NeRF's files may lack the extension `.png`.
+/// Returns the path of an image that a calibration lists as `name`. Names in NeRF's `transforms.json` may lack the
+/// extension `.png`, which is then added.
 fn listed_file(folder: &Path, name: &str) -> Result<PathBuf, String> {
     let path = folder.join(name);
     let with_png = folder.join(format!("{name}.png"));
@@ -225,9 +226,9 @@ fn listed_file(folder: &Path, name: &str) -> Result<PathBuf, String> {
     found.ok_or_else(|| format!("has no image '{}'", crate::text::short(name)))
 }
 
-/// Groups images by camera and returns each camera's id with its images. Images with the same camera id in their names
-/// are one group. If all these ids differ, images with the same pose and lens are one group. The caller adds the file's
-/// name to the error message.
+/// Groups the images of a calibration by camera. Returns each camera's id with its images. Images with the same camera
+/// id in their names are one group. If no two images have the same id, images with the same pose and lens are one
+/// group. The caller adds the folder's name to the error message.
 fn grouped(
     images: &[NamedCamera],
     notes: &mut Vec<String>,
@@ -264,7 +265,7 @@ fn grouped(
     Ok(groups)
 }
 
-/// Returns the common start of the names of a camera's images, without the numbers of the frames.
+/// Returns the common prefix of the names of a camera's images, without the frame number at its end.
 fn common_name(group: &[NamedCamera]) -> String {
     let stem = |image: &NamedCamera| id_of(&image.name).unwrap_or_default();
     let mut common = stem(&group[0]);

@@ -14,19 +14,20 @@ use crate::text::number;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// Name of the capture's folder inside its temporary folder.
+/// Name of the new capture's folder inside the temporary folder in which it is made.
 const WHOLE: &str = "capture";
-/// Name of the folder for lists of video frames, which is beside the capture in the temporary folder.
+/// Name of the folder for temporary lists of video frames. It is beside the new capture in the temporary folder.
 const SCRATCH: &str = "scratch";
 
 /// Imports a calibration and recordings as the new capture `target`. Images are copied. Videos are hard-linked, or
-/// copied where the file system can't link them. The target appears only when it is complete and can be opened.
+/// copied where the file system can't link them. The folder `target` appears only when the capture is complete and can
+/// be opened.
 ///
-/// The id of a camera is the first folder in its name, or else its name without extension. The recording of a camera is
-/// the sub-folder or video with this name in the request's folder. If no camera has a recording of its name, cameras
-/// and recordings are paired by the numbers in their names. If a calibration has no names, the names of the recordings
-/// become the ids, in the order of their numbers. All images in one folder belong to one camera. If the calibration has
-/// a time for every image, the frames are the images that it lists.
+/// The id of a camera is the first folder in the name of its images, or else this name without extension. The recording
+/// of a camera is the sub-folder or video with this id in the request's folder. If no camera has a recording of its
+/// name, cameras and recordings are paired by the numbers in their names. If a calibration has no names, the names of
+/// the recordings become the ids, in the order of their numbers. All images in one folder belong to one camera. If the
+/// calibration has a time for every image, the frames are the images that the calibration lists.
 ///
 /// The times of the frames come from the first of these sources that exists: the given rate, the given table,
 /// `timestamps.csv` beside the recordings, the calibration, the video.
@@ -74,7 +75,7 @@ pub fn import(
     Ok(notes)
 }
 
-/// Returns the name of a capture, which is the name of its folder.
+/// Returns the name of the capture in the folder `target`, which is the name of this folder.
 pub(super) fn name_of(target: &Path) -> Result<String, ExchangeError> {
     let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
     let absolute = std::path::absolute(target).map_err(failed)?;
@@ -196,9 +197,9 @@ fn steady_rate_hz(times_s: &[f64]) -> Option<f64> {
     [mean.round(), ntsc, mean].into_iter().find(is_steady)
 }
 
-/// Limit of the earliest frame time's absolute value, nanoseconds. Beyond it, the earliest frame time, rounded down to
-/// whole seconds, is subtracted from all frame times. (Times are written as doubles in seconds. At this limit, a double
-/// has a resolution of a tenth of a nanosecond.)
+/// Largest absolute value of the earliest frame time for which times are imported unchanged, nanoseconds. Above it, the
+/// earliest frame time, rounded down to whole seconds, is subtracted from all frame times. Times are written as doubles
+/// in seconds, and at this limit a double has a resolution of a tenth of a nanosecond.
 const MAX_PLAIN_NS: i64 = 1_000_000_000_000_000;
 
 /// Returns the clocks of all cameras, from the given rate, the frame times or the videos' time stamps. `notes` receives
@@ -281,8 +282,8 @@ fn summary(filmed: &[FilmedCameraFormat], footage: &[Footage]) -> String {
     format!("{} cameras with {frames} frames, {unshared}.", filmed.len())
 }
 
-/// Puts a camera's frames into the temporary folder `whole` of the capture, which will be moved to `target`. Returns
-/// the file name of the video, or the pattern of the images' file names.
+/// Copies or links a camera's frames into the temporary folder `whole` of the capture, which will be moved to `target`.
+/// Returns the file name of the video, or the pattern of the images' file names.
 fn place(footage: &Footage, whole: &Path, target: &Path) -> Result<String, ExchangeError> {
     let id = &footage.id;
     match &footage.frames {
@@ -313,8 +314,8 @@ fn copy_file(from: &Path, to: &Path) -> std::io::Result<()> {
     to.sync_all()
 }
 
-/// Copies the images of a sequence into a new folder, and numbers them from 0. An error has the path of the capture
-/// `target` in place of the temporary path.
+/// Copies the images of a sequence into a new folder, and numbers them from 0. `folder` is in the temporary folder.
+/// Error messages name the capture's final path `target` instead.
 fn copy(files: &[PathBuf], folder: &Path, target: &Path) -> Result<(), ExchangeError> {
     let extension = extension(&files[0]).unwrap_or_default();
     for (k, path) in files.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! LLFF's `poses_bounds.npy`, an array with 17 numbers per camera.
+//! Reading and writing of LLFF's `poses_bounds.npy`, an array with 17 numbers per camera.
 //!
 //! The first 15 numbers are a 3×5 matrix, row by row. Its columns are the camera's down, right and back axes in the
 //! world, the camera's centre, and (height, width, focal length) in pixels. The last two numbers are the nearest and
@@ -14,12 +14,12 @@ use std::path::Path;
 const COLUMNS: usize = 17;
 /// Size limit of the file, in bytes. It is large enough for a hundred thousand cameras.
 const MAX_BYTES: u64 = 16 << 20;
-/// Largest deviation, in pixels, from two assumptions of the format: a principal point in the middle of the image, and
-/// equal focal lengths.
+/// Largest allowed deviation, in pixels, from two assumptions of LLFF's format: the principal point is in the middle of
+/// the image, and the two focal lengths are equal.
 const MAX_OFF_PX: f64 = 1e-6;
 
-/// Reads the cameras in the order of the file, and names them `0`, `1` and so on. An array of another shape or type, an
-/// invalid pose and an invalid lens are errors.
+/// Reads the cameras of LLFF's `poses_bounds.npy` in the order of the file, and names them `0`, `1` and so on. An array
+/// of another shape or type, an invalid pose and an invalid lens are errors.
 pub fn read_llff(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let rows = rows(&read_bytes(path, MAX_BYTES)?).map_err(|reason| content(path, reason))?;
     let cameras = rows.iter().enumerate().map(|(k, row)| {
@@ -40,7 +40,8 @@ fn camera(row: &[f64; COLUMNS]) -> Result<crate::camera::Camera, String> {
     checked(size, &model, &pose)
 }
 
-/// Parses the rows of an npy file of float32 or float64. The caller adds the file's name to the error message.
+/// Parses an npy file of float32 or float64, and returns its rows: one camera each. The caller adds the file's name to
+/// the error message.
 fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     let (rest, version) = match bytes {
         [0x93, b'N', b'U', b'M', b'P', b'Y', version @ 1..=3, _, rest @ ..] => (rest, *version),
@@ -74,9 +75,9 @@ fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     Ok(rows.to_vec())
 }
 
-/// Writes the cameras. All cameras get the same nearest depth `near_m` and farthest depth `far_m`, in metres. The
-/// format has no names, so the rows are sorted by the numbers in the cameras' names. If the names differ in more than
-/// numbers, the rows keep the given order.
+/// Writes LLFF's `poses_bounds.npy`. All cameras get the same nearest depth `near_m` and farthest depth `far_m`, in
+/// metres. The format has no names, so the rows are sorted by the numbers in the cameras' names. If the names differ in
+/// more than numbers, the rows keep the order of `cameras`.
 ///
 /// A lens that the format can't represent is an error: a lens with distortion, a principal point off the image's
 /// middle, or two focal lengths.

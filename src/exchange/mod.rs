@@ -50,10 +50,10 @@ use crate::text::number;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
 
-/// The camera of an image, with its name in a calibration file.
+/// The camera of an image in a calibration file, with the image's name and time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedCamera {
-    /// Name of the image, such as `cam0/0000.png`. If the format has no names, it is a number.
+    /// Name of the image, such as `cam0/0000.png`. If the format has no names, it is the camera's number in the file.
     pub name: String,
     /// Time of the image, in nanoseconds; `None` if the file has no times.
     pub time_ns: Option<i64>,
@@ -80,9 +80,9 @@ pub enum ExchangeError {
     Content { path: PathBuf, reason: String },
 }
 
-/// Reads a calibration from the folder of a COLMAP model, or from a file whose extension determines its format. A
-/// `capture.json` gives the calibration of its cameras. Lengths in the file are in units of `unit_m` metres. Qualisys
-/// files are always in millimetres, and `unit_m` is ignored.
+/// Reads a calibration from the folder of a COLMAP model, or from a file whose extension determines its format. If
+/// `path` is a `capture.json`, the calibration is that of its cameras. Lengths in the file are in units of `unit_m`
+/// metres. Qualisys files are always in millimetres, and `unit_m` is ignored.
 pub fn read_calibration(path: &Path, unit_m: f64) -> Result<Vec<NamedCamera>, ExchangeError> {
     let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     let mut cameras = match extension.as_deref() {
@@ -112,8 +112,8 @@ fn is_capture(path: &Path) -> bool {
     head.is_ok_and(|head| head.format.as_deref() == Some("stlfr-capture"))
 }
 
-/// Reads the cameras of a `capture.json` and names them by their ids. They can serve as the calibration of another
-/// recording by the same array.
+/// Reads the cameras of a `capture.json` and names them by their ids. The cameras can serve as the calibration of
+/// another recording by the same array.
 fn read_capture(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let format: CaptureFormat = json::read(path).map_err(|error| content(path, error))?;
     let named = |(k, camera): (usize, FilmedCameraFormat)| {
@@ -127,7 +127,8 @@ fn read_capture(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
 
 /// Largest allowed number of images or cameras in a calibration.
 const MAX_ENTRIES: usize = 100_000;
-/// Largest allowed entry of |RᵀR − I| for a rotation matrix R. In files with few printed digits, entries reach 1e-4.
+/// Largest allowed absolute value of an entry of RᵀR − I for a rotation matrix R from a file. In files with few printed
+/// digits, entries reach 1e-4.
 const MAX_ROTATION_ERROR: f64 = 1e-3;
 
 fn content(path: &Path, reason: impl std::fmt::Display) -> ExchangeError {
@@ -190,8 +191,8 @@ fn opencv_model([fx, fy, cx, cy]: [f64; 4], k: [f64; 6], p: [f64; 2]) -> CameraM
     }
 }
 
-/// Creates a camera from the numbers of a file, and checks it like the cameras of a capture. The image size is (width,
-/// height) in pixels. The caller adds the file's name to the error message.
+/// Creates a camera from the numbers of a file, and returns an error if the camera would be invalid in a capture. The
+/// image size is (width, height) in pixels. The caller adds the file's name to the error message.
 fn checked(
     (width, height): (u64, u64),
     model: &CameraModel,
@@ -212,8 +213,8 @@ fn checked(
     format.camera().map_err(|e| e.to_string())
 }
 
-/// Returns the camera-from-world pose of a camera at `center`. The columns of `axes` are the camera's right, down and
-/// forward axes in the world. The caller adds the file's name to the error message.
+/// Returns the camera-from-world pose of a camera whose centre is at `center` in the world. The columns of `axes` are
+/// the camera's right, down and forward axes in the world. The caller adds the file's name to the error message.
 fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3<f64>, String> {
     if !axes.iter().chain(center.iter()).all(|v| v.is_finite()) {
         return Err("a pose must be finite".into());

@@ -1,6 +1,6 @@
-//! NeRF's `transforms.json`, as instant-ngp and nerfstudio read it. Each frame has a world-from-camera matrix with
-//! OpenGL's camera axes (x right, y up, z back). The lens is given once for all frames, or for each frame. A frame's
-//! `time` is in seconds.
+//! Reading and writing of NeRF's `transforms.json`, as instant-ngp and nerfstudio read it. Each frame has a
+//! world-from-camera matrix with OpenGL's camera axes (x right, y up, z back). The lens is given once for all frames,
+//! or for each frame. A frame's `time` is in seconds.
 
 use super::{ExchangeError, NamedCamera, axes_and_center, check_count, checked, content};
 use super::{opencv_model, pose_from_axes, seconds_in_ns, whole_size, write};
@@ -13,15 +13,16 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The list of frames at the top level of the file. The lens at the top level is read separately, as a [`FrameEntry`].
+/// The list of frames of a `transforms.json`. The lens at the top level of the file is read separately, as a
+/// [`FrameEntry`].
 #[derive(Debug, Deserialize)]
 struct TransformsFile {
     #[serde(deserialize_with = "bounded")]
     frames: Vec<FrameEntry>,
 }
 
-/// The fields of a frame. The top level of the file may have the same fields: they describe the lens of the frames that
-/// lack these fields. Other fields are skipped.
+/// The fields of a frame in `transforms.json`. The top level of the file may have the same fields: they describe the
+/// lens of the frames that lack these fields. Other fields are skipped.
 ///
 /// Serde's `flatten` is not used, because it would keep the skipped fields in memory, at 16 times their length in the
 /// file.
@@ -46,7 +47,7 @@ struct FrameEntry {
     p2: Option<f64>,
 }
 
-/// A frame as it is written to the file, with its own lens.
+/// A frame as it is written to `transforms.json`, with its own lens.
 #[derive(Debug, Serialize)]
 struct WrittenFrame<'a> {
     file_path: &'a str,
@@ -64,7 +65,7 @@ struct WrittenFrame<'a> {
     distortion: BTreeMap<&'static str, f64>,
 }
 
-/// Deserializes a list of frames. More than `MAX_ENTRIES` entries are an error.
+/// Deserializes the list of frames in `transforms.json`. More than `MAX_ENTRIES` entries are an error.
 fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>, D::Error> {
     struct EntryList;
     impl<'de> Visitor<'de> for EntryList {
@@ -113,8 +114,8 @@ fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel
     Ok((size, model))
 }
 
-/// Returns a lens's model name and distortion coefficients in this format; `None` if the format can't represent the
-/// lens.
+/// Returns the name and the distortion coefficients of a lens model as in `transforms.json`; `None` if the format can't
+/// represent the lens.
 fn name_and_distortion(model: &CameraModel) -> Option<(&'static str, BTreeMap<&'static str, f64>)> {
     let brown = |k1, k2, p1, p2| {
         Some(("OPENCV", BTreeMap::from([("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)])))
@@ -143,8 +144,8 @@ fn name_and_distortion(model: &CameraModel) -> Option<(&'static str, BTreeMap<&'
     }
 }
 
-/// Reads the frames in the order of the file, and names them by their image paths. A file without frames, an invalid
-/// pose and an invalid lens are errors.
+/// Reads the frames of a `transforms.json` in the order of the file, and names them by their image paths. A file
+/// without frames, an invalid pose and an invalid lens are errors.
 pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let text = read_text(path, json::MAX_BYTES)
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
@@ -173,8 +174,8 @@ fn camera(frame: FrameEntry, all: &FrameEntry) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, time_ns, camera: checked(size, &model, &pose)? })
 }
 
-/// Writes the cameras as frames, each with its own lens. A lens that the format can't represent, such as `FULL_OPENCV`,
-/// is an error.
+/// Writes the cameras as the frames of a `transforms.json`, each with its own lens. A lens that the format can't
+/// represent, such as `FULL_OPENCV`, is an error.
 pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let mut frames = Vec::new();
     for NamedCamera { name, time_ns, camera } in cameras {

@@ -9,8 +9,8 @@ use nalgebra::Isometry3;
 use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
-/// Largest difference between the poses of a static camera's images, in metres and in radians. Above this difference,
-/// the camera counts as moving.
+/// Largest difference between the poses of a static camera's images: the distance in metres, and the rotation angle in
+/// radians. Above this difference, the camera counts as moving.
 const MAX_MOTION: f64 = 1e-6;
 
 /// File extensions of videos.
@@ -19,7 +19,7 @@ const VIDEOS: [&str; 20] = [
     "3g2", "ogv", "wmv", "flv", "y4m", "nut", "ivf",
 ];
 
-/// Cameras, named by their ids, and for each camera the folder or the video of its frames.
+/// Result of pairing: the cameras, named by their ids, and for each camera the folder or the video of its frames.
 pub(super) struct Pairs {
     pub cameras: Vec<NamedCamera>,
     pub recordings: Vec<PathBuf>,
@@ -34,10 +34,10 @@ struct NamedRecording {
     path: PathBuf,
 }
 
-/// Pairs the cameras of a calibration with the recordings in the folder `images`, which are its sub-folders and videos.
-/// A camera is paired with the recording of the same name. If no camera has such a recording, cameras and recordings
-/// are paired by the numbers in their names. If the calibration has only row numbers, the names of the recordings
-/// become the ids.
+/// Pairs the cameras of a calibration with the recordings in the folder `images`: its videos and its sub-folders of
+/// images. A camera is paired with the recording of the same name. If no camera has such a recording, cameras and
+/// recordings are paired by the numbers in their names. If the calibration has only row numbers, the names of the
+/// recordings become the ids.
 ///
 /// # Errors
 /// A camera that moves; a name that can't be an id; a camera with two recordings; some cameras with a recording of
@@ -76,8 +76,9 @@ pub(super) fn pair(cameras: &[NamedCamera], images: &Path) -> Result<Pairs, Exch
     Ok(Pairs { cameras, recordings: paths, notes })
 }
 
-/// Returns a camera for each recording in a folder. A camera has the name of its recording, and placeholders for lens
-/// and pose. Cameras are sorted by the numbers in their names. If this order is ambiguous, they are sorted by name.
+/// Returns an uncalibrated camera for each recording in the folder `images`. A camera has the name of its recording,
+/// and placeholders for lens and pose. Cameras are sorted by the numbers in their names. If this order is ambiguous,
+/// they are sorted by name.
 ///
 /// # Errors
 /// Fewer than two recordings, a name that can't be an id, or two recordings with the same name.
@@ -230,8 +231,9 @@ fn pair_by_number(
     Ok(Pairs { cameras, recordings, notes: vec![note] })
 }
 
-/// Merges all images of a camera into one entry, named by the camera's id. The cameras have the order of their first
-/// images. A camera that moves is an error. The caller adds the file's name to the error message.
+/// Merges all entries of a calibration that are images of the same camera into one entry, named by the camera's id. The
+/// cameras have the order of their first images. A camera that moves is an error. The caller adds the file's name to
+/// the error message.
 pub(super) fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     let mut distinct: Vec<NamedCamera> = Vec::new();
     for NamedCamera { name, camera, .. } in cameras {
@@ -297,8 +299,8 @@ pub(super) fn numbered_order(names: &[String]) -> Option<Vec<usize>> {
     (!is_open).then_some(order)
 }
 
-/// Returns the numbers in a name. Each number is a pair: how many digits it has, and the digits themselves, without
-/// leading zeros. In this form, numbers of any length sort by their values.
+/// Returns all runs of digits in a name as numbers. Each number is a pair: how many digits it has, and the digits
+/// themselves, without leading zeros. In this form, numbers of any length sort by their values.
 pub(super) fn numbers(name: &str) -> Vec<(usize, &str)> {
     let digits = name.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty());
     digits.map(|digits| digits.trim_start_matches('0')).map(|d| (d.len(), d)).collect()

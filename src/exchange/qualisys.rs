@@ -1,4 +1,4 @@
-//! Qualisys' `.qca.txt`, which is an XML file.
+//! Reader of Qualisys' calibrations, `.qca.txt`, which are XML files.
 //!
 //! Lengths are in millimetres. Focal lengths and principal points are in units of 1/64 pixel. The centre of the
 //! sensor's first pixel is at 0, so half a pixel is added to principal points. The rows of `transform` are the camera's
@@ -15,11 +15,11 @@ use std::path::Path;
 
 /// Size limit of the file, in bytes. It is large enough for two thousand cameras.
 const MAX_BYTES: u64 = 4 << 20;
-/// Number of units of image coordinates per pixel. The unit in the file is 1/64 pixel.
+/// Number of units per pixel of image coordinates in the file: its unit is 1/64 pixel.
 const PARTS: f64 = 64.0;
 const MM_PER_M: f64 = 1000.0;
 
-/// Reads the active cameras in the order of the file, and names them by their serial numbers.
+/// Reads the active cameras of a Qualisys calibration in the order of the file, and names them by their serial numbers.
 ///
 /// Errors: no camera, a field that is missing or isn't a number, an invalid pose or lens.
 pub fn read_qualisys(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
@@ -87,7 +87,7 @@ fn camera(node: Node) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, time_ns: None, camera: checked(size, &model, &pose)? })
 }
 
-/// Returns the value of a numeric attribute. The caller adds the file's name to the error message.
+/// Returns the value of an XML element's numeric attribute. The caller adds the file's name to the error message.
 fn number(node: Node, name: &str) -> Result<f64, String> {
     let text = node.attribute(name).ok_or_else(|| format!("{name} is missing"))?;
     let wrong = || format!("{name} can't be '{}'", crate::text::short(text));

@@ -1,4 +1,4 @@
-//! Import of recordings without a calibration, and new calibrations for the frames of a capture.
+//! Import of recordings without a calibration, and copies of captures with new calibrations.
 
 use super::import::{NewCapture, import, link, name_of};
 use super::pairing::{extension, uncalibrated};
@@ -10,7 +10,7 @@ use crate::host::temporary::Temporary;
 use crate::json;
 use std::path::{Path, PathBuf};
 
-/// Name of the draft's folder inside its temporary folder.
+/// Name of a [`Draft`]'s folder inside its temporary folder.
 const DRAFT: &str = "draft";
 
 /// A temporary capture that is not calibrated yet: its lenses and poses are placeholders. Its folder is removed when
@@ -25,8 +25,8 @@ pub struct Draft {
 
 impl Draft {
     /// Imports the videos and the sub-folders of images in the folder `images` into a draft. The draft is in a
-    /// temporary folder beside `target`, the path of the later capture. `times` is a table with the times of all
-    /// frames. The id of a camera is the name of its recording.
+    /// temporary folder beside `target`, the path of the capture that will be made from it. `times` is a table with the
+    /// times of all frames. The id of a camera is the name of its recording.
     ///
     /// Errors: the errors of [`import`], and fewer than two recordings.
     pub fn import(
@@ -59,13 +59,13 @@ impl Draft {
 pub struct NewCalibration {
     /// Lens and pose of each camera, in the order of the capture's cameras.
     pub cameras: Vec<CameraFormat>,
-    /// Joint covariance of all cameras' calibration; `None` if it is unknown.
+    /// Joint covariance of the calibration errors of all cameras; `None` if it is unknown.
     pub covariance: Option<CalibrationCovarianceFormat>,
 }
 
 /// Makes the capture `target` from the frames and clocks of `capture`, with another calibration. Frames are
-/// hard-linked, or copied where the file system can't link them. The target appears only when it is complete and can be
-/// opened.
+/// hard-linked, or copied where the file system can't link them. The folder `target` appears only when the capture is
+/// complete and can be opened.
 ///
 /// The ground truth, the offsets and the COLMAP model of `capture` are not copied, because they belong to the earlier
 /// calibration.

@@ -5,7 +5,7 @@ use std::path::Path;
 /// The clock of the imported cameras. Values that the user leaves out are read from the recordings.
 #[derive(Clone, Copy, Debug)]
 pub struct ImportClock {
-    /// Frame rate, in hertz; `None` if the times of the frames come from a file or from the videos.
+    /// Frame rate, in hertz; `None` if the times of the frames are read from a file or from the videos.
     pub rate_hz: Option<f64>,
     /// Time of the first frame on each camera's own clock, in seconds. If a video's own time stamps are used, this time
     /// is added to them.
@@ -26,9 +26,9 @@ pub struct ImportRequest<'a> {
     /// CSV table with the times of all frames; `None` if no such table is given.
     pub times: Option<&'a Path>,
     pub clock: ImportClock,
-    /// True if images that are smaller than the calibrated image, and of another aspect ratio, are its top left part.
-    /// If false, such images are an error. Images of the same aspect ratio are always the whole image at another
-    /// resolution.
+    /// True if images that are smaller than the calibrated image, and of another aspect ratio, are the top left part of
+    /// the calibrated image. If false, such images are an error. Images of the same aspect ratio are always the whole
+    /// calibrated image at another resolution.
     pub is_cropped: bool,
     /// True if the lenses and poses of the cameras are placeholders, as in a [`Draft`](super::Draft). The lenses are
     /// then guessed from the size of the images.

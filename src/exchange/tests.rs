@@ -12,7 +12,7 @@ fn looking_up() -> NamedCamera {
     NamedCamera { name: "cam0".into(), time_ns: None, camera }
 }
 
-/// Returns a camera of every known model. The poses have no symmetry.
+/// Returns one camera of each camera model that the program supports. The poses have no symmetry.
 fn one_of_each() -> Vec<NamedCamera> {
     CameraModel::KNOWN
         .iter()
@@ -52,7 +52,7 @@ fn colmap_models_round_trip() {
     assert_same(&read_colmap(&folder.path().join("binary")).unwrap(), &cameras);
 }
 
-/// Numbers in a COLMAP text file have the format of C and Python.
+/// Numbers in a COLMAP text file are formatted as by C and Python.
 #[test]
 fn colmap_text_is_this_text() {
     let mut camera = CameraFormat::from(&looking_up().camera);

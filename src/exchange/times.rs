@@ -7,12 +7,12 @@ use crate::text::short;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Name of the file of frame times that is read by default if it is beside the images.
+/// Name of the table of frame times that is read by default if it is beside the images.
 pub(super) const TIMES_FILE: &str = "timestamps.csv";
 
-/// Accepted names of the column that identifies the camera.
+/// Accepted names of the column that identifies the camera in a table of frame times.
 const CAMERA: &[&str] = &["camera", "cam_id", "camera_id", "cam", "port"];
-/// Accepted names of the column that has the time.
+/// Accepted names of the column that has the time in a table of frame times.
 const TIME: &[&str] = &[
     "time_s",
     "frame_time",
@@ -31,8 +31,9 @@ const TIME: &[&str] = &[
 /// Times of each camera's frames, in nanoseconds and ascending, by the camera's name in the table.
 pub type RecordingTimes = BTreeMap<String, Vec<i64>>;
 
-/// Reads the frame times of all cameras. The rows may have any order. The name of the time column gives the unit:
-/// milliseconds for `time_ms`, microseconds for `time_us`, nanoseconds for `time_ns`, and otherwise seconds.
+/// Reads the frame times of all cameras from a CSV table. The rows may have any order. The name of the time column
+/// gives the unit: milliseconds for `time_ms`, microseconds for `time_us`, nanoseconds for `time_ns`, and otherwise
+/// seconds.
 pub fn read_times(path: &Path) -> Result<RecordingTimes, ExchangeError> {
     let mut times = RecordingTimes::new();
     read_columns(path, [CAMERA, TIME], |[_, name], [camera, time]| {
@@ -56,8 +57,8 @@ pub fn read_times(path: &Path) -> Result<RecordingTimes, ExchangeError> {
     Ok(times)
 }
 
-/// Returns the frame times of a camera. They are listed under the camera's id, or else under the only name with the
-/// same numbers as the id, such as `0` for `cam_0`. The caller adds the file's name to the error message.
+/// Returns the frame times of a camera, nanoseconds. They are listed under the camera's id, or else under the only name
+/// with the same numbers as the id, such as `0` for `cam_0`. The caller adds the file's name to the error message.
 pub(super) fn times_of<'a>(times: &'a RecordingTimes, id: &str) -> Result<&'a [i64], String> {
     if let Some(times) = times.get(id) {
         return Ok(times);

@@ -1,4 +1,4 @@
-//! Undistortion: images of a distorted lens are resampled for a pinhole camera.
+//! Undistortion: resampling of a distorted lens's images to those of a pinhole camera.
 
 use crate::camera::{Camera, CameraModel};
 use crate::raster::Image;
@@ -8,16 +8,16 @@ use nalgebra::{Point2, Point3};
 pub struct Undistortion {
     /// The pinhole camera. It has the image size of the distorted camera.
     pub camera: Camera,
-    /// Position in the distorted image of each pixel of the pinhole camera, in pixels and row by row; `None` outside
-    /// the distorted image. Empty if the images of both cameras are equal.
+    /// For each pixel of the pinhole camera, row by row: its position in the distorted image, in pixels; `None` if the
+    /// position is outside the distorted image. Empty if the images of both cameras are equal.
     sources: Vec<Option<Point2<f64>>>,
     is_identity: bool,
 }
 
 impl Undistortion {
-    /// Creates the map to a pinhole camera with the same focal lengths and principal point. If `is_centered`, both
-    /// focal lengths of the pinhole camera are the mean focal length, and its principal point is in the middle of the
-    /// image.
+    /// Creates the resampling map to a pinhole camera with the same focal lengths and principal point. If
+    /// `is_centered`, both focal lengths of the pinhole camera are the mean focal length, and its principal point is in
+    /// the middle of the image.
     pub fn new(camera: &Camera, is_centered: bool) -> Self {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let (width, height) = (camera.width, camera.height);
@@ -58,8 +58,8 @@ impl Undistortion {
     }
 }
 
-/// Returns the position in the distorted image of the centre of the pinhole camera's pixel (x, y); `None` outside the
-/// distorted image.
+/// Projects the centre of the pinhole camera's pixel (x, y) into the distorted image. Returns the position in pixels;
+/// `None` if it is outside the distorted image.
 fn source(camera: &Camera, pinhole: &Camera, [x, y]: [usize; 2]) -> Option<Point2<f64>> {
     let ray = pinhole.ray(&Point2::new(x as f64 + 0.5, y as f64 + 0.5))?;
     camera.project_cam(&Point3::from(ray)).filter(|pixel| camera.contains(pixel))
@@ -74,7 +74,7 @@ mod tests {
         Camera { width: 64, height: 48, model, cam_from_world: Isometry3::identity() }
     }
 
-    /// Returns a smooth test image. Every camera sees the same pattern on the plane z = 1.
+    /// Returns a camera's image of a smooth pattern on the plane z = 1, which is the same for every camera.
     fn picture(camera: &Camera) -> Image {
         let value = |k: usize| {
             let pixel = Point2::new((k % 64) as f64 + 0.5, (k / 64) as f64 + 0.5);

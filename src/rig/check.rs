@@ -12,7 +12,7 @@ use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-/// Error of an invalid rig file: one sentence with the file's path and the field.
+/// Error of a rig file that can't be read or is invalid: one sentence with the file's path and the field.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {source}")]
 pub struct RigError {
@@ -20,7 +20,8 @@ pub struct RigError {
     source: JsonError,
 }
 
-/// Invalid value of a field or an option. The field and the reason together are one sentence.
+/// An invalid value of a rig's field, or of an option of the rig generator: the field and the reason. Together they are
+/// one sentence.
 #[derive(Debug, PartialEq, thiserror::Error)]
 #[error("{field} {reason}")]
 pub struct FieldError {
@@ -38,16 +39,16 @@ impl Rig {
             .map_err(|source| RigError { path: path.to_owned(), source })
     }
 
-    /// Parses and checks the text of a rig file. The error is one sentence. It starts with the field, if the field is
-    /// known.
+    /// Parses and checks the text of a rig file. The error message is one sentence. It starts with the name of the
+    /// invalid field, if the field is known.
     pub fn parse(text: &str) -> Result<Self, String> {
         let rig: Self = json::parse(text)?;
         rig.check().map_err(|wrong| wrong.to_string())?;
         Ok(rig)
     }
 
-    /// Checks every field against [`super::limits`], and fields against each other. The error is that of the first
-    /// invalid field, in the order of the file.
+    /// Checks every field against its limit in [`super::limits`], and checks that fields don't contradict each other.
+    /// Returns the error of the first invalid field, in the order of the file.
     pub fn check(&self) -> FieldCheck {
         if self.format != FORMAT {
             return wrong("format", format!("must be {FORMAT:?}, not {:?}", self.format));
@@ -136,8 +137,8 @@ fn camera(at: &str, camera: &RigCamera, reference: &str) -> FieldCheck {
     distortion(at, camera)
 }
 
-/// Checks that the fields of a camera's clock don't contradict each other. `at` is the camera's path in the file, such
-/// as `cameras[1]`.
+/// Checks that the fields of a camera's clock don't contradict each other. `at` is the camera's path in the rig file,
+/// such as `cameras[1]`, for the error message.
 fn clock(at: &str, camera: &RigCamera, is_reference: bool) -> FieldCheck {
     let known = if is_reference { "the reference camera" } else { "a camera with a shared clock" };
     if is_reference || camera.clock_shared {
@@ -211,7 +212,7 @@ fn pose(at: &str, pose: &PoseFormat) -> FieldCheck {
 }
 
 impl RigCamera {
-    /// Returns the camera as a virtual camera: with its pose, and its lens without distortion.
+    /// Returns a virtual camera with this camera's pose, and with its lens without distortion.
     pub fn view(&self) -> RigView {
         RigView {
             id: self.id.clone(),

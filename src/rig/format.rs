@@ -25,14 +25,14 @@ pub struct Rig {
     /// Name of the rig. It is also written into a capture's ground truth.
     #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub name: String,
-    /// Id of the reference camera. All times are given on its clock. This clock has no drift, and its time stamps have
-    /// a gap at every lost frame.
+    /// Id of the reference camera. All times are given on the clock of this camera. Its clock has no drift, and its
+    /// time stamps have a gap at every lost frame.
     #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub reference: String,
     /// Seed of the random errors in exposure times, and of the sensors' noise.
     #[schemars(range(max = MAX_SEED))]
     pub seed: u64,
-    /// Filming cameras, at least one.
+    /// Cameras that film the scene, at least one.
     #[schemars(length(min = 1))]
     pub cameras: Vec<RigCamera>,
     /// Virtual cameras from which ground truth is rendered, in addition to the filming cameras.
@@ -102,8 +102,8 @@ pub struct RigCamera {
     /// Whether a lost frame leaves a gap in the camera's time stamps. Otherwise, the time stamps don't show the loss.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub lost_stamped: bool,
-    /// Whether the camera's clock is the one that all cameras with this setting share. This clock shows world time, so
-    /// that the camera's temporal offset needn't be estimated.
+    /// Whether the camera runs on the clock that all cameras with this setting share. The shared clock shows world
+    /// time. The camera's temporal offset is then known, and not estimated.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub clock_shared: bool,
     /// Time for which the shutter is open, seconds, centred on the frame's time. 0 means an instantaneous exposure. At
@@ -120,13 +120,13 @@ pub struct RigCamera {
     #[serde(default = "one", skip_serializing_if = "is_one")]
     #[schemars(range(min = *GAIN.start(), max = *GAIN.end()))]
     pub gain: f64,
-    /// Rates of change of the logarithm of `gain` for red, green and blue, per second, as by automatic exposure or
-    /// white balance. They apply from the nominal time of the first frame on. The gains stay within the limits of
-    /// `gain`. The truth is rendered without this change.
+    /// Rates of change of the logarithm of `gain` for red, green and blue, per second. They simulate automatic exposure
+    /// or white balance. The change starts at the nominal time of the first frame. The changing gains stay within the
+    /// allowed range of `gain`. The ground truth is rendered without this change.
     #[serde(default, skip_serializing_if = "are_zero")]
     #[schemars(inner(range(min = *GAIN_DRIFT_PER_S.start(), max = *GAIN_DRIFT_PER_S.end())))]
     pub gain_drift_per_s: [f64; 3],
-    /// Standard deviation of the sensor's Gaussian noise, in display-encoded values from 0 to 1.
+    /// Standard deviation of the sensor's Gaussian noise, on the scale of display-encoded pixel values from 0 to 1.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = *NOISE.start(), max = *NOISE.end()))]
     pub noise: f64,
@@ -139,7 +139,8 @@ pub struct RigCamera {
     pub bit_depth: u32,
 }
 
-/// A virtual pinhole camera on the rig. Its fields have the same meaning as those of [`RigCamera`].
+/// A virtual pinhole camera on the rig, from which ground truth is rendered. Its fields have the same meaning as those
+/// of [`RigCamera`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RigView {

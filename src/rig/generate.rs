@@ -1,4 +1,4 @@
-//! Generates rigs from a few numbers. Equal options give equal files, to the byte.
+//! Generates rig files from a few options. Equal options give files with the same bytes.
 
 use super::check::{FieldCheck, FieldError, wrong};
 use super::format::{Rig, RigCamera, RigColor, RigDistortion, RigView};
@@ -21,12 +21,12 @@ pub enum RigLayout {
     /// Cameras in a grid, row by row from the top left.
     Grid { rows: NonZeroUsize, columns: NonZeroUsize },
     /// Cameras on a circle, from left to right. All look at the centre of the circle, which is `distance_m` metres
-    /// straight ahead. Their spacing is measured along the arc.
+    /// straight ahead of the rig's centre. Their spacing is measured along the arc.
     Arc { count: NonZeroUsize, distance_m: f64 },
 }
 
 impl RigLayout {
-    /// Returns the number of cameras. Saturates instead of overflowing.
+    /// Returns the number of cameras; `usize::MAX` if rows times columns overflows.
     fn count(&self) -> usize {
         match self {
             Self::Line { count } | Self::Arc { count, .. } => count.get(),
@@ -35,7 +35,7 @@ impl RigLayout {
     }
 }
 
-/// Times from the scene's start to the cameras' first frames.
+/// Delays: times from the scene's start to the cameras' first frames.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Delays {
@@ -43,11 +43,12 @@ pub enum Delays {
     None,
     /// The delay of each camera is uniformly random within one of its frame intervals.
     Random,
-    /// Delays in seconds, which the cameras take in turn.
+    /// Delays in seconds. Camera k takes entry k of the list. If the list is shorter, the cameras start again from its
+    /// first entry.
     Listed(Vec<f64>),
 }
 
-/// Whether lost frames leave gaps in the cameras' time stamps.
+/// Whether the frames that a simulated camera loses leave gaps in its time stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LossStamps {
@@ -67,13 +68,15 @@ methods!(LossStamps {
     Mixed = "mixed": "Either in turn, by camera",
 });
 
-/// Lost frames: the settings for all cameras except the reference camera, which loses none.
+/// Settings for the frames that simulated cameras lose. They apply to all cameras except the reference camera, which
+/// loses none.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Loss {
     /// Number of frames that each camera loses.
     pub count: usize,
-    /// The numbers of the lost frames are drawn at random from 1 to `within − 1`. Frame 0 is never lost.
+    /// Exclusive upper bound on the numbers of lost frames, which are drawn at random from 1 to `within − 1`. Frame 0
+    /// is never lost.
     pub within: usize,
     /// Whether lost frames leave gaps in the time stamps.
     pub stamps: LossStamps,
@@ -81,8 +84,8 @@ pub struct Loss {
 
 /// Options of a generated rig.
 ///
-/// Cameras take the entries of a list in turn, and start again from its first entry after the last. No list may be
-/// empty.
+/// An option that is a list has values for several cameras. The cameras take its entries in turn, and start again from
+/// the first entry after the last. No list may be empty.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigOptions {
@@ -90,19 +93,20 @@ pub struct RigOptions {
     pub layout: RigLayout,
     /// Distance between the centres of neighbouring cameras, metres.
     pub spacing_m: f64,
-    /// Widths and heights of the cameras' images, pixels.
+    /// Widths and heights of images, pixels. The cameras take the entries in turn.
     pub sizes_px: Vec<(u32, u32)>,
-    /// Focal lengths of the cameras, millimetres.
+    /// Focal lengths, millimetres. The cameras take the entries in turn.
     pub lenses_mm: Vec<f64>,
     /// Length of all sensors along their longer side, millimetres.
     pub sensor_width_mm: f64,
     /// Distortion of all lenses.
     pub distortion: RigDistortion,
-    /// Frame rates of the cameras, hertz.
+    /// Frame rates, hertz. The cameras take the entries in turn.
     pub rates_hz: Vec<f64>,
-    /// Times of the cameras' first frames.
+    /// Times from the scene's start to the cameras' first frames.
     pub delays: Delays,
-    /// Standard deviations of the random errors in the times of exposures, seconds.
+    /// Standard deviations of the jitter (the random errors in the times of exposures), seconds. The cameras take the
+    /// entries in turn.
     pub jitters_s: Vec<f64>,
     /// Whether the cameras' time stamps include the jitter, the random errors in the times of exposures.
     pub jitter_stamped: bool,
@@ -113,19 +117,21 @@ pub struct RigOptions {
     pub loss: Option<Loss>,
     /// Whether all cameras share one clock.
     pub clock_shared: bool,
-    /// Times for which the cameras' shutters are open, seconds.
+    /// Times for which shutters are open, seconds. The cameras take the entries in turn.
     pub exposures_s: Vec<f64>,
-    /// Readout times of the cameras' rolling shutters, seconds. 0 for a global shutter.
+    /// Readout times of rolling shutters, seconds; 0 for a global shutter. The cameras take the entries in turn.
     pub readouts_s: Vec<f64>,
-    /// Gains of the cameras: factors on the linear light, before display encoding.
+    /// Gains: factors on the linear light, before display encoding. The cameras take the entries in turn.
     pub gains: Vec<f64>,
-    /// Standard deviations of the cameras' sensor noise, in display-encoded values from 0 to 1.
+    /// Standard deviations of sensor noise, on the scale of display-encoded pixel values from 0 to 1. The cameras take
+    /// the entries in turn.
     pub noises: Vec<f64>,
-    /// Whether each camera records colours or luminance alone.
+    /// Whether cameras record colours or luminance alone. The cameras take the entries in turn.
     pub colors: Vec<RigColor>,
     /// Bits per channel of all images, 8 or 16.
     pub bit_depth: u32,
-    /// Seed of random delays, drifts and losses. It is also written into the field `seed` of the rig file.
+    /// Seed from which random delays, drifts and lost frames are drawn. It is also written into the field `seed` of the
+    /// rig file.
     pub seed: u64,
 }
 
@@ -158,7 +164,7 @@ impl Default for RigOptions {
     }
 }
 
-/// Pose of a camera in the rig's frame: its centre, metres, and its rotation about the vertical axis.
+/// Pose of a generated camera in the rig's frame: its centre in metres, and its rotation about the vertical axis.
 #[derive(Clone, Copy)]
 struct Stand {
     center: Vector3<f64>,
@@ -166,12 +172,12 @@ struct Stand {
     yaw_rad: f64,
 }
 
-/// Number of rounding steps per metre of a translation, and per unit of a quaternion. The rounding makes files equal on
-/// platforms with different sine functions.
+/// Translations in metres and quaternions are rounded to multiples of 1 / `POSE_STEPS`. Files are then equal on
+/// platforms whose sine functions differ in the last digits.
 const POSE_STEPS: f64 = 1e9;
-/// Number of rounding steps per second of a delay. Delays are thus rounded to microseconds.
+/// Delays are rounded to multiples of 1 / `TIME_STEPS` seconds, that is, to microseconds.
 const TIME_STEPS: f64 = 1e6;
-/// Number of rounding steps per ppm of a drift. Drifts are thus rounded to 0.001 ppm.
+/// Drifts are rounded to multiples of 1 / `DRIFT_STEPS` parts per million.
 const DRIFT_STEPS: f64 = 1e3;
 
 impl RigOptions {
@@ -289,7 +295,8 @@ impl RigOptions {
         }
     }
 
-    /// Returns camera `i` of the rig. Its frame rate, delay, drift and losses are set by the caller.
+    /// Returns camera `i` of the rig, with the pose `stand`. The caller sets its frame rate, delay, drift and lost
+    /// frames.
     fn camera(&self, i: usize, stand: &Stand) -> RigCamera {
         let (width, height) = turn(&self.sizes_px, i);
         RigCamera {
@@ -401,7 +408,7 @@ fn draw(random: &mut Random, loss: Loss) -> Vec<u32> {
     lost
 }
 
-/// Returns a camera's entry of a list. The cameras take the entries in turn, cyclically.
+/// Returns the entry of a list that belongs to a camera. The cameras take the entries in turn, cyclically.
 fn turn<T: Clone>(list: &[T], camera: usize) -> T {
     list[camera % list.len()].clone()
 }

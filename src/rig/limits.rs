@@ -1,6 +1,6 @@
 //! Limits of a rig's fields, for the JSON Schema and the checks.
 //!
-//! The limits prevent divisions by 0. They also keep a typing error in a rig from taking terabytes of memory.
+//! The limits prevent divisions by 0. They also keep a typing error in a rig file from taking terabytes of memory.
 //! Further limits are those of captures and cameras: [`MAX_DRIFT_PPM`], [`MAX_FRAMES`](crate::capture::MAX_FRAMES),
 //! [`MAX_PIXELS`](crate::raster::MAX_PIXELS), [`MAX_QUATERNION_ERROR`](crate::camera::MAX_QUATERNION_ERROR).
 
@@ -11,11 +11,12 @@ use std::ops::RangeInclusive;
 pub const FORMAT: &str = "stlfr-rig";
 /// Value of the field `version` in rig files.
 pub const VERSION: u32 = 1;
-/// Regular expression for ids and names. They must be valid names of folders and files on every system.
+/// Regular expression that ids and names in a rig file must match. They must be valid names of folders and files on
+/// every system.
 pub const IDENTIFIER: &str = r"^[A-Za-z0-9][A-Za-z0-9_-]*$";
-/// Ids and names that are not allowed, because captures contain folders with these names.
+/// Ids and names that are not allowed in a rig file, because captures contain folders with these names.
 pub const RESERVED: [&str; 3] = ["truth", "colmap", "review"];
-/// Maximum seed. Up to this number, JSON readers that parse numbers as doubles represent all integers exactly.
+/// Maximum seed: 2⁵³. Up to this number, JSON readers that parse numbers as doubles represent all integers exactly.
 pub const MAX_SEED: u64 = 1 << 53;
 /// Maximum number of cameras of a generated rig.
 pub const MAX_CAMERAS: usize = 1000;
@@ -53,7 +54,8 @@ pub const MAX_JITTER_FRAMES: f64 = 0.1;
 /// Maximum width of the undistorted image that covers the view of a distorted lens, as a multiple of the width of the
 /// lens's own image. The same limit holds for the height.
 pub const MAX_SPREAD: f64 = 2.0;
-/// Number of intervals into which each side of the image's border is divided. A distortion is checked at their ends.
+/// Number of intervals into which each side of the image's border is divided. At their ends, it is checked that the
+/// lens distortion can be inverted.
 pub const BORDER_STEPS: u32 = 16;
-/// Maximum number of frames from which the lost frames of a camera are drawn at random.
+/// Maximum number of frames among which a generated camera's lost frames are drawn at random.
 pub const MAX_LOSS_WITHIN: usize = 100_000;

@@ -5,7 +5,7 @@
 //! - [`RigOptions::generate`] generates a rig from a few numbers. [`Rig::to_json`] writes it.
 //! - [`limits`] has the allowed range of every field.
 //!
-//! Known limit: the random jitter is drawn by Blender when a rig films, not by the generator.
+//! Known limit: the random jitter of exposure times is drawn in Blender when the rig is filmed, not by the generator.
 
 mod check;
 mod format;

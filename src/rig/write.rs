@@ -1,4 +1,4 @@
-//! Writes rig files that people can read: three or four lines per camera.
+//! Writes rig files in a layout that is easy to read: three or four lines per camera.
 
 use super::Rig;
 use serde::Serialize;

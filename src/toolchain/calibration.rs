@@ -10,7 +10,7 @@ use serde_json::Value;
 use std::ffi::OsString;
 use std::path::Path;
 
-/// Result of a calibration check.
+/// Result of checking a capture's calibration against its images.
 #[derive(Clone, Debug)]
 pub struct Check {
     /// Measured values: the JSON object that `blender/check.py` prints.
@@ -43,7 +43,8 @@ impl CheckVerdict {
     }
 }
 
-/// Checks a capture's calibration. A wrong calibration is a result, not an error.
+/// Checks a capture's calibration against its images. If the calibration is wrong, the verdict of the returned
+/// [`Check`] says so; this is not an error.
 pub fn check(
     environment: &Environment,
     capture: &Path,
@@ -76,14 +77,14 @@ pub fn check(
 pub enum CalibrationRequest {
     /// All lenses and poses are estimated from the images alone. The lenses and poses of the capture are not read.
     New {
-        /// Name of the lens model in COLMAP.
+        /// Name of the lens model of all cameras, as in COLMAP.
         lens: String,
         /// Focal length of all cameras, pixels. `None` if it is unknown.
         focal_px: Option<f64>,
         /// Ids of two cameras, and the distance between the two in metres. `None` if no distance is known.
         distance_m: Option<([String; 2], f64)>,
     },
-    /// The capture's poses are refined. The lens parameters are refined as the fields say.
+    /// The poses of the capture are refined. The fields select which lens parameters are refined too.
     Refinement {
         /// Whether focal lengths are refined.
         focal: bool,
@@ -130,8 +131,8 @@ pub struct Calibration {
     pub notes: Vec<String>,
 }
 
-/// A camera of an estimated calibration. The standard errors of its pose are those along the least certain axis. They
-/// exclude the position, rotation and scale of all cameras together, which images don't determine.
+/// A camera of an estimated calibration. The standard errors of its pose are those about and along the least certain
+/// axis. They exclude the common position, rotation and scale of all cameras, which images don't determine.
 #[derive(Clone, Debug, Deserialize)]
 pub struct CameraEstimate {
     pub id: String,
@@ -145,20 +146,22 @@ pub struct CameraEstimate {
     pub points: usize,
     /// Root mean square of the camera's reprojection errors, pixels.
     pub error_px: f64,
-    /// Standard error of the camera's orientation, about the least certain axis, degrees.
+    /// Standard error of the camera's orientation: of the rotation about the least certain axis, degrees.
     pub rotation_std_err_deg: f64,
     /// Standard error of the camera's centre, along the least certain axis, metres.
     pub position_std_err_m: f64,
     /// Standard error of the focal length, as a fraction of the focal length. 0 if the focal length was given.
     pub focal_std_err_fraction: f64,
-    /// Angle between the given and the estimated orientation, degrees. `None` if no calibration was given.
+    /// Angle between the orientation in the capture's calibration and the estimated orientation, degrees. `None` if the
+    /// capture's calibration was not used.
     pub turned_deg: Option<f64>,
-    /// Distance between the given and the estimated camera centre, metres. `None` if no calibration was given.
+    /// Distance between the camera centre in the capture's calibration and the estimated centre, metres. `None` if the
+    /// capture's calibration was not used.
     pub moved_m: Option<f64>,
 }
 
 impl CameraEstimate {
-    /// Returns lens and pose in the format of capture.json.
+    /// Returns the camera's lens and pose in the format of `capture.json`.
     pub fn format(&self) -> CameraFormat {
         CameraFormat {
             width: self.width,
@@ -175,7 +178,8 @@ impl CameraEstimate {
     }
 }
 
-/// Estimates a calibration from the static part of a capture's frames. The capture isn't changed.
+/// Estimates or refines the calibration of a capture's cameras from the static part of its frames. The capture isn't
+/// changed.
 pub fn calibrate(
     environment: &Environment,
     capture: &Path,

@@ -10,7 +10,8 @@ use crate::progress::Reporter;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// Options for filming a capture. If an option is `None`, the filming script's default is used.
+/// Options for filming a scene in Blender with a simulated rig. If an option is `None`, the filming script's default is
+/// used.
 #[derive(Clone, Debug)]
 pub struct FilmOptions {
     /// Path of the rig file.
@@ -18,32 +19,32 @@ pub struct FilmOptions {
     pub scene: FilmedScene,
     /// Folder of the capture. If filming was interrupted, it is resumed there, provided that the options are the same.
     pub capture: PathBuf,
-    /// Width and height of all cameras' images, pixels.
+    /// Width and height of all cameras' images, pixels. `None` for the sizes in the rig file.
     pub size_px: Option<(u32, u32)>,
-    /// Number of frames that the reference camera films.
+    /// Number of frames that the reference camera films. `None` for the filming script's default.
     pub frames: Option<u32>,
-    /// Number of render samples per pixel.
+    /// Number of render samples per pixel. `None` for the filming script's default.
     pub samples: Option<u32>,
-    /// Blender's render engine: `cycles` or `workbench`.
+    /// Blender's render engine: `cycles` or `workbench`. `None` for the filming script's default.
     pub engine: Option<String>,
-    /// Number of instants at which ground truth is rendered.
+    /// Number of instants at which ground truth is rendered. `None` for the filming script's default.
     pub instants: Option<u32>,
     /// Instants at which ground truth is rendered, seconds on the reference camera's clock. If empty, `instants` evenly
     /// spaced instants are chosen.
     pub instants_s: Vec<f64>,
-    /// Number of scene points whose true tracks are written.
+    /// Number of scene points whose true tracks are written into the ground truth. `None` for no tracks.
     pub tracks: Option<u32>,
-    /// Number of frames of the ground truth's slow-motion video.
+    /// Number of frames of the ground truth's slow-motion video. `None` for no video.
     pub truth_video: Option<u32>,
     /// Whether to write ground truth into the capture's folder `truth/`.
     pub truth: bool,
     /// Whether to store the frames of each camera as one lossless video.
     pub video: bool,
-    /// Part of the images to film, such as `3-6/100` for the parts 3 to 6 of 100. With `None`, all images are filmed,
-    /// and then the files that complete the capture are written.
+    /// Part of the images to film, such as `3-6/100` for the parts 3 to 6 of 100. If it is `None`, all images are
+    /// filmed, and then the files that complete the capture are written.
     pub part: Option<String>,
-    /// Time, seconds, without a sign of life after which another filming process counts as ended. The images that it
-    /// had begun are then filmed by this process.
+    /// Time without activity, in seconds, after which another filming process counts as ended. The images that the
+    /// other process had begun are then filmed by this process. `None` for the filming script's default.
     pub silence_s: Option<u32>,
 }
 
@@ -60,7 +61,7 @@ impl FilmOptions {
         Ok(())
     }
 
-    /// Returns the arguments of `stlfr capture`. The filming script takes the same arguments.
+    /// Returns these options as command-line arguments of `stlfr capture`. The filming script takes the same arguments.
     pub fn arguments(&self) -> Vec<OsString> {
         let mut arguments =
             vec![self.rig.clone().into(), "-o".into(), self.capture.clone().into_os_string()];
@@ -101,7 +102,7 @@ pub enum FilmedScene {
     Blend(PathBuf),
 }
 
-/// Films the frames that a capture lacks. A complete capture is not changed.
+/// Films a capture in Blender: renders the images that it lacks. A complete capture is not changed.
 pub fn film(
     environment: &Environment,
     options: &FilmOptions,
@@ -112,8 +113,8 @@ pub fn film(
     script::run(&mut command, "filming", reporter, |line| reporter.note(line))
 }
 
-/// Lays out a comparison in Blender: writes `review.blend` beside `layout`, the path of the comparison's `review.json`.
-/// Returns the path of `review.blend`.
+/// Lays out the pictures of a comparison in Blender's video sequence editor: writes `review.blend` beside the file
+/// `layout`, the comparison's `review.json`. Returns the path of `review.blend`.
 pub fn review(
     environment: &Environment,
     layout: &Path,
@@ -125,11 +126,11 @@ pub fn review(
     Ok(layout.with_file_name("review.blend"))
 }
 
-/// Name of the camera path's file inside its temporary folder.
+/// Name of the JSON file, inside a temporary folder, to which the script writes a `.blend` file's camera path.
 const PATH_FILE: &str = "path.json";
 
-/// Reads the animated scene camera of a `.blend` file as a camera path. Returns the text of the camera path's JSON
-/// file.
+/// Reads the animated scene camera of a `.blend` file as a camera path. Returns the camera path in JSON, in the format
+/// of `stlfr render --path`.
 pub fn blend_path(
     environment: &Environment,
     blend: &Path,
@@ -147,8 +148,8 @@ pub fn blend_path(
 /// Name of the Blender extension's zip file inside its temporary folder.
 const EXTENSION_FILE: &str = "extension.zip";
 
-/// Writes the Blender extension for this platform as a zip file. It contains the wheel of the Python module. Blender's
-/// own tool validates it.
+/// Packages the Blender extension for this platform as the file `zip`, which contains the wheel of the Python module
+/// `stlfr`. Blender's own tool validates the file.
 pub fn build_extension(
     environment: &Environment,
     zip: &Path,

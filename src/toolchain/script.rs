@@ -1,6 +1,6 @@
-//! Runs a Python script of the folder `blender/`. A line of JSON `{"done", "total", "what"}` on its stdout reports
-//! progress, and may have a `note` for the user. Other lines are output. An error is one sentence on stderr. The exit
-//! code is 2 for invalid input.
+//! Runs a Python script of the folder `blender/`. A line of JSON `{"done", "total", "what"}` on the script's stdout
+//! reports progress, and may have a `note` for the user. Other lines of stdout are output. An error is one sentence on
+//! stderr. The exit code is 2 for invalid input.
 
 use super::ToolchainError;
 use super::setup::Environment;
@@ -20,8 +20,8 @@ struct Progress {
     note: Option<String>,
 }
 
-/// Returns the command that runs a script of the folder `blender/`. Python then ignores the user's own packages and
-/// environment variables.
+/// Returns the command that runs a Python script of the folder `blender/`. Python's isolated mode is used, so that the
+/// user's own packages and Python's environment variables have no effect.
 pub(super) fn command(environment: &Environment, script: &str) -> Command {
     let mut command = Command::new(&environment.python);
     command.arg("-I").arg(environment.project_root.join("blender").join(script));
@@ -66,7 +66,8 @@ pub(super) fn ended(command: &mut Command, on_line: impl FnMut(&str)) -> std::io
     process::run(command.env("TMPDIR", temporary.path()), on_line)
 }
 
-/// Returns success, or the error that the script reported. `name` is the script's name.
+/// Returns the error of a finished script: the last line of its stderr. Returns success if its exit code is 0. `name`
+/// is the script's name.
 pub(super) fn verdict(name: &str, ended: &Ended) -> Result<(), ToolchainError> {
     let sentence = || ended.stderr.lines().rev().find(|l| !l.trim().is_empty()).map(str::to_owned);
     match ended.status.code() {

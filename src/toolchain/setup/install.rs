@@ -8,11 +8,11 @@ use crate::toolchain::ToolchainError;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Python program that imports all packages in one process, because the module `stlfr` must be able to load together
-/// with Blender.
+/// Python program that imports all packages in one process, to check that the module `stlfr` loads together with
+/// Blender's module `bpy`.
 const IMPORTS: &str = "import bpy, pycolmap, numpy, stlfr";
 
-/// Name of the step that builds the Python module.
+/// Name of the set-up step that builds the Python module, for progress and errors.
 const BUILDING: &str = "building the Python module stlfr";
 
 /// An installation of the Python environment in progress. The caller must hold the environment's lock.
@@ -32,7 +32,8 @@ impl<'a> Installer<'a> {
         Self { root, python, wheels: venv.join("wheels"), venv, reporter }
     }
 
-    /// Installs all parts of the environment that the stamps report as missing.
+    /// Installs all parts of the Python environment that lack a valid stamp. A stamp is a file that marks a part as
+    /// complete.
     pub fn install(&self, stamps: &Stamps) -> Result<(), ToolchainError> {
         let wheel = if stamps.packages.found {
             self.reporter.note("Building the Python module stlfr: its sources have changed.");
@@ -52,7 +53,7 @@ impl<'a> Installer<'a> {
         Ok(())
     }
 
-    /// Creates an empty Python environment, which replaces an earlier one.
+    /// Creates an empty virtual environment `.venv` of Python. An earlier one is deleted first.
     fn make_venv(&self) -> Result<(), ToolchainError> {
         let base_python = system::find_python()?;
         // The folder is created here, not by Python, so that missing write permission has its own error.
@@ -64,8 +65,8 @@ impl<'a> Installer<'a> {
         self.step("making the Python environment", &mut command)
     }
 
-    /// Installs the build tool, and then the other packages while the Python module compiles. Returns the path of the
-    /// module's wheel.
+    /// Installs the build tool maturin, and then the other packages while the Python module compiles. Returns the path
+    /// of the module's wheel.
     fn install_packages_and_build(&self) -> Result<PathBuf, ToolchainError> {
         let requirements = self.root.join("blender/requirements.txt");
         let mut tool = self.pip();
@@ -88,8 +89,7 @@ impl<'a> Installer<'a> {
             .map_err(|e| file_error(&self.wheels, e))?;
         let mut command = Command::new(self.venv.join("bin/maturin"));
         command.args(["build", "--release", "--locked", "--quiet", "--interpreter"]);
-        // A separate target folder. In the program's own, builds with and without the Python feature would
-        // replace each other.
+        // A separate target folder, because builds with and without the Python feature would replace each other.
         let target = self.root.join("target/python");
         command.arg(self.python).arg("--out").arg(&self.wheels).arg("--target-dir").arg(target);
         self.step(BUILDING, command.current_dir(self.root.join("blender")))?;
@@ -104,7 +104,7 @@ impl<'a> Installer<'a> {
         std::fs::remove_dir_all(&self.wheels).map_err(|e| file_error(&self.wheels, e))
     }
 
-    /// Imports all packages in one process, to find missing system libraries.
+    /// Imports all packages in one Python process, to find missing system libraries.
     fn try_imports(&self) -> Result<(), ToolchainError> {
         let mut command = Command::new(self.python);
         command.args(["-I", "-c", IMPORTS]);
@@ -127,11 +127,11 @@ impl<'a> Installer<'a> {
         self.explained_step(what, command, |_| None)
     }
 
-    /// Runs a command. The names of files that it downloads are shown as progress.
+    /// Runs a command as the set-up step `what`. The names of files that the command downloads are shown as progress.
     ///
     /// # Errors
     /// If the command fails: the error that `explain` returns for the command's stderr. If `explain` returns `None`: an
-    /// error with the reason, and with the path of a log of all output.
+    /// error with the most informative line of stderr, and with the path of a log of all output.
     fn explained_step(
         &self,
         what: &str,
@@ -170,8 +170,8 @@ fn step_failed(what: &str, reason: &str, log: &Path) -> ToolchainError {
     ToolchainError::Failure(format!("{what} failed: {reason} (all of its output is in {log})"))
 }
 
-/// Returns the most informative line of stderr: the last line that starts with "error", or else the last line. If
-/// stderr is empty, returns the exit status.
+/// Returns the most informative line of a failed command's stderr: the last line that starts with "error", or else the
+/// last line. If stderr is empty, returns the exit status.
 fn reason(ended: &Ended) -> String {
     let lines = || ended.stderr.lines().rev().map(str::trim).filter(|l| !l.is_empty());
     lines()

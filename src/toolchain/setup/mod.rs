@@ -28,7 +28,8 @@ pub struct Environment {
     pub python: PathBuf,
 }
 
-/// Returns the error of a failed file operation. If write permission is missing, its sentence says how to get it.
+/// Returns the error of a failed file operation. If write permission is missing, the error's sentence has the command
+/// that gives it.
 fn file_error(path: &Path, source: Error) -> ToolchainError {
     ToolchainError::Failure(match source.kind() {
         ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {
@@ -48,13 +49,14 @@ fn entry(folder: &Path, passes: impl Fn(&str) -> bool) -> Option<PathBuf> {
 }
 
 impl Environment {
-    /// Returns the environment of a project if its packages are installed, otherwise `None`. Nothing is installed.
+    /// Returns the Python environment of the project in this folder if its packages are installed, otherwise `None`.
+    /// Nothing is installed.
     pub fn find(project_root: &Path) -> Option<Self> {
         let stamps = Stamps::read(project_root).ok()?;
         stamps.packages.found.then(|| Self::inside(project_root))
     }
 
-    /// Returns the environment of a project, whether it is complete or not.
+    /// Returns the paths of the project's Python environment, whether it is installed or not.
     fn inside(project_root: &Path) -> Self {
         let python = project_root.join(".venv/bin/python");
         Self { project_root: project_root.to_owned(), python }
@@ -91,7 +93,7 @@ pub fn find_ffmpeg() -> Option<PathBuf> {
     })
 }
 
-/// Creates the Python environment, or installs its missing parts. If the environment is complete, this takes
+/// Creates the Python environment, or installs its missing parts. If the environment is complete, the call takes
 /// milliseconds and does not start Python.
 pub fn ensure_environment(
     project_root: &Path,
@@ -102,7 +104,7 @@ pub fn ensure_environment(
         return Ok(environment);
     }
     let _lock = lock(project_root, reporter)?;
-    let stamps = Stamps::read(project_root)?; // the one who held the lock may have done it
+    let stamps = Stamps::read(project_root)?; // another process may have installed the parts meanwhile
     if !stamps.is_whole() {
         Installer::new(&environment, reporter).install(&stamps)?;
     }

@@ -1,5 +1,5 @@
 //! Stamps: files that mark the parts of the Python environment as complete. A stamp contains a hash of everything from
-//! which its part was built.
+//! which its part of the environment was built.
 
 use super::file_error;
 use crate::host::{hash_file, ignore_absent, read_bytes, read_text, write_atomically};
@@ -15,8 +15,8 @@ pub(super) struct Stamps {
     pub module: Stamp,
 }
 
-/// A stamp: a file that marks a part of the Python environment as complete. The file should contain the expected hash
-/// of everything from which this part is built.
+/// A stamp: a file that marks a part of the Python environment as complete. A valid stamp contains the hash of
+/// everything from which this part is built.
 pub(super) struct Stamp {
     path: PathBuf,
     expected: String,
@@ -36,7 +36,7 @@ impl Stamp {
             .map_err(|e| file_error(&self.path, e))
     }
 
-    /// Removes the file that marks a part of the Python environment as complete. Must be called before this part is
+    /// Removes the file that marks a part of the Python environment as complete. This must be done before the part is
     /// replaced.
     pub fn remove(&self) -> Result<(), ToolchainError> {
         ignore_absent(std::fs::remove_file(&self.path)).map_err(|e| file_error(&self.path, e))
@@ -116,7 +116,7 @@ fn add_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<(), ToolchainErr
 mod tests {
     use super::*;
 
-    /// Returns a source tree with a complete environment.
+    /// Returns a source tree with a complete Python environment.
     fn finished() -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         for file in [
@@ -139,8 +139,8 @@ mod tests {
         folder
     }
 
-    /// Returns whether the packages, and whether the whole environment, still count as complete after `file` has
-    /// changed.
+    /// Changes the file `file` of a source tree with a complete environment. Returns whether the environment's
+    /// packages, and whether the whole environment, still count as complete.
     fn after(file: &str) -> (bool, bool) {
         let folder = finished();
         std::fs::write(folder.path().join(file), "changed").unwrap();

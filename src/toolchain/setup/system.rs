@@ -8,8 +8,8 @@ use std::process::{Command, Stdio};
 /// Python version for which Blender's module `bpy` is built.
 const VERSION: &str = "3.11";
 
-/// Python program that prints Python's version, and whether `venv` is installed. Debian has a separate package for
-/// `venv`.
+/// Python program that prints Python's version, and whether the module `venv` is complete. Debian has a separate
+/// package for this module.
 const PROBE: &str = "import sys
 try:
     import ensurepip, venv
@@ -42,14 +42,15 @@ pub(super) fn find_python() -> Result<&'static str, ToolchainError> {
     }))
 }
 
-/// Returns the command line that installs Debian packages.
+/// Returns the command line with which the user installs these Debian packages, with `sudo` unless the user is root.
 fn install_line(packages: &[&str]) -> String {
     // SAFETY: geteuid has no preconditions and can't fail.
     let sudo = if unsafe { libc::geteuid() } == 0 { "" } else { "sudo " };
     format!("{sudo}apt-get install -y {}", packages.join(" "))
 }
 
-/// Returns the error for a missing shared library. `None` if the output of a failed import names no such library.
+/// Returns the error for a shared library that the system lacks. `stderr` is the output of a failed import in Python.
+/// `None` if it names no such library.
 pub(super) fn missing_library(root: &Path, stderr: &str) -> Option<ToolchainError> {
     // The line has the form "ImportError: libX.so.1: cannot open shared object file: …".
     let line = stderr.lines().find(|l| l.contains("cannot open shared object file"))?;
