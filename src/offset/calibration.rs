@@ -16,11 +16,12 @@ use crate::camera::{Camera, CameraParameter, EpipolarGeometry};
 use crate::capture::CalibrationErrors;
 use nalgebra::{DMatrix, DVector, Point2};
 
-/// The smallest eigenvalue of the correlation matrix that is used, as a fraction of the largest eigenvalue. Smaller
-/// ones are rounding errors.
+/// The minimum eigenvalue that is used of the calibration errors' correlation matrix, as a fraction of the largest
+/// eigenvalue. Smaller eigenvalues are rounding errors.
 const MIN_EIGENVALUE: f64 = 1e-9;
-/// The steps of the central differences for, in this order: rotation (radians), camera centre (fraction of the
-/// baseline), focal length (fraction), principal point (pixels), and distortion parameter.
+/// The steps of the central differences by which derivatives with respect to calibration parameters are computed. They
+/// are, in this order, for rotation (radians), camera centre (fraction of the baseline), focal length (fraction),
+/// principal point (pixels), and distortion parameter.
 const STEPS: [f64; 5] = [1e-5, 1e-4, 1e-5, 1e-2, 1e-5];
 
 /// The calibration errors of a capture, as unknowns of the joint solution for all clocks.
@@ -105,9 +106,10 @@ impl SampleSlopes {
         self.of(sample).map(|(column, slope)| slope * errors[column]).sum()
     }
 
-    /// Returns the standard error that the calibration errors alone cause in the weighted mean of the samples'
-    /// offsets, seconds; 0 if all weights are 0. `signed` holds the weight of each sample, negative for a sample
-    /// whose offset enters the mean with the opposite sign. `factor` is L of the errors' covariance L Lᵀ.
+    /// Returns the standard error that the calibration errors alone cause in the weighted mean of the samples' offsets,
+    /// seconds; 0 if all weights are 0. `signed` holds the weight of each sample, negative for a sample whose offset
+    /// enters the mean with the opposite sign. `factor` is the matrix L, where L Lᵀ is the covariance of the
+    /// calibration errors.
     pub fn std_err_s(&self, signed: &[f64], factor: &DMatrix<f64>) -> f64 {
         let total: f64 = signed.iter().map(|w| w.abs()).sum();
         let mut mean = DVector::zeros(factor.nrows());

@@ -26,12 +26,12 @@ const UNDECIDED_LOSSES: &str =
 const AMBIGUOUS_REFERENCE: &str =
     "the reference camera may miss frames, and too few of its images show where";
 
-/// Temporal offsets of all cameras, and the pair estimates from which they were solved.
+/// Temporal offsets of all cameras, and the estimates of single camera pairs from which the offsets were solved.
 #[derive(Clone, Debug)]
 pub struct Estimate {
     pub offsets: Offsets,
-    /// The pair estimates that the joint solution for all clocks uses. Each has a standard error of at most a tenth
-    /// of a frame, and no other pair contradicts it.
+    /// The pair estimates that the joint solution for all clocks uses. Each has a standard error of at most a tenth of
+    /// a frame, and is not contradicted by another pair.
     pub pairs: Vec<PairEstimate>,
 }
 
@@ -127,7 +127,7 @@ fn solve_with_calibration(
     solution.by_clock
 }
 
-/// Indices of a pair's two cameras, with the pair's estimate or the reason why there is none.
+/// Result of one pair: the indices of its two cameras, with the pair's estimate or the reason why there is none.
 type PairResult = ([usize; 2], Result<PairEstimate, PairFailure>);
 
 /// The joint solution for all clocks, with the results of all pairs and the lost frames of all cameras. Together they
@@ -138,7 +138,7 @@ struct JointSolution<'a> {
     results: Vec<PairResult>,
     /// The index of each camera's clock, by camera.
     clock: Vec<usize>,
-    /// The clock model with lost frames of each camera, by camera.
+    /// The clock model that the detection of lost frames fitted for each camera, by camera.
     lost: Vec<FittedClock>,
     used: Vec<PairEstimate>,
     /// The estimate of each clock, by clock. `None` if no chain of pairs connects the clock to the reference camera's

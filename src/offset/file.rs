@@ -24,7 +24,7 @@
 //! | the file | a regular file of at most 16 MiB, JSON, with no other fields than these |
 //! | `reference` | the id of the capture's reference camera |
 //! | `id` | the id of a camera of the capture; every camera occurs once, in any order |
-//! | `offset_s` | a number, or null; 0 for the reference. Images lie within [`Capture::reach_s`] of the reference's |
+//! | `offset_s` | a number or null; 0 for the reference. Image times within [`Capture::reach_s`] of the reference's |
 //! | `std_err_s` | null if `offset_s` is null; otherwise from 0 to [`Capture::reach_s`]; 0 for the reference |
 //! | `rate_ppm` | from −1000 to 1000, only if `offset_s` is a number; 0 or absent for a clock without drift |
 //! | `rate_std_err_ppm` | from 0 to 1000; present if and only if `rate_ppm` is |
@@ -44,10 +44,12 @@ use std::path::PathBuf;
 pub const MAX_OFFSETS_BYTES: u64 = 16 << 20;
 /// The maximum length of the reason of an unknown offset, characters.
 const MAX_REASON_CHARS: usize = 500;
-/// The end of every error message about an invalid file. It says what happens without the file.
+/// The end of every error message about an invalid file. It tells the user that the offsets are estimated if the file
+/// is deleted.
 const REMEDY: &str = "without the file, offsets are estimated";
 
-/// The name and version that enter the hash of estimated offsets.
+/// The name and version that enter the hash of estimated offsets. If the version changes, offsets that an earlier
+/// version stored are estimated again.
 const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 2 };
 
 /// Content of a capture's `offsets.json`.
@@ -58,7 +60,7 @@ pub enum SavedOffsets {
     Missing,
     /// The program's own estimate, with the options it was made with and the hash that identifies it.
     Estimated { offsets: Offsets, options: Value, hash: String },
-    /// Offsets that were edited by hand. They are validated, and their cameras are in the capture's order.
+    /// Offsets that were edited by hand. They are valid, and their cameras are sorted into the capture's order.
     Edited(Offsets),
 }
 
@@ -76,7 +78,7 @@ struct OffsetsFile {
 }
 
 impl OffsetsFile {
-    /// Returns the hash of the values of all other fields. It does not depend on the file's formatting.
+    /// Returns the hash of the values of all fields except `checksum`. It does not depend on the file's formatting.
     fn checksum(&self) -> String {
         let fields = (&self.reference, &self.cameras, &self.options, &self.hash);
         // Serializing strings, numbers and lists can't fail.
@@ -202,7 +204,7 @@ fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, CaptureError>
     Ok(offsets)
 }
 
-/// The fields of one camera in `offsets.json`. `k` is the camera's index in the file.
+/// The fields of one camera in `offsets.json`, to be validated. `k` is the camera's index in the file.
 struct CameraFields<'a> {
     k: usize,
     camera: &'a CameraOffset,

@@ -17,7 +17,8 @@ use crate::capture::MAX_DRIFT_PPM;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
-/// Clocks to solve for. Clock 0 is the reference camera's clock, whose offset and rate are 0.
+/// The clocks for which the joint solution is computed. Clock 0 is the reference camera's clock, whose offset and rate
+/// are 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ClockLayout {
     /// The index of each camera's clock, by camera.
@@ -27,8 +28,8 @@ pub struct ClockLayout {
     pub first_s: Vec<f64>,
     /// Whether the rate of each clock is an unknown, by clock.
     pub drifts: Vec<bool>,
-    /// The frame period, seconds. Offset candidates whose times round to the same multiple of the period form a
-    /// cluster by time.
+    /// The frame period, seconds. For the cluster-robust variance, offset candidates whose times round to the same
+    /// multiple of the period form a cluster by time.
     pub frame_s: f64,
 }
 
@@ -37,17 +38,18 @@ pub struct ClockLayout {
 const L1_ITERATIONS: usize = 30;
 /// The number of IRLS iterations with redescending weights, after the iterations for absolute deviations.
 const ROBUST_ITERATIONS: usize = 10;
-/// The lower bound of a pair's deviation in the iterations for absolute deviations, in units of the pair's standard
-/// error. The bound limits the pair's weight, which is the inverse of its deviation.
+/// The lower bound of the deviation of a pair's offset from the joint solution, in units of the pair's standard error.
+/// It applies in the IRLS iterations for absolute deviations, where a pair's weight is the inverse of its deviation,
+/// and so limits the weight.
 const MIN_L1_DEVIATION: f64 = 0.01;
-/// The deviation of a pair up to which its weight is 1 in the iterations with redescending weights, in units of the
-/// pair's standard error.
+/// The deviation of a pair's offset from the joint solution up to which the pair's weight is 1 in the iterations with
+/// redescending weights, in units of the pair's standard error.
 const FULL_WEIGHT_DEVIATION: f64 = 2.0;
 /// The lower bound of a pair's standard error, as a fraction of the median standard error of all pairs. Errors that are
 /// common to all pairs limit the precision of every pair.
 const MIN_STD_ERR_FRACTION: f64 = 0.3;
-/// The standard deviation of the prior on every rate, whose mean is 0, seconds per second: three times the maximum
-/// drift.
+/// The standard deviation of the prior on every clock's rate, whose mean is 0, seconds per second: three times the
+/// maximum drift.
 const RATE_PRIOR: f64 = 3.0 * (1e-6 * MAX_DRIFT_PPM);
 /// The ratio of a Gaussian's standard deviation to its median absolute deviation.
 const SIGMA_OVER_MAD: f64 = 1.4826;
@@ -59,7 +61,8 @@ const SIGMA_OVER_MAD: f64 = 1.4826;
 /// reference camera's clock. Pairs of cameras that share a clock are ignored. A clock's offset is defined at the
 /// first frame of its first camera.
 ///
-/// If `factor` is given, calibration errors are unknowns too. `factor` is L of their covariance L Lᵀ.
+/// If `factor` is given, calibration errors are unknowns too. `factor` is the matrix L, where L Lᵀ is the covariance of
+/// these errors.
 pub fn solve_clocks(
     pairs: &[PairEstimate],
     clocks: &ClockLayout,
@@ -110,13 +113,13 @@ pub struct SolvedClocks {
     /// The estimate of each clock, by clock. `None` for a clock that no chain of pairs connects to the reference
     /// camera's clock.
     pub by_clock: Vec<Option<ClockEstimate>>,
-    /// The estimated calibration errors, in the order of the covariance's rows; empty if they are not among the
-    /// unknowns.
+    /// The estimated calibration errors, in the order of the rows of their covariance; empty if calibration errors are
+    /// not among the unknowns.
     pub errors: DVector<f64>,
 }
 
-/// Columns of the unknowns in the normal matrix: first the offsets and rates of the clocks, then the calibration
-/// errors.
+/// Columns of the unknowns in the normal matrix of the joint solution: first the offsets and rates of the clocks, then
+/// the calibration errors.
 struct Unknowns<'a> {
     clocks: &'a ClockLayout,
     /// The column of each clock's offset, by clock. `None` for the reference camera's clock, and for a clock that no
@@ -302,12 +305,12 @@ fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustS
 struct PairNormal {
     /// The columns of the pair's unknowns in the joint normal matrix, in the order of their first occurrence.
     columns: Vec<usize>,
-    /// The rows of the matrix. Its rows and columns are in the order of `columns`.
+    /// The rows of the pair's normal matrix. Rows and columns are in the order of `columns`.
     entries: Vec<Vec<f64>>,
 }
 
 impl PairNormal {
-    /// Adds an equation with the given row of the design matrix and the given weight.
+    /// Adds an equation to the normal matrix. The equation has the given row of the design matrix and the given weight.
     fn add(&mut self, row: &EquationRow, weight: f64) {
         let own: Vec<(usize, f64)> = row.iter().map(|&(c, x)| (self.local(c), x)).collect();
         for &(i, x) in &own {

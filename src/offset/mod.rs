@@ -6,11 +6,11 @@
 //!
 //! | paper | item |
 //! |---|---|
-//! | eq. (10), one candidate per feature | [`ThreeFrames::candidates`] |
-//! | RANSAC over all candidates | [`ransac`] |
+//! | eq. (10), the offset that one feature implies (its offset candidate) | [`ThreeFrames::candidates`] |
+//! | RANSAC over the offset candidates of all features | [`ransac`] |
 //! | weighted least squares (WLS), eqs. (11) to (13) | [`weighted_least_squares`] |
-//! | the choice of frames with 0 ≤ t̃ ≤ Δt, the mean over frames | [`PairEstimate`] |
-//! | Fig. 23, the distances from the epipolar lines | [`plot`] |
+//! | the choice of a frame of j between two frames of i (0 ≤ t̃ ≤ Δt), the mean over frames | [`PairEstimate`] |
+//! | Fig. 23, the distances of features from their epipolar lines | [`plot`] |
 //!
 //! Beyond the paper: an information-weighted mixture model instead of RANSAC and WLS ([`Mixture`]), curved
 //! trajectories, rough alignment of recordings that start seconds apart, detection of lost frames, and a joint
@@ -21,16 +21,16 @@
 //! | `options` | [`OffsetOptions`] and the methods |
 //! | `clock` | [`ClockModel`]: offset, rate and lost frames; nominal clocks |
 //! | `estimate` | [`estimate`]: the stages in their order, and the reasons of unknown offsets |
-//! | `recording` | frames, features and tracks, and the candidates of frame triples, eq. (10) |
-//! | `alignment` | rough alignment by cross-correlation of activity, verified by candidates |
-//! | `lost_frames` | lost frames: observation, and clock models by block-coordinate descent |
-//! | `pair` | the pairs of cameras, and each pair's offset, by RANSAC and WLS or by the mixture |
-//! | `joint` | all clocks together by robust weighted least squares |
-//! | `calibration` | how calibration errors change candidates |
+//! | `recording` | frames, features and tracks, and the features' offset candidates, eq. (10) |
+//! | `alignment` | rough alignment: cross-correlation of the images' changes, verified by offset candidates |
+//! | `lost_frames` | detection of lost frames: clock models of all cameras, fitted by block-coordinate descent |
+//! | `pair` | the pairs of cameras, and each pair's offset, by RANSAC and WLS or by the mixture model |
+//! | `joint` | joint solution for all clocks, by robust weighted least squares |
+//! | `calibration` | effect of calibration errors on the offsets |
 //! | `uncertainty` | cluster-robust standard errors |
 //! | `offsets` | [`Offsets`], the result, and the frame times that follow from it |
 //! | [`mod@file`] | `offsets.json`, and the validation of an edited file |
-//! | `plot` | charts of the data behind an estimate |
+//! | `plot` | charts of an estimate and of the data behind it |
 //!
 //! # Known limits
 //!
@@ -79,9 +79,9 @@ use crate::registration::FrameStore;
 /// The reason given for the unknown offset of a camera with a single frame.
 const ONE_FRAME: &str = "it has one frame, which shows no motion";
 
-/// Returns the temporal offsets of a capture's cameras. A note to the user, by `reporter`, says where they come from.
+/// Returns the temporal offsets of a capture's cameras. `reporter` tells the user from which source they come.
 ///
-/// The first source that applies is used:
+/// The first of these sources that applies is used:
 ///
 /// - If all cameras share one clock, all offsets are 0.
 /// - If the capture is static (one frame per camera), all offsets except the reference camera's are unknown.

@@ -13,7 +13,7 @@ pub struct Offsets {
     pub cameras: Vec<CameraOffset>,
 }
 
-/// One camera's clock relative to the reference camera's clock, in the form of `offsets.json` and of the Python
+/// One camera's clock relative to the reference camera's clock, as stored in `offsets.json` and returned by the Python
 /// module.
 ///
 /// `time_ref = time_cam + (time_cam − first_cam)·rate_ppm·1e-6 + offset_s`. `time_ref` is a time on the reference
@@ -63,7 +63,7 @@ impl CameraOffset {
 }
 
 impl Offsets {
-    /// Returns the offsets of a capture whose clocks are known: 0 for every camera, with a standard error of 0.
+    /// Returns the offsets of a capture whose cameras share one clock: 0 for every camera, with a standard error of 0.
     pub fn known(capture: &Capture) -> Self {
         let camera = |id: &String| CameraOffset {
             id: id.clone(),

@@ -160,8 +160,8 @@ fn pair(
     }
 }
 
-/// In 200 simulated arrays with wrong calibrations, the errors of the offsets agree with their standard errors. If
-/// the solution ignores the calibration errors, the standard errors are less than half of the errors.
+/// Checks that the errors of the offsets agree with their standard errors in 200 simulated arrays with wrong
+/// calibrations. If the solution ignores the calibration errors, the standard errors are less than half of the errors.
 #[test]
 fn calibration_errors_are_in_the_standard_errors() {
     let random = &mut Random::new(7);

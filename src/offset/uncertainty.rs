@@ -1,16 +1,17 @@
 //! Standard errors of weighted least-squares estimates from equations with correlated errors.
 //!
-//! The errors of candidates are correlated. Candidates at the same instant share the noise of their frames. Candidates
-//! at the same place in the image share texture, occlusions and the tracker's bias. The two-way cluster-robust
-//! (sandwich) covariance accounts for both correlations (Cameron, Gelbach and Miller 2011). It is the covariance with
-//! clusters by time, plus the covariance with clusters by place, minus the covariance for independent errors, which the
-//! first two both include. A variance is at least as large as in each of these three covariances.
+//! The errors of offset candidates (the offsets that single features imply) are correlated. Candidates at the same
+//! instant share the noise of their frames. Candidates at the same place in the image share texture, occlusions and the
+//! tracker's bias. The two-way cluster-robust (sandwich) covariance accounts for both correlations (Cameron, Gelbach
+//! and Miller 2011). It is the covariance with clusters by time, plus the covariance with clusters by place, minus the
+//! covariance for independent errors, which the first two both include. A variance is at least as large as in each of
+//! these three covariances.
 //!
 //! The features of a small body have a common error, such as occlusion at the body's outline. The scatter of these
 //! features underestimates this error. Standard errors are therefore inflated if few tracker windows carry all the
 //! information ([`std_err_inflation`]).
 //!
-//! Known limit: the scatter of features does not show an error that all features share at all times.
+//! Known limit: an error that all features share at all times does not show in the scatter, and is not included.
 
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -34,7 +35,7 @@ pub struct Sandwich {
 }
 
 impl Sandwich {
-    /// Creates a least-squares problem without equations, with the given number of unknowns.
+    /// Creates the covariance of a least-squares problem without equations, with the given number of unknowns.
     pub fn new(unknowns: usize) -> Self {
         Self {
             unknowns,
@@ -169,8 +170,9 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// Every sample has an error that all samples of its time share, an error that all samples of its place share,
-    /// and an independent error. Over 1500 problems, the variance of the samples' mean equals the estimated variance.
+    /// Checks samples with correlated errors. Every sample has an error that all samples of its time share, an error
+    /// that all samples of its place share, and an independent error. Over 1500 problems, the variance of the samples'
+    /// mean equals the estimated variance.
     #[test]
     fn correlated_errors_are_accounted_for() {
         let random = &mut Random::new(4);

@@ -8,9 +8,9 @@ use crate::lumigraph::RayRow;
 use crate::simd::multiversion;
 use rayon::prelude::*;
 
-/// Maximum number of depth hypotheses, called levels.
+/// Maximum number of depth hypotheses, called levels, at a pixel.
 const MAX_LEVELS: usize = 1024;
-/// Matching cost of a point that no partner camera sees. It is equal to the cost of a poor match.
+/// Matching cost of a point that is outside the images of all partner cameras. It is equal to the cost of a poor match.
 const UNSEEN_COST: u8 = 40;
 
 /// Depth hypotheses, called levels: evenly spaced inverse depths, 1/m. They correspond to even steps of disparity.
@@ -46,7 +46,8 @@ pub(super) struct StereoSet<'a> {
     pub partners: Vec<Partner<'a>>,
 }
 
-/// Image of a partner camera, and the camera's pose relative to the reference camera.
+/// Image of a partner camera (a camera that the reference camera is matched with), and its pose relative to the
+/// reference camera.
 pub(super) struct Partner<'a> {
     pub image: &'a CensusImage,
     pub pose: RelativePose,
@@ -62,8 +63,8 @@ impl<'a> StereoSet<'a> {
 
 /// Computes the matching costs of all levels at every pixel of the reference image, pixel by pixel.
 ///
-/// The cost is the mean over half of the partners that see the point, the half with the smaller costs. The point may be
-/// occluded in the other partners.
+/// The cost of a point is a mean over the partners (the images that the reference image is matched with) that contain
+/// the point. Only the half of them with the smaller costs counts, since the point may be occluded in the other half.
 pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     let camera = &set.image.camera;
     let (w, n) = (camera.width, levels.count);
@@ -80,8 +81,8 @@ pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
 }
 
 /// Upsamples the inverse depths `values`, 1/m, from the resolution of the camera `coarse` to twice that resolution,
-/// which is the resolution of `set`. The candidates for a pixel are the values of the four coarse pixels nearest to it.
-/// The candidate with the smallest matching cost is taken.
+/// which is the resolution of `set`. For each pixel, the values of the four nearest coarse pixels are compared. The
+/// value with the smallest matching cost is taken.
 pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec<f32> {
     let camera = &set.image.camera;
     let w = camera.width;
@@ -161,8 +162,8 @@ struct MatchScratch<'a> {
     at: Vec<u32>,
     descriptors: Vec<Descriptor>,
     partners: usize,
-    /// Matching costs by level, partner by partner; 255 where a partner doesn't see the point. For three partners,
-    /// there is a fourth row of 255, so that the code for four partners is used.
+    /// Matching costs by level, partner by partner; 255 where the point is outside the partner's image. For three
+    /// partners, there is a fourth row of 255, so that the code for four partners is used.
     costs: Vec<u8>,
     sorted: Vec<u8>,
 }
@@ -211,8 +212,8 @@ impl<'a> MatchScratch<'a> {
         }
     }
 
-    /// Writes the cost of each level to `out`: among the partners that see the point, the mean cost of the half with
-    /// the smaller costs. Of three such partners, two count.
+    /// Writes the cost of each level to `out`: the mean cost of the point in the partners' images that contain it. Only
+    /// the half of these images with the smaller costs counts; of three, two count.
     #[inline(always)]
     fn better_half(&mut self, out: &mut [u8]) {
         let n = out.len();
@@ -261,7 +262,7 @@ mod tests {
         CensusImage::new(camera, Image::from_data(41, 30, 1, data))
     }
 
-    /// Checks that costs are equal to the bit with every instruction set.
+    /// Checks that the costs are bit-identical with every instruction set.
     #[test]
     fn costs_depend_on_no_instruction_set() {
         let mut random = Random::new(5);

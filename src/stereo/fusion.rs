@@ -20,14 +20,15 @@ pub struct Surface<'a> {
 
 /// Number of pixels of the view that are fused at once, to limit memory. For eight cameras, about 60 MB are needed.
 const BAND_PIXELS: usize = 1 << 20;
-/// Radius of a splat, pixels of the view. Where the view magnifies the splatted camera's image, the unit is a pixel of
-/// that camera instead.
+/// Radius of a splat, pixels of the view. Where the view magnifies the splatted camera's image, the radius is this
+/// number of that camera's pixels instead.
 const RADIUS_PX: f32 = 0.8;
-/// A candidate has sufficient votes if it has at least the largest number of votes at the pixel, divided by this value.
-/// The nearest such candidate is accepted.
+/// Maximum ratio of the largest number of votes at a pixel to the number of votes of the accepted candidate depth. The
+/// votes of a candidate are the cameras that confirm it, minus the cameras that contradict it ([`votes_of`]). The
+/// nearest candidate within this ratio is accepted.
 const MAX_VOTE_RATIO: i32 = 2;
-/// Minimum number of votes of the best candidate at a pixel. If it has fewer, no candidate is accepted, since
-/// mismatches beside outlines have few votes.
+/// Minimum number of votes ([`votes_of`]) of the best candidate depth at a pixel. If it has fewer, no candidate is
+/// accepted, since mismatches beside outlines have few votes.
 const MIN_VOTES: i32 = 1;
 
 /// Computes the depth map of the view `target`, metres, from the depths of several cameras. Pixels that no camera sees
@@ -83,9 +84,9 @@ fn fuse_rows(
     );
 }
 
-/// Returns the number of votes for a surface at a point: the number of cameras that see a surface there, minus the
-/// number of cameras that see through the point. The point is on the view's ray (x, y, 1), at the inverse depth
-/// `inverse`, 1/m. `poses` are the poses of the surfaces' cameras relative to the view.
+/// Returns the number of votes for a surface at a point: the number of cameras that measure a surface at this depth,
+/// minus the number of cameras that measure a farther surface behind the point. The point is on the view's ray (x, y,
+/// 1), at the inverse depth `inverse`, 1/m. `poses` are the poses of the surfaces' cameras relative to the view.
 fn votes_of(
     surfaces: &[Surface],
     poses: &[RelativePose],
@@ -107,18 +108,19 @@ fn votes_of(
     surfaces.iter().zip(poses).map(vote).sum()
 }
 
-/// Returns whether the candidates, inverse depths in 1/m, need no vote. This is the case if more than half of the
-/// cameras have a candidate, and all candidates agree within the tolerance, 1/m.
+/// Returns whether a pixel's candidates (inverse depths, 1/m) are clearly one surface, so that they are not compared
+/// with the cameras' depths. This is the case if more than half of the cameras have a candidate, and all candidates
+/// agree within the tolerance, 1/m.
 fn are_one_surface(candidates: &[f32], cameras: usize, tolerance: f32) -> bool {
     let (low, high) =
         candidates.iter().fold((f32::INFINITY, 0.0_f32), |(l, h), v| (l.min(*v), h.max(*v)));
     2 * candidates.len() > cameras && high - low <= tolerance
 }
 
-/// Chooses the inverse depth of a pixel from its candidates, which are sorted with the nearest first. `votes` are the
-/// numbers of votes of the candidates. Takes the nearest candidate with sufficient votes ([`MAX_VOTE_RATIO`]), and
-/// returns the mean of all candidates that differ from it by at most `tolerance`, 1/m. NaN if no candidate has
-/// [`MIN_VOTES`].
+/// Chooses the inverse depth of a pixel, 1/m, from its candidates, which are sorted with the nearest first. `votes` are
+/// the numbers of votes of the candidates ([`votes_of`]). Takes the nearest candidate with sufficient votes
+/// ([`MAX_VOTE_RATIO`]), and returns the mean of all candidates that differ from it by at most `tolerance`, 1/m. NaN if
+/// no candidate has [`MIN_VOTES`].
 fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     let most = votes.iter().copied().max().unwrap_or(0);
     match votes.iter().position(|&v| v * MAX_VOTE_RATIO >= most) {
@@ -241,8 +243,8 @@ fn for_each_pixel(
 mod tests {
     use super::*;
 
-    /// Checks that a point is no surface if only one camera shows it and another camera sees through it. The background
-    /// fills its place.
+    /// Checks that a candidate is rejected if only one camera measures it and another camera sees through it. The
+    /// background's depth takes its place.
     #[test]
     fn a_mismatch_where_no_camera_sees_anything_is_no_surface() {
         let [near, far] = [1.0, 0.5];

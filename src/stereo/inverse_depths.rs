@@ -58,8 +58,8 @@ impl Matcher {
         Self { pyramids, partners, step_px: options.step_px }
     }
 
-    /// Estimates the inverse depths of camera `index`. `range` is their minimum and maximum, 1/m. `None` if no other
-    /// camera stands at another place.
+    /// Estimates the inverse depths of camera `index`. `range` is their minimum and maximum, 1/m. `None` if all other
+    /// cameras have the same centre as this camera, or if there are none.
     pub fn depths(&self, index: usize, range: [f64; 2]) -> Option<InverseDepths> {
         let (reference, partners) = (&self.pyramids[index], &self.partners[index]);
         let set = |k: usize| {

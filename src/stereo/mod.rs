@@ -32,9 +32,9 @@ use crate::camera::Camera;
 use crate::option::options;
 use crate::raster::Image;
 
-/// Number of additional cameras that are only partners: other cameras are matched with them, but their own depths are
-/// not estimated. They are the cameras nearest to the view, after the [`StereoOptions::cameras`] whose depths are
-/// estimated.
+/// Number of additional cameras that are used only as partners: other cameras are matched with them, but their own
+/// depths are not estimated. They are the cameras nearest to the view, after the [`StereoOptions::cameras`] whose
+/// depths are estimated.
 pub const FURTHER_CAMERAS: usize = 2;
 
 options! {

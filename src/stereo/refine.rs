@@ -1,5 +1,6 @@
 //! Refinement of inverse depths to fractions of a depth level, by Gauss–Newton steps (Lucas and Kanade 1981). The steps
-//! minimize the differences between the grey values of the reference image and of the partners' images.
+//! minimize the differences between the grey values of the reference image and of its partners, which are the images
+//! that it is matched with.
 
 use super::cost_volume::{Partner, StereoSet};
 use crate::lumigraph::RayRow;
@@ -14,8 +15,8 @@ const WINDOW: f32 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f32;
 const STEPS: usize = 2;
 /// Maximum length of a Gauss–Newton step, in depth levels.
 const MAX_STEP: f32 = 0.75;
-/// Maximum difference between the grey values, 0 to 1, of a pixel and of its projection into a partner's image. If the
-/// difference is larger, the point counts as occluded in the partner.
+/// Maximum difference between the grey values, 0 to 1, of a pixel and of its projection into another camera's image. If
+/// the difference is larger, the point counts as occluded in the other camera.
 const MAX_DIFFERENCE: f32 = 0.06;
 /// Standard error of a grey value (0 to 1), due to noise, resampling and synchronization.
 const GRAY_STD_ERR: f32 = 0.01;
@@ -42,10 +43,10 @@ pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) {
     }
 }
 
-/// Computes the normal equation of each pixel's inverse depth: the sums over the partners of g·r/σ² and g²/σ². Here r
-/// is the reference's grey value minus the partner's grey value, g is the derivative of the partner's grey value with
-/// respect to inverse depth, and σ is [`GRAY_STD_ERR`]. `level` is the difference between two successive depth levels,
-/// 1/m.
+/// Computes the normal equation of each pixel's inverse depth: the sums over the partners (the images that the
+/// reference image is matched with) of g·r/σ² and g²/σ². Here r is the reference's grey value minus the partner's grey
+/// value, g is the derivative of the partner's grey value with respect to inverse depth, and σ is [`GRAY_STD_ERR`].
+/// `level` is the difference between two successive depth levels, 1/m.
 fn normal_equations(values: &[f32], set: &StereoSet, level: f32) -> Vec<[f32; 2]> {
     let camera = &set.image.camera;
     let w = camera.width;

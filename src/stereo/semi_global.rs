@@ -15,11 +15,12 @@ const MIN_JUMP_PENALTY: i16 = 14;
 /// Difference between neighbouring pixels' grey values, 0 to 1, at which Hirschmüller's penalty P2 is halved.
 const EDGE_DIFFERENCE: f32 = 0.03;
 
-/// Cost that stands for depth levels outside the range of levels. It is larger than the cost of any path.
+/// Cost of depth levels outside the range of levels. It is larger than the cost of any path.
 const UNREACHABLE: i16 = i16::MAX / 4;
 
-/// Aggregates matching costs along eight directions, and sums the results, pixel by pixel and level by level. `levels`
-/// is the number of depth levels.
+/// Aggregates matching costs along eight directions, and returns the sum over the directions for each pixel and depth
+/// level. `costs` and the result are pixel by pixel, and level by level within a pixel. `levels` is the number of depth
+/// levels.
 pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
     let mut sums = vec![0_i16; costs.len()];
     for backward in [false, true] {
@@ -39,9 +40,8 @@ multiversion! {
 fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) {
     let (w, h) = (gray.width(), gray.height());
     let back = if backward { 1 } else { -1 };
-    // A path consists of its costs by level, with one element of padding on both sides, and then the minimum of its
-    // costs. A row of paths has one more path at either end, with costs of 0, from which paths at the image's border
-    // start.
+    // A path is stored as its costs by level, with one element of padding on both sides, followed by the minimum of its
+    // costs. A row of paths has one more path at either end, with costs of 0. Paths at the image's border start there.
     let len = n + 3;
     let mut zero = vec![0; len];
     (zero[0], zero[n + 1]) = (UNREACHABLE, UNREACHABLE);
@@ -131,7 +131,7 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// Checks that sums are equal to the bit with every instruction set.
+    /// Checks that the sums are bit-identical with every instruction set.
     #[test]
     fn sums_depend_on_no_instruction_set() {
         let mut random = Random::new(4);

@@ -133,8 +133,8 @@ fn the_fused_surface_is_that_of_the_scene_in_any_view() {
     }
 }
 
-/// Checks views in which one pixel of a camera covers several pixels. The wall must not show between the board's
-/// splats.
+/// Checks views in which one pixel of a camera covers several pixels. The wall behind the board must not be visible
+/// between the board's splats.
 #[test]
 fn the_fused_surface_has_no_holes_where_the_view_enlarges() {
     let (cameras, depths) = depths_of_all(&StereoOptions::default());
@@ -163,8 +163,8 @@ fn without_a_camera_at_another_place_there_is_no_depth() {
     }
 }
 
-/// Checks uniform images, tiny images, and images of NaN. The range of depths may be empty, or extend from the sky to
-/// the lens.
+/// Checks that the inverse depths of uniform images, tiny images and images of NaN are within the given range, up to
+/// twice the tolerance. The range may be a single value, or extend from the sky to the lens.
 #[test]
 fn whatever_the_images_depths_are_within_the_range() {
     for (w, h) in [(1, 1), (2, 3), (17, 1), (40, 30)] {

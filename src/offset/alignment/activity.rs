@@ -21,7 +21,7 @@ use std::collections::BTreeMap;
 const COLUMNS: usize = 16;
 /// The number of rows of the grid of cells over an image, in which activity is summed.
 const ROWS: usize = 12;
-/// The approximate width of the downsampled frames, pixels.
+/// The approximate width of the downsampled frames from which activity is computed, pixels.
 const WIDTH: usize = 80;
 /// The number of epipolar bands into which each image of a pair is divided.
 pub const BANDS: usize = 6;
@@ -31,11 +31,13 @@ pub const BANDS: usize = 6;
 pub struct Activity {
     /// The middle of each interval between successive frames, seconds on the camera's clock.
     pub times_s: Vec<f64>,
-    /// The energy `Σ I_t²` of each interval between successive frames, summed over the whole image, per s².
+    /// The energy of the temporal derivative of the brightness in each interval between successive frames, `Σ I_t²`,
+    /// summed over the whole image, per s².
     pub energies: Vec<f64>,
-    /// The activity signals, by the index of a camera pair. For each interval between successive frames, a signal
-    /// holds the square root of each epipolar band's energy, then the signed square root of each band's motion
-    /// perpendicular to the epipolar lines (the correlation `−Σ I_t ∇I`).
+    /// The activity signals, by the index of a camera pair. For each interval between successive frames, a signal holds
+    /// the square root of each epipolar band's energy, then the signed square root of each band's motion perpendicular
+    /// to the epipolar lines. The motion is the correlation `−Σ I_t ∇I` of the brightness's temporal derivative with
+    /// its gradient.
     pub signals: BTreeMap<usize, Vec<[f32; 2 * BANDS]>>,
 }
 
@@ -44,9 +46,9 @@ pub struct Activity {
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {
-    /// Computes the activity of a camera from all its frames, converted to one exposure. `bands` has an entry for each
-    /// pair that contains the camera: the index of the pair, and the epipolar bands of this camera's image. Returns an
-    /// error if a frame cannot be read.
+    /// Computes the activity of a camera from all its frames, whose brightness is converted to the exposure of the
+    /// first frame. `bands` has an entry for each pair that contains the camera: the index of the pair, and the
+    /// epipolar bands of this camera's image. Returns an error if a frame cannot be read.
     pub fn new(
         frames: &FrameStore,
         camera: usize,
@@ -149,9 +151,9 @@ impl Bands {
         Some([Self::new(a, of_a, max_distance), Self::new(b, of_b, max_distance)])
     }
 
-    /// Returns the activity signal of one interval between frames: the square root of each epipolar band's energy,
-    /// then the signed square root of each band's motion perpendicular to the epipolar lines. `cells` are the
-    /// interval's sums.
+    /// Returns the activity signal of one interval between successive frames: the square root of each epipolar band's
+    /// energy, then the signed square root of each band's motion perpendicular to the epipolar lines. `cells` holds the
+    /// sums of energy and motion in this interval.
     fn signal(&self, cells: &Cells) -> [f32; 2 * BANDS] {
         let mut sums = [0.0; 2 * BANDS];
         for (cell, of_cell) in cells.iter().zip(&self.of_cell) {

@@ -1,10 +1,11 @@
 //! Connects the clocks of all cameras by the most reliable rough offsets.
 
-/// The minimum agreement of a reliable rough offset, relative to the median over all pairs. Pairs of one film have
-/// similar agreements. An offset that is wrong by a period of the motion has about half of the others' agreement.
+/// The minimum agreement (fraction of inliers) of a reliable rough offset, as a fraction of the median agreement of all
+/// pairs. All pairs of a capture have similar agreements. An offset that is wrong by a period of the motion has about
+/// half of this agreement.
 const RELIABLE_FRACTION: f64 = 0.75;
 
-/// Rough offset between two clocks.
+/// Rough offset between two clocks, estimated from one pair of cameras.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// The indices of the two clocks.
@@ -15,7 +16,8 @@ pub struct Link {
     pub agreement: f64,
 }
 
-/// Returns the minimum agreement of a reliable rough offset, given the agreements of all pairs; 0 without pairs.
+/// Returns the minimum agreement (fraction of inliers) of a reliable rough offset, given the agreements of all pairs; 0
+/// without pairs.
 pub fn reliable_agreement(mut agreements: Vec<f64>) -> f64 {
     agreements.sort_by(f64::total_cmp);
     agreements.get(agreements.len() / 2).map_or(0.0, |median| RELIABLE_FRACTION * median)
@@ -24,7 +26,8 @@ pub fn reliable_agreement(mut agreements: Vec<f64>) -> f64 {
 /// Maximum spanning forest of the clocks: the links with the largest agreements that connect as many clocks as
 /// possible without a loop.
 pub struct Forest {
-    /// For each clock, the index of its component, and its offset relative to the component's first clock, seconds.
+    /// For each clock, the index of its connected component, and its offset relative to the component's first clock,
+    /// seconds.
     clocks: Vec<(usize, f64)>,
     /// For each link, whether it belongs to the forest.
     pub uses: Vec<bool>,
@@ -46,7 +49,7 @@ impl Forest {
         forest
     }
 
-    /// Joins the components of a link's clocks. Returns whether they were separate.
+    /// Joins the components of a link's two clocks. Returns whether the components were separate before.
     fn join(&mut self, link: &Link) -> bool {
         let [(i, of_i), (j, of_j)] = link.clocks.map(|clock| self.clocks[clock]);
         if i == j {
@@ -61,7 +64,7 @@ impl Forest {
         true
     }
 
-    /// Returns the index of a clock's component.
+    /// Returns the index of the connected component that contains a clock.
     pub fn component(&self, clock: usize) -> usize {
         self.clocks[clock].0
     }

@@ -5,9 +5,9 @@
 //! offset candidates of a few frame triples (two successive frames of camera a and one frame of camera b). The offset
 //! with the largest fraction of inliers is chosen.
 //!
-//! Two recordings that overlap by little may have no reliable offset: an offset that is wrong by a period of the
-//! motion may be the best one that can be tried. The reliable offsets of other pairs then decide ([`forest`]). If they
-//! don't connect all cameras, further pairs are aligned.
+//! Two recordings that overlap by little may have no reliable offset: an offset that is wrong by a period of the motion
+//! may be the best one that can be tried. Their offset then follows from a chain of other pairs' reliable offsets
+//! ([`forest`]). If these pairs don't connect all cameras, further pairs are aligned.
 //!
 //! Known limits: recordings shorter than 2 s are assumed to be aligned to about one frame, and periodic motion has no
 //! unique alignment.
@@ -33,21 +33,24 @@ use std::collections::BTreeSet;
 
 /// The number of frame triples (two frames of one camera, one frame of another) by which an offset is verified.
 const TESTED_FRAMES: usize = 6;
-/// The minimum agreement (fraction of inliers) of a rival, relative to the largest agreement among the proposed
-/// offsets. A rival is an offset that counts as equally plausible.
+/// A proposed offset is a rival if its agreement (fraction of inliers) is at least this fraction of the largest
+/// agreement among the proposed offsets. Rivals count as equally plausible.
 const RIVAL_FRACTION: f64 = 0.8;
-/// The number of nearest cameras with which a camera may be aligned, relative to [`OffsetOptions::neighbors`].
+/// The number of nearest cameras with which a camera may be aligned if the given pairs don't connect all clocks, as a
+/// multiple of [`OffsetOptions::neighbors`].
 const FURTHER_NEIGHBORS: usize = 3;
 
-/// Pairs of camera indices. Each has its offset to about one frame, or the reason why its rough alignment failed.
+/// Rough alignment: pairs of camera indices, each with the pair's offset to about one frame, or with the reason why the
+/// pair could not be aligned.
 pub type Alignment = Vec<([usize; 2], Result<ClockModel, PairFailure>)>;
 
-/// Aligns pairs of cameras to about one frame. `clock` holds the index of each camera's clock, and `pairs` the pairs
-/// of camera indices, ascending.
+/// Estimates the offsets of pairs of cameras to about one frame. `clock` holds the index of each camera's clock, and
+/// `pairs` the pairs of camera indices, ascending.
 ///
 /// If the reliable offsets of `pairs` don't connect all clocks, pairs of cameras that are farther apart are aligned
-/// too. The result has all of `pairs` and those further pairs that connect clocks, ascending. A pair without a
-/// reliable offset gets the offset that the chain of reliable pairs implies, if there is one.
+/// too. The result has all of `pairs` and those further pairs that connect clocks, ascending. If a pair has no reliable
+/// offset, but a chain of pairs with reliable offsets connects its clocks, it gets the sum of the offsets along the
+/// chain.
 ///
 /// A pair fails if one of its cameras has a single frame, which shows no motion. Returns an error if a frame cannot be
 /// read.
@@ -88,21 +91,22 @@ pub fn align(
     Ok(alignment)
 }
 
-/// Rough alignment of a list of pairs, some of which are aligned already.
+/// State of the rough alignment of a list of camera pairs, some of which are aligned already.
 struct Aligner<'a> {
     recording: &'a Recording<'a>,
     /// The index of each camera's clock, by camera.
     clock: &'a [usize],
     /// The pairs of camera indices.
     pairs: Vec<[usize; 2]>,
-    /// The activity of each camera, by camera.
+    /// The activity of each camera (how much its image changes in each frame interval), by camera.
     activities: Vec<Activity>,
     /// For each pair, its rough offset or the reason why it has none; `None` if the pair is not aligned yet.
     results: Vec<Option<Result<RoughOffset, PairFailure>>>,
 }
 
 impl Aligner<'_> {
-    /// Aligns the pairs with the given indices. Returns an error if a frame cannot be read.
+    /// Aligns the pairs with the given indices to about one frame, and stores the results. Returns an error if a frame
+    /// cannot be read.
     fn align(&mut self, indices: Vec<usize>, reporter: &Reporter) -> Result<(), CaptureError> {
         let task = reporter.task("Rough alignment", indices.len());
         let align = |&n: &usize| {
@@ -122,13 +126,14 @@ impl Aligner<'_> {
         Ok(())
     }
 
-    /// Returns the agreements of all aligned pairs; 0 for pairs whose alignment failed.
+    /// Returns the agreement (fraction of inliers) of each aligned pair; 0 for pairs whose alignment failed.
     fn agreements(&self) -> Vec<f64> {
         let results = self.results.iter().flatten();
         results.map(|result| result.as_ref().map_or(0.0, |rough| rough.agreement)).collect()
     }
 
-    /// Returns the rough offsets whose agreement is at least `reliable`.
+    /// Returns the rough offsets whose agreement (fraction of inliers) is at least `reliable`, and the forest that they
+    /// form.
     fn links(&self, reliable: f64) -> Links {
         let link = |(n, result): (usize, &Option<Result<RoughOffset, PairFailure>>)| {
             let rough = result.as_ref()?.as_ref().ok()?;
@@ -142,7 +147,8 @@ impl Aligner<'_> {
         Links { pairs, forest: Forest::new(count, &links) }
     }
 
-    /// Returns the first pair that is not aligned yet between any two components of `forest`.
+    /// Returns the indices of pairs that may connect the components of `forest`: for any two components, the first pair
+    /// between them that is not aligned yet.
     fn bridges(&self, forest: &Forest) -> Vec<usize> {
         let mut bridged = BTreeSet::new();
         let is_bridge = |n: &usize| {
@@ -153,22 +159,22 @@ impl Aligner<'_> {
     }
 }
 
-/// The reliable rough offsets between clocks.
+/// The reliable rough offsets between clocks, and the spanning forest of the clocks by these offsets.
 struct Links {
-    /// For each link, the index of its pair of cameras, ascending.
+    /// For each reliable rough offset, the index of its pair of cameras, ascending.
     pairs: Vec<usize>,
     forest: Forest,
 }
 
 impl Links {
-    /// Returns whether the forest uses the pair with the index `n`.
+    /// Returns whether the forest contains the rough offset of the pair with the index `n`.
     fn uses(&self, n: usize) -> bool {
         self.pairs.binary_search(&n).is_ok_and(|link| self.forest.uses[link])
     }
 }
 
-/// Returns pairs of cameras that are farther apart than those of `pairs`, nearest first. There are none if no offset
-/// is searched for, or if the paper's method chooses the pairs.
+/// Returns pairs of cameras that are farther apart than those of `given`, nearest first. Empty if the offset of no pair
+/// can be searched for ([`is_long`]), or for [`OffsetMethod::Pairwise`].
 fn further_pairs(recording: &Recording, clock: &[usize], given: &[[usize; 2]]) -> Vec<[usize; 2]> {
     let is_searched = given.iter().any(|&pair| is_long(recording, pair));
     if !is_searched || recording.options.method == OffsetMethod::Pairwise {
@@ -240,8 +246,8 @@ impl RoughOffset {
     }
 }
 
-/// Returns the offset of a pair of cameras [a, b] to about one frame. A pair without signals, such as a pair with a
-/// short recording, gets the offset 0, which trusts the nominal clocks.
+/// Returns the offset of a pair of cameras [a, b] to about one frame. A pair without activity signals, such as a pair
+/// with a short recording, gets the offset 0, which trusts the nominal clocks.
 ///
 /// `activities` are the activities of a and b, which hold the pair's signals under `n`, the index of the pair. The
 /// inner error is the reason why no offset is chosen. The outer error is a frame that cannot be read.
@@ -341,7 +347,8 @@ mod tests {
     use std::sync::Arc;
 
     const RATE_HZ: f64 = 15.0;
-    /// The second and the third camera overlap by less than [`MIN_OVERLAP_S`].
+    /// The start of each camera's recording, seconds. The recordings of the second and the third camera overlap by less
+    /// than [`MIN_OVERLAP_S`].
     const STARTS_S: [f64; 4] = [0.0, 0.5, 3.6, 1.6];
 
     /// Writes a capture of four cameras in a row, in front of a plane that moves up and down about once a second. Each

@@ -57,7 +57,8 @@ fn unconnected_clocks_are_unknown_and_shared_clocks_are_one() {
     assert_eq!(by_clock(&[], &clocks(&[0], 1)).len(), 1);
 }
 
-/// In 300 random triples of cameras with drift, the errors of offsets and rates agree with their standard errors.
+/// Checks that the errors of offsets and rates agree with their standard errors, in 300 random triples of cameras with
+/// drift.
 #[test]
 fn rates_and_their_standard_errors_are_estimated() {
     let random = &mut Random::new(5);

@@ -24,8 +24,8 @@ use super::{FittedClock, TimingObservation};
 use crate::offset::clock::{ClockModel, NominalClock};
 use nalgebra::Vector2;
 
-/// The penalty of one lost frame while cameras are added one after the other, as a multiple of an outlier's cost. It
-/// is higher than [`LOSS_PENALTY`], since only few fitted cameras could contradict a false loss.
+/// The penalty of one lost frame while cameras are added to the fit one after the other, as a multiple of an outlier's
+/// cost. It is higher than [`LOSS_PENALTY`], since only few fitted cameras could contradict a false loss.
 const START_LOSS_PENALTY: f64 = 1.8;
 /// The penalty of one lost frame in the final models, as a multiple of an outlier's cost. It is the log odds
 /// against a lost frame at a given image, divided by the log odds against an outlier.
@@ -86,7 +86,8 @@ pub fn fit_clock_models(
     fitted
 }
 
-/// Block-coordinate descent over the clock models of a component.
+/// Block-coordinate descent over the clock models of a component (cameras that are connected by common observations):
+/// one camera's model is fitted at a time.
 impl<'a> Component<'a> {
     fn new(
         clocks: &'a [NominalClock<'a>],
@@ -119,9 +120,9 @@ impl<'a> Component<'a> {
 
     /// Fits the clock model of another camera, given the models fitted so far.
     ///
-    /// A fit without constraints may have a loss count (number of frames missing before an image) that decreases at
-    /// some image. The decrease may mean that all cameras fitted so far lost a frame at that time. These losses are
-    /// added to their models if the total cost is then lower.
+    /// At first, the camera's loss count (number of frames missing before an image) may also decrease from one image to
+    /// the next. A decrease may mean that all cameras fitted so far lost a frame at that time. These losses are added
+    /// to their models if the total cost is then lower.
     fn add_camera(&mut self, camera: usize) {
         let unconstrained = self.fit(camera, true);
         let before = self.models.clone();
@@ -178,8 +179,9 @@ impl<'a> Component<'a> {
         }
     }
 
-    /// Returns whether the cost of a camera's observations, as a multiple of an outlier's cost, exceeds the fraction
-    /// [`MAX_OUTLIER_FRACTION`] of their number. Penalties of lost frames do not count.
+    /// Returns whether a camera's clock model is ambiguous: the total cost of the camera's observations, as a multiple
+    /// of an outlier's cost, exceeds [`MAX_OUTLIER_FRACTION`] times their number. Penalties of lost frames do not
+    /// count.
     fn is_ambiguous(&self, camera: usize) -> bool {
         let lost = self.models[camera].as_ref().map_or(0, |model| model.lost_before.len());
         let losses = self.loss_penalty * lost as f64;
@@ -187,7 +189,8 @@ impl<'a> Component<'a> {
         self.fit(camera, false).cost - losses > MAX_OUTLIER_FRACTION * count
     }
 
-    /// Applies jump moves ([`Jumps`]), each followed by [`Self::converge`], until no jump move lowers the objective.
+    /// Applies jump moves (shifts of some image times by whole frames, [`Jumps`]), each followed by [`Self::converge`],
+    /// until no jump move lowers the objective.
     fn improve_by_jumps(&mut self) {
         self.loss_penalty = LOSS_PENALTY;
         self.converge();
@@ -234,8 +237,8 @@ impl<'a> Component<'a> {
         undecided
     }
 
-    /// Returns the objective, as a multiple of an outlier's cost: the sum of the costs of all observations and of the
-    /// penalties of all lost frames.
+    /// Returns the objective of the fit, as a multiple of an outlier's cost: the sum of the costs of all observations
+    /// and of the penalties of all lost frames.
     fn total_cost(&self) -> f64 {
         let camera_cost = |(c, model): (usize, &ClockModel)| {
             let line = Vector2::new(model.offset_s / self.clocks[c].frame_s, model.rate);

@@ -13,7 +13,7 @@ use crate::offset::clock::{ClockModel, NominalClock};
 use nalgebra::{Matrix2, Vector2};
 use std::collections::BTreeMap;
 
-/// The standard deviation of an inlier's lag (common time minus nominal time), frames.
+/// The standard deviation of the error of an inlier's lag (common time minus nominal time), frames.
 const SIGMA_FRAMES: f64 = 0.08;
 /// The residual of a lag (common time minus nominal time) beyond which an observation is an outlier, frames: three
 /// standard deviations.
@@ -130,15 +130,17 @@ impl LagObservation {
 /// `interval_frames` frame periods apart. The loss is the negative log-likelihood of a Gaussian, truncated at 1, the
 /// cost of an outlier. It is scaled so that a residual of [`INLIER_BOUND_FRAMES`] in an interval of one frame costs 1.
 ///
-/// Trajectories are cubic curves, fitted as if no frame were missing. In a longer interval, the standard deviation of
-/// times therefore grows with the third power of the interval's length.
+/// The observed times are interpolated by features' trajectories, which are cubic curves, fitted as if no frame were
+/// missing. In a longer interval, the standard deviation of times therefore grows with the third power of the
+/// interval's length.
 pub fn robust_loss(residual: f64, interval_frames: f64) -> f64 {
     let factor = interval_frames.clamp(1.0, MAX_LENGTH_FRAMES).powi(3);
     let variance_term = 2.0 * factor.ln() / (INLIER_BOUND_FRAMES / SIGMA_FRAMES).powi(2);
     ((residual / (factor * INLIER_BOUND_FRAMES)).powi(2) + variance_term).min(1.0)
 }
 
-/// Fit of a camera's lags: a line plus a step function.
+/// Fit of a camera's lags (common time minus nominal time): a line plus a step function, which is the loss count
+/// (number of frames missing before an image).
 struct StepFit {
     /// The line of the fit, as (offset in frames, rate in frames per frame).
     line: Vector2<f64>,
@@ -151,8 +153,8 @@ struct StepFit {
 }
 
 impl LagProblem<'_> {
-    /// Fits the clock model from every initial rate, and returns the fit of minimum cost. Without observations, the
-    /// result is the nominal clock.
+    /// Fits the camera's clock model to the lags, starting from each initial rate, and returns the fit of minimum cost.
+    /// Without observations, the result is the nominal clock.
     pub fn fit(&self) -> ClockFit {
         let mut best: Option<StepFit> = None;
         for rate in self.rate_grid() {
@@ -183,7 +185,7 @@ impl LagProblem<'_> {
     }
 
     /// Returns the initial offset of the fit for a given rate, frames. Up to [`MAX_STARTS`] of the observed lags are
-    /// tried, after the effect of the rate is subtracted. The one with the minimum sum of robust losses over all
+    /// tried, after the effect of the rate is subtracted. The lag with the minimum sum of robust losses over all
     /// observations is returned. For a camera that may lose frames, residuals are taken modulo whole frames. `None`
     /// without observations.
     fn initial_offset(&self, rate: f64) -> Option<f64> {
@@ -205,8 +207,8 @@ impl LagProblem<'_> {
             .map(|(_, value)| value)
     }
 
-    /// Alternates [`shortest_path`](Self::shortest_path) and [`refit_line`](Self::refit_line) until the cost no
-    /// longer decreases. Returns the fit of minimum cost.
+    /// Alternates the fit of the loss counts ([`Self::shortest_path`]) and the fit of the line ([`Self::refit_line`])
+    /// until the cost no longer decreases. Returns the fit of minimum cost.
     fn alternate(&self, line: Vector2<f64>) -> StepFit {
         let mut fit = self.shortest_path(line);
         for _ in 0..MAX_ALTERNATIONS {
@@ -287,7 +289,8 @@ impl LagProblem<'_> {
         (min..=max).collect()
     }
 
-    /// Fits the least-squares line through the inliers of a fit, with Gaussian priors on offset and rate.
+    /// Fits the least-squares line (offset and rate) through the inliers of a fit, with Gaussian priors on offset and
+    /// rate. The loss counts of the fit (numbers of frames missing before each image) are subtracted first.
     fn refit_line(&self, fit: &StepFit) -> Vector2<f64> {
         let rate_sigma = if self.clock.drifts { RATE_SIGMA } else { NO_DRIFT_SIGMA };
         let mut normal =
@@ -311,8 +314,8 @@ impl LagProblem<'_> {
 }
 
 impl StepFit {
-    /// Returns the loss counts (numbers of frames missing) at an observation's image and at the next image. Both are
-    /// those at the image itself if the observation is not between two images.
+    /// Returns the loss counts (numbers of frames missing) at an observation's image and at the next image. For an
+    /// observation at an image instead of between two images, both are the loss count at this image.
     fn lost_around(&self, o: &LagObservation) -> [i32; 2] {
         let n = self.images.partition_point(|n| *n < o.image);
         [n, n + usize::from(o.fraction != 0.0)].map(|n| self.loss_counts[n])

@@ -22,7 +22,7 @@ use std::ops::Range;
 /// observations.
 pub struct Component<'a> {
     pub clocks: &'a [NominalClock<'a>],
-    /// The observations of each camera: those in which it is one of the two cameras.
+    /// The timing observations of each camera, by camera. An observation of two cameras is listed for each of them.
     pub observations: &'a [Vec<TimingObservation>],
     /// The index of the camera whose first image keeps its time, which fixes the common clock.
     pub root: usize,

@@ -66,34 +66,37 @@ struct TripleOffset {
     agreement: f64,
 }
 
-/// The offsets that are tried at an image, in order of preference: differences from the expected offset, in frame
-/// periods of camera b. The expected offset is the last observed offset whose agreement is at least
+/// The offsets of a camera pair (a, b) that are tried at an image of a, in order of preference: differences from the
+/// expected offset, in frame periods of b. The expected offset is the last observed offset whose agreement is at least
 /// [`MIN_AGREEMENT`].
 const STEPS: [f64; 6] = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0];
-/// The offsets that are tried until the first observation succeeds: differences from the initial offset, in frame
-/// periods of camera b. The initial offset holds for most of the recording. Near the recording's start, before
-/// several lost frames, the offset may be different.
+/// The offsets of a camera pair (a, b) that are tried until the first observation succeeds: differences from the
+/// initial offset, in frame periods of b. The initial offset holds for most of the recording. Near the recording's
+/// start, before several lost frames, the offset may be different.
 const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
-/// The minimum MSAC score of a frame triple (two frames of one camera, one frame of another), as a fraction of
-/// [`MIN_INLIERS`].
+/// The minimum MSAC score (about the number of inliers) at which the offset from a frame triple (two frames of one
+/// camera, one frame of another) is used, as a fraction of [`MIN_INLIERS`].
 const MIN_SCORE_FRACTION: f64 = 0.5;
-/// The minimum MSAC score of a frame triple (two frames of one camera, one frame of another), as a fraction of the
-/// number of its offset candidates.
+/// The minimum MSAC score (about the number of inliers) at which the offset from a frame triple (two frames of one
+/// camera, one frame of another) is used, as a fraction of the number of the triple's offset candidates.
 const MIN_INLIER_FRACTION: f64 = 0.3;
-/// If camera b's image is nearer in time than this to one of camera a's two images, an observation requires an
-/// agreement of at least [`MIN_AGREEMENT`]. The unit is the interval between camera a's two images. Occluded features
-/// and T-junctions falsely agree on the time of one of these two images.
+/// In a frame triple (two successive images of camera a, one image of camera b): if b's image is nearer in time than
+/// this to one of a's two images, an observation requires an agreement of at least [`MIN_AGREEMENT`]. The unit is the
+/// interval between a's two images. Occluded features and T-junctions falsely agree on the time of one of these two
+/// images.
 const NEAR_FRAME: f64 = 0.2;
-/// The maximum time by which camera b's image may be outside the interval between camera a's two images, as a
-/// fraction of this interval.
+/// In a frame triple (two successive images of camera a, one image of camera b), the maximum time by which b's image
+/// may lie outside the interval between a's two images, as a fraction of this interval.
 const MAX_OUTSIDE: f64 = 0.25;
-/// The minimum change of the offset between two observations that counts as a jump by whole frames, in frame periods
-/// of camera b.
+/// The minimum change of the offset of a camera pair (a, b) between two observations that counts as a jump by whole
+/// frames, in frame periods of b.
 const MIN_JUMP_FRAMES: f64 = 0.6;
-/// The search for a frame triple's offset stops at the first observed offset that is within this distance of the
-/// expected offset, in frame periods of camera b, and whose agreement is at least [`MIN_AGREEMENT`].
+/// The search for the offset of a camera pair (a, b) at an image of a stops at the first observed offset that meets two
+/// conditions. It is within this distance of the expected offset, in frame periods of b, and its agreement is at least
+/// [`MIN_AGREEMENT`].
 const EXPECTED_WITHIN_FRAMES: f64 = 0.4;
-/// The number of images on either side of a lost frame that are observed again.
+/// The number of images on either side of a lost frame at which further offsets are observed, since only these images
+/// show between which of them the frame was lost.
 const IMAGES_AROUND_LOSS: usize = 2;
 /// The maximum number of rounds of further observations. In each round, the fitted clock models tell which frame
 /// triples (two frames of one camera, one frame of another) are about simultaneous. Such triples are observed too, and
@@ -103,8 +106,9 @@ const MAX_ROUNDS: usize = 3;
 /// Detects the lost frames of all cameras. Returns the fitted clock of each camera.
 ///
 /// `starts` holds the initial offset of each of `pairs`, or the reason why there is none. If both cameras of a pair
-/// have clock models of the same component, the initial offset is replaced by the offset between the models. A camera
-/// that may lose frames but has no observation is marked as ambiguous. Returns an error if a frame cannot be read.
+/// have clock models of the same component (connected by observations), the initial offset is replaced by the offset
+/// between the models. A camera that may lose frames but has no observation is marked as ambiguous. Returns an error if
+/// a frame cannot be read.
 pub fn detect_lost_frames(
     recording: &Recording,
     pairs: &[[usize; 2]],

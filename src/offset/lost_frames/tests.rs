@@ -8,8 +8,8 @@ use crate::random::Random;
 
 const FRAME_S: f64 = 1.0 / 30.0;
 
-/// Recordings of a row of cameras, all with the same number of frame periods. Each camera is observed together with
-/// its two neighbours on either side.
+/// Simulated recordings of a row of cameras, all of the same duration. Each camera is observed together with its two
+/// neighbours on either side.
 struct Recordings {
     times_s: Vec<Vec<f64>>,
     true_models: Vec<ClockModel>,
@@ -100,8 +100,8 @@ fn no_loss_is_invented_among_hundreds_of_recordings_with_outliers() {
     }
 }
 
-/// The reference camera loses frames too. Losses are five frames apart, since two cameras that lose a frame
-/// at the same time leave no trace.
+/// Checks that all simulated losses are found or reported as undecided, also those of the reference camera. Losses are
+/// five frames apart, since two cameras that lose a frame at the same time leave no trace.
 #[test]
 fn all_losses_of_hundreds_of_recordings_are_found() {
     let random = &mut Random::new(9);
@@ -145,7 +145,7 @@ fn two_losses_at_one_image_and_a_camera_without_observations() {
     assert_eq!(recordings.fit(&[]), [None, None, None]);
 }
 
-/// No observation connects the two halves of the cameras. Each half is fitted as if it were alone.
+/// Checks that two groups of cameras without a common observation are fitted independently of each other.
 #[test]
 fn components_do_not_touch_each_other() {
     let random = &mut Random::new(11);
@@ -168,8 +168,8 @@ fn components_do_not_touch_each_other() {
     }
 }
 
-/// One observation is too few to decide on a loss, and two are sufficient. If one of two observations deviates by 0.6
-/// times the inlier bound, they neither prove a loss nor exclude it.
+/// Checks that one observation is too few to decide on a lost frame, and two are sufficient. If one of two observations
+/// deviates by 0.6 times the inlier bound, they neither prove a loss nor exclude it.
 #[test]
 fn weak_evidence_of_a_loss_makes_a_model_ambiguous() {
     let times_s: Vec<f64> = (0..20).map(|n| f64::from(n) * FRAME_S).collect();

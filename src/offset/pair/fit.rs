@@ -1,4 +1,5 @@
-//! Estimates a pair's offset, rate and standard error from the candidates of its frame triples.
+//! Estimates a pair's offset, rate and standard error from the offset candidates of its frame triples (two frames of
+//! one camera, one frame of the other).
 
 use super::mixture::{Mixture, Observation, consensus_value};
 use super::ransac::{ransac, weighted_least_squares};
@@ -20,16 +21,16 @@ const GAMMA: f64 = 70.0;
 /// The minimum fraction of inliers among a pair's offset candidates. Wrong candidates are spread over a few frame
 /// periods, so a small fraction of them is within the tolerance of any offset.
 const MIN_INLIER_FRACTION: f64 = 0.15;
-/// The minimum number of moving features, as a fraction of all tracked features. If fewer move, they may be
-/// mismatches.
+/// The minimum number of a pair's moving features, as a fraction of all its tracked features. If fewer move, they may
+/// be mismatches, and the pair fails with [`PairFailure::NoMotion`] if it has too few offset candidates.
 const MIN_MOVING_FRACTION: f64 = 0.01;
-/// The minimum number of inliers, as a fraction of the moving features. If all motion is along the epipolar lines,
-/// T-junctions and occluded features still seem to cross the lines, and agree on wrong times.
+/// The minimum number of a pair's inliers, as a fraction of its moving features. If all motion is along the epipolar
+/// lines, T-junctions and occluded features still seem to cross the lines, and agree on wrong times.
 const MIN_ACROSS_FRACTION: f64 = 0.05;
 /// All correspondences of a pair share an error perpendicular to the epipolar lines. This is the standard deviation of
 /// the shared error, as a fraction of the standard deviation of the inliers' residuals. The shared error does not
-/// average out: it biases the offset in proportion to the mean signed speed of the features. In filmed scenes it is
-/// 0.001 to 0.006 px, at residuals of 0.03 px.
+/// average out: it biases the offset in proportion to the mean signed speed of the features. In filmed scenes, the
+/// shared error is 0.001 to 0.006 px, at residuals of 0.03 px.
 const COMMON_ERROR_FRACTION: f64 = 0.2;
 
 /// Frame triples (two frames of one camera, one frame of another) of one pair of cameras, with their offset
@@ -128,7 +129,8 @@ impl PairObservations {
 /// Estimates a pair's offset from the offset candidates of its triples, and also its rate if `with_rate` is true.
 /// `initial` is the approximate clock model with which the triples were chosen.
 ///
-/// Fails with the first condition on features, motion or inliers that is not met.
+/// Fails if there are too few features, too little motion or too few inliers, or if the offset contradicts the nominal
+/// clocks ([`PairFailure`]). The error is the first of these reasons that applies.
 pub fn fit_pair(
     recording: &Recording,
     pair: &PairTriples,

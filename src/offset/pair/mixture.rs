@@ -1,10 +1,10 @@
-//! Fits a line robustly to candidates: maximum likelihood under a mixture model of inliers and outliers, by
-//! expectation maximization (EM).
+//! Fits a line, the offset as a function of time, robustly to the offset candidates of many features. The fit maximizes
+//! the likelihood under a mixture model of inliers and outliers, by expectation maximization (EM).
 //!
-//! Beyond the paper. RANSAC counts all candidates within a tolerance in time alike, although a slow feature's
-//! candidate is far less certain than a fast feature's. The weights of eqs. (11) to (13) depend only on the agreement
-//! of the candidates. Here the error of an inlier is a scale mixture of three Gaussians in pixels, so a candidate's
-//! information is proportional to the square of its speed across the epipolar line. The time of an outlier is
+//! Beyond the paper. RANSAC counts all candidates within a tolerance in time alike, although a slow feature's candidate
+//! is far less certain than a fast feature's. The weights of eqs. (11) to (13) depend only on the agreement of the
+//! candidates. Here the error of an inlier is a scale mixture of three Gaussians in pixels, so a candidate's
+//! information is proportional to the square of its speed across the epipolar line. The offset of an outlier is
 //! uniformly distributed. EM starts at the candidate with the highest consensus, measured by MSAC's truncated squared
 //! residuals.
 //!
@@ -50,25 +50,25 @@ pub struct Mixture {
     pub weights: Vec<f64>,
 }
 
-/// The standard deviations of the three inlier components, relative to the narrowest component. Errors of features on
-/// depth edges and under changing light are several times as large as errors of other features. Errors on thin
-/// structures are many times as large.
+/// The standard deviations of the mixture model's three inlier components, relative to the narrowest component. Errors
+/// of features on depth edges and under changing light are several times as large as errors of other features. Errors
+/// on thin structures are many times as large.
 const SCALES: [f64; 3] = [1.0, SCALE_RATIO, SCALE_RATIO * SCALE_RATIO];
-/// The ratio of the standard deviations of successive components. Its square is an integer, since `gaussians` uses
-/// the square as an exponent.
+/// The ratio of the standard deviations of successive inlier components. Its square is an integer, since `gaussians`
+/// uses the square as an exponent.
 const SCALE_RATIO: f64 = 4.0;
 /// The initial standard deviation of the narrowest inlier component, pixels: the expected distance of features from
 /// their epipolar lines.
 const START_PX: f64 = 0.5;
-/// The lower bound of the standard deviation of the narrowest component, pixels. Trackers are not more precise.
+/// The lower bound of the standard deviation of the narrowest inlier component, pixels. Trackers are not more precise.
 const MIN_PX: f64 = 0.01;
-/// The upper bound of the standard deviation of the narrowest component, pixels.
+/// The upper bound of the standard deviation of the narrowest inlier component, pixels.
 const MAX_PX: f64 = 2.0;
-/// The width of the uniform distribution of outliers' times, in frames. Only its order of magnitude matters.
+/// The width of the uniform distribution of the outliers' offsets, in frames. Only its order of magnitude matters.
 const OUTLIER_RANGE_FRAMES: f64 = 3.0;
-/// The initial fractions of the three inlier components and of the outliers, in this order.
+/// The initial fractions of observations in the three inlier components and among the outliers, in this order.
 const INITIAL_FRACTIONS: Fractions = [0.5, 0.15, 0.05, 0.3];
-/// The lower bound of a component's fraction. EM would never raise a fraction of 0.
+/// The lower bound of the fraction of observations in a component. EM would never raise a fraction of 0.
 const MIN_FRACTION: f64 = 1e-3;
 /// The maximum number of EM iterations.
 const MAX_ITERATIONS: usize = 60;
@@ -107,7 +107,8 @@ pub fn consensus_value(observations: &[Observation]) -> Option<(f64, f64)> {
 
 impl Mixture {
     /// Fits the mixture by EM, starting from a line with the constant offset `start_s`, seconds. A slope is fitted if
-    /// `with_rate` is true. `frame_s` is the frame period, seconds, which determines the range of the outliers' times.
+    /// `with_rate` is true. `frame_s` is the frame period, seconds, which determines the range of the outliers'
+    /// offsets.
     ///
     /// `None` if the observations do not determine the line: there are none, all have a speed of 0, or all have the
     /// same time although a slope is fitted.
@@ -183,8 +184,8 @@ fn expect(
     sums
 }
 
-/// Returns the three components' Gaussians at a residual of `z` standard deviations of the narrowest component. Each
-/// Gaussian has a maximum of 1.
+/// Returns the values of the three inlier components' Gaussians at a residual of `z` standard deviations of the
+/// narrowest component. Each Gaussian has a maximum of 1.
 fn gaussians(z: f64) -> [f64; SCALES.len()] {
     const POWER: i32 = (SCALE_RATIO * SCALE_RATIO) as i32;
     let z = z / SCALES[2];
@@ -194,7 +195,7 @@ fn gaussians(z: f64) -> [f64; SCALES.len()] {
     [middle.powi(POWER), middle, wide]
 }
 
-/// Fractions of the three inlier components and, last, of the outliers.
+/// Fractions of observations in the three inlier components and, last, among the outliers.
 type Fractions = [f64; SCALES.len() + 1];
 
 /// Sums over the observations that the maximization step of EM needs.
@@ -262,9 +263,9 @@ mod tests {
             .collect()
     }
 
-    /// The standard error of an efficient estimate is √(σ² / Σ v²), where v is the speed of an inlier. In 3000 random
-    /// problems with as many outliers as inliers, the root-mean-square error is at most a quarter larger than this
-    /// standard error.
+    /// Checks the errors of 3000 random problems with as many outliers as inliers. The standard error of an efficient
+    /// estimate is √(σ² / Σ v²), where v is the speed of an inlier. The root-mean-square error is at most a quarter
+    /// larger than this standard error.
     #[test]
     fn thousands_of_random_problems_are_solved_efficiently() {
         let random = &mut Random::new(1);

@@ -1,4 +1,5 @@
-//! Pairs of cameras: their selection, their frame triples, and the estimate of each pair alone.
+//! Pairs of cameras: the choice of pairs, the choice of frame triples (two frames of one camera, one frame of the
+//! other) for each pair, and the estimate of each pair's offset from its own images alone.
 
 mod fit;
 mod mixture;
@@ -41,8 +42,9 @@ pub struct PairEstimate {
     /// The estimates from single frame triples: two successive frames of one of the two cameras and a frame of the
     /// other camera. Triples with too few inliers are left out.
     pub frames: Vec<FrameEstimate>,
-    /// The factor, at least 1, by which standard errors are multiplied because the offset candidates come from few
-    /// independent tracker windows. The square of the factor is a variance inflation factor.
+    /// The factor, at least 1, by which standard errors are multiplied because the offset candidates are correlated:
+    /// their features lie in few independent windows of the tracker. The square of the factor is a variance inflation
+    /// factor.
     pub(super) std_err_inflation: f64,
     /// All offset candidates, each with its weight in the mixture model, 1 / px².
     pub(super) samples: Arc<[(Sample, f64)]>,
@@ -113,26 +115,29 @@ pub enum PairFailure {
 
 /// The maximum absolute offset that is consistent with the nominal clocks, in frames.
 pub const NOMINAL_CLOCK_FRAMES: f64 = 1.5;
-/// The minimum agreement ([`PairEstimate::agreement`]) of an offset that is larger than [`NOMINAL_CLOCK_FRAMES`]. The
-/// features of a swinging object also agree on offsets that are wrong by the period of the swing.
+/// The minimum agreement (fraction of inliers, [`PairEstimate::agreement`]) at which an offset larger than
+/// [`NOMINAL_CLOCK_FRAMES`] is accepted. The features of a swinging object also agree on offsets that are wrong by the
+/// period of the swing.
 pub const MIN_AGREEMENT: f64 = 0.5;
 /// The minimum number of inliers of a pair's estimate.
 pub const MIN_INLIERS: usize = 12;
-/// The maximum standard error, in frames, of a pair that the joint solution uses, and of an offset that is reported.
+/// The maximum standard error of a usable offset, in frames. The joint solution ignores pairs with larger standard
+/// errors. A camera's offset with a larger standard error is reported as unknown.
 pub const MAX_STD_ERR_FRAMES: f64 = 0.1;
 /// The absolute cosine of the angle between two baselines above which their epipolar lines count as parallel.
 const MAX_ALIGNMENT: f64 = 0.9;
-/// The number of further cameras with which each camera is paired, in other directions than the cameras chosen
-/// before. On a grid, these are a camera of the same column and a camera of a diagonal.
+/// The maximum number of cameras with which each camera is paired besides its nearest cameras. Their directions differ
+/// from the directions of the cameras already chosen. On a grid, they are a camera of the same column and a camera of a
+/// diagonal.
 const OTHER_DIRECTIONS: usize = 2;
 
 /// Returns the pairs of cameras whose offsets are estimated, as pairs of camera indices [i, j] with i < j. The pairs
 /// are sorted. `clock` holds the index of each camera's clock.
 ///
 /// Every camera is paired with its `neighbors` nearest cameras, including all at equal distances, and with the nearest
-/// cameras in other directions. On a grid, motion along the epipolar lines of the rows runs across the epipolar lines
-/// of the columns and diagonals. For [`OffsetMethod::Pairwise`], every camera is paired only with the reference camera
-/// (§7). Cameras that share a clock or a centre form no pair.
+/// cameras in other directions. On a grid of cameras, motion along the epipolar lines of a pair in a row crosses the
+/// epipolar lines of pairs in columns and diagonals. For [`OffsetMethod::Pairwise`], every camera is paired only with
+/// the reference camera (§7). Cameras that share a clock or a centre form no pair.
 pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs: Vec<[usize; 2]> = Vec::new();

@@ -1,7 +1,8 @@
-//! Computes the robust mean of the candidates of one frame triple (§7): exhaustive RANSAC, then weighted least
-//! squares (WLS), eqs. (11) to (13).
+//! Computes the robust mean of the offset candidates of one frame triple (two frames of one camera, one frame of
+//! another; §7): exhaustive RANSAC, then weighted least squares (WLS), eqs. (11) to (13).
 //!
-//! Known limit: the weights do not depend on the speed of the candidates' features.
+//! Known limit: the weights do not depend on the speeds of the features, although a slow feature's candidate is less
+//! certain.
 
 /// Returns the largest set of values within `tolerance` of one of the values (the RANSAC inliers), as an index range
 /// of `values`.

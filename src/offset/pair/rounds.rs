@@ -1,12 +1,12 @@
-//! Estimates all pairs in rounds: frame triples are chosen by the current offset, and the offset is estimated from
-//! them.
+//! Estimates the offset of every pair of cameras in rounds. A round chooses frame triples (two frames of one camera,
+//! one frame of the other) by the current offset, and estimates the offset from them.
 //!
 //! §7 requires camera j's frame to lie between two frames of camera i. Which frame of j lies there depends on the
 //! offset, so triples and offset are determined in turn. The initial offset is right only to about a frame, so about
 //! half of the triples that it chooses are wrong. In a longer recording, the first round therefore has only a few
 //! triples, in the recording's middle.
 //!
-//! A round computes the candidates of a group of pairs together. Large rigs are split into groups whose frames fit
+//! The offset candidates of a group of pairs are computed together. Large rigs are split into groups whose frames fit
 //! the cache. Results do not depend on the groups.
 
 use super::fit::{PairTriples, fit_pair};
@@ -27,11 +27,11 @@ const MAX_ROUNDS: usize = 5;
 /// that has two frames.
 const FIRST_TRIPLES: usize = 4;
 
-/// State of a pair of cameras (i, j) between two rounds. It has triples of both directions: two frames of i with one
-/// frame of j, and the reverse.
+/// State of the estimation of a pair of cameras (i, j) between two rounds. A round chooses frame triples, and estimates
+/// the offset from them. There are triples of both directions: two frames of i with one frame of j, and the reverse.
 pub struct PairRounds {
     cameras: [usize; 2],
-    /// The pair's offset to about one frame, or the reason why there is none.
+    /// The pair's initial offset, right to about one frame, or the reason why it has none.
     start: Result<ClockModel, PairFailure>,
     /// The offset by which the frame triples of the next round are chosen.
     initial: ClockModel,
@@ -44,15 +44,17 @@ pub struct PairRounds {
     estimate: Result<PairEstimate, PairFailure>,
 }
 
-/// Which frame triples the next round of a pair uses, and which offset chose them first.
+/// Stage of a pair's estimation in rounds: which frame triples the next round uses, and by which offset the first round
+/// at this stage chose its triples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RoundStage {
-    /// The next round uses the frame triples in the middle of the recording, chosen by [`PairRounds::start`].
+    /// The next round uses only a few frame triples, from the middle of the recording. They are chosen by the offset
+    /// [`PairRounds::start`].
     Middle,
-    /// The next round uses all frame triples. They were first chosen by the offset estimated from the recording's
-    /// middle.
+    /// The next round uses all frame triples. The first such round chose them by the offset estimated from the
+    /// recording's middle.
     FromMiddle,
-    /// The next round uses all frame triples. They were first chosen by [`PairRounds::start`].
+    /// The next round uses all frame triples. The first such round chose them by the offset [`PairRounds::start`].
     FromStart,
     Finished,
 }
@@ -75,7 +77,8 @@ impl PairRounds {
         }
     }
 
-    /// Chooses the frame triples of the pair's next round, or ends its rounds.
+    /// Chooses the frame triples of the pair's next round. Ends the rounds if there are no triples, if they are those
+    /// of the last round, or after [`MAX_ROUNDS`] rounds.
     fn choose(&mut self, recording: &Recording) {
         if self.stage == RoundStage::Finished {
             return;
@@ -158,7 +161,8 @@ fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     Some(chosen)
 }
 
-/// Estimates every pair. The results are in the order of `pairs`. Returns an error if a frame cannot be read.
+/// Estimates the offset of every pair. The results are in the order of `pairs`. Returns an error if a frame cannot be
+/// read.
 pub fn estimate_pairs(
     recording: &Recording,
     mut pairs: Vec<PairRounds>,
@@ -200,7 +204,7 @@ pub fn estimate_pairs(
 }
 
 /// Returns how many pairs, counted from the start of `pairs`, form the next group; at least 1. The group's frames at
-/// one instant fit the frame cache. Its offset candidates of two rounds fit the cache of candidates.
+/// one instant fit the frame cache. The group's offset candidates of two rounds fit the cache of candidates.
 fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     let options = recording.options;
     // The factor 4 is for two directions and two rounds.
@@ -214,8 +218,9 @@ fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     pairs[..max_pairs].iter().take_while(fits).count().max(1)
 }
 
-/// Returns the offset of each camera's clock, seconds. Cameras that are connected by pairs with an initial offset have
-/// offsets relative to one of these cameras. The offset is 0 for a camera without such a pair.
+/// Returns the approximate offset of each camera's clock, seconds, by the pairs' current offsets. Cameras that are
+/// connected by pairs with an initial offset have offsets relative to one of these cameras. The offset is 0 for a
+/// camera without such a pair.
 fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
     let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_ok()).collect();
     let mut clocks_s: Vec<Option<f64>> = vec![None; cameras];
@@ -267,7 +272,7 @@ mod tests {
         })
     }
 
-    /// Reference implementation: estimates one pair alone, with all its triples in every round.
+    /// Reference implementation: estimates the offset of one pair alone, from all its frame triples in every round.
     fn naive(recording: &Recording, cameras: [usize; 2]) -> Result<PairEstimate, PairFailure> {
         let mut initial = ClockModel::default();
         let mut estimate = Err(PairFailure::NoOverlap);

@@ -1,4 +1,5 @@
-//! Computes the candidates of many frame triples in order of time.
+//! Computes the offset candidates of many frame triples (two frames of one camera, one frame of another) in order of
+//! time, so that cached frames are reused.
 //!
 //! Several pairs share a camera. In order of time, a frame that is read for one pair is still cached when the other
 //! pairs of its group need it. The results do not depend on the order.

@@ -1,11 +1,11 @@
-//! Computes one candidate for the temporal offset per feature, from three frames (eq. (10)).
+//! Computes, for each feature, one candidate for the temporal offset between two cameras, from three frames (eq. (10)).
 //!
 //! A feature is tracked through two frames of camera i and has a correspondence in one frame of camera j. The
 //! candidate is the time at which the feature's trajectory in camera i crosses the epipolar line of the
 //! correspondence. The paper's trajectory is straight. Beyond the paper, trajectories may be quadratic or cubic
 //! curves through the feature's positions in three or four frames of camera i.
 //!
-//! Known limit: a feature that moves along its epipolar line has no candidate.
+//! Known limit: a feature that moves along its epipolar line gives no offset candidate.
 
 use crate::camera::{Camera, EpipolarGeometry, EpipolarLine};
 use crate::capture::FrameTimes;
@@ -15,7 +15,8 @@ use nalgebra::Point2;
 /// One feature's candidate for the temporal offset between cameras i and j.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
-    /// `t̃` of eq. (10), seconds: the time of camera j's frame after camera i's earlier frame.
+    /// `t̃` of eq. (10), seconds: the time from camera i's earlier frame to the crossing of the feature's trajectory
+    /// and the epipolar line. Camera j took its frame at this time.
     pub time_s: f64,
     /// The feature's signed speed perpendicular to the epipolar line, at the crossing of the trajectory and the line,
     /// pixels per second. It is negative if the feature moves towards the line's negative side. A perpendicular error
@@ -39,15 +40,16 @@ impl Candidate {
 /// The trajectory error at which an offset candidate's information is halved, pixels. It equals the localization
 /// error of good features.
 const TRAJECTORY_SIGMA_PX: f64 = 0.03;
-/// The expected error of a trajectory, as a fraction of the contribution of its highest-order term. At video rates,
-/// each polynomial order of a motion contributes about this fraction of what the next lower order contributes.
+/// The ratio of a trajectory's expected error to the contribution of its highest-order polynomial term. At video rates,
+/// each order of a motion contributes about this fraction of what the next lower order contributes.
 const NEXT_ORDER_FRACTION: f64 = 0.2;
 /// The constant part of the maximum prediction error of a trajectory, pixels. The prediction error is the distance of
-/// the trajectory's last sample from the extrapolation of the other samples.
+/// the trajectory's last sample from the extrapolation of the other samples. Features with larger errors than the sum
+/// of the constant part and the proportional part ([`MAX_PREDICTION_ERROR_FRACTION`]) are rejected.
 const MAX_PREDICTION_ERROR_PX: f64 = 1.0;
-/// The proportional part of the maximum prediction error of a trajectory, as a fraction of the trajectory's largest
-/// step between two frames. Features with larger errors are rejected. They are mostly background features that a
-/// moving body occludes, and would support a wrong time.
+/// The proportional part of the maximum prediction error ([`MAX_PREDICTION_ERROR_PX`]) of a trajectory, as a fraction
+/// of the trajectory's largest step between two frames. Rejected features are mostly background features that a moving
+/// body occludes; they would support a wrong offset.
 const MAX_PREDICTION_ERROR_FRACTION: f64 = 0.3;
 /// The maximum number of Newton steps to the crossing of a trajectory and an epipolar line.
 const MAX_NEWTON_STEPS: usize = 4;
@@ -55,13 +57,14 @@ const MAX_NEWTON_STEPS: usize = 4;
 /// converged.
 const NEWTON_TOLERANCE: f64 = 1e-9;
 /// The minimum speed perpendicular to the epipolar line during Newton's method, as a fraction of
-/// [`ThreeFrames::min_across_px`] per frame interval.
+/// [`ThreeFrames::min_across_px`] per frame interval. A slower feature has no offset candidate, since Newton's method
+/// may diverge.
 const MIN_SLOPE_FRACTION: f64 = 0.5;
 /// The relative rounding error that is tolerated when the length of a motion is compared with
 /// [`ThreeFrames::min_across_px`].
 const ROUNDING: f64 = 1e-9;
 
-/// Two successive frames of camera i and one frame of camera j.
+/// Two successive frames of camera i and one frame of camera j, from which offset candidates are computed (eq. (10)).
 pub struct ThreeFrames<'a> {
     /// Camera i, which has two frames.
     pub camera_i: &'a Camera,
@@ -123,8 +126,8 @@ impl ThreeFrames<'_> {
     }
 
     /// Returns whether a feature can have an offset candidate with some camera j: its trajectory is smooth, and its
-    /// motion is at least `min_across_px` long. There are then directions of epipolar lines for which the motion
-    /// suffices.
+    /// motion is at least `min_across_px` long. For such a motion, there are directions of epipolar lines that it
+    /// crosses by at least `min_across_px`.
     pub fn can_cross(&self, track: &Track) -> bool {
         let ideal = |p| self.camera_i.model.ideal_from_pixel(p);
         let motion = ideal(&track.earlier).zip(ideal(&track.later)).map(|(from, to)| to - from);
@@ -203,8 +206,9 @@ impl ThreeFrames<'_> {
     }
 }
 
-/// Fits the trajectory of the next lower polynomial order, through all samples except the first or the last one,
-/// whichever is farther from `time_s`. `None` if there are only two samples.
+/// Fits a trajectory through all samples, as (time, position), except the first or the last one, whichever is farther
+/// in time from `time_s`. Its polynomial order is lower by one than that of the trajectory through all samples. `None`
+/// if there are only two samples.
 fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Trajectory> {
     let distance = |s: &(f64, Point2<f64>)| (s.0 - time_s).abs();
     let (first, last) = (samples.first()?, samples.last()?);
@@ -215,7 +219,8 @@ fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Traje
     })
 }
 
-/// Returns whether the last of three or four samples is close to the extrapolation of the other samples.
+/// Returns whether the last of three or four samples, as (time, position), is close to the extrapolation of the other
+/// samples ([`MAX_PREDICTION_ERROR_PX`]).
 fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
     let Some(((time_s, position), others)) = samples.split_last() else { return false };
     let Some(trajectory) = Trajectory::new(others.iter().copied()) else { return false };
@@ -280,8 +285,8 @@ mod tests {
         }
     }
 
-    /// With a rolling shutter, each position has the time of its image row. The offset candidate equals the true
-    /// time.
+    /// Checks that the offset candidate of a camera with a rolling shutter equals the true time, if each position has
+    /// the time of its image row.
     #[test]
     fn candidates_of_rolling_shutters_are_exact() {
         let (i, j) = (camera(0.0), camera(0.06));
@@ -322,8 +327,8 @@ mod tests {
         }
     }
 
-    /// Counts features of several speeds far from the image's centre: first those that do not cross their epipolar
-    /// lines, then those that do.
+    /// Returns the numbers of simulated features that do not cross and that do cross their epipolar lines, in this
+    /// order. The features have several speeds, and are far from the image's centre.
     fn crossing_counts(model: CameraModel) -> [usize; 2] {
         let middle = Camera { model, ..camera(0.0) };
         let turned = |angle: f64| Camera {

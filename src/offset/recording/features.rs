@@ -1,7 +1,7 @@
-//! Selects the features to track: those whose neighbourhood changes between two frames.
+//! Selects the features to track: mostly corners around which the image changes between two frames.
 //!
-//! Static features give no candidate (eq. (10)). In front of a textured background, the strongest corners would all
-//! be static.
+//! Static features give no candidate for the temporal offset (eq. (10)). In a scene with a textured background, the
+//! strongest corners may all be static.
 
 use crate::registration::{Frame, PyramidLevel};
 use nalgebra::Point2;
@@ -10,8 +10,8 @@ use nalgebra::Point2;
 const MIN_MOTION_PX: f32 = 0.3;
 /// The half-width of the window around a feature in which its motion is estimated, pixels.
 const RADIUS: usize = 4;
-/// The maximum number of static corners that are tracked besides the moving ones. They distinguish a recording
-/// without motion from a recording without features.
+/// The maximum number of static corners that are tracked besides the moving ones. Static corners only serve to
+/// distinguish a recording without motion from a recording without features.
 const MAX_STATIC: usize = 64;
 
 /// Selects at most `count` corners to track: first the strongest corners around which the image changes from `frame`
@@ -38,8 +38,9 @@ pub fn changing(
     selected
 }
 
-/// Estimates the length of the motion between two frames in the window around p, pixels; 0 if there is no gradient.
-/// The length is the square root of the summed squared temporal change divided by the summed squared gradient.
+/// Estimates the length of the motion between two frames in the window around the corner p (half-width [`RADIUS`]),
+/// pixels; 0 if there is no gradient. The length is the square root of the summed squared temporal change divided by
+/// the summed squared gradient.
 fn motion_px([current, next]: [&PyramidLevel; 2], p: &Point2<f64>) -> f32 {
     // The corner is inside the image. The window is clipped so that its central differences stay inside too.
     let range = |at: f64, size: usize| {
@@ -68,7 +69,7 @@ mod tests {
     use crate::raster::Image;
     use crate::registration::RegistrationOptions;
 
-    /// Returns a frame with a texture whose right half is moved by `dx` pixels.
+    /// Returns a textured frame. The texture of its right half is shifted by `dx` pixels to the right.
     fn frame(dx: f64) -> Frame {
         let value = |x: usize, y: usize| {
             let shift = if x >= 64 { dx } else { 0.0 };

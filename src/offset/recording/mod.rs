@@ -1,5 +1,5 @@
-//! Recordings of all cameras under one hypothesis of their clocks: frames, tracks, and the candidates of frame
-//! triples.
+//! Recordings of all cameras, with assumed frame times: their frames, the tracks of features, and the features'
+//! candidates for the temporal offsets.
 
 mod candidates;
 mod features;
@@ -15,9 +15,8 @@ use std::sync::Arc;
 
 /// One feature's candidate for the temporal offset between two cameras, a and b (eq. (10)).
 ///
-/// At `time_a_s` on a's clock, the feature's trajectory in camera a crosses the epipolar line of the feature's image
-/// in camera b. Camera b took that image at `time_b_s` on b's clock, which is the time of the image row that shows
-/// the feature.
+/// At `time_a_s` on a's clock, the feature's trajectory in camera a crosses the epipolar line of the feature's position
+/// in a frame of camera b. At `time_b_s` on b's clock, camera b exposed the image row of this position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// The indices of the two cameras, a and b.
@@ -25,13 +24,14 @@ pub struct Sample {
     pub time_a_s: f64,
     pub time_b_s: f64,
     /// The feature's signed speed perpendicular to the epipolar line, pixels per second, reduced if its trajectory is
-    /// uncertain. The square of this speed, divided by the residual variance, is the offset candidate's information.
+    /// uncertain ([`Candidate::effective_speed_px_s`]). The square of this speed, divided by the variance of the
+    /// residuals in pixels, is the offset candidate's information.
     pub across_px_s: f64,
     /// The index of the cell that contains the feature in a coarse grid over camera a's image. Errors of features in
     /// the same cell are correlated.
     pub cell: usize,
-    /// The index of the tile that contains the feature in a fine grid over camera a's image. A tile is about two of
-    /// the tracker's windows wide. Features in the same tile are tracked by nearly the same pixels.
+    /// The index of the tile that contains the feature in a fine grid over camera a's image. A tile is about twice as
+    /// wide as the tracker's window. Features in the same tile are tracked by nearly the same pixels.
     pub window: usize,
     /// The positions of the feature in the two cameras' images, and its speed.
     pub sight: Sight,
@@ -44,7 +44,8 @@ pub struct Sight {
     pub ideal_a: Point2<f64>,
     /// The feature's position in camera b's image, pixels.
     pub in_b: Point2<f64>,
-    /// The feature's signed speed in camera a, perpendicular to the epipolar line, pixels per second.
+    /// The feature's signed speed in camera a, perpendicular to the epipolar line, pixels per second. Unlike
+    /// [`Sample::across_px_s`], it is not reduced if the trajectory is uncertain.
     pub across_px_s: f64,
 }
 
@@ -55,17 +56,18 @@ impl Sample {
     }
 }
 
-/// Offset candidates of a frame triple (two frames of one camera, one frame of another), and the numbers of features
-/// at each stage of their selection.
+/// Offset candidates of a frame triple (two frames of camera a, one frame of camera b), and the numbers of features at
+/// each stage of their selection.
 #[derive(Clone, Debug, Default)]
 pub struct FrameTriple {
     pub samples: Vec<Sample>,
-    /// The number of features tracked between the two frames of camera a.
+    /// The number of features tracked between the two frames of the triple's camera a.
     pub tracks: usize,
     /// The number of tracked features that move on a smooth trajectory in camera a and have a correspondence in
     /// camera b.
     pub moving: usize,
-    /// The number of features that move across their epipolar lines, with or without an offset candidate.
+    /// The number of features that move across their epipolar lines by at least [`MIN_ACROSS_PX`], with or without an
+    /// offset candidate.
     pub across: usize,
 }
 
@@ -77,31 +79,31 @@ pub type TripleFrames = ([usize; 2], [usize; 2]);
 const MIN_ACROSS_PX: f64 = 1.0;
 /// The numbers of columns and rows of the coarse grid over an image ([`Sample::cell`]).
 const CELLS: [f64; 2] = [8.0, 6.0];
-/// The side of a tile of the fine grid over an image ([`Sample::window`]), pixels: about two of the tracker's
-/// windows.
+/// The side of a tile of the fine grid over an image ([`Sample::window`]), pixels: about twice the width of the
+/// tracker's window.
 const WINDOW_PX: f64 = 24.0;
-/// The maximum time by which camera b's frame may be outside the interval between camera a's two frames, as a
-/// fraction of this interval. Outside the interval, trajectories are extrapolated.
+/// In a frame triple, the maximum time by which the frame of camera b may lie outside the interval between the two
+/// frames of camera a, as a fraction of this interval. Outside the interval, trajectories are extrapolated.
 const MAX_OUTSIDE: f64 = 0.5;
-/// The maximum number of feature tracks in the cache. They take 256 MB, enough for 100 cameras with 600 features
-/// each.
+/// The maximum number of feature tracks in the cache. They take 256 MB, enough for 30 frames of each of 100 cameras,
+/// with 600 features a frame.
 const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
 /// The maximum number of offset candidates in the cache. They take 128 MB.
 pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
 
-/// Recordings of all cameras under one hypothesis of their clocks. Tracks and offset candidates are computed on
-/// demand and cached.
+/// Recordings of all cameras, with assumed frame times ([`Recording::clocks`]). Feature tracks and offset candidates
+/// are computed on demand and cached.
 pub struct Recording<'a> {
     pub frames: &'a FrameStore,
-    /// The clock of each camera. Its frame times are corrected for the lost frames of the hypothesis.
+    /// The clock of each camera, by camera. Its frame times are the capture's, or are corrected for lost frames.
     pub clocks: Vec<Clock>,
     pub options: &'a OffsetOptions,
     track_cache: &'a TrackCache,
     triples: BoundedCache<TripleFrames, Arc<FrameTriple>>,
 }
 
-/// Cache of the feature tracks of one estimation, by (camera, earlier frame). Tracks do not depend on times, so all
-/// pairs of a camera and all hypotheses of the clocks share them.
+/// Cache of feature tracks, by (index of the camera, index of the earlier frame). Tracks do not depend on frame times.
+/// All camera pairs therefore share the cache, as do [`Recording`]s with other frame times.
 pub struct TrackCache(BoundedCache<(usize, usize), Arc<Vec<Track>>>);
 
 impl Default for TrackCache {
