@@ -183,8 +183,7 @@ impl<'a> Component<'a> {
     /// of an outlier's cost, exceeds [`MAX_OUTLIER_FRACTION`] times their number. Penalties of lost frames do not
     /// count.
     fn is_ambiguous(&self, camera: usize) -> bool {
-        let lost = self.models[camera].as_ref().map_or(0, |model| model.lost_before.len());
-        let losses = self.loss_penalty * lost as f64;
+        let losses = self.models[camera].as_ref().map_or(0.0, |model| self.loss_penalties(model));
         let count = self.observations[camera].len() as f64;
         self.fit(camera, false).cost - losses > MAX_OUTLIER_FRACTION * count
     }
@@ -248,11 +247,16 @@ impl<'a> Component<'a> {
             let as_second = self.observations[c].iter().filter(|o| o.cameras[1] == c);
             let lags = as_second.filter_map(|o| self.lag(c, o));
             let sum: f64 = lags.map(|o| o.cost(&line, [loss_count(&o); 2])).sum();
-            let gaps = model.lost_before.chunk_by(usize::eq);
-            sum + gaps.map(|gap| gap_penalty(gap.len() as u32, self.loss_penalty)).sum::<f64>()
+            sum + self.loss_penalties(model)
         };
         let models = self.models.iter().enumerate();
         models.filter_map(|(c, model)| Some((c, model.as_ref()?))).map(camera_cost).sum()
+    }
+
+    /// Returns the sum of the penalties of a model's lost frames, as a multiple of an outlier's cost.
+    fn loss_penalties(&self, model: &ClockModel) -> f64 {
+        let gaps = model.lost_before.chunk_by(usize::eq);
+        gaps.map(|gap| gap_penalty(gap.len() as u32, self.loss_penalty)).sum()
     }
 
     /// Returns a camera's model relative to the clock of the camera [`Component::root`].
