@@ -39,8 +39,8 @@ impl<'a> Request<'a> {
 
 impl Request<'_> {
     /// Returns whether the view is rendered by scene flow, from the depth and motion of frames. This requires that the
-    /// options choose scene flow, and that all images are synchronized by the method of the options. Otherwise, the
-    /// view is blended from the request's images by depths that are estimated from images.
+    /// options choose scene flow, and that all images of the request are synchronized by the method `options.sync`.
+    /// Otherwise, the view is blended from the request's images by depths that are estimated from images.
     pub(super) fn uses_scene_flow(&self) -> bool {
         self.options.proxy.method == ProxyMethod::SceneFlow
             && [self.images, self.shape]

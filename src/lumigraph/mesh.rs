@@ -67,7 +67,7 @@ const CELL_PX: f64 = 0.5;
 const FRONT_WEIGHT: f64 = 0.02;
 /// Number of corners of the back plane, a rectangle behind all points.
 const CORNERS: usize = 4;
-/// Factor by which the back plane's inverse depth is multiplied. It moves the plane slightly behind all vertices.
+/// Factor by which the back plane's inverse depth is multiplied, so that the plane is slightly behind all vertices.
 const BACK_FACTOR: f64 = 0.999;
 
 /// A vertex of the Delaunay triangulation of points in the view's image.

@@ -1,11 +1,11 @@
 //! Triangulation of a 3D point from its images in several cameras at one instant.
 //!
-//! The unknowns are a direction (u, v) from the first camera and an inverse distance ρ: `X = C_0 + s (r + u e_1 + v
-//! e_2) / ρ`. Here C_i are the cameras' centres, r is the unit ray of the first camera, e_1 and e_2 complete r to an
-//! orthonormal basis, and s is the largest distance of any camera from the first camera. Camera i, with the rotation
-//! R_i, sees X in the direction `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`. This direction is linear in (u, v, ρ),
-//! and finite for a point at infinity, where ρ = 0. The linear solution is well conditioned, and independent of the
-//! world's origin and scale.
+//! The unknowns are a direction (u, v) from the first camera and an inverse distance ρ:
+//! `X = C_0 + s (r + u e_1 + v e_2) / ρ`. Here C_i are the cameras' centres, r is the unit ray of the first camera, e_1
+//! and e_2 complete r to an orthonormal basis, and s is the largest distance of any camera from the first camera.
+//! Camera i, with the rotation R_i, sees X in the direction `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`. This
+//! direction is linear in (u, v, ρ), and finite for a point at infinity, where ρ = 0. The linear solution is well
+//! conditioned, and independent of the world's origin and scale.
 
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
