@@ -14,14 +14,14 @@ use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
 
-/// Disk cache of plans. A plan is an automatic choice of methods. It is made by comparing dozens of rendered views,
-/// which later commands then need not render again. If a change of the renderer changes views, the version must be
-/// incremented.
+/// Disk cache of plans. A plan is an automatic choice of methods. It is made by comparing dozens of rendered views;
+/// with a cached plan, later commands need not render them again. If a change of the renderer changes views, the
+/// version must be incremented.
 const PLANS: CacheKind = CacheKind { name: "plans", version: 4 };
 
 /// Opens a capture's light field. The offsets of the cameras' clocks are known from the capture, or are read from its
-/// folder, or else are estimated and stored there ([`resolve_offsets`]). Notes on the reporter say which of these
-/// applies, and name the cameras with unknown offsets. These cameras are excluded from views.
+/// folder, or else are estimated and stored there ([`resolve_offsets`]). Notes on the reporter state which of these
+/// applies. Cameras with unknown offsets are excluded from views, and a note names them.
 ///
 /// The estimation and the views share the decoded frames and the estimated gains.
 pub fn open_field(
@@ -42,8 +42,8 @@ pub fn open_field(
 }
 
 /// Returns the options after the automatic choice of methods. [`plan`] chooses the methods and parameters of the stages
-/// that `options.auto` names. The options of other stages are unchanged. If no choice can have an effect, nothing is
-/// measured.
+/// that `options.auto` names. The options of other stages are unchanged. If the choice can't affect views with these
+/// options, no views are compared.
 ///
 /// The choice is cached for the same offsets and options. Notes on the reporter state the chosen methods. For a choice
 /// that wasn't cached, they also state the reasons.
@@ -120,9 +120,9 @@ pub enum PathFitError {
 /// Returns a ready-made path of `duration_s` seconds, fitted to the rig, to the scene's depths and to the recording's
 /// times.
 ///
-/// `frozen_s` is the instant at which time is frozen, as in [`PathScene::frozen_s`]. It and the instants of the path
-/// are seconds from the capture's start. The views have the image size of the reference camera, and 0.55 to 0.95 times
-/// the width of its field of view.
+/// `frozen_s` is the instant at which time is frozen, as in [`PathScene::frozen_s`]. This instant and the path's
+/// instants are seconds from the capture's start. The views have the image size of the reference camera, and 0.55 to
+/// 0.95 times the width of its field of view.
 pub fn ready_made_path(
     field: &LightField,
     options: &RenderOptions,

@@ -1,8 +1,8 @@
-//! Beyond the paper: a camera's image at an instant is blended from its own frames and from other cameras' images. The
-//! other images are warped to the camera's viewpoint by depth per pixel.
+//! Beyond the paper: a camera's image at an instant is blended from the camera's own frames and from other cameras'
+//! images. The other cameras' images are warped to the camera's viewpoint by depth per pixel.
 //!
 //! This recovers motion that a camera misses. For example, a ball bounces between two frames of a camera, and another
-//! camera has a frame nearer to this instant.
+//! camera has a frame nearer to the instant of the bounce.
 
 use super::camera_image::images_of;
 use super::geometry::geometry;
@@ -12,15 +12,15 @@ use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
 use crate::lumigraph::BlendMethod;
 use crate::options::{ProxyMethod, RenderOptions};
 
-/// Factor on [`crate::lumigraph::BlendOptions::error_angle_rad`], the penalty per pixel of interpolation error. It
-/// applies when a camera's image is blended from all cameras' images, including its own interpolated image. It is below
-/// 1 because the camera's own image has no depth error. With a smaller factor, the camera's own image dominates; with a
-/// larger factor, other cameras' images do.
+/// Factor by which [`crate::lumigraph::BlendOptions::error_angle_rad`], the penalty per pixel of interpolation error,
+/// is multiplied when one camera's image is blended from all cameras' images. The blended images include the camera's
+/// own interpolated image. The factor is below 1 because the camera's own image has no depth error. With a smaller
+/// factor, the camera's own image dominates; with a larger factor, other cameras' images do.
 const OWN_FRACTION: f64 = 0.25;
 
 impl LightField {
-    /// Computes a camera's image between two of its frames, blended from all cameras' images with the options `all`.
-    /// Pixels that the blend doesn't cover are interpolated from the camera's own frames.
+    /// Computes a camera's image at an instant between two of its frames. It is blended from all cameras' images with
+    /// the options `all`. Pixels that the blend doesn't cover are interpolated from the camera's own frames.
     pub(super) fn image_from_all_cameras(
         &self,
         image: &CameraImage,

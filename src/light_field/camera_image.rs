@@ -94,8 +94,8 @@ impl RefinementCosts<'_> {
     }
 }
 
-/// Computes a camera's image at an instant, with the camera's exposure at this instant. If tiles are given as `parts`,
-/// pixels outside these tiles may be wrong or black.
+/// Computes a camera's image at an instant, with the exposure that the camera has at this instant. If tiles are given
+/// as `parts`, only the pixels in these tiles are valid; other pixels may be wrong or black.
 pub(super) fn image_in(
     field: &LightField,
     image: &CameraImage,
@@ -158,8 +158,8 @@ pub(super) fn image_in(
 }
 
 impl LightField {
-    /// Returns a camera's synchronized image at `time_s`, seconds from the capture's start. It is the camera's own
-    /// frame if a frame has exactly this time. Otherwise, it is interpolated.
+    /// Returns a camera's synchronized image: its image at `time_s`, seconds from the capture's start. If a frame of
+    /// the camera has exactly this time, the image is this frame. Otherwise, the image is interpolated.
     ///
     /// # Errors
     /// [`RenderError::CameraTime`] if the time is outside the camera's frames, [`RenderError::CameraClock`] if the
@@ -176,7 +176,8 @@ impl LightField {
     }
 
     /// Converts a camera's synchronized image at `time_s`, seconds from the capture's start, to the exposure of the
-    /// camera's first frame, which is the exposure of the truth. Returns `None` if the exposures are the same.
+    /// camera's first frame. Ground-truth images have this exposure, too. Returns `None` if the image already has this
+    /// exposure.
     pub(crate) fn exposed_first(
         &self,
         camera: usize,
@@ -190,8 +191,8 @@ impl LightField {
         Some(with_image(image, gains.exposed_at(camera, [own_s, first_s], &image.image)?))
     }
 
-    /// Returns the synchronized images of all cameras at `time_s`, seconds from the capture's start. They are in the
-    /// capture's order. `None`: the camera has no image at this time.
+    /// Returns the synchronized images of all cameras at `time_s`, seconds from the capture's start. The result has one
+    /// element per camera, in the capture's order: `None` if the camera has no image at this time.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read, and [`RenderError::Stopped`] if `context` stops the
@@ -209,11 +210,12 @@ impl LightField {
         on_workers(|| side_by_side(self, &usable, method.all_cameras.is_some(), context, get))
     }
 
-    /// Returns the images of [`Self::synchronized_all`], gain-corrected to the reference camera's exposure.
+    /// Returns the synchronized images of all cameras at `time_s` ([`Self::synchronized_all`]), gain-corrected to the
+    /// reference camera's exposure.
     ///
     /// # Errors
-    /// The errors of [`Self::synchronized_all`], and the error of [`super::render()`] if no camera has an image at
-    /// `time_s`.
+    /// The errors of [`Self::synchronized_all`]. If no camera has an image at `time_s`: [`RenderError::Time`], or
+    /// [`RenderError::NoClock`] if no camera's clock is known.
     pub fn corrected_all(
         &self,
         time_s: f64,

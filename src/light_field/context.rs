@@ -11,9 +11,9 @@ pub struct Context<'a> {
 }
 
 impl<'a> Context<'a> {
-    /// Creates a context with the callback `proceed(done, total)`. It is called before every step with the number of
-    /// finished instants and the number of all instants. If the callback returns false, rendering ends with
-    /// [`RenderError::Stopped`]. The callback may be called from several threads.
+    /// Creates a context with the callback `proceed(done, total)`. It is called before every step with two numbers: the
+    /// finished instants, and all instants to be rendered (more than 1 for a motion trail). If the callback returns
+    /// false, rendering ends with [`RenderError::Stopped`]. The callback may be called from several threads.
     pub fn new(proceed: &'a (dyn Fn(usize, usize) -> bool + Sync)) -> Self {
         Self { proceed, done: 0, total: 1 }
     }
@@ -28,7 +28,7 @@ impl<'a> Context<'a> {
         Self { done, total, ..self }
     }
 
-    /// Reports progress to the callback.
+    /// Calls the progress callback, and checks whether rendering may continue.
     ///
     /// # Errors
     /// [`RenderError::Stopped`] if the callback stops rendering.

@@ -1,5 +1,6 @@
-//! Spatial correspondences (§6): features of several cameras that show the same point. They are computed once for all
-//! instants at which each camera has the same nearer and the same farther frame.
+//! Spatial correspondences (§6): features of several cameras that show the same point. They are computed from each
+//! camera's two frames around an instant, the nearer and the farther in time. The result is reused at all instants with
+//! the same nearer and farther frames.
 
 use super::RenderError;
 use super::frame_pair::is_still;
@@ -11,14 +12,15 @@ use crate::registration::{Frame, Match, Trajectory, flow};
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 
-/// Maximum length of a feature's predicted motion between two frames of another camera, pixels. The prediction is
-/// extrapolated from two positions: the one found in the frame nearer in time, and the one expected at the instant, by
-/// the feature's disparity. A longer motion is due to a wrong disparity, and is not used.
+/// Maximum length of a feature's predicted motion between another camera's two frames around an instant, pixels. The
+/// motion is extrapolated from two positions of the feature in that camera: the match in the nearer frame, and the
+/// position at the instant that is expected from the feature's disparity. A longer predicted motion is due to a wrong
+/// disparity, and is not used.
 const MAX_PREDICTED_MOTION_PX: f64 = 30.0;
 
-/// Minimum time between the instant and the nearer frame for predicting a feature's motion, as a fraction of the time
-/// between the two frames. For shorter times, the extrapolation would amplify the error of the feature's disparity too
-/// much.
+/// Minimum time between an instant and the nearer of a camera's two frames around it, as a fraction of the time between
+/// the two frames, for predicting a feature's motion by extrapolation. For shorter times, the extrapolation would
+/// amplify the error of the feature's disparity too much.
 const MIN_PREDICTED_FRACTION: f64 = 0.25;
 
 /// Maximum distance between a feature's match in another camera and the feature's epipolar line at the rendered
@@ -60,8 +62,8 @@ pub(super) type Observations<'a> = Vec<(&'a Camera, Point2<f64>)>;
 struct Query<'a> {
     frame: &'a Frame,
     features: &'a [Feature],
-    /// Expected displacement of each feature from this camera's image to the other camera's image, pixels; 0 where
-    /// unknown.
+    /// Expected displacement of each feature from the image of its own camera to the image of the other camera, pixels;
+    /// 0 where unknown.
     disparities: &'a [Vector2<f64>],
     time_s: f64,
 }
@@ -127,7 +129,7 @@ pub(super) fn observations<'a>(
 }
 
 /// Adds the observations of one partner camera at `time_s`, seconds from the capture's start, to `seen`. Observations
-/// farther than [`MAX_EPIPOLAR_PX`] from their epipolar lines are left out.
+/// farther than [`MAX_EPIPOLAR_PX`] from their epipolar lines are skipped.
 fn observe<'a>(
     field: &'a LightField,
     around: FramesAround,
@@ -163,7 +165,8 @@ fn observe<'a>(
 
 /// Returns the instant for which the correspondences between the frames `around` are computed, seconds from the
 /// capture's start. It is the middle of the time interval in which every camera's frame `near` is nearer than its frame
-/// `far`. Cameras without motion don't count. Returns 0 if no camera sees motion.
+/// `far`. Cameras with `near` equal to `far`, whose images don't change, are ignored. Returns 0 if all cameras are
+/// ignored.
 fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     let moving = around.iter().filter(|a| a.near != a.far);
     let span = moving.map(|a| {
@@ -176,7 +179,7 @@ fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
 }
 
 /// Returns the two frames of a camera around an instant, the nearer and the farther in time. If nothing moves between
-/// them, the nearer frame is used for both.
+/// them, `near` and `far` are both the nearer frame.
 pub(super) fn frames_around(
     field: &LightField,
     camera: usize,
@@ -193,7 +196,8 @@ pub(super) fn frames_around(
 }
 
 impl Correspondences<'_> {
-    /// Returns the frame `near` of the first camera in `self.around`, and the features of that frame.
+    /// Returns the frame `near` of the first camera in `self.around`, and the features of that frame. If something
+    /// moves between the frames `near` and `far`, the features are those that are tracked between them.
     fn features(&self, field: &LightField) -> Result<(Arc<Frame>, Vec<Feature>), RenderError> {
         let FramesAround { camera, near, far } = self.around[0];
         let frame = field.frames(self.registration).get(camera, near)?;

@@ -13,8 +13,8 @@ use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Margin at both ends of the searched range of inverse depths, as a fraction of the range of the scene points' inverse
-/// depths. Surfaces may be nearer or farther than all scene points.
+/// Margin by which the range of the triangulated points' inverse depths is widened at both ends for stereo matching, as
+/// a fraction of the range. Surfaces may be nearer or farther than all triangulated points.
 const RANGE_MARGIN: f64 = 0.1;
 /// Spacing of the pixels at which the depth map of the scene's mesh proxy is sampled, pixels. The samples give the
 /// scene's range of depths.
@@ -86,8 +86,8 @@ impl Stereo<'_> {
         Ok(Some(PreparedStereo { matcher, ranges, bytes: MATCHER_BYTES * pixels }))
     }
 
-    /// Estimates the depths of all pixels of `cameras`. These must be among the cameras whose images are matched,
-    /// [`Self::cameras`]. Cameras whose depths can't be estimated are left out.
+    /// Estimates the depths of all pixels of `cameras`, which must be among the cameras whose images are matched
+    /// ([`Self::cameras`]). Cameras whose depths can't be estimated are omitted from the result.
     pub fn surfaces(
         &self,
         field: &LightField,
@@ -106,7 +106,7 @@ impl Stereo<'_> {
     }
 }
 
-/// Index of a camera, and the inverse depths of its pixels. `None` if the depths can't be estimated.
+/// Index of a camera, and the inverse depths of its pixels. The inverse depths are `None` if they can't be estimated.
 pub(super) type EstimatedDepth = (usize, Arc<Option<InverseDepths>>);
 
 impl Stage for CameraDepth<'_> {
@@ -174,7 +174,7 @@ impl OcclusionDepths<'_> {
     }
 }
 
-/// Converts the estimated depths of several cameras to surfaces for [`fuse`]. Cameras without depths are left out.
+/// Converts the estimated depths of several cameras to surfaces for [`fuse`]. Cameras without depths are omitted.
 pub(super) fn surfaces<'a>(
     field: &'a LightField,
     depths: &'a [EstimatedDepth],
@@ -223,8 +223,8 @@ fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
     points
 }
 
-/// Returns the minimum and the maximum inverse depth of the points in a camera, 1/m, widened by a margin. `None` if no
-/// point is in front of the camera.
+/// Returns the minimum and the maximum inverse depth, 1/m, of `points` as seen from a camera. The range is widened by
+/// [`RANGE_MARGIN`]. `None` if no point is in front of the camera.
 pub(super) fn range(points: &[Point3<f64>], camera: &Camera) -> Option<[f64; 2]> {
     let depths = points.iter().map(|p| (camera.cam_from_world * p).z).filter(|z| *z > 0.0);
     let [low, high] = depths

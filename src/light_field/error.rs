@@ -33,8 +33,9 @@ pub enum RenderError {
 /// Number of decimals with which messages show seconds.
 const DECIMALS: usize = 4;
 
-/// Formats a time and the span that it lies outside, all in seconds. With `they cover` as `covered`, an example is
-/// `0.2 s: they cover 0 to 0.15 s`. More decimals are shown if rounding would put the time inside the span.
+/// Formats a time that lies outside of the span from `first_s` to `last_s`, and this span, for an error message. An
+/// example with `they cover` as `covered` is `0.2 s: they cover 0 to 0.15 s`. More decimals are shown if the rounded
+/// time would lie inside the span.
 fn outside(time_s: f64, first_s: f64, last_s: f64, covered: &str) -> String {
     let rounded = |t: f64, decimals: usize| format!("{t:.decimals$}").parse().unwrap_or(t);
     let is_within = |decimals: &usize| {

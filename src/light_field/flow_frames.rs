@@ -1,4 +1,4 @@
-//! Frames with their depth and motion by scene flow, for callers that render views by themselves.
+//! Frames with their depth and motion as estimated by scene flow, for callers that render views by themselves.
 
 use super::graph::LightField;
 use super::points::nearest;
@@ -28,8 +28,8 @@ impl LightField {
     }
 
     /// Returns the frames, as (camera index, frame index), that views by scene flow use within a span of time. The span
-    /// is the first and the last instant, seconds from the capture's start. For every camera, the result contains the
-    /// frames that are nearest to any instant of the span. The frames are ordered by time.
+    /// is the first and the last instant, seconds from the capture's start. For every camera, the result contains each
+    /// frame that is the camera's nearest frame at some instant of the span. The frames are ordered by time.
     pub fn frames_within(&self, (first_s, last_s): (f64, f64)) -> Vec<(usize, usize)> {
         let of = |camera: usize| {
             let ends = [first_s, last_s].map(|t| self.nearest_frame(camera, t));
@@ -43,8 +43,9 @@ impl LightField {
     }
 
     /// Stores depth and motion of the given frames on disk, as [`Self::prepare`] does for all frames. A frame is
-    /// (camera index, frame index). Frames are estimated in groups, so that other frames may be stored too. `progress`
-    /// is called with the number of stored frames, which may exceed the length of the list.
+    /// (camera index, frame index). Depth and motion are estimated for groups of frames, so that results for further
+    /// frames may be stored too. `progress` is called with the number of stored frames, which may exceed the length of
+    /// the list.
     ///
     /// # Errors
     /// [`RenderError::NoPoints`] if the range of the scene's depths is unknown, and the errors of [`Self::prepare`].
@@ -68,8 +69,8 @@ impl LightField {
         Ok(())
     }
 
-    /// Returns the given frames with their depth and motion, which come from memory or disk or else are computed. A
-    /// frame is (camera index, frame index).
+    /// Returns the given frames with their depth and motion. Cached results are read from memory or disk, and missing
+    /// results are computed. A frame is (camera index, frame index).
     ///
     /// # Errors
     /// [`RenderError::NoPoints`] if the range of the scene's depths is unknown, and [`RenderError::Capture`]

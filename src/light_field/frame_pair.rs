@@ -84,8 +84,8 @@ impl PairTriangles<'_> {
 }
 
 impl LightField {
-    /// Returns the feature tracks between the frames `frame` and `frame + 1` of a camera. Tracks that contradict the
-    /// epipolar geometry with other cameras are left out, if the options ask for this test.
+    /// Returns the feature tracks between the frames `frame` and `frame + 1` of a camera. If the options ask for the
+    /// epipolar test, tracks that contradict the epipolar geometry with other cameras are removed.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.
@@ -98,8 +98,8 @@ impl LightField {
         PairTracks { camera, frame, registration }.get(self)
     }
 
-    /// Tracks features, in every camera, between the two frames around `time_s`, seconds from the capture's start. The
-    /// tracks are cached. Cameras without such frames are skipped.
+    /// Tracks features between the two frames of each camera around `time_s`, seconds from the capture's start, and
+    /// caches the tracks. Skipped are cameras without frames around this time, and frame pairs in which nothing moves.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.
@@ -116,8 +116,8 @@ impl LightField {
 }
 
 /// Returns whether a pair of successive frames is static and needs no registration. This is the case if the mean
-/// absolute difference of every 8×8 block of pixels is at most `still_change`
-/// ([`crate::interpolation::InterpolationOptions`]).
+/// absolute difference between the two frames is at most `still_change` in every 8×8 block of pixels (an option of
+/// [`crate::interpolation::InterpolationOptions`]).
 pub(super) fn is_still(
     field: &LightField,
     tracks: PairTracks,

@@ -1,5 +1,5 @@
 //! Geometry of the scene at an instant for one view: the depth map of the view, and the depth maps of the cameras from
-//! which the view is blended. The latter show which points are occluded in a camera.
+//! which the view is blended. The cameras' depth maps show which points are occluded in each camera.
 
 use super::depth::surfaces;
 use super::graph::LightField;
@@ -22,9 +22,9 @@ pub struct Geometry {
     pub sources: Vec<Option<Arc<DepthMap>>>,
 }
 
-/// Returns the indices of the cameras nearest to a view, ordered by distance. From their images, the view's depth per
-/// pixel is estimated; with [`BlendMethod::SpaceTime`], the view is also blended from them alone. The result is empty
-/// if the proxy is built from features and the view is blended by another method.
+/// Returns the indices of the cameras nearest to a view, ordered by distance. The view's depth per pixel is estimated
+/// from their images. With [`BlendMethod::SpaceTime`], the view is also blended from these cameras alone. The result is
+/// empty if neither applies: the geometry proxy is built from features, and the view is blended by another method.
 pub(super) fn nearest_cameras(
     field: &LightField,
     target: &Camera,
@@ -39,7 +39,7 @@ pub(super) fn nearest_cameras(
     cameras
 }
 
-/// Returns whether depths are estimated per pixel, and not taken from features.
+/// Returns whether the options choose depth per pixel, and not a proxy that is built from triangulated features.
 fn has_pixel_depths(options: &RenderOptions) -> bool {
     matches!(options.proxy.method, ProxyMethod::Depth | ProxyMethod::SceneFlow)
 }
@@ -95,8 +95,8 @@ fn by_stereo(
     Ok(Some(Geometry { view, sources: sources.to_vec() }))
 }
 
-/// Returns the indices of the cameras whose images are matched for a view's depths, and the indices of those among them
-/// whose depths are estimated. Both are ascending. `None` with fewer than two cameras.
+/// Returns two ascending lists of camera indices: the cameras whose images are matched by stereo for a view, and the
+/// subset of these cameras whose own depth maps are estimated. `None` with fewer than two cameras.
 fn stereo_cameras(
     field: &LightField,
     target: &Camera,

@@ -11,8 +11,9 @@ use serde::de::DeserializeOwned;
 use std::any::Any;
 use std::sync::Arc;
 
-/// Inputs of a stage of the graph. The inputs are the key of the stage's result in the cache. Each stage has a function
-/// `get`, in the file of its algorithm. The function returns the result from memory, or computes and inserts it.
+/// Inputs of a stage of rendering, which computes one kind of result. The serialized inputs are the key of the stage's
+/// result in the memory cache. Each stage has a function `get`, in the file of its algorithm. It returns the result
+/// from the cache, or computes and caches it.
 pub(super) trait Stage: Serialize {
     type Output: Any + Send + Sync;
     /// Name of the stage, by which the cache separates its results from the results of other stages.
@@ -104,12 +105,13 @@ impl LightField {
         self.memo.insert(S::NAME, stage, result, bytes)
     }
 
-    /// Looks up a stage's result on disk, without reading it. `None` if the result isn't there.
+    /// Returns the size of a stage's result on disk, without reading the result. `None` if the result isn't on disk.
     pub(super) fn stored<S: StoredStage>(&self, stage: &S) -> Option<Stored> {
         self.capture.stored(S::KIND, &self.stored_inputs(stage))
     }
 
-    /// Stores the result of a stage on disk. Returns its size there, and whether it was there already.
+    /// Stores the result of a stage on disk, and returns its size on disk. A result with the same inputs is
+    /// overwritten.
     pub(super) fn store<S: StoredStage>(
         &self,
         stage: &S,

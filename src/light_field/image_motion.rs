@@ -1,5 +1,5 @@
 //! Motion of a view's pixels to the previous and to the next picture of a sequence. It results from the motion of the
-//! surfaces and from the motion of the view's camera.
+//! scene's surfaces and from the motion of the view's camera.
 
 use super::graph::LightField;
 use crate::camera::Camera;
@@ -34,8 +34,8 @@ pub struct ImageMotion {
 }
 
 impl ImageMotion {
-    /// Prepares the motion from a view to its `neighbors`: the previous and the next view, each with its instant.
-    /// `surfaces` is the motion of the view's surfaces, if known.
+    /// Prepares the computation of pixel motion from a view to its `neighbors`, the previous and the next view. Each
+    /// view is given with its instant. `surfaces` is the motion of the view's surfaces, if known.
     ///
     /// `None` if the motion is unknown: time passes between the views, and `surfaces` is `None`.
     pub fn new(
@@ -84,6 +84,6 @@ impl ImageMotion {
     }
 }
 
-/// Horizontal position, pixels, that is left of every valid point. [`Projection::project`] places points behind a
-/// camera at or left of this position.
+/// Horizontal position, pixels, that is left of all projections of points before a camera. [`Projection::project`]
+/// gives points behind a camera this position or one further left.
 const NOWHERE_PX: f32 = -1e8;

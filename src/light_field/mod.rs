@@ -24,8 +24,8 @@
 //! | `geometry.rs` | the depth map of a view, and the cameras' depth maps for occlusion |
 //! | `view.rs` | §6: the blended view |
 //! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, estimated for groups of frames, and views from them |
-//! | `wide.rs`, `still_content.rs` | arrays of cameras around the scene; the static background of a camera |
-//! | `flow_frames.rs` | frames with depth and motion, for callers that render views by themselves |
+//! | `wide.rs`, `still_content.rs` | depth ranges for cameras around the scene; the static background of each camera |
+//! | `flow_frames.rs` | frames with their scene flow (depth and motion), for callers that render views by themselves |
 //! | `all_cameras.rs` | a camera's image at an instant, blended from the images of all cameras |
 //! | `image_motion.rs` | motion of a view's pixels to the previous and the next picture of a sequence |
 //! | `request.rs` | the request of a view |

@@ -1,5 +1,5 @@
 //! Points of the scene at one instant (§6), and the geometry proxy through them. The points are triangulated from
-//! spatial correspondences that are "interpolated to the same instant".
+//! spatial correspondences, whose positions in each camera are first interpolated to the instant.
 
 use super::RenderError;
 use super::correspondences::{frames_around, observations};
@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Maximum root mean square reprojection error of a triangulated point, pixels.
+/// Maximum root mean square reprojection error of a triangulated point, pixels. Points with larger errors are dropped.
 const MAX_ERROR_PX: f64 = 0.7;
 
 impl Stage for CameraPoints<'_> {
@@ -49,7 +49,7 @@ impl CameraPoints<'_> {
 
 impl LightField {
     /// Returns points of the scene at `time_s`, seconds from the capture's start, in world coordinates, metres. They
-    /// are triangulated from the cameras nearest to the view `target`.
+    /// are triangulated from features of the cameras nearest to the view `target`.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read.

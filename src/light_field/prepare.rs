@@ -17,13 +17,13 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 /// Upper bound on the overhead of a stored result on disk, bytes.
 const ENTRY_BYTES: usize = 64;
 
-/// Kinds of entries that [`LightField::prepare`] stores in a capture's cache on disk.
+/// Names of the kinds of results that [`LightField::prepare`] stores in a capture's cache on disk.
 pub const PREPARED: [&str; 3] = [PairTracks::KIND.name, Gains::KIND.name, FrameFlow::KIND.name];
 
 /// Counts and total size of the results that [`LightField::prepare`] has stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Preparation {
-    /// Number of pairs of successive frames with motion. The tracks of all of them are stored.
+    /// Number of pairs of successive frames with motion. The feature tracks of all these pairs are stored.
     pub pairs: usize,
     /// Number of the frame pairs in `pairs` whose tracks were on disk before the preparation.
     pub found: usize,
@@ -103,7 +103,7 @@ impl LightField {
     }
 
     /// Returns whether [`Self::prepare`] has probably stored depth and motion of all frames. Only frames from the
-    /// middle of the recording are looked up on disk.
+    /// middle of the recording are looked up on disk. Returns false if there are no frames.
     pub fn has_prepared_maps(&self, options: &RenderOptions) -> bool {
         let (slots, options) = (Slots::new(self), FlowOptions::new(options));
         let all = slots.all();

@@ -15,9 +15,10 @@ use crate::options::RenderOptions;
 /// Renders a view, or a recording camera's image. If the options ask for a motion trail, the views at the trail's
 /// instants are overlaid.
 ///
-/// An instant of a trail is skipped if it is before the recording's start, if no camera sees anything then, or if the
-/// proxy can't be triangulated. The request's own instant is never skipped; if it fails, its error is returned. A pixel
-/// of a trail integrates over the instants whose views cover the pixel. It is covered if any of these views covers it.
+/// An instant of a trail is skipped if it is before the recording's start, if no camera sees a pixel of the view, or if
+/// the geometry proxy can't be triangulated. The request's own instant is never skipped; if it fails, its error is
+/// returned. A pixel of a trail integrates over the instants at which the view covers the pixel. The pixel counts as
+/// covered if there is any such instant.
 ///
 /// # Errors
 /// [`RenderError::Time`], [`RenderError::CameraTime`] or [`RenderError::NoClock`] if there is no image at the request's
@@ -49,8 +50,8 @@ pub fn render(
     overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
 }
 
-/// Renders a view. Returns the view with the depth map of its camera at the request's time, and with the motion of its
-/// surfaces if the motion is known.
+/// Renders a view as [`render`] does. Also returns the view's layers at the request's time: its depth map, and the
+/// motion of its surfaces if the motion is known.
 ///
 /// # Errors
 /// The errors of [`render`].

@@ -30,7 +30,7 @@ pub struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// Creates a request in which all images are synchronized by the options' method.
+    /// Creates a request in which all cameras' images are synchronized by the method `options.sync`.
     pub fn new(from: Viewpoint<'a>, time_s: f64, options: &'a RenderOptions) -> Self {
         let images = Images::By(options.sync);
         Self { from, time_s, options, images, shape: images }
@@ -39,8 +39,8 @@ impl<'a> Request<'a> {
 
 impl Request<'_> {
     /// Returns whether the view is rendered by scene flow, from the depth and motion of frames. This requires that the
-    /// options choose scene flow, and that all images are synchronized by the options' method. Given images, or images
-    /// by another method, are blended by depths that are estimated from the images.
+    /// options choose scene flow, and that all images of the request are synchronized by the method `options.sync`.
+    /// Otherwise, the view is blended from the request's images by depths that are estimated from images.
     pub(super) fn uses_scene_flow(&self) -> bool {
         self.options.proxy.method == ProxyMethod::SceneFlow
             && [self.images, self.shape]
@@ -50,11 +50,12 @@ impl Request<'_> {
 }
 
 impl LightField {
-    /// Checks that images exist at all the times `times_s`, seconds from the capture's start.
+    /// Checks that images for the viewpoint `from` exist at all the times `times_s`, seconds from the capture's start.
+    /// For [`Viewpoint::View`], one camera with an image at each time is enough.
     ///
     /// # Errors
-    /// If any of the times lies outside the recordings. The error is that of [`super::render()`] at the first of these
-    /// times in the list.
+    /// If any of the times lies outside the recordings: the error that [`super::render()`] returns for the first such
+    /// time in the list.
     pub fn check_times(&self, from: Viewpoint, times_s: &[f64]) -> Result<(), RenderError> {
         times_s.iter().try_for_each(|&time_s| match from {
             Viewpoint::Like(camera) => self.bracket(camera, time_s).map(drop),

@@ -22,7 +22,7 @@ use std::sync::Arc;
 
 /// Maximum number of other cameras whose frames are matched with a frame to estimate its depth and motion.
 const MAX_PARTNERS: usize = 7;
-/// Maximum motion that is searched for, per frame interval, as a fraction of the image's longer side.
+/// Maximum motion that scene flow searches for, per frame interval, as a fraction of the image's longer side.
 const MAX_SPEED: f64 = 0.125;
 /// Factor by which the searched range of inverse depths is widened at both ends: the minimum is divided by it, and the
 /// maximum is multiplied by it.
@@ -59,11 +59,11 @@ impl Undistorted<'_> {
     }
 }
 
-/// The frames of a slot, each with its map of depth and motion.
+/// The frames of a [`Slot`], each with its map of depth and motion.
 type SlotMaps = Vec<(FrameId, Arc<FlowMap>)>;
 
-/// Estimates the maps of depth and motion of all frames of a slot together. `None` if the range of the scene's depths
-/// is unknown.
+/// Estimates the maps of depth and motion of all frames of a [`Slot`] together. `None` if the range of the scene's
+/// depths is unknown.
 fn slot_maps(
     slots: &Slots,
     slot: Slot,
@@ -117,7 +117,7 @@ impl StoredStage for FrameFlow<'_> {
 }
 
 impl Stage for FlowConfidences<'_> {
-    /// For each frame, the confidences in the depth and motion of its pixels: 1 to 255, row by row.
+    /// For each frame, the confidences in the depth and motion of its pixels, from 1 to 255, row by row.
     type Output = Vec<Vec<u8>>;
     const NAME: &'static str = "confidences";
 
@@ -136,8 +136,8 @@ impl FlowConfidences<'_> {
     }
 }
 
-/// Stores the maps of depth and motion of a slot's frames on disk, unless they are there already. Returns, for each
-/// frame, the size of its map on disk, and whether it was there already. The result is empty if the range of the
+/// Stores the maps of depth and motion of a [`Slot`]'s frames on disk, unless they are there already. For each frame,
+/// returns the size of its map on disk, and whether the map was there already. The result is empty if the range of the
 /// scene's depths is unknown.
 pub(super) fn store_slot(
     slots: &Slots,
@@ -181,8 +181,8 @@ impl LoadedFrame {
     }
 }
 
-/// Returns the frames `frames` with their maps of depth and motion. A map comes from memory or disk, or else is
-/// computed. `None` if the range of the scene's depths is unknown.
+/// Returns the frames `frames` with their maps of depth and motion. Cached maps are read from memory or disk, and
+/// missing maps are computed. `None` if the range of the scene's depths is unknown.
 pub(super) fn load(
     field: &LightField,
     frames: &[FrameId],
@@ -216,10 +216,10 @@ pub(super) fn load(
     Ok(Some(all.into_par_iter().map(load).collect::<Result<_, RenderError>>()?))
 }
 
-/// Computes the search range of depth and motion for frames. The range of depths comes from feature points at the time
-/// of the frame in the middle of the list. If the cameras stand around the scene, it comes from the volume that most of
-/// them see. `None` if the range of depths is unknown, because there are no such points or all cameras stand at one
-/// place.
+/// Computes the search range of depth and motion for frames. The range of depths comes from triangulated feature
+/// points, at the time of the frame in the middle of the list. If the cameras stand around the scene, the range comes
+/// instead from the volume that at least half of the cameras see. `None` if the range of depths is unknown, because no
+/// points are found or because all cameras stand at one place.
 fn limits(
     field: &LightField,
     frames: &[FrameId],
@@ -250,8 +250,8 @@ fn limits(
         max_speed,
     }))
 }
-/// Returns the frames with which a given frame is matched: the previous and the next frame of its own camera, and one
-/// frame of each of the nearest other cameras. Of another camera, it is the frame nearest in time to the given frame.
+/// Returns the frames with which a given frame is matched: the previous and the next frame of its own camera, and of
+/// each of the nearest other cameras, the frame nearest in time to the given frame.
 fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     let count = field.times_s(camera).len();
     let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];
@@ -292,8 +292,9 @@ pub(super) fn flow_view(
 }
 
 /// Computes the image of a recording camera at the request's time. If the camera has a frame at exactly this time, the
-/// result is this frame. Otherwise, it is the view by scene flow from the camera's place, and pixels without coverage
-/// are taken from the camera's nearest frame. `None` if the range of the scene's depths is unknown.
+/// result is this frame. Otherwise, the result is the view that scene flow renders from the camera's place. Pixels that
+/// this view doesn't cover are taken from the camera's frame nearest in time. `None` if the range of the scene's depths
+/// is unknown.
 pub(super) fn flow_image(
     field: &LightField,
     camera: usize,

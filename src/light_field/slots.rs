@@ -2,10 +2,11 @@
 
 use super::LightField;
 
-/// Identifies a frame of the capture: the index of the camera, and the index of the frame in the camera's recording.
+/// Identifies a frame of the capture by two indices: of the camera, and of the frame in the camera's recording.
 pub(super) type FrameId = (usize, usize);
 
-/// Maximum number of cameras in a group whose frames are estimated together.
+/// Maximum number of cameras in a group. Depth and motion of the group's frames in one interval of time are estimated
+/// together.
 const MAX_GROUP: usize = 12;
 
 /// A slot: the frames of a group of neighbouring cameras within one interval of time. Depth and motion of all frames of

@@ -13,8 +13,8 @@ use crate::scene_flow::MappedFrame;
 use serde::{Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
 
-/// Inputs of the stage that tracks features between the frames `frame` and `frame + 1` of a camera. Tracks that
-/// contradict the epipolar geometry with other cameras are left out, if the options ask for this test.
+/// Inputs of the stage that tracks features between the frames `frame` and `frame + 1` of a camera. If the options ask
+/// for the epipolar test, tracks that contradict the epipolar geometry with other cameras are removed.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct PairTracks<'a> {
     pub camera: usize,
@@ -22,8 +22,8 @@ pub(super) struct PairTracks<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// Inputs of the stage that measures the change between two successive frames. The change is the largest mean absolute
-/// difference of any 8×8 block, for pixel values of 0 to 1.
+/// Inputs of the stage that measures the change between two successive frames of a camera. The change is the maximum,
+/// over all 8×8 blocks of pixels, of the block's mean absolute difference. Pixel values are 0 to 1.
 #[derive(Serialize)]
 pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 
@@ -67,7 +67,7 @@ pub(super) struct ImageMethod {
     pub all_cameras: Option<AllCamerasOptions>,
 }
 
-/// Options with which [`SyncMethod::AllCameras`] blends a camera's image from all cameras.
+/// Options with which [`SyncMethod::AllCameras`] blends one camera's image from all cameras' images.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct AllCamerasOptions {
     pub proxy: ProxyOptions,
@@ -110,15 +110,15 @@ impl ImageMethod {
 pub enum Images<'a> {
     /// The cameras' images are synchronized from the capture's frames by this method.
     By(SyncMethod),
-    /// The cameras' images are given by the caller, such as true images.
+    /// The cameras' images are given by the caller, such as ground-truth images.
     Given(&'a GivenImages),
 }
 
 /// One image per camera, in the capture's order; `None` if the camera has no image.
 pub(super) type CameraImages = Vec<Option<Arc<Synchronized>>>;
 
-/// Images of the cameras at an instant that are given by the caller, such as true images. They are not synchronized
-/// from the capture.
+/// Images of the cameras at an instant that are given by the caller, such as ground-truth images. They are not
+/// synchronized from the capture's frames.
 #[derive(Debug)]
 pub struct GivenImages {
     images: CameraImages,
@@ -128,8 +128,8 @@ pub struct GivenImages {
 }
 
 impl GivenImages {
-    /// Wraps images that have each camera's own exposure, that of its first frame. `images` has one element per camera,
-    /// in the capture's order; `None` if the camera has no image.
+    /// Wraps images that are not gain-corrected: each has the exposure of its camera's first frame. `images` has one
+    /// element per camera, in the capture's order; `None` if the camera has no image.
     pub fn filmed(images: Vec<Option<Arc<Synchronized>>>) -> Self {
         Self { images, are_corrected: false, hash: OnceLock::new() }
     }
@@ -140,9 +140,9 @@ impl GivenImages {
         Self { images, are_corrected: true, hash: OnceLock::new() }
     }
 
-    /// Replaces each camera's image by a uniform colour. `colors` are RGB of 0 to 1, in the capture's order. The
-    /// interpolation errors are kept. A view of the result shows the blending weights: each pixel is the weighted mean
-    /// of the cameras' colours.
+    /// Replaces each camera's image by a uniform colour. `colors` has one RGB colour per camera, from 0 to 1, in the
+    /// capture's order. The interpolation errors are unchanged. A view of the result shows the blending weights: each
+    /// pixel is the weighted mean of the cameras' colours.
     ///
     /// # Panics
     /// If there are fewer colours than cameras.
@@ -227,8 +227,8 @@ pub(super) struct FramesAround {
     pub far: usize,
 }
 
-/// Inputs of the stage that matches one camera's features in other cameras. The camera is the first in `around`. The
-/// matches hold for all instants at which each camera has the same frames `near` and `far`.
+/// Inputs of the stage that matches the features of one camera, the first in `around`, in the other cameras of
+/// `around`. The matches are valid at all instants at which each camera has the same frames `near` and `far`.
 #[derive(Serialize)]
 pub(super) struct Correspondences<'a> {
     pub around: Vec<FramesAround>,
@@ -261,8 +261,9 @@ pub(super) struct CameraDepth<'a> {
     pub camera: usize,
 }
 
-/// Inputs of the stage that computes depth maps of the matched cameras, by which occlusion is found. The depths of the
-/// cameras `estimated` come from stereo matching. The depths of the other cameras are fused from the estimated depths.
+/// Inputs of the stage that computes a depth map of each camera in `stereo`, to find which points are occluded in the
+/// camera. The depths of the cameras `estimated` come from stereo matching. The depths of the other cameras are fused
+/// from these estimated depths.
 #[derive(Serialize)]
 pub(super) struct OcclusionDepths<'a> {
     pub stereo: Stereo<'a>,
@@ -300,7 +301,8 @@ pub(super) struct FlowConfidences<'a> {
     /// The frames from which the view is blended, as (camera index, frame index), ascending.
     pub frames: &'a [FrameId],
     pub options: FlowOptions<'a>,
-    /// The elements of `frames`, each with its map of depth and motion.
+    /// The frames of `frames`, each with its map of depth and motion. They follow from the other inputs, and are
+    /// therefore not a part of the cache key.
     #[serde(skip)]
     pub mapped: &'a [MappedFrame<'a>],
 }
@@ -320,7 +322,7 @@ impl<'a> FlowOptions<'a> {
     }
 }
 
-/// Names of the stages whose results belong to one instant.
+/// Names of the stages whose results are valid only near or at one instant.
 const OF_INSTANTS: [&str; 7] = [
     Correspondences::NAME,
     CameraPoints::NAME,
@@ -333,7 +335,7 @@ const OF_INSTANTS: [&str; 7] = [
 
 impl LightField {
     /// Evicts the results of all instants from memory. The next view then takes as long as the first view at a new
-    /// instant between frames whose tracks are known.
+    /// instant, except that the feature tracks between frames are still cached.
     pub(crate) fn forget_instants(&self) {
         self.memo.forget(|stage| OF_INSTANTS.contains(&stage));
     }

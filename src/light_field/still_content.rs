@@ -1,4 +1,4 @@
-//! Static background of a camera: what stands still in frames of its whole recording.
+//! Static background of a camera: the parts of its image that don't change over its whole recording.
 
 use super::RenderError;
 use super::graph::{LightField, Stage};
@@ -7,8 +7,8 @@ use crate::scene_flow::{CompactImage, FlowFrame, StillImage};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Maximum number of frames that are compared to find a camera's static background. They are spread evenly over the
-/// recording.
+/// Maximum number of frames that are compared to find a camera's static background. The frames are spread evenly over
+/// the recording.
 const MAX_FRAMES: usize = 15;
 /// Memory per pixel of a static background, bytes: its colour, or the mark that the colour is unknown.
 const PIXEL_BYTES: usize = 4;

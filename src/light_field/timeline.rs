@@ -5,12 +5,12 @@ use super::{LightField, RenderError};
 use crate::capture::{Capture, FrameTimes};
 use crate::offset::clocks;
 
-/// Checks that the times `times_s`, seconds from the capture's start, can lie within the recordings. The check is made
-/// before the cameras' temporal offsets are known, since estimating offsets may take long.
+/// Checks that the times `times_s`, seconds from the capture's start, can lie within the recordings. The check needs no
+/// temporal offsets of the cameras, so that it can precede their estimation, which may take long.
 ///
 /// # Errors
-/// If any of the times is outside the recording of `camera` with every possible offset. If `camera` is `None`: if any
-/// of the times is outside the recordings of all cameras. The error names the first of these times in the list.
+/// If any of the times is outside the recording of `camera`, whatever the camera's offset is. If `camera` is `None`: if
+/// any of the times is outside the recordings of all cameras. The error states the first such time in the list.
 pub fn check_times_before_offsets(
     capture: &Capture,
     camera: Option<usize>,
@@ -40,14 +40,14 @@ impl LightField {
         self.all_times_s[camera].as_deref().unwrap_or_default()
     }
 
-    /// Returns the capture times of the camera's frames, seconds from the capture's start. With a rolling shutter, they
-    /// also tell when each row of a frame was captured.
+    /// Returns the capture times of the camera's frames, seconds from the capture's start. With a rolling shutter, the
+    /// result includes the capture time of each row of a frame.
     pub(super) fn frame_times(&self, camera: usize) -> FrameTimes<'_> {
         self.capture().cameras[camera].frame_times(self.times_s(camera))
     }
 
-    /// Converts an instant, seconds from the capture's start, to a time on a camera's own clock. The result is within
-    /// the times of the camera's frames. If the clock is unknown, its offset is taken as 0.
+    /// Converts an instant, seconds from the capture's start, to a time on a camera's own clock. The result is clamped
+    /// to the times of the camera's frames. If the clock is unknown, its offset is taken as 0.
     pub(crate) fn own_time_s(&self, camera: usize, time_s: f64) -> f64 {
         let own_s = &self.capture().cameras[camera].clock.times_s;
         let Some(times_s) = self.all_times_s[camera].as_deref() else { return time_s };
@@ -115,8 +115,8 @@ impl LightField {
         (0..self.capture().cameras.len()).filter_map(|c| self.span_s(c))
     }
 
-    /// Returns the number of cameras for which `time_s`, seconds from the capture's start, is between two frames, and
-    /// at least `fraction` of the time between them away from both.
+    /// Returns the number of cameras for which `time_s`, seconds from the capture's start, is well between two frames:
+    /// its distance from each frame is at least `fraction` of the time between the two frames.
     pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
         let is_between = |&camera: &usize| {
             let times = self.times_s(camera);
@@ -128,10 +128,11 @@ impl LightField {
         (0..self.capture().cameras.len()).filter(is_between).count()
     }
 
-    /// Returns the indices of a camera's frames before and after `time_s`, seconds from the capture's start. Both are
-    /// the same if all rows of a frame have exactly this time. With a rolling shutter, they are always two successive
-    /// frames of the recording. In a static light field, both are 0 at any time, even if the camera's clock is unknown.
-    /// Otherwise, an unknown clock is an error, and so is a time outside the camera's frames.
+    /// Returns the indices of a camera's frames before and after `time_s`, seconds from the capture's start. The two
+    /// indices are equal if a frame has exactly this time. With a rolling shutter, they are always two successive
+    /// frames, since the rows of a frame have different times. In a static light field, both indices are 0 at any time,
+    /// even if the camera's clock is unknown. Otherwise, an unknown clock is an error, and so is a time outside the
+    /// camera's frames.
     pub(super) fn bracket(
         &self,
         camera: usize,

@@ -1,8 +1,8 @@
 //! Temporal integration (Fig. 1): a motion trail shows the paths of moving objects in one picture.
 //!
 //! The paper overlays the images of every camera's sequence, and then blends the overlays. Here, a view is rendered at
-//! each instant with the proxy of that instant, and the views are overlaid. With a static plane as proxy, the results
-//! are equal. With a proxy that changes over time, only the order used here is correct.
+//! each instant with the geometry proxy of that instant, and the views are overlaid. With a static plane as proxy, the
+//! two orders give equal results. With a proxy that changes over time, only the order used here is correct.
 
 use crate::lumigraph::Rendered;
 use crate::options::TrailMode;

@@ -27,7 +27,7 @@ pub(super) fn view(
 }
 
 /// Renders a view as [`view()`] does, and returns it with its depth map. With `with_motion`, the motion of the view's
-/// surfaces is returned too; only scene flow knows this motion.
+/// surfaces is returned too, if the view is rendered by scene flow.
 pub(super) fn view_with_layers(
     field: &LightField,
     target: &Camera,
@@ -99,8 +99,8 @@ fn images(
             return images_of(field, &source, &candidates, instant, context);
         }
     };
-    // The whole images of the nearest cameras are needed, and cached images cost nothing. For other cameras, only the
-    // tiles that contribute are computed.
+    // The whole images of the nearest cameras are needed, and cached images need no computation. For other cameras,
+    // only the tiles that contribute are computed.
     let mut whole = near;
     let is_cached = |&c: &usize| field.cached(&CameraImage { camera: c, time_s, method }).is_some();
     whole.extend(candidates.iter().copied().filter(is_cached));
@@ -135,7 +135,7 @@ fn images(
 }
 
 /// Returns the indices of the cameras that contribute to a view, each with the contributing tiles of its image. In a
-/// large rig, most cameras have no weight anywhere.
+/// large rig, most cameras have weight 0 everywhere in the view.
 fn needed(
     field: &LightField,
     images: &CameraImages,

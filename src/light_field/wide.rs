@@ -1,6 +1,6 @@
 //! Wide arrays: cameras that stand around the scene, many degrees apart, and look at a common place.
 //!
-//! Features can hardly be matched between such cameras. The range of the scene's depths therefore doesn't come from
+//! Features can hardly be matched between such cameras. The range of the scene's depths is therefore not found from
 //! triangulated points, but from the volume that at least half of the cameras see.
 
 use super::graph::LightField;
@@ -10,19 +10,20 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 /// Minimum angle between neighbouring cameras of a wide array, seen from the place that all cameras look at, radians.
 /// It is the largest angle at which features of neighbouring cameras are still matched reliably.
 const MIN_ANGLE_RAD: f64 = 0.12;
-/// Maximum of the baseline with which scene flow converts inverse depths of a wide array to disparities. It is divided
-/// by the distance to the place that all cameras look at, which gives an angle in radians.
+/// Maximum, in a wide array, of the baseline with which scene flow converts inverse depths to disparities. The maximum
+/// is given as an angle in radians: the baseline divided by the distance to the place that all cameras look at.
 const MATCHING_ANGLE_RAD: f64 = 0.2;
-/// Minimum fraction of the other cameras that must see a point. Only such points count for a camera's range of depths.
+/// Minimum fraction of the other cameras that must see a point, so that the point counts for a camera's range of
+/// depths.
 const MIN_SEEING: f64 = 0.5;
-/// Number of rows and number of columns of a grid of pixels. Points on the rays of these pixels are tested to find a
-/// camera's range of depths.
+/// Number of rows, and of columns, of a grid of pixels over a camera's image. Points on the rays of these pixels are
+/// tested to find the camera's range of depths.
 const RAYS: usize = 9;
 /// Smallest and largest inverse depth that is tested to find a camera's range of depths, as multiples of the inverse
 /// distance to the place that all cameras look at.
 const SEARCHED: [f64; 2] = [0.2, 8.0];
-/// Number of inverse depths that are tested along a ray to find a camera's range of depths. They ascend by a constant
-/// factor.
+/// Number of inverse depths that are tested along a ray to find a camera's range of depths. Successive inverse depths
+/// differ by a constant factor.
 const STEPS: usize = 64;
 
 /// The place that all cameras of a wide array look at.

@@ -6,9 +6,10 @@
 //! `p_i = 2 tan(θ_i / 2) · (1 + coarseness_i) / (border_i · visible_i)`
 //!
 //! Here θ_i is the angle at X between the directions to C and to the camera's centre C_i. The term coarseness_i is the
-//! loss of resolution: the ratio of the camera's pixel footprint to the view's, minus 1, or 0 if that is negative. The
-//! term border_i falls from 1 to 0 at the image's border. The term visible_i falls from 1 to 1e-3 if X is behind the
-//! surface that the camera sees, and is 1/4 beside the outline of a nearer surface.
+//! loss of resolution: the size of the camera's pixels at X, divided by the size of the view's pixels at X, minus 1;
+//! negative values are set to 0. The term border_i falls from 1 inside the camera's image to 0 at the image's border.
+//! The term visible_i is 1 if X is not occluded, falls to 1e-3 if X is behind the surface that the camera sees, and is
+//! 1/4 beside the outline of a nearer surface.
 //!
 //! Buehler et al. add the terms for angle, resolution and field of view. Here they are multiplied. The penalty is then
 //! 0 if the camera stands at the view's centre, so that its image is reproduced exactly. The penalty is infinite if X
@@ -19,9 +20,9 @@
 //! added because the errors of the proxy and of interpolation are independent.
 //!
 //! If some cameras are grey and others coloured, luminance is blended from all cameras. Chrominance is blended from the
-//! coloured cameras, with separate weights. It fades out where no coloured camera sees the point.
+//! coloured cameras, with separate weights. Chrominance fades out where no coloured camera sees the point.
 //!
-//! Known limit: a camera without [`Source::depth`] also contributes to points that are occluded in it.
+//! Known limit: a camera without [`Source::depth`] also contributes to points that are occluded in this camera.
 
 use super::depth_map::DepthMap;
 use super::inpaint::{PointVisibility, inpaint};
@@ -37,8 +38,8 @@ const BAND_ROWS: usize = 16;
 
 /// Renders the view `target` from the sources' images. `depth` is the depth map of the view.
 ///
-/// Only cameras at the view's centre contribute to pixels without depth. The image has 3 channels if any source has 3,
-/// else 1.
+/// Only cameras at the view's centre contribute to pixels without depth. The rendered image has 3 channels if any
+/// source's image has 3, else 1.
 ///
 /// # Panics
 /// If the size of `depth` is not the view's, or if a source's image, depth map or list of errors doesn't have its
@@ -89,11 +90,12 @@ pub fn blend(
     Rendered { image, coverage }
 }
 
-/// Returns the tiles of each source's image that [`blend`] reads, in the order of the sources. A source without such
-/// tiles still affects the weights of the other sources.
+/// Returns the tiles of each source's image that [`blend`] reads, in the order of the sources. Tiles that are not
+/// returned may show anything, but their sources must still be passed to [`blend`], since the weights depend on all
+/// sources.
 ///
 /// # Panics
-/// If a size is wrong, as for [`blend`].
+/// If the depth map, or any source's image, depth map or list of errors, has a wrong size, as for [`blend`].
 pub fn contributing(
     sources: &[Source],
     depth: &DepthMap,

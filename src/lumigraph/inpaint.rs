@@ -1,4 +1,5 @@
-//! Inpainting of pixels whose points are occluded in every camera. They get colours of the background around them.
+//! Inpainting of pixels whose surface points are occluded in every camera. Such pixels get the colours of the
+//! background around them.
 
 use super::depth_map::DepthMap;
 use crate::raster::Image;
@@ -9,8 +10,8 @@ use std::f32::consts::TAU;
 const DIRECTIONS: usize = 16;
 /// Maximum distance from an occluded pixel at which visible pixels are searched, pixels.
 const REACH_PX: usize = 128;
-/// Number of consecutive visible pixels that are averaged in each search direction. A single pixel at an object's
-/// outline would have mixed colours.
+/// Number of visible pixels that are averaged in each search direction, starting with the first one found. A single
+/// pixel at an object's outline would have mixed colours.
 const AVERAGED_PX: usize = 6;
 
 /// Visibility, in the cameras, of the surface point that a pixel of the view shows.
@@ -29,8 +30,8 @@ pub(super) enum PointVisibility {
 /// distance.
 ///
 /// The search for visible pixels in one direction stops at a surface that is nearer than the occluded point by more
-/// than `fraction` of the point's depth. Such a surface is the occluder. Pixels without visible surroundings keep their
-/// colour.
+/// than `fraction` of the point's depth. Such a surface is the occluder. An occluded pixel for which no visible pixel
+/// is found keeps its colour.
 pub(super) fn inpaint(
     image: &mut Image,
     visibility: &[PointVisibility],
@@ -50,7 +51,7 @@ pub(super) fn inpaint(
     }
 }
 
-/// A view whose occluded pixels are filled from its visible pixels.
+/// Inputs of [`inpaint`]: a view whose occluded pixels are filled with the colours of its visible pixels.
 struct Surroundings<'a> {
     image: &'a Image,
     visibility: &'a [PointVisibility],
@@ -75,8 +76,9 @@ impl Surroundings<'_> {
         (weights > 0.0).then(|| sum.map(|v| v / weights))
     }
 
-    /// Returns the mean colour of the first visible pixels from an occluded pixel in a direction, and the distance to
-    /// the first of them, pixels. `direction` is a unit vector. `None` if no visible pixel is found.
+    /// Searches for visible pixels from an occluded pixel in one direction, given as a unit vector. Returns the mean
+    /// colour of the first few visible pixels, and the distance to the first of them, pixels. `None` if no visible
+    /// pixel is found.
     fn towards(&self, occluded: usize, direction: [f32; 2]) -> Option<([f32; 3], f32)> {
         let (w, h, channels) = (self.image.width(), self.image.height(), self.image.channels());
         let at = [occluded % w, occluded / w].map(|v| v as f32 + 0.5);

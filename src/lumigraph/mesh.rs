@@ -47,16 +47,17 @@ methods!(DepthEdges {
     Cut = "cut": "The triangle is cut in the middle between the two surfaces",
 });
 
-/// Maximum difference between the inverse depths of a triangle's vertices on one surface, as a fraction of the largest
-/// inverse depth of the three. A triangle with a larger difference spans a depth edge.
+/// Difference between the largest and the smallest inverse depth of a triangle's vertices above which the triangle
+/// spans a depth edge, as a fraction of the largest.
 const EDGE_FRACTION: f64 = 0.1;
-/// Maximum length of a triangle's longest side, pixels, for [`DepthEdges`] to apply. In a larger triangle, the object's
-/// outline may be anywhere.
+/// Maximum length of a triangle's longest side, pixels, for [`DepthEdges`] to apply. A larger triangle is always
+/// stretched, since the object's outline may be anywhere in it.
 const MAX_EDGE_PX: f64 = 24.0;
-/// Maximum difference between the inverse depths of a point and of a neighbour that supports it, as a fraction of the
-/// point's inverse depth.
+/// Maximum difference between the inverse depths of a point and of a neighbour that supports this point, as a fraction
+/// of the point's inverse depth. Points with too few supporting neighbours are mismatches.
 const SUPPORT_FRACTION: f64 = 0.05;
-/// Minimum number of neighbours that must support a point. Neighbours are at most two edges of the triangulation away.
+/// Minimum number of neighbours that must support a point, so that the point becomes a vertex of the mesh. Neighbours
+/// are at most two edges of the triangulation away.
 const MIN_SUPPORT: usize = 2;
 /// Distance of the mesh's corners outside the field of view, as a fraction of the field of view's width or height.
 const MARGIN: f64 = 0.05;
@@ -66,7 +67,7 @@ const CELL_PX: f64 = 0.5;
 const FRONT_WEIGHT: f64 = 0.02;
 /// Number of corners of the back plane, a rectangle behind all points.
 const CORNERS: usize = 4;
-/// Factor on the back plane's inverse depth. It moves the plane slightly behind all vertices.
+/// Factor by which the back plane's inverse depth is multiplied, so that the plane is slightly behind all vertices.
 const BACK_FACTOR: f64 = 0.999;
 
 /// A vertex of the Delaunay triangulation of points in the view's image.
@@ -116,8 +117,9 @@ impl Mesh {
     }
 }
 
-/// Projects world points into the camera `target`, and drops those outside `bounds`. Of several points in one cell of
-/// [`CELL_PX`], only the nearest is returned. The result is sorted by cell. `focal` is the focal length, pixels.
+/// Projects world points into the camera `target`, and drops points outside of `bounds`. Of several points in one
+/// square image cell with the side [`CELL_PX`], only the nearest is returned. The result is sorted by cell. `focal` is
+/// the focal length, pixels.
 fn projected(
     points: &[Point3<f64>],
     target: &Camera,
@@ -146,8 +148,8 @@ fn projected(
     projections.into_iter().map(|(_, s)| s).collect()
 }
 
-/// Computes the Delaunay triangulation, in pixels, of the projected points and the mesh's `corners`. In the
-/// triangulation's indices, the corners follow the points. Of several points at one position, only one becomes a
+/// Computes the Delaunay triangulation of the projected points and the mesh's `corners`, with coordinates in pixels. In
+/// the triangulation's indices, the corners follow the points. Of several points at one position, only one becomes a
 /// vertex. `focal` is the focal length, pixels.
 fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: f64) -> MeshSites {
     // The library spade accepts only coordinates that are 0 or have a magnitude in [2⁻¹⁴², 2²⁰¹]. Magnitudes below a
@@ -240,7 +242,7 @@ fn back_plane(projections: &[ProjectedPoint], bounds: &ViewBounds) -> Option<Vec
     Some(g * (behind * BACK_FACTOR))
 }
 
-/// A mesh under construction, with vertices that are projected into the view.
+/// A mesh under construction. Its vertices are given by their projections into the view, with inverse depths.
 struct MeshBuilder {
     vertices: Vec<ProjectedPoint>,
     triangles: Vec<[u32; 3]>,
@@ -254,8 +256,8 @@ impl MeshBuilder {
         (self.vertices.len() - 1) as u32
     }
 
-    /// Adds a triangle, given by three vertex indices. A triangle that spans a depth edge is replaced as `depth_edges`
-    /// says. `focal` is the focal length, pixels.
+    /// Adds a triangle, given by three vertex indices. A triangle that spans a depth edge is replaced as [`DepthEdges`]
+    /// describes. `focal` is the focal length, pixels.
     fn add(&mut self, triangle: [u32; 3], focal: f64, depth_edges: DepthEdges) {
         // The vertices are sorted with the nearest first.
         let mut v = triangle.map(|k| (k, self.vertices[k as usize]));

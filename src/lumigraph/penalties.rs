@@ -16,22 +16,22 @@ use nalgebra::{Matrix3, Point2, Vector3};
 
 /// Width of the zone along an image's border in which a camera's weight falls to 0, pixels.
 const FEATHER_PX: f32 = 4.0;
-/// Minimum depth difference between an occluded point and the surface in front of it, as a fraction of the surface's
-/// depth.
+/// Minimum depth difference between an occluded point and the surface that occludes it, as a fraction of the surface's
+/// depth. Points that are less far behind a surface count as points of the surface.
 pub(super) const OCCLUSION_FRACTION: f32 = 0.03;
 /// Maximum distance from the view's centre at which a camera counts as standing at this centre, as a fraction of the
-/// farthest camera's distance from it.
+/// distance between the view's centre and the farthest camera.
 const SAME_CENTER_FRACTION: f64 = 1e-6;
-/// Factor on a source's confidence in a point that is occluded in the source. The factor is so small that the source
-/// contributes only if the point is occluded in all sources.
+/// Factor by which a source's confidence in a point ([`SourceSpan::confidence`]) is multiplied if the point is occluded
+/// in the source. The factor is so small that the source contributes only if the point is occluded in all sources.
 const OCCLUDED_CONFIDENCE: f32 = 1e-3;
-/// Factor on a source's confidence in a point next to the outline of a nearer surface, where pixels mix the colours of
-/// both surfaces.
+/// Factor by which a source's confidence in a point ([`SourceSpan::confidence`]) is multiplied next to the outline of a
+/// nearer surface, where pixels mix the colours of both surfaces.
 const OUTLINE_CONFIDENCE: f32 = 0.25;
 /// Margin around the cone of a camera's border rays, as a fraction of the cone's radius. Points beyond the margin count
 /// as outside the image. The lens polynomial is not valid for them, and might map them into the image.
 const CONE_MARGIN: f64 = 0.02;
-/// Factor on the lower bound of a penalty, which allows for f32 rounding.
+/// Factor that lowers the bound of [`Reprojection::min_angle`] slightly, to allow for f32 rounding.
 const ROUNDING: f32 = 0.999;
 /// Amount that is subtracted from the lower bound of an angle's sine, to allow for f32 rounding.
 const SINE_ROUNDING: f32 = 1e-6;
@@ -44,7 +44,7 @@ pub(super) struct TargetRow<'a> {
     pub y: &'a [f32],
     /// Lengths of the rays (x, y, 1).
     pub length: &'a [f32],
-    /// Inverse depths of the pixels, 1/m; 0 where there is no proxy.
+    /// Inverse depths of the pixels, 1/m; 0 where the depth is unknown.
     pub inverse_depth: &'a [f32],
 }
 
@@ -55,7 +55,7 @@ pub(super) struct RayCone {
     sine: f32,
     /// Cosine of the largest angle between one of the rays and the cone's axis.
     cosine: f32,
-    /// Length of the longest of the rays (x, y, 1) that the cone contains.
+    /// Length of the longest of the rays (x, y, 1) in the cone.
     longest: f32,
     /// Smallest inverse depth of the pixels whose rays the cone contains, 1/m.
     farthest: f32,
@@ -82,8 +82,8 @@ impl RayCone {
 }
 
 multiversion! {
-    /// Computes the positions, penalties and confidences of a row's points in a source. `pixel` projects a point of the
-    /// plane z = 1 to a pixel of the source.
+    /// Computes the positions, penalties and confidences, in a source, of the surface points that a row's pixels show.
+    /// `pixel` projects a point of the plane z = 1 to a pixel of the source.
     fn measure_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
         row: &TargetRow,
@@ -133,7 +133,8 @@ fn measure_row_by(
 }
 
 multiversion! {
-    /// Computes the positions and confidences of a row's points in a source, as [`measure_row`] does, but no penalties.
+    /// Computes the positions and confidences, in a source, of the surface points that a row's pixels show. Unlike
+    /// [`measure_row`], computes no penalties.
     fn place_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
         row: &TargetRow,
@@ -216,8 +217,8 @@ impl Reprojection {
         }
     }
 
-    /// Returns whether the source stands at the view's centre. The positions of points in such a source don't depend on
-    /// depth.
+    /// Returns whether the source stands at the view's centre. In such a source, the position of a view's pixel doesn't
+    /// depend on the pixel's depth.
     pub fn at_center(&self) -> bool {
         self.shift_target == Vector3::zeros()
     }
@@ -229,8 +230,8 @@ impl Reprojection {
             && (self.error_angle_rad == 0.0 || source.interpolation_error_px.is_none())
     }
 
-    /// Returns a lower bound of the source's penalties at the pixels of a cone, computed from the angle alone. NaN if
-    /// the cone's axis is NaN.
+    /// Returns a lower bound of the source's penalties at the pixels whose rays the cone contains. The bound is
+    /// computed from the angle between rays alone. NaN if the cone's axis is NaN.
     ///
     /// Let r be a ray, ρ its inverse depth, d the vector from the source's centre to the view's centre, and q = r + ρd.
     /// The penalty `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`. This bound increases with
@@ -261,8 +262,8 @@ impl Reprojection {
         (pixel.x as f32, pixel.y as f32)
     }
 
-    /// Computes the positions of a row's points in the source, and the source's confidences in the points, without
-    /// regard to occlusion.
+    /// Computes the positions, in the source, of the surface points that a row's pixels show, and the source's
+    /// confidences in these points. Occlusion is ignored.
     pub fn place(&self, row: &TargetRow, span: &mut SourceSpan) {
         if self.model.is_pinhole() {
             place_row(self, row, span, self.pinhole());
@@ -271,9 +272,9 @@ impl Reprojection {
         }
     }
 
-    /// Computes the positions, penalties and confidences of a row's points in `source`, the source that this
-    /// reprojection was made for. Sets `visible` to true at points that the source sees, and leaves its other elements
-    /// unchanged.
+    /// Computes the positions, penalties and confidences, in `source`, of the surface points that a row's pixels show.
+    /// `source` must be the source of this reprojection. Elements of `visible` become true at points that the source
+    /// sees; its other elements are unchanged.
     pub fn measure(
         &self,
         row: &TargetRow,
@@ -327,8 +328,8 @@ impl Reprojection {
         )
     }
 
-    /// Adds the expected interpolation error to the penalties. This error is independent of the proxy's error, so that
-    /// the squares of both are added.
+    /// Adds the source's expected interpolation error to its penalties. This error is independent of the geometry
+    /// proxy's error, so that the squares of both are added.
     fn add_interpolation_error(&self, source: &Source, count: usize, span: &mut SourceSpan) {
         let Some(error_px) = source.interpolation_error_px else { return };
         let (w, h) = (source.camera.width, source.camera.height);
@@ -345,7 +346,8 @@ impl Reprojection {
     /// Lowers the confidence in points that lie behind the surface that the source sees, and in points beside a nearer
     /// surface. For a point behind the surface, let the distance be its depth minus the surface's depth, as a fraction
     /// of the surface's depth. The factor on the confidence falls from 1 at the distance [`OCCLUSION_FRACTION`] to
-    /// [`OCCLUDED_CONFIDENCE`] at twice that distance.
+    /// [`OCCLUDED_CONFIDENCE`] at twice that distance. Elements of `visible` become true for points with a factor above
+    /// [`OCCLUDED_CONFIDENCE`].
     fn occlude(
         &self,
         row: &TargetRow,

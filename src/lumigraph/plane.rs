@@ -14,7 +14,7 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 const MARGIN: f64 = 0.5;
 /// Weight of the prior that a fitted plane has no tilt, as a fraction of the points' total weight.
 const TILT_PRIOR: f64 = 1e-6;
-/// Maximum number of reweighting iterations of a plane fit. About ten are needed.
+/// Maximum number of reweighting iterations of a plane fit. About ten iterations are needed.
 const ROUNDS: usize = 20;
 /// Minimum inverse depth of a fitted plane anywhere in the view, as a fraction of its inverse depth at the points' mean
 /// position.
@@ -104,13 +104,13 @@ impl ProjectedPoint {
 pub(super) enum PlaneLoss {
     /// Cauchy loss with the median absolute residual as scale. The plane passes through the middle of the points.
     Robust,
-    /// Asymmetric squared loss. Points in front of the plane have this weight, and points behind the plane have the
-    /// weight 1.
+    /// Asymmetric squared loss. Points in front of the plane have the given weight, and points behind the plane have
+    /// the weight 1.
     Behind(f64),
 }
 
-/// Fits the vector g of a plane ([`Plane::inverse_depth`]) to points by iteratively reweighted least squares. The plane
-/// lies in front of the camera in the whole view, given by `bounds`. `None` without points.
+/// Fits the vector g of a plane ([`Plane::inverse_depth`]) to points by iteratively reweighted least squares. In the
+/// whole view, given by `bounds`, the plane lies in front of the camera. `None` without points.
 pub(super) fn fit_plane(
     points: &[ProjectedPoint],
     loss: PlaneLoss,

@@ -20,7 +20,8 @@ pub enum Proxy {
 impl Proxy {
     /// Computes the proxy's depth map in the view of the camera `target`.
     ///
-    /// A depth is NaN if the pixel's ray misses the proxy or can't be computed, and if the proxy is behind the camera.
+    /// A pixel's depth is NaN if its ray misses the proxy or meets it behind the camera, or if the ray can't be
+    /// computed.
     pub fn depth_map(&self, target: &Camera) -> DepthMap {
         match self {
             Self::Plane(plane) => plane_depth(plane, target),

@@ -19,7 +19,8 @@ use std::ops::Range;
 /// Number of image rows that one parallel task rasterizes.
 const BAND_ROWS: usize = 16;
 /// Tolerance of the test whether a ray r hits a triangle. The products r · (a × b), with unit vectors a and b towards
-/// two vertices, may be negative by this amount. A ray thus still hits if it passes about 1e-8 px outside an edge.
+/// two vertices, may be negative by this amount. A ray that passes up to about 1e-8 px outside an edge thus still hits
+/// the triangle.
 const ON_EDGE: f64 = 1e-11;
 /// Minimum triple product of the unit vectors from the camera to a triangle's vertices. It is about twice the
 /// triangle's solid angle in sr. The depths of a smaller triangle would be rounding noise.
@@ -27,10 +28,10 @@ const MIN_VOLUME: f64 = 1e-15;
 /// Depth of the near clipping plane, as a fraction of the depth of the triangle's nearest vertex in front of the
 /// camera.
 const NEAR_FRACTION: f64 = 1e-4;
-/// Number of neighbouring pixels that are tested against a triangle at once.
+/// Number of neighbouring pixels that are tested against a triangle at once (SIMD).
 const WORD_PX: usize = 4;
-/// Number of steps in which each edge of a triangle is sampled to find the triangle's bounding box under lens
-/// distortion.
+/// Number of segments into which each edge of a triangle is divided to find the triangle's bounding box in an image
+/// with lens distortion.
 const BEND_STEPS: usize = 8;
 
 /// A triangle in a camera's frame, prepared for rasterization.

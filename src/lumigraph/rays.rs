@@ -44,8 +44,8 @@ pub(super) struct ViewBounds {
     pub max: Point2<f64>,
 }
 
-/// Number of intervals between the sampled points along each side of an image's border. The samples bound the field of
-/// view.
+/// Number of intervals into which each side of an image's border is divided. The rays through the ends of the intervals
+/// bound the field of view.
 const STEPS: usize = 32;
 
 impl ViewBounds {

@@ -21,7 +21,8 @@ pub struct Source<'a> {
 }
 
 impl<'a> Source<'a> {
-    /// Returns a source without depth map and interpolation errors. No point counts as occluded in it.
+    /// Returns a source without a depth map and without interpolation errors. No point counts as occluded in such a
+    /// source.
     pub fn new(camera: &'a Camera, image: &'a Image) -> Self {
         Self { camera, image, depth: None, interpolation_error_px: None }
     }

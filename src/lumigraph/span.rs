@@ -1,5 +1,5 @@
-//! Blending of a span, which is a range of neighbouring pixels in one row of the view. The steps are reprojection into
-//! the sources, weights, and colours.
+//! Blending of a span, which is a range of neighbouring pixels in one row of the view. The steps are the reprojection
+//! of the pixels' points into the sources, the computation of weights, and the weighted mean of colours.
 
 use super::depth_map::DepthMap;
 use super::inpaint::PointVisibility;
@@ -13,13 +13,13 @@ use crate::raster::{Sampling, Tiles, gray_from_rgb, sample, sample_each};
 use crate::simd::multiversion;
 use std::ops::Range;
 
-/// Number of neighbouring pixels of the view whose needed tiles of a source image are looked up together.
+/// Number of neighbouring pixels of the view for which the needed tiles of a source image are marked together.
 const MARKED_PX: usize = 8;
 /// Maximum side of the bounding box of several pixels' positions in a source image, pixels. Up to this size, all tiles
 /// of the box are marked as needed. For a larger box, the tiles of each pixel are marked separately.
 const MARKED_SIDE_PX: f32 = 12.0;
-/// Minimum inverse depth of a pixel, 1/m, which is also used for the sky. If it were 0, the angles to all cameras would
-/// be 0, and all penalties would be equal.
+/// Minimum inverse depth of a pixel with depth, 1/m. Smaller inverse depths, such as 0 of the sky, are raised to this
+/// minimum. At the inverse depth 0, the angles to all cameras would be 0, and all penalties would be equal.
 const MIN_INVERSE_DEPTH: f32 = 1e-8;
 
 /// Splits `count` pixels into successive ranges of at most `width` pixels.
@@ -68,7 +68,7 @@ impl<'a> RowRays<'a> {
         set_rays(self, depths);
     }
 
-    /// Moves the values at these columns to the front of each vector. The columns must be in ascending order.
+    /// Moves the values at the columns `columns` to the front of each vector. The columns must be in ascending order.
     fn keep(&mut self, columns: &[usize]) {
         for (k, &column) in columns.iter().enumerate() {
             for values in [&mut self.x, &mut self.y, &mut self.length, &mut self.inverse_depth] {
@@ -171,7 +171,7 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Returns the ranges of columns that form the row's spans.
+    /// Divides the columns of the current row into spans, and returns the range of columns of each span.
     pub fn columns(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         // A span consists of whole cells of the grid of nodes.
         let step = self.grid.as_ref().map_or(1, |grid| grid.step);
@@ -186,9 +186,9 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Interpolates the weights of a range of pixels between nodes, and multiplies them by the confidences. Returns
-    /// false if there is no grid, or if a pixel has the weight 0 in all sources. The latter also happens if a source
-    /// sees the pixel's point, but no source sees the points at the surrounding nodes.
+    /// Interpolates the weights of a range of pixels between the grid's nodes, and multiplies them by the confidences.
+    /// Returns false if there is no grid, or if a pixel has the weight 0 in all sources. A pixel that a source sees may
+    /// get the weight 0 in all sources because no source sees the points at the surrounding nodes.
     fn weigh_between_nodes(&mut self, columns: Range<usize>) -> bool {
         let Some(grid) = &self.grid else { return false };
         self.span.count = columns.len();
@@ -206,8 +206,8 @@ impl<'a> SpanBlender<'a> {
     }
 
     /// Reprojects the points of a range of the row's pixels into the sources, and computes penalties and confidences.
-    /// The nearest k+1 sources are always used, where k is the number of blended sources. A farther source may be left
-    /// out, if a lower bound of its penalties shows that its weight is 0 at all of these pixels.
+    /// The nearest k+1 sources are always used, where k is the number of blended sources. A farther source is skipped
+    /// if a lower bound of its penalties shows that its weight is 0 at all pixels of the range.
     fn measure(&mut self, columns: Range<usize>) {
         self.span.count = columns.len();
         self.span.active.clear();
@@ -374,8 +374,8 @@ impl<'a> SpanBlender<'a> {
         [gray; 3]
     }
 
-    /// Writes the visibility of the span's surface points. Must be called before [`Self::blend_mixed`], which changes
-    /// confidences.
+    /// Writes the visibility of the span's surface points into `visibility`. Must be called before
+    /// [`Self::blend_mixed`], which changes confidences.
     pub fn set_visibility(&self, visibility: &mut [PointVisibility]) {
         let best = self.best_confidence();
         for ((visibility, best), is_visible) in visibility.iter_mut().zip(best).zip(self.visible) {

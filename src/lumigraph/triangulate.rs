@@ -2,10 +2,10 @@
 //!
 //! The unknowns are a direction (u, v) from the first camera and an inverse distance ρ:
 //! `X = C_0 + s (r + u e_1 + v e_2) / ρ`. Here C_i are the cameras' centres, r is the unit ray of the first camera, e_1
-//! and e_2 complete r to an orthonormal basis, and s is the largest distance of a camera from the first. Camera i, with
-//! the rotation R_i, sees X in the direction `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`. This direction is linear in
-//! (u, v, ρ), and finite for a point at infinity, where ρ = 0. The linear solution is well conditioned, and independent
-//! of the world's origin and scale.
+//! and e_2 complete r to an orthonormal basis, and s is the largest distance of any camera from the first camera.
+//! Camera i, with the rotation R_i, sees X in the direction `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`. This
+//! direction is linear in (u, v, ρ), and finite for a point at infinity, where ρ = 0. The linear solution is well
+//! conditioned, and independent of the world's origin and scale.
 
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
@@ -24,7 +24,7 @@ pub struct Triangulated {
 /// Minimum parallax of a triangulated point, pixels: the largest angle between two of its rays, in radians, times the
 /// longest focal length of the cameras. It is about the resolution of feature trackers.
 const MIN_PARALLAX_PX: f64 = 0.07;
-/// Maximum number of Levenberg–Marquardt steps of a triangulation. 2 to 5 are needed.
+/// Maximum number of Levenberg–Marquardt steps of a triangulation. 2 to 5 steps are needed.
 const MAX_ITERATIONS: usize = 20;
 /// Length of a Levenberg–Marquardt step in (u, v, ρ) below which a triangulation ends.
 const MIN_STEP: f64 = 1e-14;
@@ -34,7 +34,8 @@ const MIN_STEP: f64 = 1e-14;
 struct ObservationEquation {
     /// Rotation R_i times the basis (e_1, e_2, r). It transforms from this basis to the axes of camera i.
     rotation: Matrix3<f64>,
-    /// Vector (C_0 − C_i) / s in the axes of camera i: from its centre to the first camera's centre, scaled.
+    /// Vector (C_0 − C_i) / s, from the centre of camera i to the first camera's centre, scaled, in the axes of camera
+    /// i.
     shift: Vector3<f64>,
     /// Observed position of the point on the plane z = 1.
     observed: Point2<f64>,

@@ -1,5 +1,6 @@
-//! Blending weights at the nodes of a square grid over the view. Between the nodes, weights are interpolated. Buehler
-//! et al. interpolate over a triangulation of the view instead.
+//! Blending weights at the nodes of a square grid over the view. Between the nodes, weights are interpolated. In
+//! unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001), weights are interpolated over a triangulation of
+//! the view instead.
 
 use crate::camera::Camera;
 use std::ops::Range;
@@ -8,7 +9,7 @@ use std::ops::Range;
 pub(super) struct WeightGrid {
     /// Distance between neighbouring nodes, pixels.
     pub step: usize,
-    /// Columns of the view that have nodes, ascending. The last is the view's last column.
+    /// Columns of the view that have nodes, ascending. The last of these columns is the view's last column.
     pub columns: Vec<usize>,
     /// Index, among the grid's rows of nodes, of the upper one of the two stored rows. `None` before the rows are
     /// filled.
@@ -51,9 +52,9 @@ impl WeightGrid {
         }
     }
 
-    /// Returns a source's weights at the nodes from the first to the last column of a range, and at the next node after
-    /// it. The weights are those of the current row of the view. The first column must have a node. `None` if all these
-    /// weights are 0.
+    /// Returns a source's weights, in the current row of the view, at the nodes that enclose a range of columns. The
+    /// first node is at the range's first column, which must have a node. The last node is the first one at or after
+    /// the range's end. `None` if all these weights are 0.
     pub fn around(&self, source: usize, columns: Range<usize>) -> Option<&[f32]> {
         let (from, last) = (columns.start / self.step, columns.end.div_ceil(self.step));
         let first = source * self.columns.len();

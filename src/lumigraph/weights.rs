@@ -1,10 +1,10 @@
 //! Blending weights of the cameras at a pixel.
 //!
-//! Buehler et al. blend the k cameras with the smallest penalties. With p the penalty of a camera and p_{k+1} the
-//! (k+1)-th smallest penalty, the camera's weight is `(1 − p / p_{k+1}) / p`, normalized to a sum of 1. These weights
-//! are discontinuous where the k+1 smallest penalties are equal, since they become 0/0. Here p_{k+1} is replaced by a
-//! threshold. It exceeds the smallest penalty by at least the fraction [`THRESHOLD_MARGIN`]. So weights are continuous
-//! functions of the penalties.
+//! Buehler et al. blend the k cameras with the smallest penalties. Let p be a camera's penalty, and p_{k+1} the
+//! (k+1)-th smallest penalty of all cameras. The camera's weight is `(1 − p / p_{k+1}) / p`, normalized to a sum of 1.
+//! These weights are discontinuous where the k+1 smallest penalties are equal, since they become 0/0. Here p_{k+1} is
+//! therefore replaced by a threshold, which exceeds the smallest penalty by at least the fraction [`THRESHOLD_MARGIN`].
+//! With this threshold, weights are continuous functions of the penalties.
 
 use crate::method::methods;
 use crate::simd::multiversion;
@@ -30,8 +30,8 @@ methods!(BlendMethod {
     SpaceTime = "space-time": "By angle, resolution, and the expected error of interpolation in time",
 });
 
-/// Minimum distance between the penalty threshold, at which weights reach 0, and the smallest penalty, as a fraction of
-/// the smallest penalty.
+/// Minimum difference between the penalty threshold, at which weights reach 0, and a pixel's smallest penalty, as a
+/// fraction of the smallest penalty.
 const THRESHOLD_MARGIN: f32 = 0.05;
 
 /// Maximum number of neighbouring pixels in a row whose blending weights are computed together.
@@ -116,9 +116,9 @@ impl WeighedSpan {
         }
     }
 
-    /// Returns the largest penalty threshold of any pixel of the span. Weights reach 0 at the threshold. `sources` are
-    /// the indices of k+1 sources, where k is the number of blended sources. With more sources, the threshold could
-    /// only become lower.
+    /// Returns the largest penalty threshold of any pixel of the span. A source's weight is 0 if its penalty reaches
+    /// the threshold. `sources` are the indices of k+1 sources, where k is the number of blended sources. The result is
+    /// an upper bound: further sources can only lower a pixel's threshold.
     pub fn max_threshold(&self, sources: &[usize]) -> f32 {
         let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
         for &i in sources {
@@ -134,8 +134,8 @@ impl WeighedSpan {
     }
 }
 
-/// Computes the penalty threshold of a pixel, at which weights reach 0. `best` is the pixel's smallest penalty, and
-/// `next` its (k+1)-th smallest penalty, where k is the number of blended sources.
+/// Computes the penalty threshold of a pixel, at which a source's weight reaches 0. `best` is the smallest penalty of
+/// any source at the pixel. `next` is the (k+1)-th smallest penalty, where k is the number of blended sources.
 #[inline(always)]
 fn threshold(next: f32, best: f32) -> f32 {
     next.max(best * (1.0 + THRESHOLD_MARGIN))
@@ -164,8 +164,8 @@ fn normalize_by(span: &mut WeighedSpan) -> bool {
 }
 
 multiversion! {
-    /// Computes the weights of the `k` sources with the smallest penalties at each pixel, by the formula of the
-    /// module's documentation.
+    /// Computes the weights of the `k` sources with the smallest penalties at each pixel. The module's documentation
+    /// gives the formula.
     fn lumigraph(span: &mut WeighedSpan, k: usize) = lumigraph_by
 }
 

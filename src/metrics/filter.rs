@@ -4,8 +4,8 @@ use nalgebra::RealField;
 use rayon::prelude::*;
 
 /// Correlates a row-major plane with the kernel `horizontal` along the rows and the kernel `vertical` along the
-/// columns. Both kernels have odd lengths. Border pixels are replicated. `T` is `f32`, or `f64` where results are
-/// subtracted from each other.
+/// columns. Both kernels have odd lengths. Border pixels are replicated. Callers use `f64` for `T` if they subtract
+/// nearly equal results from each other, else `f32`.
 pub(super) fn separable<T: RealField + Copy>(
     plane: &[T],
     width: usize,
@@ -49,13 +49,13 @@ pub(super) fn gaussian(sigma_px: f64, radius: usize) -> Vec<f64> {
     (-r..=r).map(|x| (-((x * x) as f64) / (2.0 * sigma_px * sigma_px)).exp()).collect()
 }
 
-/// Returns the kernel scaled to the sum 1.
+/// Returns the kernel scaled so that its weights sum to 1.
 pub(super) fn normalized(kernel: &[f64]) -> Vec<f64> {
     let sum: f64 = kernel.iter().sum();
     kernel.iter().map(|w| w / sum).collect()
 }
 
-/// Returns the kernel in single precision.
+/// Converts a kernel to single precision.
 pub(super) fn single(kernel: &[f64]) -> Vec<f32> {
     kernel.iter().map(|w| *w as f32).collect()
 }

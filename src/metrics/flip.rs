@@ -2,25 +2,27 @@
 //! alternating images", Proc. ACM Comput. Graph. Interact. Tech. 3(2), 2020. FLIP predicts how different two images
 //! look to a viewer who flips between them: 0 for equal images, at most 1.
 //!
-//! Implemented here, because the crate `nv-flip` (0.1) compiles NVIDIA's C++, takes 8 bits only, and filters the true
-//! image again for every comparison. A test compares this code with the output of NVIDIA's `flip-evaluator`.
+//! Implemented here, because the crate `nv-flip` (0.1) compiles NVIDIA's C++, takes 8 bits only, and filters the
+//! ground-truth image again for every comparison. A test compares this code with the output of NVIDIA's
+//! `flip-evaluator`.
 
 use super::filter::{gaussian, normalized, separable, single};
 use crate::raster::{Image, linear_from_encoded};
 use rayon::prelude::*;
 
-/// Default number of pixels per degree of visual angle. It is the authors' default: a 0.7 m wide 4K monitor seen from
-/// 0.7 m.
+/// Default number of pixels per degree of visual angle, chosen by FLIP's authors: a 0.7 m wide 4K monitor seen from 0.7
+/// m.
 pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_25;
 
 /// Exponent of the colour difference (q_c in the FLIP paper).
 const COLOR_EXPONENT: f32 = 0.7;
 /// Exponent of the feature difference (q_f in the FLIP paper).
 const FEATURE_EXPONENT: f32 = 0.5;
-/// Colour difference, as a fraction of the largest one, up to which differences are mapped linearly to
+/// Colour difference, as a fraction of the largest possible difference, up to which differences are mapped linearly to
 /// 0..[`PIVOT_VALUE`] (p_c in the FLIP paper).
 const PIVOT: f32 = 0.4;
-/// Value to which the colour difference at the fraction [`PIVOT`] of the largest one is mapped (p_t in the FLIP paper).
+/// Value to which a colour difference of [`PIVOT`] times the largest possible difference is mapped (p_t in the FLIP
+/// paper).
 const PIVOT_VALUE: f32 = 0.95;
 /// Peak-to-trough width of the edge detector (w in the FLIP paper), degrees of visual angle.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
@@ -49,9 +51,9 @@ const WHITE: [f32; 3] = [0.950_428_5, 1.0, 1.088_900_4];
 pub struct FlipImage {
     /// Hunt-adjusted L*a*b* colour of every pixel, after the contrast sensitivity filter.
     color: Vec<[f32; 3]>,
-    /// Edge magnitude at every pixel, row-major.
+    /// Magnitude of FLIP's edge detector at every pixel, row-major.
     edges: Vec<f32>,
-    /// Point magnitude at every pixel, row-major.
+    /// Magnitude of FLIP's point detector at every pixel, row-major.
     points: Vec<f32>,
 }
 
@@ -99,8 +101,8 @@ pub fn flip_map(reference: &FlipImage, test: &FlipImage) -> Vec<f32> {
         .collect()
 }
 
-/// Filters a channel by its contrast sensitivity function, which `csf` gives as in [`CSF`]. The filter kernel has the
-/// sum 1. `ppd` is the number of pixels per degree of visual angle.
+/// Filters a channel by its contrast sensitivity function. `csf` is the function's element of [`CSF`]. The filter
+/// kernel has the sum 1. `ppd` is the number of pixels per degree of visual angle.
 fn sensitivity(plane: &[f32], width: usize, csf: &[(f64, f64)], ppd: f64) -> Vec<f32> {
     use std::f64::consts::PI;
     let radius = (3.0 * (CSF_LARGEST_SPREAD / (2.0 * PI * PI)).sqrt() * ppd).ceil() as usize;
@@ -144,7 +146,7 @@ fn features(luminance: &[f32], width: usize, ppd: f64) -> (Vec<f32>, Vec<f32>) {
     (norm(&edge), norm(&point))
 }
 
-/// Scales the positive weights to the sum 1, and the negative weights to the sum −1.
+/// Scales the positive weights of a kernel to the sum 1, and the negative weights to the sum −1.
 fn balanced(kernel: &[f64]) -> Vec<f64> {
     let positive: f64 = kernel.iter().filter(|w| **w > 0.0).sum();
     let negative: f64 = -kernel.iter().filter(|w| **w < 0.0).sum::<f64>();
@@ -156,8 +158,8 @@ fn hyab(a: [f32; 3], b: [f32; 3]) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).hypot(a[2] - b[2])
 }
 
-/// Maps a colour difference to 0..=1 by a piecewise linear function. `most` is the largest difference between two
-/// colours.
+/// Maps a colour difference to 0..=1 by a piecewise linear function. `most` is the largest possible difference between
+/// two colours.
 fn redistributed(difference: f32, most: f32) -> f32 {
     let pivot = PIVOT * most;
     if difference < pivot {

@@ -2,11 +2,12 @@
 
 use crate::raster::max_filter;
 
-/// Returns the row-major mask of the moving pixels: those whose motion exceeds `threshold_px`. The mask is dilated by a
-/// square of radius `dilation_px`.
+/// Returns the row-major mask of the pixels whose motion exceeds `threshold_px`. The mask is dilated by a square that
+/// reaches `dilation_px` pixels in each direction.
 ///
-/// `motion_px` holds the true motion of each pixel's surface point, row-major, pixels: its displacement in the image
-/// from the previous frame or to the next frame, whichever is larger. A pixel with non-finite motion counts as static.
+/// `motion_px` holds the ground-truth motion of each pixel's surface point, row-major, pixels: the length of its
+/// displacement in the image from the previous frame or to the next frame, whichever is larger. A pixel with non-finite
+/// motion counts as static.
 pub fn moving_part(
     motion_px: &[f32],
     width: usize,

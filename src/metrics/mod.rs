@@ -1,4 +1,4 @@
-//! Image quality against a true image: PSNR, SSIM and FLIP, over any set of pixels.
+//! Image quality in comparison with a ground-truth image: PSNR, SSIM and FLIP, over any set of pixels.
 
 mod filter;
 pub mod flip;

@@ -1,4 +1,4 @@
-//! Scores of an image against the true image: error maps, and their means over sets of pixels.
+//! Scores of an image in comparison with the ground truth: error maps, and their means over sets of pixels.
 
 use super::flip::{FlipImage, flip_map};
 use super::ssim::{has_full_window, ssim_map};
@@ -11,16 +11,17 @@ use serde::{Deserialize, Serialize};
 pub struct Scores {
     /// Number of pixels in the measured set.
     pub pixels: usize,
-    /// PSNR over all channels, 10·log₁₀(1/MSE), decibels. `None` if the set has no pixels, or if the images are
-    /// identical there.
+    /// PSNR over all channels, 10·log₁₀(1/MSE), decibels. `None` if the set has no pixels, or if the two images are
+    /// identical in the set.
     pub psnr_db: Option<f64>,
-    /// Mean SSIM of the luma, in −1..=1, where 1 is best. `None` if no pixel of the set has a full window.
+    /// Mean SSIM of the luma, in −1..=1, where 1 is best. `None` if no pixel of the set has a full SSIM window inside
+    /// the image.
     pub ssim: Option<f64>,
     /// Mean FLIP, in 0..=1, where 0 is best. `None` if the set has no pixels.
     pub flip: Option<f64>,
 }
 
-/// Scores of one image: over all measured pixels, and over the pixels of moving surfaces.
+/// Scores of one image over two sets of pixels: all measured pixels, and the measured pixels that show moving surfaces.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegionScores {
@@ -28,7 +29,8 @@ pub struct RegionScores {
     pub moving: Scores,
 }
 
-/// A true image, prepared for comparison with other images: its luma and its FLIP filter responses are precomputed.
+/// A ground-truth image, prepared for comparison with other images: its luma and its FLIP filter responses are
+/// precomputed.
 pub struct ReferenceImage {
     image: Image,
     gray: Image,
@@ -47,7 +49,7 @@ pub struct ErrorMaps {
 }
 
 impl ReferenceImage {
-    /// Computes the luma and the FLIP filter responses of a true image. `pixels_per_degree` is FLIP's viewing
+    /// Computes the luma and the FLIP filter responses of a ground-truth image. `pixels_per_degree` is FLIP's viewing
     /// condition: the number of pixels per degree of visual angle.
     pub fn new(image: Image, pixels_per_degree: f64) -> Self {
         let (gray, flip) = (image.to_gray(), FlipImage::new(&image, pixels_per_degree));
@@ -58,7 +60,8 @@ impl ReferenceImage {
         &self.image
     }
 
-    /// Computes the error maps of an image. The image must have the size and the number of channels of the true image.
+    /// Computes the error maps of the image `test` in comparison with this ground-truth image. Both must have the same
+    /// size and number of channels.
     ///
     /// # Panics
     /// If the size or the number of channels differs.
@@ -85,8 +88,8 @@ impl ReferenceImage {
 }
 
 impl ErrorMaps {
-    /// Returns the metrics over the pixels where `mask` is true, or over all pixels if it is `None`. Sums are computed
-    /// in row order in f64, so that they don't depend on the number of threads.
+    /// Returns the scores over the pixels where `mask` is true, or over all pixels if `mask` is `None`. Sums are
+    /// computed in row order in f64, so that they don't depend on the number of threads.
     ///
     /// # Panics
     /// If the mask's number of pixels differs from the image's.
@@ -112,8 +115,8 @@ impl ErrorMaps {
         }
     }
 
-    /// Returns the scores over two sets of pixels: the pixels where `covered` is true (all pixels if it is `None`), and
-    /// those among them where `moving` is true too.
+    /// Returns the scores over two sets of pixels: the pixels where `covered` is true, and the pixels where both
+    /// `covered` and `moving` are true. `None` as `covered` stands for all pixels.
     pub fn regions(&self, covered: Option<&[bool]>, moving: &[bool]) -> RegionScores {
         let both: Option<Vec<bool>> =
             covered.map(|c| c.iter().zip(moving).map(|(c, m)| *c && *m).collect());

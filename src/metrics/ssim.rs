@@ -10,7 +10,7 @@ use rayon::prelude::*;
 /// Standard deviation of the Gaussian window, pixels, as in the SSIM paper.
 const WINDOW_SIGMA_PX: f64 = 1.5;
 /// Radius of the window, pixels. The window has 11×11 pixels, as in the SSIM paper. If a pixel's window reaches beyond
-/// the image, the pixel doesn't count in means.
+/// the image, the pixel is excluded from mean SSIM.
 pub const WINDOW_RADIUS_PX: usize = 5;
 /// C₁ = (K₁L)² of the SSIM paper, with K₁ = 0.01 and L = 1, the range of the samples.
 const C1: f64 = 0.01 * 0.01;

@@ -12,7 +12,8 @@ pub fn linear_from_encoded<T: RealField + Copy>(v: T) -> T {
     if v <= c(0.04045) { v / c(12.92) } else { ((v + c(0.055)) / c(1.055)).powf(c(2.4)) }
 }
 
-/// Converts linear light to a display-encoded (sRGB) value: the inverse of [`linear_from_encoded`].
+/// Converts linear light to a display-encoded (sRGB) value, both from 0 to 1. This is the inverse of
+/// [`linear_from_encoded`].
 pub fn encoded_from_linear<T: RealField + Copy>(v: T) -> T {
     let c = nalgebra::convert::<f64, T>;
     if v <= c(0.0031308) { v * c(12.92) } else { c(1.055) * v.powf(c(1.0 / 2.4)) - c(0.055) }
@@ -26,8 +27,8 @@ pub fn luma(pixel: &[f32]) -> f32 {
     WEIGHTS[0] * pixel[0] + WEIGHTS[1] * pixel[1] + WEIGHTS[2] * pixel[2]
 }
 
-/// Converts a display-encoded colour to the display-encoded grey value of the same luminance, as a grey camera records
-/// it.
+/// Converts a display-encoded RGB colour to the display-encoded grey value of the same luminance. A grey camera would
+/// record this value.
 pub fn gray_from_rgb(rgb: [f32; 3]) -> f32 {
     encoded_from_linear(luma(&rgb.map(linear_from_encoded)))
 }

@@ -13,27 +13,32 @@ use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::Path;
 
-/// Depth of a pixel without a surface, metres. The value is Blender's.
+/// Depth that is written for a pixel without a surface, metres. Blender writes the same value.
 const NO_DEPTH_M: f32 = 1e10;
 
 /// Number of rows in a compressed block. The format prescribes this number for ZIP compression.
 const BLOCK_ROWS: usize = 16;
 
-/// Number of blocks that are compressed in parallel. A larger number takes more memory. With a smaller number, threads
-/// wait for each other.
+/// Number of blocks that are compressed in parallel before they are written. A larger number takes more memory. With a
+/// smaller number, threads wait for each other.
 const BLOCKS_AT_ONCE: usize = 32;
 
 /// Name of an OpenEXR file in the temporary folder in which it is written. The finished file is moved to its path.
 const FILE: &str = "exr";
 
-/// Constants of the OpenEXR format: the magic number, the version, and the codes of the compression and of pixel types.
+/// Magic number at the start of every OpenEXR file.
 const MAGIC: u32 = 20_000_630;
+/// Version of the OpenEXR format.
 const VERSION: u32 = 2;
+/// Code of the ZIP compression of blocks of 16 rows in the OpenEXR format.
 const ZIP: u8 = 3;
+/// Code of channels of half floats in the OpenEXR format.
 const HALF: u32 = 1;
+/// Code of channels of 32-bit floats in the OpenEXR format.
 const FLOAT: u32 = 2;
 
-/// Type and values of a channel. The values are a function of the pixel's index, row by row.
+/// A channel of an OpenEXR file: the type of its values, and a function that returns the value at a pixel. The
+/// function's argument is the pixel's index, row by row.
 enum Channel<'a> {
     Half(Value<'a>),
     Float(Value<'a>),
@@ -68,7 +73,7 @@ pub type Displacements<'a> = dyn Fn(usize) -> [[f32; 2]; 2] + Sync + 'a;
 /// | `backward.u`, `backward.v` | motion to the previous picture, pixels to the right and up, half floats |
 /// | `Vector.X`, `.Y`, `.Z`, `.W` | Blender's Vector pass: X and Y are `backward`, Z and W are minus `forward` |
 ///
-/// Half floats have 11 significant bits: a motion of 64 pixels is exact to 0.03 pixels.
+/// Half floats have 11 significant bits. A motion of 64 pixels is therefore exact to 0.03 pixels.
 ///
 /// # Panics
 /// If `coverage` or `depths_m` doesn't have one value per pixel.
@@ -114,7 +119,7 @@ fn channels<'a>(layers: &ExrLayers<'a>) -> Vec<(&'static str, Channel<'a>)> {
     channels
 }
 
-/// Returns the motion channels. The file's vertical axis points up.
+/// Returns the motion channels: name, and value at each pixel. In the file, vertical motion is positive upwards.
 fn motion_channels<'a>(
     displacements: &'a Displacements<'a>,
     coverage: &'a [bool],
@@ -144,8 +149,9 @@ fn motion_channels<'a>(
 /// half float become the largest.
 fn half(value: f32) -> u16 {
     const MAX: f32 = 65_504.0;
-    /// `MIN` is the smallest positive half float, 2^−24. `MIN_NORMAL` is the smallest with full precision, 2^−14.
+    /// Smallest positive half float, 2^−24.
     const MIN: f32 = 5.960_464_5e-8;
+    /// Smallest half float with full precision, 2^−14.
     const MIN_NORMAL: f32 = 6.103_515_6e-5;
     let sign = if value.is_sign_negative() { 0x8000 } else { 0 };
     let size = if value.is_nan() { 0.0 } else { value.abs().min(MAX) };
@@ -158,7 +164,8 @@ fn half(value: f32) -> u16 {
     sign | ((rounded >> 13) - (112 << 10)) as u16
 }
 
-/// Writes a file in runs of [`BLOCKS_AT_ONCE`] blocks, so that a large view doesn't need the memory of a whole file.
+/// Encodes channels as an OpenEXR file, and writes it in runs of [`BLOCKS_AT_ONCE`] blocks. Only one run is in memory
+/// at a time.
 fn encode(
     mut file: impl Write + Seek,
     [width, height]: [usize; 2],
@@ -227,7 +234,8 @@ fn header(file: &mut Vec<u8>, [width, height]: [u32; 2], channels: &[(&str, Chan
     file.push(0);
 }
 
-/// Returns the bytes of the row `y` of pixels: all channels, one after another.
+/// Returns the uncompressed bytes of the pixel row `y`: the whole row of the first channel, then of the second channel,
+/// and so on.
 fn row(channels: &[(&str, Channel)], width: usize, y: usize) -> Vec<u8> {
     let span = y * width..(y + 1) * width;
     let bytes = |(_, channel): &(&str, Channel)| -> Vec<u8> {

@@ -114,9 +114,9 @@ impl<R: BufRead + Seek + 'static> OpenedImage<R> {
 /// buffered reader.
 const MAX_PNM_HEADER: usize = 4096;
 
-/// Returns an error for a PNM file whose header is too long. The PNM decoder reads comments byte by byte, which takes
-/// long. `start` has the first bytes of the file. The error message doesn't name the file. Files of other formats are
-/// accepted.
+/// Checks that the header of a PNM file has at most [`MAX_PNM_HEADER`] bytes. The PNM decoder would read the comments
+/// of a longer header byte by byte, which takes long. `start` has the first bytes of the file. Files of other formats
+/// are accepted. The error message doesn't name the file.
 fn pnm_header(start: &[u8]) -> Result<(), String> {
     let (Some(header), [b'P', kind @ b'1'..=b'7', ..]) = (start.get(..MAX_PNM_HEADER), start)
     else {
@@ -129,7 +129,7 @@ fn pnm_header(start: &[u8]) -> Result<(), String> {
     if is_whole { Ok(()) } else { Err(format!("has a header of more than {MAX_PNM_HEADER} bytes")) }
 }
 
-/// Returns the number of words in a PNM header, not counting comments.
+/// Returns the number of words in a PNM header. Words in comments don't count.
 fn pnm_words(header: &[u8]) -> usize {
     let (mut words, mut in_word, mut in_comment) = (0, false, false);
     for byte in header {
@@ -148,8 +148,8 @@ pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
 /// Reads an image file. Returns the image and its bit depth. Grey images have one channel, all others three. Alpha is
 /// ignored. Samples are scaled to the range from 0 to 1.
 ///
-/// These are errors before any pixel is decoded: a file that isn't regular, a file of more than 448 MiB, and an image
-/// of more than [`MAX_PIXELS`] pixels.
+/// Refused before any pixel is decoded are a file that isn't regular, a file of more than 448 MiB, and an image of more
+/// than [`MAX_PIXELS`] pixels.
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     let opened = open(path)?;
     let depth = opened.header.bit_depth;
@@ -236,8 +236,8 @@ const WEBP_EFFORT: (i32, f32) = (1, 20.0);
 
 /// Writes a grey or RGB image as lossless WebP with 8 bits per channel. A missing folder is created.
 ///
-/// The file has 0.5 to 0.65 times the size of the PNG file from [`write_image`]. An error if a side of the image has
-/// more than 16,383 pixels.
+/// The file has 0.5 to 0.65 times the size of the PNG file from [`write_image`]. It is an error if a side of the image
+/// has more than 16,383 pixels.
 pub(crate) fn write_webp(path: &Path, image: &Image) -> Result<(), ImageFileError> {
     let failed = |reason: &str| image_error(path, reason);
     let quantized = Quantized::new(&image.to_rgb(), None, BitDepth::Eight);

@@ -1,7 +1,8 @@
 //! Sliding-window filters: maximum and mean.
 
-/// Reduces each window of `count` values, `stride` apart, by a commutative and associative operation. Returns one
-/// result per window. Windows are combined from windows of half the length, so the time is logarithmic in `count`.
+/// Slides a window over `values`, and combines the values in it by a commutative and associative operation, such as the
+/// sum. A window has `count` values, at indices `stride` apart. Returns one result per window position. A window is
+/// combined from windows of half the length, so the time per value is logarithmic in `count`.
 ///
 /// # Panics
 /// If `count` is 0, or if no window fits into the values.
@@ -62,7 +63,7 @@ pub(crate) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> V
             1.0 / (to - from) as f32
         })
         .collect();
-    // All rows are filtered at once. Sums of windows that reach across the end of a row are ignored.
+    // All rows are filtered at once. Sums over windows that reach from one row into the next are ignored.
     let sums = sliding(&padded(values, w, radius, 0.0), 2 * radius + 1, 1, |a, b| a + b);
     let mut across = Vec::with_capacity(values.len());
     for row in sums.chunks(w + 2 * radius) {

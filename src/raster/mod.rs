@@ -94,7 +94,7 @@ impl Image {
         &self.data[at..at + self.channels]
     }
 
-    /// Converts the image to grey: the luma of an RGB image (see [`luma`]), or a copy of a grey image.
+    /// Converts the image to one channel: the luma of each pixel of an RGB image ([`luma`]). A grey image is copied.
     pub fn to_gray(&self) -> Image {
         if self.channels == 1 {
             return self.clone();
@@ -103,7 +103,7 @@ impl Image {
         Image { width: self.width, height: self.height, channels: 1, data }
     }
 
-    /// Converts the image to three channels. A grey value is repeated in all of them.
+    /// Converts the image to three channels. A grey value is repeated in all three channels.
     pub fn to_rgb(&self) -> Image {
         if self.channels == 3 {
             return self.clone();
@@ -112,8 +112,8 @@ impl Image {
         Image { width: self.width, height: self.height, channels: 3, data }
     }
 
-    /// Interpolates bilinearly at a position, pixels. Writes one value per channel into `out`. Outside of the image,
-    /// border pixels are repeated. A NaN coordinate is treated like 0.
+    /// Interpolates the image bilinearly at the position (x, y), pixels. Writes one value per channel into `out`.
+    /// Outside of the image, border pixels are repeated. A NaN coordinate is treated like 0.
     pub fn sample_bilinear(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -131,9 +131,9 @@ impl Image {
         }
     }
 
-    /// Interpolates by Catmull–Rom splines at a position, pixels. Writes one value per channel into `out`. The
-    /// interpolant passes through the pixels' values, and may overshoot the range 0..=1. Positions outside of the image
-    /// and NaN are treated as in [`Self::sample_bilinear`].
+    /// Interpolates the image by Catmull–Rom splines at the position (x, y), pixels. Writes one value per channel into
+    /// `out`. The interpolant passes through the pixels' values, and may overshoot the range 0..=1. Positions outside
+    /// of the image and NaN are treated as in [`Self::sample_bilinear`].
     pub fn sample_cubic(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -154,8 +154,8 @@ impl Image {
     }
 }
 
-/// Returns the Catmull–Rom weights of four neighbouring samples. `f`, from 0 to 1, is the position between the second
-/// and the third sample.
+/// Returns the weights of four neighbouring samples for Catmull–Rom interpolation. `f`, from 0 to 1, is the
+/// interpolated position between the second and the third sample.
 pub(crate) fn catmull_rom(f: f32) -> [f32; 4] {
     let (f2, f3) = (f * f, f * f * f);
     [

@@ -9,7 +9,7 @@ use std::io::{BufRead, Seek};
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 
 /// Maximum memory of the decoder in addition to the image, bytes. A row of 65,536 RGBA pixels with 16 bits per channel
-/// takes half a megabyte. The rest is for compressed metadata.
+/// takes half a megabyte of it. The rest is for compressed metadata.
 const MAX_DECODER_BYTES: usize = 16 << 20;
 
 /// Opens a PNG file and reads its header.
@@ -27,7 +27,7 @@ pub(super) fn bytes_per_sample<R: BufRead + Seek>(reader: &Reader<R>) -> usize {
     if reader.output_color_type().1 == BitDepth::Sixteen { 2 } else { 1 }
 }
 
-/// Decodes the image without its alpha channel. Samples are scaled to the range from 0 to 1.
+/// Decodes the image of a PNG file, without its alpha channel. Samples are scaled to the range from 0 to 1.
 pub(super) fn decode<R: BufRead + Seek>(mut reader: Reader<R>) -> Result<Image, DecodingError> {
     let (width, height) = reader.info().size();
     let (width, height) = (width as usize, height as usize);

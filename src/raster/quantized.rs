@@ -31,8 +31,8 @@ fn sixteen(value: f32) -> u16 {
     (value * 65535.0 + 0.5) as u16
 }
 
-/// Quantizes all samples of an image by `round`. With a coverage mask, an alpha channel is added, and pixels that
-/// aren't covered become 0.
+/// Quantizes all samples of an image by the function `round`. With a coverage mask, an alpha channel is added, and all
+/// samples of pixels that aren't covered become 0.
 fn rounded<T>(image: &Image, coverage: Option<&[bool]>, round: impl Fn(f32) -> T) -> Vec<T> {
     let channels = image.channels() + usize::from(coverage.is_some());
     let mut samples = Vec::with_capacity(image.width() * image.height() * channels);
@@ -47,7 +47,8 @@ fn rounded<T>(image: &Image, coverage: Option<&[bool]>, round: impl Fn(f32) -> T
 }
 
 impl Quantized {
-    /// Quantizes an image to this bit depth. Values are clamped to the range from 0 to 1, and NaN becomes 0.
+    /// Quantizes an image to integer samples of the bit depth `depth`. Values are clamped to the range from 0 to 1, and
+    /// NaN becomes 0.
     ///
     /// `coverage` has one value per pixel, row by row. If it is given, an alpha channel is added, and all samples of a
     /// pixel with `false` are 0.
@@ -60,7 +61,7 @@ impl Quantized {
         Self { width: image.width(), height: image.height(), channels, samples }
     }
 
-    /// Makes a black image without alpha, with 1 or 3 channels. Its size is `[width, height]`, pixels.
+    /// Makes a black image of 1 or 3 channels, without alpha. `[width, height]` is its size, pixels.
     pub fn blank([width, height]: [usize; 2], channels: usize, depth: BitDepth) -> Self {
         let count = width * height * channels;
         let samples = match depth {
@@ -70,11 +71,11 @@ impl Quantized {
         Self { width, height, channels, samples }
     }
 
-    /// Copies an image into this one, with its top left corner at the pixel (x, y). Pixels without coverage become
-    /// black.
+    /// Quantizes `image` and copies it into this image, so that its top left pixel is at the pixel (x, y). Pixels that
+    /// `coverage` doesn't cover become black. Without `coverage`, all pixels are covered.
     ///
     /// # Panics
-    /// If the image doesn't fit, or if its number of channels differs.
+    /// If `image` reaches beyond this image, or if the two images differ in their numbers of channels.
     pub fn place(&mut self, image: &Image, coverage: Option<&[bool]>, [x, y]: [usize; 2]) {
         assert_eq!(image.channels(), self.channels, "a part has the channels of the whole");
         assert!(x + image.width() <= self.width && y + image.height() <= self.height);

@@ -78,8 +78,8 @@ pub(crate) fn sample<const C: usize>(
     out
 }
 
-/// Returns the position relative to the first pixel's centre, pixels. `None` if the support of a cubic filter reaches
-/// beyond the image.
+/// Converts a position, pixels, to coordinates relative to the centre of the image's top left pixel. `None` if the
+/// support of a cubic filter at the position reaches beyond the image.
 #[inline(always)]
 fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
     let (w, h) = (image.width(), image.height());
@@ -89,10 +89,10 @@ fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
     inside.then_some((left, top))
 }
 
-/// Interpolates an RGB image of width `w` by Catmull–Rom splines. The position (`left`, `top`) is relative to the first
-/// pixel's centre. The result has the three channels, and an unused fourth value.
+/// Interpolates an RGB image of width `w` by Catmull–Rom splines. The position (`left`, `top`), pixels, is relative to
+/// the centre of the top left pixel. The result has the three channels, and an unused fourth value.
 ///
-/// For all four columns at a time, the weighted sum over the filter's four rows is computed first. Plain loops take
+/// The weighted sums over the filter's four rows are computed first, for all four columns at once. Plain loops take
 /// 40 % longer.
 ///
 /// # Panics
@@ -176,8 +176,8 @@ pub(crate) fn sample_all(
 }
 
 multiversion! {
-    /// Interpolates an image at many positions. Each place is a position in pixels and a value of the caller. `put` is
-    /// called with this value and the interpolated sample.
+    /// Interpolates an image of C channels at many positions. Each element of `places` is a position, pixels, and any
+    /// value of the caller. For each, `put` is called with the caller's value and the interpolated pixel.
     pub(crate) fn sample_each[const C: usize, T](
         image: &Image,
         places: impl Iterator<Item = ([f32; 2], T)>,

@@ -1,4 +1,4 @@
-//! A coarse mask, in tiles of 16×16 pixels, of the parts of an image that must be computed.
+//! A coarse mask of an image, in tiles of 16×16 pixels. It marks the parts of the image that must be computed.
 
 /// Side length of a tile, pixels.
 const SIDE: usize = 16;
@@ -12,7 +12,7 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// Makes a mask without marked tiles. The image's width and height are in pixels.
+    /// Makes a mask without marked tiles, for an image of the given width and height, pixels.
     ///
     /// # Panics
     /// If a dimension is 0.
@@ -27,15 +27,15 @@ impl Tiles {
         self.marked.contains(&true)
     }
 
-    /// Marks the tiles whose pixels are read when an image is interpolated at a position
-    /// ([`Sampling`](super::Sampling)). The position is in pixels. A position outside of the image marks border tiles,
-    /// and NaN marks the first tile.
+    /// Marks the tiles whose pixels are read when the image is interpolated at the position (x, y), pixels, by any
+    /// method of [`Sampling`](super::Sampling). A position outside of the image marks border tiles, and NaN marks the
+    /// first tile.
     pub fn mark_sample(&mut self, x: f32, y: f32) {
         self.mark_samples([x, y], [x, y]);
     }
 
-    /// Marks the tiles whose pixels are read when an image is interpolated at any position in a rectangle. The
-    /// rectangle's corners are `low` and `high`, pixels.
+    /// Marks the tiles whose pixels are read when the image is interpolated at any position in a rectangle. `low` and
+    /// `high` are the rectangle's top left and bottom right corner, pixels.
     pub fn mark_samples(&mut self, low: [f32; 2], high: [f32; 2]) {
         // The support of the cubic filter is two pixels on each side. Positions beyond the range of integers saturate
         // in the cast.
@@ -60,8 +60,8 @@ impl Tiles {
         })
     }
 
-    /// Returns the spans of columns in which the pixel row `y` lies in marked tiles. Each span is `[start, end]`, where
-    /// `end` is exclusive and may lie beyond the image.
+    /// Returns the ranges of columns in which the pixels of row `y` lie in marked tiles. Each range is `[start, end]`,
+    /// where `end` is exclusive and may lie beyond the image.
     pub fn spans(&self, y: usize) -> impl Iterator<Item = [usize; 2]> {
         let row = &self.marked[y / SIDE * self.across..][..self.across];
         let runs = row.chunk_by(|a, b| a == b);
@@ -88,7 +88,7 @@ impl Tiles {
         grown
     }
 
-    /// Marks all tiles that are marked in the mask `other` of an image of the same size.
+    /// Marks, in addition, all tiles that are marked in the mask `other`. Its image must have the same size.
     pub fn add(&mut self, other: &Self) {
         self.marked.iter_mut().zip(&other.marked).for_each(|(own, other)| *own |= other);
     }
