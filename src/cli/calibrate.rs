@@ -108,8 +108,8 @@ pub fn run_refine(args: &RefineArgs, page: &mut Page, reporter: &Reporter) -> Re
     calibrated(&args.capture, &request, &args.output, page, reporter)
 }
 
-/// Estimates a calibration from a capture's frames, and writes the frames with this calibration as the capture
-/// `output`.
+/// Estimates or refines a calibration from the frames of the capture in `folder`. Writes these frames with the new
+/// calibration as the capture `output`.
 fn calibrated(
     folder: &Path,
     request: &CalibrationRequest,
@@ -117,7 +117,7 @@ fn calibrated(
     page: &mut Page,
     reporter: &Reporter,
 ) -> Result<(), CliError> {
-    // A wrong capture is reported before the set-up of the environment, which may take minutes.
+    // An invalid capture is reported before the set-up of the Python environment, which may take minutes.
     let capture = open_capture(folder, None, reporter)?;
     require_distance(&capture, request)?;
     let environment = ensure_environment(&project_root()?, reporter)?;

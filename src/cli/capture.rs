@@ -88,7 +88,7 @@ pub struct SceneArgs {
 }
 
 pub fn run(args: &CaptureArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    // Wrong arguments are reported before the set-up of the environment, which may take minutes.
+    // Invalid arguments are reported before the set-up of the Python environment, which may take minutes.
     let mut options = args.scene.options(&args.rig, &args.output)?;
     options.part = args.part.as_ref().map(Parts::to_string);
     options.silence_s = args.silence;
@@ -102,7 +102,7 @@ pub fn run(args: &CaptureArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// Returns an error that lists the known scenes, if no scene has this name. A scene is a module of `blender/scenes`
+/// Returns an error that lists the available scenes, if no scene has this name. A scene is a module of `blender/scenes`
 /// with a function `build`.
 fn must_be_a_scene(name: &str, root: &Path) -> Result<(), CliError> {
     let is_scene = |file: &Path| {
@@ -128,7 +128,8 @@ impl SceneArgs {
         !self.no_truth
     }
 
-    /// Returns the options for filming with a rig, and checks all files that the options name.
+    /// Returns the options for filming the scene with the rig file `rig` into the folder `capture`. Checks all files
+    /// that the options name.
     pub fn options(&self, rig: &Path, capture: &Path) -> Result<FilmOptions, CliError> {
         for file in std::iter::once(rig).chain(self.blend.as_deref()) {
             must_be_a_file(file)?;

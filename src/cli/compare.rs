@@ -56,7 +56,7 @@ pub fn run(args: &CompareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// Compares the offsets in a file with the ground truth, and prints their errors.
+/// Compares the temporal offsets in a file with the ground truth, and prints their errors.
 fn print_scores(
     folder: &Path,
     file: &Path,
@@ -131,7 +131,7 @@ pub fn with_truth(
     Ok(summary)
 }
 
-/// Prints the main results, and the paths of the written files.
+/// Prints the main results of a comparison with the ground truth, and the paths of the written files.
 pub fn print(summary: &Summary, page: &mut Page) {
     for line in lines(&summary.headline) {
         page.line(line);
@@ -184,8 +184,9 @@ fn lines(headline: &Headline) -> Vec<String> {
     lines
 }
 
-/// Returns the lines of the score table: traditional light field rendering with one proxy, space-time light field
-/// rendering with every proxy, and perfectly synchronized images with the proxy that `render` uses.
+/// Returns the lines of the score table. It has traditional light field rendering with one geometry proxy, space-time
+/// light field rendering with every proxy, and light field rendering of perfectly synchronized images with the proxy
+/// that `stlfr render` uses.
 fn table(methods: &[MethodHeadline]) -> Vec<String> {
     let Some(baseline) = methods.first() else { return Vec::new() };
     let rendered = methods.iter().find(|m| m.is_rendered).map(|m| m.proxy);

@@ -10,7 +10,7 @@ use crate::light_field::{LightField, Request, Viewpoint};
 use crate::options::RenderOptions;
 use crate::progress::Reporter;
 
-/// Smallest angle of a quilt's view cone, in degrees. At a smaller angle, no depth is visible.
+/// Smallest angle between the first and the last view of a quilt, in degrees. At a smaller angle, no depth is visible.
 const MIN_CONE_DEG: f64 = 1.0;
 
 /// Arguments for pictures that contain several views.
@@ -34,7 +34,7 @@ pub struct DisplayArgs {
     convergence: Option<f64>,
 }
 
-/// The arrangement of the views in a picture, and of their cameras.
+/// The arrangement of the views in one picture, and the arrangement of their cameras.
 pub enum Layout {
     Single,
     Quilt { quilt: QuiltLayout, cone_deg: f64, convergence_m: f64 },
@@ -50,7 +50,7 @@ pub struct PictureParts {
 }
 
 impl DisplayArgs {
-    /// Returns whether a picture contains several views.
+    /// Returns whether the arguments choose pictures with several views: quilts or stereo pairs.
     pub fn is_of_several(&self) -> bool {
         self.quilt.is_some() || self.stereo.is_some()
     }
@@ -61,8 +61,9 @@ impl DisplayArgs {
         self.quilt.map_or_else(|| output.clone(), |quilt| output.ending(&quilt.name()))
     }
 
-    /// Returns the layout of all pictures. If no convergence distance is given, it is chosen for the first view. If no
-    /// cone is given, a quilt's cone is limited to the angle that the cameras cover around all views.
+    /// Returns the layout of the views inside each rendered picture. Without `--convergence`, the convergence distance
+    /// is the middle depth of the first view. Without `--cone`, the angle between a quilt's first and last view is the
+    /// display's angle, limited to the angle that the cameras cover around every view.
     pub fn layout(
         &self,
         field: &LightField,
@@ -124,8 +125,8 @@ impl DisplayArgs {
 }
 
 impl Layout {
-    /// Returns the views that a picture contains, in the order of the picture's parts. `view` is the middle of these
-    /// views.
+    /// Returns the views that a picture contains, in the order of their positions in [`PictureParts::origins`]. `view`
+    /// is the view in the middle between them.
     pub fn views(&self, field: &LightField, view: &NamedView) -> Vec<NamedView> {
         let middle = camera(field, view);
         let cameras = match self {

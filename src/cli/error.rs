@@ -51,7 +51,7 @@ impl<E: Error + 'static> From<E> for CliError {
     }
 }
 
-/// Returns whether an error means that the work failed (exit code 1), and not that the input is bad (exit code 2). Bad
+/// Returns whether an error means that the work failed (exit code 1). Otherwise, the input is bad (exit code 2). Bad
 /// input includes a view that can't be rendered, for example because its time is outside the recording, and a file that
 /// is missing or not readable.
 fn is_failure(error: &(dyn Error + 'static)) -> bool {
@@ -109,8 +109,8 @@ fn is_bad_input(error: &std::io::Error) -> bool {
     )
 }
 
-/// Adds the path to the error of a file operation. `failed` is the predicate of the message, such as `can't be
-/// written`.
+/// Converts the error of a file operation to a [`CliError`] that names the file's path. `failed` describes the failure
+/// in the message, such as `can't be written`.
 pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result<T, CliError> {
     result.map_err(|error| {
         let sentence = format!("{}: {failed} ({error})", path.display());
@@ -122,7 +122,7 @@ pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result
     })
 }
 
-/// Adds the path to an error of writing a file.
+/// Converts an error of writing a file to a [`CliError`] that names the file's path.
 pub fn written<T>(path: &Path, result: std::io::Result<T>) -> Result<T, CliError> {
     of_io(path, "can't be written", result)
 }
@@ -162,7 +162,7 @@ pub fn usage(error: &clap::Error) -> u8 {
     }
 }
 
-/// Messages of Rust's number parsers, each with the message that replaces it.
+/// Messages of Rust's number parsers, each with the message that replaces it in the output.
 const OF_NUMBERS: [(&str, &str); 4] = [
     ("invalid float literal", "is no number"),
     ("cannot parse float from empty string", "is no number"),

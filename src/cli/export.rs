@@ -165,15 +165,15 @@ fn run_dataset(
     Ok(writing.dataset.finish()?)
 }
 
-/// Returns the indices of the cameras, the reference camera first. The first camera becomes the reference of COLMAP's
-/// rig.
+/// Returns the indices of all cameras of the capture, the reference camera first. The first exported camera becomes the
+/// reference sensor of COLMAP's rig.
 fn by_reference(capture: &Capture) -> Vec<usize> {
     let mut cameras: Vec<usize> = (0..capture.cameras.len()).collect();
     cameras.sort_by_key(|&c| c != capture.reference);
     cameras
 }
 
-/// A dataset that is being written, and its cameras.
+/// A dataset for another program that is being written, with the exported cameras.
 struct Writing<'a> {
     capture: &'a Arc<Capture>,
     dataset: Dataset,
@@ -214,9 +214,9 @@ impl Writing<'_> {
     }
 }
 
-/// Returns the instants to render, in seconds from the capture's start: the instants of `--times`, or else the frame
-/// times of the first chosen camera at which all chosen cameras film. An instant of `--times` at which a camera doesn't
-/// film is an error.
+/// Returns the instants to render, in seconds from the capture's start. `chosen` has the indices of the exported
+/// cameras. The instants are those of `--times`, or else the frame times of the first chosen camera at which all chosen
+/// cameras film. An instant of `--times` at which a camera doesn't film is an error.
 fn instants_s(
     args: &ExportArgs,
     field: &LightField,
@@ -247,8 +247,8 @@ fn instants_s(
     }))
 }
 
-/// Largest deviation of a step between two instants from the mean step, as a fraction of the mean step. Instants with a
-/// larger deviation can't become a video.
+/// Largest deviation of the time between two successive instants from the mean, as a fraction of the mean. Instants
+/// with a larger deviation can't become the frames of a video.
 const MAX_UNEVENNESS: f64 = 1e-3;
 
 /// Returns the frame rate of evenly spaced instants, in hertz; 30 for a single instant. Uneven instants are an error.

@@ -65,7 +65,7 @@ pub struct FarmArgs {
     options: OptionsArgs,
 }
 
-/// Writes the job. `program` is the path of `stlfr` on the machines of the farm.
+/// Writes the files of the job. `program` is the path of the program `stlfr` on the machines of the farm.
 pub fn run(
     args: &FarmArgs,
     program: &Path,
@@ -91,7 +91,8 @@ pub fn run(
 }
 
 impl FarmArgs {
-    /// Returns the number of images to render; `None` if no view is given.
+    /// Returns the number of images that the job renders for each capture; `None` if the arguments give no view to
+    /// render.
     fn rendered(&self, reporter: &Reporter) -> Result<Option<u32>, CliError> {
         let (viewpoint, instants) = (&self.viewpoint, &self.instants);
         if viewpoint.name().is_none() && viewpoint.camera.is_none() && viewpoint.path.is_none() {
@@ -121,17 +122,18 @@ impl FarmArgs {
     }
 }
 
-/// The steps of a job, collected one by one.
+/// Builder of the list of steps of a render-farm job.
 struct Steps<'a> {
     args: &'a FarmArgs,
     reporter: &'a Reporter,
-    /// Suffix of the names of one capture's steps; empty if the job has a single capture.
+    /// Suffix of the names of the current capture's steps, such as `-2`; empty if the job has a single capture.
     suffix: String,
     steps: Vec<FarmStep>,
 }
 
 impl Steps<'_> {
-    /// Adds a step that runs after the steps `after`. All names except `setup` get the suffix of the capture.
+    /// Adds a step to the job. It runs after the steps with the names `after`. All step names except `setup` get the
+    /// suffix of the current capture. `chunks` divides the step into tasks; `None` for a single task.
     fn add(
         &mut self,
         name: &str,
@@ -194,7 +196,8 @@ impl Steps<'_> {
         Ok(())
     }
 
-    /// Adds the step that films the capture in parts, and the step that completes the capture.
+    /// Adds two steps to the job: `film`, which films the capture in parts, and `capture`, which completes the capture
+    /// after that.
     fn add_filming(&mut self, rig: &Path, capture: &Path) -> Result<(), CliError> {
         let mut film = self.args.scene.options(rig, capture)?;
         film.make_absolute().map_err(|error| CliError::BadInput(error.to_string()))?;
@@ -208,7 +211,7 @@ impl Steps<'_> {
         Ok(())
     }
 
-    /// Adds the step that renders the images of `--times` or `--path`.
+    /// Adds the step that renders the images of `--times` or `--path` to the job, if the arguments give a view.
     fn add_rendering(
         &mut self,
         capture: &Path,

@@ -1,4 +1,4 @@
-//! Checking and reading of files that the command line names. Files are checked before long work starts.
+//! Checking and reading of files whose paths are given on the command line. Files are checked before long work starts.
 
 use super::CliError;
 use super::error::written;
@@ -38,7 +38,8 @@ pub fn open_capture(
     Ok(Arc::new(Capture::open_with(folder, &opening)?))
 }
 
-/// Finds ffmpeg for `what`, such as a flag. The error says that `what` needs ffmpeg, and how to install ffmpeg.
+/// Returns the path of ffmpeg. `what` is the feature that needs ffmpeg, such as a flag; it is named in the error if
+/// ffmpeg is not installed.
 pub fn ffmpeg_for(what: &str) -> Result<PathBuf, CliError> {
     find_ffmpeg().ok_or_else(|| {
         CliError::Failure(format!("{what} needs ffmpeg: install it, or run stlfr setup"))
@@ -68,7 +69,8 @@ impl OptionsArgs {
         preset.chain(file).chain(set).collect()
     }
 
-    /// Returns the flags that give these options, as words of a command line in a job. Paths are absolute.
+    /// Returns the flags that give these options, as words of a command line in a render-farm job. Paths are absolute,
+    /// because the job runs in another folder.
     pub fn absolute_words(&self) -> Result<Vec<String>, CliError> {
         let mut options = self.clone();
         if let Some(file) = &mut options.options {
@@ -130,7 +132,7 @@ fn wrong(path: &Path, error: impl std::fmt::Display) -> CliError {
     CliError::BadInput(format!("{}: {error}", path.display()))
 }
 
-/// An output of a command.
+/// The files that a command writes, for the check before long work starts.
 #[derive(Clone, Copy)]
 pub enum CommandOutput<'a> {
     File(&'a Path),

@@ -9,8 +9,8 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Interval at which the images of other processes are checked again. With a longer interval, finished images are
-/// noticed later. With a shorter interval, there is more file access.
+/// Interval at which this process checks again whether other processes have finished their images. With a longer
+/// interval, finished images are noticed later. With a shorter interval, there is more file access.
 const LOOK: Duration = Duration::from_millis(300);
 
 /// A folder through which several processes divide the images of a sequence among themselves.
@@ -21,12 +21,13 @@ pub struct SharedFolder {
 }
 
 impl SharedFolder {
-    /// Removes the folder. Must be called when all images are done.
+    /// Removes the shared folder. Must be called when all images of the sequence are rendered.
     pub fn end(&self) -> Result<(), CliError> {
         written(&self.folder, self.claims.end())
     }
 
-    /// Removes the folder after a failure. The folder is kept if some images are done, or if other processes use it.
+    /// Removes the shared folder after rendering has failed. The folder is kept if some images are rendered, or if
+    /// other processes use it.
     pub fn end_unused(&self) {
         // An error is ignored here, because the failure is reported, and a remaining folder does no harm.
         let _ = self.claims.end_unused();
@@ -34,7 +35,7 @@ impl SharedFolder {
 }
 
 /// Iterator over the images that this process has to render, in order. At the end, the iterator waits for the images
-/// that other processes render, and takes over the images of processes that have died.
+/// that other processes render, and takes over the images of processes that have ended without finishing them.
 pub struct Frames<'a> {
     output: &'a ImageOutput,
     claims: Option<SharedFolder>,
@@ -56,7 +57,7 @@ impl<'a> Frames<'a> {
         Ok(Self { claims, ..Self::all(output, 0..count) })
     }
 
-    /// Returns the folder through which the images are shared; `None` if this process renders alone.
+    /// Returns the folder through which the images are divided among processes; `None` if this process renders alone.
     pub fn shared_folder(&self) -> Option<SharedFolder> {
         self.claims.clone()
     }

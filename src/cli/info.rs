@@ -115,7 +115,7 @@ enum ClockState {
     Reference,
     /// The camera shares the clock of the reference camera.
     Shared,
-    /// Every camera has a single frame, so that no offset is needed.
+    /// Every camera of the capture has a single frame, so that no offset is needed.
     OneFrame,
     Estimated,
     /// The offset in offsets.json was edited by hand.
@@ -134,7 +134,8 @@ enum OffsetsState {
     /// The offsets in offsets.json were estimated from other frames, or by another version of the program.
     Outdated,
     Edited,
-    /// Whether the frames can be read is unknown: the capture's videos have not been decoded by any command so far.
+    /// The offsets in offsets.json were not compared with the frames, because the capture's videos have not been
+    /// decoded by any command so far.
     Unchecked,
 }
 
@@ -248,7 +249,7 @@ impl Info {
         );
     }
 
-    /// Returns one row of text for each group of successive ground-truth views that have the same times.
+    /// Returns the list of ground-truth views as rows of text. Successive views with the same times share a row.
     fn true_views(&self) -> Vec<String> {
         let views: Vec<(&String, &Vec<f64>)> = self.truth.iter().collect();
         let row = |views: &[(&String, &Vec<f64>)]| {
@@ -306,9 +307,9 @@ impl OffsetsState {
     }
 }
 
-/// Returns the state of offsets.json and the known offsets, which are never `None`. The offsets are read from the file
-/// if the file was edited, or if it was estimated from the capture's present frames. Otherwise, only the offsets that
-/// need no estimate are known.
+/// Returns the state of offsets.json, and the known temporal offsets, which are never `None`. The offsets are read from
+/// the file if the file was edited, or if its offsets were estimated from the capture's present frames. Otherwise, only
+/// the offsets that need no estimate are known.
 fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliError> {
     let is_known = |camera| capture.has_reference_clock(camera);
     let mut known = Offsets::known(capture);
@@ -357,7 +358,7 @@ fn spans_s(capture: &Capture, offsets: &Offsets) -> (Span, Span) {
     (fold(f64::max, f64::min), fold(f64::min, f64::max))
 }
 
-/// Formats the first few times, and the number of the remaining times.
+/// Formats a list of times as text: the first six times, and the number of the remaining times.
 fn times_of(times_s: &[f64]) -> String {
     const SHOWN: usize = 6;
     let shown: Vec<String> = times_s.iter().take(SHOWN).map(|t| rounded(*t)).collect();

@@ -1,5 +1,5 @@
-//! The command line. Each command has its arguments and calls the library. The program `stlfr` and the command that the
-//! Python module installs both call [`main`].
+//! The command line. A command's module has the arguments of the command, and calls the library. The program
+//! `stlfr` and the command that the Python module installs both call [`main`].
 
 mod calibrate;
 mod capture;
@@ -95,7 +95,7 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command, and prints its output even if the command fails.
+    /// Runs the command, and prints the output that it has collected, even if the command fails.
     fn run(&self, program: &Path, reporter: &Reporter) -> Result<(), CliError> {
         let mut page = Page::default();
         let result = self.run_on(program, &mut page, reporter);

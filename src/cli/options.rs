@@ -42,8 +42,8 @@ pub fn run(args: &OptionListArgs, page: &mut Page) -> Result<(), CliError> {
     }
 }
 
-/// Returns a row of the table: the option's name, its value, its range and unit if it is a number, and its help text
-/// with the allowed names if it is a choice.
+/// Returns the four columns of an option's row in the table: name, value, range with unit, and help text. The range is
+/// empty unless the option is a number. For a choice, the help text lists the allowed names.
 fn row(option: &DeclaredOption) -> [String; 4] {
     let value = option.value.as_str().map_or_else(|| option.value.to_string(), str::to_owned);
     let range = option.range.map(|range| {

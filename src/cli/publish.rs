@@ -79,8 +79,8 @@ pub fn run(args: &PublishArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// Prints the numbers and sizes of the published data, and the PSNR of the site's pictures relative to the pictures of
-/// `render`.
+/// Prints the numbers and sizes of the published data, and the PSNR of the site's pictures relative to the pictures
+/// that `stlfr render` renders for the same views.
 fn print(published: &Publication, origin_s: f64, page: &mut Page) {
     let &Publication { cameras, frames, size: [width, height], span_s, jpeg, .. } = published;
     let [start, end] = [span_s.0, span_s.1].map(|t| rounded(t + origin_s));
@@ -120,7 +120,7 @@ fn iframe(folder: &Path, name: &str, [width, height]: [usize; 2]) -> String {
     )
 }
 
-/// Percent-encodes the name of a folder for an address.
+/// Percent-encodes the name of a folder for a URL.
 fn in_address(name: &str) -> String {
     let shown = |b: u8| match b {
         b if b.is_ascii_alphanumeric() || b"-._~".contains(&b) => char::from(b).to_string(),
@@ -129,7 +129,7 @@ fn in_address(name: &str) -> String {
     name.bytes().map(shown).collect()
 }
 
-/// Escapes a text for an attribute in HTML.
+/// Escapes a text for the value of an HTML attribute.
 fn in_attribute(text: &str) -> String {
     text.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;").replace('>', "&gt;")
 }

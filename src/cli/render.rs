@@ -62,7 +62,7 @@ pub struct RenderArgs {
     /// Blending method, which weights the cameras that see the same point.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<BlendMethod>())]
     blend: Option<String>,
-    /// Overlay the views of this many seconds before the instant (temporal integration).
+    /// Overlay views at several instants, from this many seconds before the image's instant on (temporal integration).
     #[arg(long, value_name = "SECONDS")]
     trail: Option<f64>,
     /// Number of instants that a trail overlays [default: 16].
@@ -118,8 +118,9 @@ impl RenderArgs {
         }
     }
 
-    /// Returns the images that this process renders. The images of a whole sequence are shared with other processes
-    /// that run the same command. `key` identifies this command.
+    /// Returns the images that this process renders. `wanted` are the indices that the arguments choose. If the output
+    /// is a whole sequence, the images are divided among all processes that run the same command. `key` identifies this
+    /// command.
     fn frames<'a>(
         &self,
         wanted: Range<usize>,

@@ -56,7 +56,7 @@ impl InstantArgs {
     }
 }
 
-/// The command-line arguments that choose the views and their instants.
+/// The command-line arguments that choose the views to render, and their instants.
 pub struct ShotArgs<'a> {
     pub viewpoint: &'a ViewpointArgs,
     pub instants: &'a InstantArgs,
@@ -74,19 +74,19 @@ pub struct Shot {
 pub struct Shots<'a> {
     viewpoint: &'a ViewpointArgs,
     source: ShotSource,
-    /// Frame rate, in hertz; `None` if it is the capture's frame rate.
+    /// Frame rate of the output, in hertz; `None` if it is the capture's frame rate.
     rate_hz: Option<f64>,
     /// Number of views.
     count: usize,
     is_sequence: bool,
-    /// The views. They are empty before [`Shots::place`]. A ready-made path such as `orbit` has no views before
+    /// The views. The list is empty before [`Shots::place`]; for a ready-made path such as `orbit`, it is empty before
     /// [`Shots::fit`].
     shots: Vec<Shot>,
 }
 
 enum ShotSource {
-    /// One view, and its instants in seconds on the reference camera's clock. The camera is read from the file of
-    /// `--camera`. It is `None` if `--like` names the view.
+    /// One view, and its instants in seconds on the reference camera's clock. The camera is that of the `--camera`
+    /// file; `None` if `--like` names the view.
     Still(Option<Box<Camera>>, Vec<f64>),
     Path(Vec<PathFrame>),
     ReadyMade {
@@ -97,7 +97,7 @@ enum ShotSource {
 }
 
 impl<'a> ShotArgs<'a> {
-    /// Reads the views, and makes all checks that need no capture.
+    /// Reads the files that the arguments name, and returns the views to render. Makes all checks that need no capture.
     pub fn shots(self, reporter: &Reporter) -> Result<Shots<'a>, CliError> {
         if self.instants.time.is_some_and(|time_s| !time_s.is_finite()) {
             return Err(CliError::BadInput("--time: must be finite".into()));
@@ -174,8 +174,8 @@ impl Shots<'_> {
         self.is_sequence
     }
 
-    /// Returns the given instants, in seconds on the reference camera's clock. Empty for a ready-made path such as
-    /// `orbit`.
+    /// Returns the instants that the arguments choose, in seconds on the reference camera's clock. Empty for a
+    /// ready-made path such as `orbit`.
     #[cfg(test)]
     pub fn times_in_file_s(&self) -> Vec<f64> {
         match &self.source {
@@ -220,7 +220,7 @@ impl Shots<'_> {
         hasher.finalize().to_hex()[..16].to_owned()
     }
 
-    /// Returns the frame rate, in hertz.
+    /// Returns the frame rate of the output, in hertz: the chosen rate, or else the capture's frame rate.
     pub fn rate_hz(&self, capture: &Capture) -> f64 {
         let frame_s = capture.frame_s();
         let own_hz = if frame_s > 0.0 { 1.0 / frame_s } else { PATH_RATE_HZ };
@@ -266,7 +266,7 @@ impl Shots<'_> {
         self.shots.iter().map(|shot| shot.time_s).collect()
     }
 
-    /// Returns an error if an instant is outside the light field's time range.
+    /// Returns an error if the instant of a view is outside the light field's time range.
     pub fn check(&self, field: &LightField) -> Result<(), CliError> {
         let Some(first) = self.shots.first() else { return Ok(()) };
         Ok(field.check_times(viewpoint(&first.view), &self.times_s())?)

@@ -62,7 +62,7 @@ pub struct CheckArgs {
 }
 
 pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    // A wrong capture or output is reported before the set-up of the environment, which may take minutes.
+    // An invalid capture or output is reported before the set-up of the Python environment, which may take minutes.
     open_capture(&args.capture, args.json.as_deref().map(CommandOutput::File), reporter)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     let check = check(&environment, &args.capture, reporter)?;
@@ -75,8 +75,8 @@ pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Resu
     if check.verdict.is_failure() { Err(refuted(check)) } else { Ok(()) }
 }
 
-/// Returns the error of a check with a negative verdict. The message is the last line of the table, which is the
-/// verdict.
+/// Returns the error for a calibration check with a negative verdict. The message is the verdict, which is the last
+/// line of the check's table.
 fn refuted(mut check: Check) -> CliError {
     CliError::Failure(check.table.pop().unwrap_or_default())
 }
@@ -122,7 +122,7 @@ pub fn run_demo(args: &DemoArgs, page: &mut Page, reporter: &Reporter) -> Result
 }
 
 impl DemoArgs {
-    /// Sets up the environment, films the capture, and checks its calibration.
+    /// Sets up the Python environment, films the capture of the demo, and checks its calibration.
     fn film(&self, reporter: &Reporter) -> Result<Arc<Capture>, CliError> {
         let root = project_root()?;
         let folder =

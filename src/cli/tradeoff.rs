@@ -72,7 +72,8 @@ pub fn run(args: &TradeoffArgs, page: &mut Page, reporter: &Reporter) -> Result<
     Ok(())
 }
 
-/// Prints the combinations of methods, the Pareto front, the presets and the automatic choice.
+/// Prints a table of the measured combinations: all combinations of methods, the Pareto front, the presets and the
+/// automatic choice.
 fn print_table(found: &Tradeoff, options: &TradeoffOptions, page: &mut Page) {
     page.line(format_args!(
         "{:<2}{:>24} {:>7} {:>8} {:>14} {:>14}  combination",

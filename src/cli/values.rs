@@ -11,20 +11,21 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// The value `auto`, which replaces the name of a method and leaves the choice of the method to [`crate::plan`].
+/// The value `auto` of an argument that takes the name of a method. It leaves the choice of the method to
+/// [`crate::plan`].
 pub const AUTO: &str = "auto";
 
 fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
     T::ALL.iter().map(|m| PossibleValue::new(m.name()).help(m.help()))
 }
 
-/// Returns a parser for the methods of a stage.
+/// Returns a parser that converts the name of a stage's method to the method.
 pub fn method<T: Method>() -> impl TypedValueParser<Value = T> {
     // The inner parser accepts only names of methods, so that the default is never used.
     PossibleValuesParser::new(possible::<T>()).map(|name| T::from_name(&name).unwrap_or_default())
 }
 
-/// Returns a parser for the names of a stage's methods and for `auto`.
+/// Returns a parser that accepts the names of a stage's methods, and `auto`.
 pub fn method_or_auto<T: Method>() -> PossibleValuesParser {
     let auto =
         PossibleValue::new(AUTO).help("The cheapest that this capture requires: see stlfr plan");
@@ -38,7 +39,7 @@ pub fn image_size(text: &str) -> Result<(u32, u32), String> {
         .ok_or_else(|| "is no size like 320x240, at least 8x8".into())
 }
 
-/// A displacement right, down and forward, in metres. It is parsed from `X,Y,Z`.
+/// A displacement of a view to the right, down and forward along its own axes, in metres. It is parsed from `X,Y,Z`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shift(pub [f64; 3]);
 
@@ -62,7 +63,8 @@ impl FromStr for Shift {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Times(pub Vec<f64>);
 
-/// Largest number of instants. With this limit, a typing error can't ask for billions of images.
+/// Largest number of instants, and of parts of a sequence. With this limit, a typing error can't ask for billions of
+/// images.
 const MAX_TIMES: usize = 1_000_000;
 
 impl FromStr for Times {
@@ -176,7 +178,7 @@ pub fn rate_hz(text: &str) -> Result<f64, String> {
     rate_hz.ok_or_else(|| format!("must be a number from {MIN_RATE_HZ} to {MAX_RATE_HZ}"))
 }
 
-/// Parses a number from 0.000001 to 1000000.
+/// Parses a positive number, which must be from 0.000001 to 1000000.
 pub fn positive(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|number| (1e-6..=1e6).contains(number));
     number.ok_or_else(|| "must be a number from 0.000001 to 1000000".into())
@@ -190,7 +192,7 @@ pub enum ImageFile {
     Exr,
 }
 
-/// The output of rendered images: one file, a numbered sequence of files, or a video.
+/// The output of rendered images: one image file, a numbered sequence of image files, or a video.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ImageOutput {
     Image(PathBuf, ImageFile),
@@ -227,7 +229,8 @@ impl FromStr for ImageOutput {
 }
 
 impl ImageOutput {
-    /// Returns the paths of the first `images` images.
+    /// Returns the paths of the first `images` images of a sequence; the single path if the output is one image or a
+    /// video.
     pub fn files(&self, images: usize) -> impl Iterator<Item = PathBuf> {
         let files = if matches!(self, Self::Sequence(..)) { images } else { 1 };
         (0..files).filter_map(|index| self.file(index))
@@ -258,8 +261,8 @@ impl ImageOutput {
         }
     }
 
-    /// Returns the output with `end` appended to the file's name, before the extension. A name that already has this
-    /// ending is unchanged.
+    /// Returns a copy of the output whose file name has `end` appended before the extension. A name that already ends
+    /// with `end` is unchanged.
     #[must_use]
     pub fn ending(&self, end: &str) -> Self {
         let mut output = self.clone();

@@ -64,9 +64,9 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
 
 /// Returns the options with which the page's pictures are rendered, and the equivalent flags of `stlfr render`.
 ///
-/// Two automatic choices of methods would make the page slow, and are replaced by depth per pixel. The first is a plan
-/// that must be computed, because no options are given and no plan is cached. The second is scene flow whose depth and
-/// motion have not been prepared.
+/// In two cases, an automatic choice of methods would make the page slow, and depth per pixel is used instead. In the
+/// first case, no options are given and no plan is cached, so that the plan would have to be computed. In the second
+/// case, the plan chooses scene flow, but depth and motion of the frames have not been stored by `stlfr prepare`.
 fn live_options(
     field: &LightField,
     options: &RenderOptions,
@@ -104,8 +104,8 @@ fn live_options(
 /// Largest length of the page's state in a link, in bytes.
 const MAX_PLACE: usize = 512;
 
-/// Returns the page's state from a link: the names and values after `#`. The state may also be given alone, without the
-/// rest of the link.
+/// Returns the state of the page (viewpoint, time and methods) from a link: the names and values after `#`. The state
+/// may also be given alone, without the rest of the link.
 fn place(link: &str) -> Result<String, String> {
     let place = link.rsplit_once('#').map_or(link, |(_, place)| place);
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "=&.+-".contains(c);

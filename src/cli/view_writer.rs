@@ -22,8 +22,8 @@ use std::thread::JoinHandle;
 /// rendering stalls when a file takes long to write.
 const WAITING_VIEWS: usize = 2;
 
-/// Fraction of a view's pixels that at least one camera should see. If views are below this fraction, a note states the
-/// smallest fraction of all views.
+/// Fraction of a view's pixels that at least one camera should see. If any view is below this fraction, a note to the
+/// user states the smallest fraction of all views.
 const MIN_SEEN_FRACTION: f64 = 0.5;
 
 /// A rendered view that is to be written.
@@ -35,16 +35,17 @@ pub struct RenderedView {
     pub rendered: Rendered,
     /// Depth of the pixels, and their motion if it is known; `None` if the output format has no such layers.
     pub layers: Option<(DepthMap, Option<ImageMotion>)>,
-    /// Claim that marks the picture as done for other processes. Only the last view of a shared picture has one.
+    /// Claim with which the picture is marked as done for other processes. Only the last view of a picture has one, and
+    /// only if the sequence is divided among several processes.
     pub claim: Option<Claim>,
 }
 
-/// Writer of rendered views.
+/// Writer of rendered views into images, an image sequence or a video.
 pub struct ViewWriter {
     output: ImageOutput,
-    /// Positions of the views inside a picture; `None` for pictures of one view.
+    /// Positions of the views inside a picture; `None` if every picture is a single view.
     parts: Option<PictureParts>,
-    /// The picture for which some views are still missing; `None` if no picture has been begun.
+    /// The picture to which some views have been added, but not all; `None` if no picture has been begun.
     picture: Option<Quantized>,
     depth: BitDepth,
     rate_hz: f64,
@@ -60,7 +61,8 @@ pub struct ViewWriter {
 /// A thread that writes views while the next views are rendered. If the value is dropped before [`Self::finish`], as
 /// after an error, the thread writes the views that it has received, but doesn't finish a video.
 pub struct WritingThread {
-    /// Channel that sends the views to the thread, and then `None` for the end. The field is `None` after the end.
+    /// Channel that sends the views to the thread, and then `None` as the end mark. The field itself is `None` after
+    /// the channel is closed.
     views: Option<SyncSender<Option<RenderedView>>>,
     thread: Option<JoinHandle<Result<(), CliError>>>,
 }
@@ -163,7 +165,7 @@ impl ViewWriter {
         self.video.map_or(Ok(()), |video| Ok(video.finish()?))
     }
 
-    /// Adds a view to its picture. Writes the picture when its last view has arrived.
+    /// Adds a view to the picture that contains it. Writes the picture when its last view has been added.
     fn add(&mut self, view: &RenderedView) -> Result<(), CliError> {
         let Rendered { image, coverage } = &view.rendered;
         let seen = coverage.iter().filter(|is_seen| **is_seen).count();
@@ -197,7 +199,7 @@ impl ViewWriter {
         Ok(())
     }
 
-    /// Returns whether the output's format has an alpha channel for pixels that no camera sees.
+    /// Returns whether the output is an image format with an alpha channel, which marks pixels that no camera sees.
     fn has_alpha(&self) -> bool {
         matches!(self.output.image_file(), Some(ImageFile::Still(format)) if format.is_lossless())
     }

@@ -46,7 +46,8 @@ impl ViewpointArgs {
         self.like.as_deref()
     }
 
-    /// Returns the arguments of this view for a command that runs in another folder. Paths are absolute.
+    /// Returns the command-line arguments that choose the same viewpoint in a command that runs in another folder.
+    /// Paths are absolute.
     pub fn absolute_words(&self) -> Result<Vec<String>, CliError> {
         let file = |flag: &str, path: &Path| -> Result<String, CliError> {
             Ok(format!("--{flag}={}", job_word(&written(path, absolute(path))?)?))
@@ -100,8 +101,8 @@ pub fn far_outside(view: &Camera, capture: &Capture) -> Option<String> {
     })
 }
 
-/// Returns a command that renders an example: the view halfway between the reference camera and its nearest camera, at
-/// an instant between two frames.
+/// Returns an example of a command line with `stlfr render`. It renders the view halfway between the reference camera
+/// and the camera nearest to it, at an instant between two frames.
 pub fn example(capture: &Capture, folder: &Path) -> String {
     let reference = &capture.cameras[capture.reference];
     let centers = centers(capture);

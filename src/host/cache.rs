@@ -19,7 +19,7 @@ pub struct BoundedCache<K, V> {
 struct CacheEntries<K, V> {
     by_key: HashMap<K, CacheEntry<V>>,
     cost: usize,
-    /// Number of uses of the cache so far. It serves as a logical clock for the order of uses.
+    /// Number of calls of `get` and `insert` so far. It serves as a logical clock for the order of uses.
     clock: u64,
 }
 
@@ -64,7 +64,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         }
     }
 
-    /// Drops the values for whose keys `passes` returns false.
+    /// Drops the values whose keys don't satisfy `passes`.
     pub fn retain(&self, passes: impl Fn(&K) -> bool) {
         let mut entries = lock(&self.entries);
         entries.by_key.retain(|key, _| passes(key));
@@ -80,7 +80,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
 /// A cache in memory for the results of pipeline stages. The cost of a result is its size in bytes.
 ///
 /// The key of a result is a hash of the stage's name and its serialized inputs. Inputs that are constant while the memo
-/// exists, such as the capture, may be left out.
+/// exists, such as the capture, may be left out of the key.
 ///
 /// If several threads request the same missing result at once, each thread computes it, and their results are equal. No
 /// thread waits for the result of another thread, because this could deadlock: while a thread computes a result in a
@@ -106,7 +106,8 @@ impl Memo {
         self.0.cost()
     }
 
-    /// Returns the cached result of a stage for these inputs. `None` if it isn't cached.
+    /// Returns the cached result of a stage for the given inputs. `None` if no result of the type `T` is cached for
+    /// them.
     pub fn get<T: Any + Send + Sync>(
         &self,
         stage: &'static str,
@@ -115,7 +116,7 @@ impl Memo {
         self.0.get(&memo_key(stage, inputs))?.downcast().ok()
     }
 
-    /// Caches the result of a stage for these inputs, and returns the result. `bytes` is its size.
+    /// Caches `value`, the result of a stage for the given inputs, and returns it. `bytes` is the size of this result.
     pub fn insert<T: Any + Send + Sync>(
         &self,
         stage: &'static str,
@@ -127,7 +128,7 @@ impl Memo {
         value
     }
 
-    /// Drops the results of all stages for whose names `passes` returns true.
+    /// Drops the cached results of all stages whose names satisfy `passes`.
     pub fn forget(&self, passes: impl Fn(&str) -> bool) {
         self.0.retain(|(stage, _)| !passes(stage));
     }

@@ -2,10 +2,10 @@
 //! several machines, if they share a folder on a file system with file locks.
 //!
 //! Every item has a file in this folder. A process locks the file while it works on the item, and writes a mark into
-//! the file when the item is finished. If the process ends earlier, its lock ends too, and another process can take the
-//! item.
+//! the file when the item is finished. If the process ends before that, its lock ends too, and another process can take
+//! the item.
 //!
-//! Known limit: on file systems whose locks don't hold between machines, several machines do the same items.
+//! Known limit: on file systems whose locks have no effect on other machines, several machines may do the same item.
 
 use super::files::{ignore_absent, read_text};
 use super::temporary::{is_temporary, remove_abandoned};
@@ -13,10 +13,10 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Result, Write};
 use std::path::{Path, PathBuf};
 
-/// Contents of the file of a finished item. The file of an unfinished item is empty.
+/// Content of the file of a finished work item. The file of an unfinished work item is empty.
 const DONE: &str = "done\n";
 
-/// A folder with one file for each work item. Several processes may share it.
+/// A folder through which several processes divide work items among themselves. It has one file for each work item.
 #[derive(Clone, Debug)]
 pub struct Claims {
     folder: PathBuf,
@@ -36,7 +36,7 @@ pub enum Taken {
     Mine(Claim),
     /// Another process works on the item.
     Elsewhere,
-    /// The item is finished.
+    /// The item is finished, or the folder of work items has been removed.
     Done,
 }
 
@@ -47,7 +47,8 @@ impl Claims {
         Ok(Self { folder: folder.to_owned() })
     }
 
-    /// Takes an item, if it is free. Otherwise, returns whether it is finished or taken by another process.
+    /// Takes a work item, given by its index, if it is free. Otherwise, returns whether the item is finished or another
+    /// process works on it.
     pub fn take(&self, item: usize) -> Result<Taken> {
         let path = self.folder.join(item.to_string());
         let opened =
@@ -66,7 +67,8 @@ impl Claims {
         Ok(if is_done { Taken::Done } else { Taken::Mine(Claim { file }) })
     }
 
-    /// Removes the folder, unless an item is done or a process works on an item. To be called after work has failed.
+    /// Removes the folder of work items, unless an item is finished or a process works on an item. To be called after
+    /// the work has failed.
     pub fn end_unused(&self) -> Result<()> {
         for entry in std::fs::read_dir(&self.folder)? {
             let file = File::open(entry?.path())?;
@@ -79,8 +81,8 @@ impl Claims {
         self.end()
     }
 
-    /// Removes the folder, and the temporary files that killed processes left beside it. To be called after all items
-    /// are done.
+    /// Removes the folder of work items, and the temporary files that killed processes left beside this folder. To be
+    /// called after all items are finished.
     pub fn end(&self) -> Result<()> {
         let gone = self.folder.with_extension(format!("{}.tmp", std::process::id()));
         debug_assert!(gone.file_name().is_some_and(is_temporary));
@@ -95,7 +97,7 @@ impl Claims {
 }
 
 impl Claim {
-    /// Marks the item as finished.
+    /// Marks the work item as finished, so that no process takes it again.
     pub fn finish(mut self) -> Result<()> {
         self.file.write_all(DONE.as_bytes())?;
         self.file.sync_all()

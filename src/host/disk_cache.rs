@@ -32,7 +32,7 @@ const FOLDER: &str = ".stlfr/cache";
 /// Maximum size of all entries of a capture's cache together, bytes. Decoded videos are included.
 const MAX_BYTES: u64 = 32 << 30;
 
-/// Maximum size of a cache entry's file that is read, bytes.
+/// Maximum size of a cache entry's file, bytes. A larger file is treated as damaged.
 const MAX_ENTRY_BYTES: u64 = 64 << 20;
 
 /// Size of the checksum at the start of a cache entry's file, bytes.
@@ -85,7 +85,7 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    /// Kinds from whose folders this process has removed the temporary files of killed processes.
+    /// Names of the kinds of results for which this process has removed the temporary files that killed processes left.
     cleared: BTreeSet<&'static str>,
     /// Paths of damaged cache entries that have already been reported in a note.
     noted: BTreeSet<PathBuf>,
@@ -126,7 +126,7 @@ impl DiskCache {
         Self { content: content.to_owned(), ..self.clone() }
     }
 
-    /// Returns the key of a cache entry, from its kind and inputs.
+    /// Returns the key of a cache entry, from the kind of the result and the inputs of its computation.
     ///
     /// # Errors
     /// If the inputs can't be serialized as JSON.
@@ -141,14 +141,14 @@ impl DiskCache {
         self.capture.join(FOLDER)
     }
 
-    /// Returns the innermost symbolic link on the path from the capture's folder to the folder of a kind. `None` if
-    /// there is no link. If there is one, the cache of this kind is not used.
+    /// Returns the innermost symbolic link on the path from the capture's folder to the folder of this kind of results.
+    /// `None` if there is no link. If there is a link, results of this kind are not cached.
     pub fn link(&self, kind: CacheKind) -> Option<PathBuf> {
         link_within(&self.capture, &self.folder().join(kind.name))
     }
 
-    /// Returns the path and the key of a cache entry. The first call for a kind removes the temporary files of killed
-    /// processes.
+    /// Returns the path and the key of a cache entry. The first call for a kind of results also removes the temporary
+    /// files that killed processes left in its folder.
     fn entry(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<(PathBuf, blake3::Hash)> {
         if let Some(link) = self.link(kind) {
             return Err(Error::other(format!("{} is a link", link.display())));
@@ -250,14 +250,14 @@ impl DiskCache {
         }
     }
 
-    /// Marks a cache entry as used by this process, so that this process doesn't remove it. `path` is the path of its
-    /// file.
+    /// Marks a cache entry as used by this process, so that this process doesn't remove the entry. `path` is the path
+    /// of the entry's file.
     pub fn pin(&self, path: &Path) {
         lock(&self.shared.state).pinned.insert(path.to_owned());
     }
 
-    /// Records the current time as the time of a cache entry's last use: sets the modification time of its file. A
-    /// recorded time within the last [`RECENT`] is left unchanged.
+    /// Records the current time as the time of a cache entry's last use, which is the modification time of the entry's
+    /// file. `found` is the metadata of this file. A recorded time within the last [`RECENT`] is left unchanged.
     fn mark_used(&self, path: &Path, found: &Metadata) {
         let now = SystemTime::now();
         let is_recent = |t| now.duration_since(t).is_ok_and(|age| age < RECENT);
@@ -283,8 +283,8 @@ impl DiskCache {
     }
 
     /// Removes the least recently used cache entries until the remaining ones fit into the maximum size. Entries that
-    /// were used within the last [`RECENT`] are kept, as are those with the paths `pinned`. Returns the size of the
-    /// remaining entries, bytes.
+    /// were used within the last [`RECENT`], and entries with paths in `pinned`, are not removed. Returns the size of
+    /// the remaining entries, bytes.
     fn shrink(&self, pinned: &BTreeSet<PathBuf>) -> u64 {
         let mut entries: Vec<Found> = self.found().into_values().flatten().collect();
         entries.sort_by_key(|entry| entry.used);
@@ -302,7 +302,8 @@ impl DiskCache {
         left
     }
 
-    /// Returns whether the folder of a kind exists. Without it, there are no entries of this kind.
+    /// Returns whether the cache may have entries of this kind. It has none if the folder of the kind is missing, or is
+    /// reached through a symbolic link.
     pub fn has(&self, kind: CacheKind) -> bool {
         self.link(kind).is_none() && self.folder().join(kind.name).is_dir()
     }
@@ -386,8 +387,8 @@ fn folder_bytes(folder: &Path) -> u64 {
     files.filter_map(|file| file.metadata().ok()).map(|found| found.len()).sum()
 }
 
-/// Returns the cache entries in the folder of a kind. A folder of additional files without an entry's file counts as an
-/// entry.
+/// Returns the cache entries in `folder`, which holds one kind of results. A folder of additional files without an
+/// entry's file counts as an entry.
 fn entries(folder: &Path) -> Vec<Found> {
     let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
     for item in std::fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -410,7 +411,8 @@ fn entries(folder: &Path) -> Vec<Found> {
     found.into_values().collect()
 }
 
-/// Removes a cache entry: its file, and then the folder of its additional files. `path` is the path of the file.
+/// Removes a cache entry: its file, and then the folder of its additional files. `path` is the path of the entry's
+/// file. Files that don't exist are no error.
 fn remove(path: &Path) -> Result<()> {
     ignore_absent(std::fs::remove_file(path))?;
     let files = path.with_extension(FILES_EXTENSION);

@@ -1,4 +1,5 @@
-//! Hashes of sets of files. They are cached on disk, and computed again only after a file of the set has changed.
+//! Content hashes of sets of files. The hashes are cached on disk, and are computed again only after a file of the set
+//! has changed.
 
 use super::disk_cache::{CacheKind, DiskCache};
 use super::files::{FileRead, FileState, open_file};
@@ -10,12 +11,12 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 const HASHES: CacheKind = CacheKind { name: "hashes", version: 2 };
 
-/// Minimum time since a file's last change for which the file's recorded times are reliable. A younger file may change
-/// again without a change of its times, whose resolution is 2 s on the file system FAT.
+/// Time after a file's last change from which every further change also changes the file's recorded times. Earlier, a
+/// further change may leave the times equal, because their resolution is up to 2 s (on the file system FAT).
 const SETTLED: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 3000 });
 
 /// Returns whether a file has been unchanged for longer than [`SETTLED`]. If so, every later change of the file also
-/// changes the file's state.
+/// changes its [`FileState`].
 fn is_settled(state: &FileState) -> bool {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let latest = now.as_nanos() as i128 - SETTLED.as_nanos() as i128;
@@ -47,7 +48,8 @@ pub(crate) struct HeldFile {
 }
 
 impl HeldFile {
-    /// Opens and hashes a file. `None` if its hash differs from `hash`, or if the file changed while it was read.
+    /// Opens a file, and compares the hash of its bytes with `hash`. `None` if the hashes differ, or if the file
+    /// changed while it was read.
     pub fn open(path: &Path, hash: blake3::Hash) -> Result<Option<Self>> {
         let file = open_file(path)?;
         let (found, state) = hash_open(&file)?;

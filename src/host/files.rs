@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 /// Opens a regular file for reading. Symbolic links are followed. Opening never blocks.
 ///
 /// # Errors
-/// If the file can't be opened, or if it is not a regular file. The error then says what it is, such as a folder or a
-/// pipe.
+/// If the file can't be opened, or if it is not a regular file. In the latter case, the error names the kind of file,
+/// such as a folder or a pipe.
 pub fn open_file(path: &Path) -> Result<File> {
     must_be_regular(&std::fs::metadata(path)?)?;
     // After this check, the file may be replaced by a pipe. Opening a pipe without `O_NONBLOCK` waits for a writer.
@@ -54,13 +54,15 @@ impl FileState {
         Self(identity, [found.mtime(), found.mtime_nsec()], [found.ctime(), found.ctime_nsec()])
     }
 
-    /// Returns whether both states have the same size and modification time. The inode is not compared, because some
-    /// network file systems change inode numbers. The permissions are not compared either.
+    /// Returns whether two states of a file have the same size and modification time, so that its content has probably
+    /// not changed. The inode is not compared, because some network file systems change inode numbers. The permissions
+    /// are not compared either.
     pub fn has_content_of(&self, other: &Self) -> bool {
         (self.0[2], self.1) == (other.0[2], other.1)
     }
 
-    /// Returns the later of the two times of change, of content and of metadata, as seconds and nanoseconds.
+    /// Returns the later of two times, as seconds and nanoseconds: the last change of content (mtime), and the last
+    /// change of metadata (ctime).
     pub fn changed(&self) -> [i64; 2] {
         self.1.max(self.2)
     }
@@ -112,8 +114,8 @@ fn too_large(max_bytes: u64) -> Error {
     Error::new(ErrorKind::InvalidData, format!("is larger than {limit}, the maximum"))
 }
 
-/// Returns the reason why no file can be written at a path, such as `is a pipe`: something other than a regular file is
-/// there. `None` if a file can be written.
+/// Returns the reason why no file may be written at a path, such as `is a pipe`. The reason is that something other
+/// than a regular file exists there. `None` if nothing or a regular file exists there.
 pub fn obstacle(path: &Path) -> Option<String> {
     let found = path.symlink_metadata().ok()?.file_type();
     let reason = if found.is_dir() { "" } else { ", which is not written over" };
@@ -135,8 +137,8 @@ fn file_kind(found: FileType) -> &'static str {
     }
 }
 
-/// Removes a symbolic link, a pipe, a socket or a device. The target of a link is not removed. Regular files and
-/// folders are not removed.
+/// Removes the file at a path if it is a symbolic link, a pipe, a socket or a device. The target of a link is not
+/// removed. Regular files and folders are not removed.
 pub(crate) fn remove_special(path: &Path) -> Result<()> {
     match path.symlink_metadata() {
         Ok(found) if !found.is_file() && !found.is_dir() => std::fs::remove_file(path),
@@ -144,7 +146,7 @@ pub(crate) fn remove_special(path: &Path) -> Result<()> {
     }
 }
 
-/// Returns the result of removing a file, with success in place of the error that the file doesn't exist.
+/// Converts the result of removing or renaming a file: the error that the file doesn't exist becomes success.
 pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
     match removal {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
@@ -152,8 +154,8 @@ pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
     }
 }
 
-/// Returns the innermost symbolic link among `path` and its parent folders inside of `root`. `None` if there is no
-/// link. A link may lead to files outside of `root`.
+/// Returns the innermost symbolic link among `path` and its parent folders below `root`. `None` if there is no link.
+/// Callers refuse links, because a link may lead to files outside of `root`.
 pub(crate) fn link_within(root: &Path, path: &Path) -> Option<PathBuf> {
     let is_link = |path: &&Path| path.symlink_metadata().is_ok_and(|m| m.is_symlink());
     path.ancestors().take_while(|p| *p != root).find(is_link).map(Path::to_owned)

@@ -54,9 +54,9 @@ pub fn process_cpu_s() -> f64 {
     if result == 0 { time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64 } else { 0.0 }
 }
 
-/// Makes the allocator keep freed memory, so that the next image can use it. Otherwise, the memory is returned to the
-/// kernel, which clears it before it can be used again. For the main function of programs, not for libraries. Has no
-/// effect without glibc.
+/// Makes glibc's allocator keep freed memory, so that later allocations, such as of the next image, reuse it.
+/// Otherwise, freed memory is returned to the kernel, which clears it before it can be used again. For the main
+/// function of programs, not for libraries. Has no effect without glibc.
 pub fn reuse_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {

@@ -10,7 +10,8 @@ use std::sync::Mutex;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Time between SIGTERM and SIGKILL when a process group is ended.
+/// Maximum time between SIGTERM and SIGKILL when a process group is ended. If all children end earlier, SIGKILL follows
+/// at once.
 const GRACE: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 5 });
 
 /// Process ids of the running children. They are also the ids of the children's process groups.
@@ -52,7 +53,8 @@ impl Process {
         Ok(Self { child, id, stderr })
     }
 
-    /// Takes the child's standard input. `None` if it was not piped, or if it was taken before.
+    /// Takes the pipe to the child's standard input. `None` if the standard input is not piped, or if the pipe was
+    /// already taken.
     pub fn take_stdin(&mut self) -> Option<ChildStdin> {
         self.child.stdin.take()
     }
@@ -124,8 +126,8 @@ pub(crate) fn run(command: &mut Command, mut on_line: impl FnMut(&str)) -> Resul
     process.wait()
 }
 
-/// Makes the kernel send SIGTERM to the child when the thread that started the child ends. As long as this process
-/// runs, that thread outlives the child, because all callers wait on it until the child has ended.
+/// Makes the kernel send SIGTERM to the child when the thread that started the child ends. This signal never ends a
+/// child too early, because every caller waits for the child on the thread that started it.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
     // SAFETY: between fork and exec only async-signal-safe functions may run; prctl is one.

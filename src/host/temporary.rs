@@ -33,7 +33,7 @@ struct Begun {
     folders: BTreeSet<PathBuf>,
     /// Number of temporary folders created so far. It makes their names unique.
     count: u64,
-    /// Parent folders from which this process has removed the temporary folders of killed processes.
+    /// Parent folders from which this process has already removed the temporary folders that killed processes left.
     cleared: BTreeSet<PathBuf>,
 }
 
@@ -102,8 +102,8 @@ impl Temporary {
         &self.path
     }
 
-    /// Flushes a file or folder in the temporary folder to the disk, and moves it to `target`. A file may replace a
-    /// file, and a folder may replace an empty folder.
+    /// Flushes the file or folder `name` of this temporary folder to the disk, and renames it to `target`. A file may
+    /// replace a file, and a folder may replace an empty folder.
     pub fn place(&self, name: &str, target: &Path) -> Result<()> {
         let whole = self.path.join(name);
         File::open(&whole)?.sync_all()?;
@@ -119,8 +119,8 @@ impl Drop for Temporary {
     }
 }
 
-/// Locks a new folder. Returns its open handle, which holds the lock. `None` if another process has locked or replaced
-/// the folder before.
+/// Locks a temporary folder that was just created. Returns the folder's open handle, which holds the lock. `None` if
+/// another process has already locked, or removed and created again, this folder.
 fn locked(path: &Path) -> Result<Option<File>> {
     let folder = File::open(path)?;
     if matches!(folder.try_lock(), Err(TryLockError::WouldBlock)) {
@@ -148,7 +148,7 @@ pub(crate) fn is_temporary(name: &OsStr) -> bool {
     name.starts_with(PREFIX.as_bytes()) && name.ends_with(SUFFIX.as_bytes())
 }
 
-/// Removes the temporary folders in `folder` on which no process holds a lock: those of killed processes.
+/// Removes the temporary folders in `folder` on which no process holds a lock. Killed processes have left them.
 pub(crate) fn remove_abandoned(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten().filter(|e| is_temporary(&e.file_name())) {

@@ -30,7 +30,7 @@ const HEADERS: [(header::HeaderName, &str); 8] = [
     ),
 ];
 
-/// Name of the HTTP header that states the methods by which a picture was rendered.
+/// Name of the HTTP header whose value is the names of the methods by which a picture was rendered.
 const MADE_BY: header::HeaderName = header::HeaderName::from_static("x-made-by");
 
 pub(super) fn respond(media_type: &'static str, body: impl Into<Bytes>) -> Reply {
@@ -59,8 +59,8 @@ pub(super) fn failed(error: &LiveError) -> Reply {
     response
 }
 
-/// Name of the HTTP header of a depth picture. Its value is the depths of the first and the last colour of the scale,
-/// metres.
+/// Name of the HTTP header that states the range of a picture's depth scale. Its value is the depths of the first and
+/// the last colour of the scale, in metres, separated by a comma.
 const DEPTHS: header::HeaderName = header::HeaderName::from_static("x-depths");
 
 pub(super) fn picture(Picture { bytes, made_by, depths_m }: Picture) -> Reply {

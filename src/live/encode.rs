@@ -30,12 +30,12 @@ pub(super) fn encode_saved(view: &Rendered, depth: BitDepth) -> Result<Vec<u8>, 
     encode_png(&view.image, coverage, depth).map_err(failed)
 }
 
-/// Colours that stand for the cameras in pictures: RGB from 0 to 1, by camera index. Neighbouring cameras have clearly
-/// different colours.
+/// Colours that stand for the cameras in pictures of blending weights: RGB from 0 to 1, by camera index. Neighbouring
+/// cameras have clearly different colours.
 pub(super) struct Colors(Vec<[f32; 3]>);
 
-/// Difference in hue between the colours of successive cameras, as a fraction of the colour circle. It is the golden
-/// section, so that no two cameras have the same hue.
+/// Difference in hue between the colours of successive cameras, as a fraction of the colour circle. It is the smaller
+/// part of the golden section, so that no two cameras have the same hue.
 const HUE_STEP: f64 = 0.381_966;
 /// Hue of the leftmost camera's colour, as a fraction of the colour circle.
 const FIRST_HUE: f64 = 0.58;

@@ -12,7 +12,7 @@ const TOKEN_BYTES: usize = 24;
 /// Maximum length of a requested address, bytes. Longer addresses are refused.
 const MAX_ADDRESS: usize = 1024;
 
-/// Host names and token that a request must contain to be answered.
+/// The host names and the token by which requests are checked. Requests without them are refused.
 pub(super) struct Guard {
     /// Secret token in the page's address: random bytes in hexadecimal digits.
     token: String,
@@ -50,8 +50,8 @@ impl Guard {
         given.len() == self.token.len() && pairs.fold(0, |wrong, (a, b)| wrong | (a ^ b)) == 0
     }
 
-    /// Checks whether a request may be answered. Returns the part of its path after the token, which is empty for the
-    /// page.
+    /// Checks whether a request may be answered. Returns the part of the request's path after the token, which is empty
+    /// for the page.
     ///
     /// # Errors
     /// If the request is refused.
@@ -99,7 +99,7 @@ impl Guard {
     }
 }
 
-/// Error for a wrong token, and equally for an unknown path. The answer thus doesn't reveal which of them is wrong.
+/// Error for a wrong token, and also for an unknown path. The response thus doesn't reveal whether the token is right.
 pub(super) const NOT_FOUND: LiveError =
     LiveError::Refused(StatusCode::NOT_FOUND, "there is nothing at this address");
 

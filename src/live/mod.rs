@@ -1,5 +1,5 @@
-//! Shows a light field in a browser. A server, which only programs on this machine can reach, serves one page for
-//! looking around in space and time.
+//! Shows a light field in a browser. A server, which only programs on this machine can reach, serves a page on which
+//! the user moves the viewpoint and the time of the view.
 //!
 //! ```text
 //! browser ── server ── queue ── workers ── Studio ── LightField
@@ -23,12 +23,14 @@
 //!
 //! # Access
 //!
-//! The server listens on 127.0.0.1. The page's address contains a random token; without this token, every path is "not
-//! found". The headers `Host` and `Origin` must be the server's own, so that no other page, and no other host name of
-//! this machine, gets an answer. The server answers only `GET`, and serves only the page and pictures of this capture.
+//! The server listens on 127.0.0.1. The page's address contains a random token; without this token, every path is
+//! answered with "not found". The headers `Host` and `Origin` must name the server itself, so that requests of other
+//! pages, and requests under other host names of this machine, are refused. The server answers only `GET`, and serves
+//! only the page and pictures of this capture.
 //!
-//! Known limit: anyone who has the address gets the pictures. Another user of this machine may find the address among
-//! the arguments of the program that opens the browser. With `--no-open`, the address is only printed in the terminal.
+//! Known limit: anyone on this machine who has the address gets the pictures. Another user of this machine may find the
+//! address among the arguments of the program that opens the browser. With `--no-open`, the address is only printed in
+//! the terminal.
 
 mod answer;
 mod encode;
@@ -57,7 +59,7 @@ use studio::Picture;
 /// Reason why a picture can't be served: one sentence, which the page shows.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
-    /// The requested address is invalid. The field is a sentence with the reason.
+    /// The requested address is invalid. The field is the reason, as a sentence.
     #[error("{0}")]
     Request(String),
     #[error(transparent)]

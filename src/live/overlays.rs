@@ -5,7 +5,8 @@ use crate::light_field::{Geometry, GivenImages, LightField};
 use crate::lumigraph::{BlendOptions, DepthMap, Rendered};
 use crate::raster::{Image, luma};
 
-/// Maximum number of cameras whose blending weights are computed. The cameras nearest to the view are chosen.
+/// Maximum number of cameras whose blending weights are computed for a picture. The cameras nearest to the viewpoint
+/// are chosen.
 const MAX_CAMERAS: usize = 24;
 /// Period of the stripes that show the blending weights, as a fraction of the picture's width. With a larger period,
 /// the stripes hide the scene. With a smaller period, the thin stripes of small weights vanish.
@@ -14,7 +15,7 @@ const PATTERN: f32 = 1.0 / 24.0;
 const MIN_PATTERN_PX: f32 = 8.0;
 /// Opacity of the stripes that show the blending weights over the grey picture, from 0 to 1.
 const TINT: f32 = 0.6;
-/// Fraction of a view's depths that the colour scale clips at each of its ends.
+/// Fraction of a view's depths, one per pixel, that are clipped at each end of the colour scale.
 const OUTSIDE: f64 = 0.01;
 
 /// Colours of the depth scale from far to near, RGB from 0 to 255, in equal steps of lightness (matplotlib's viridis).
@@ -35,12 +36,13 @@ pub(super) struct Weights {
     /// Weights of each camera at all pixels, row by row. The cameras are in the capture's order. `None` for a camera
     /// whose weights were not computed.
     by_camera: Vec<Option<Vec<f32>>>,
-    /// The view as blended from the cameras' images, in its own colours. [`Self::striped`] converts it to grey.
+    /// The view that is blended with these weights, still in colour. [`Self::striped`] converts it to grey.
     gray: Rendered,
 }
 
 impl Weights {
-    /// Computes the blending weights of a view. The view is blended from `images`, the cameras' images at its instant.
+    /// Computes the blending weights of a view. `target` is the camera of the view. The view is blended from `images`,
+    /// the cameras' images at the instant of the view.
     pub fn new(
         field: &LightField,
         images: &GivenImages,
@@ -104,8 +106,8 @@ impl Weights {
     }
 }
 
-/// Returns the camera whose stripe covers a pixel. `phase` is the pixel's position within the period of the stripes,
-/// from 0 to 1. `None` if all weights are 0 at the pixel.
+/// Returns the index of the camera whose stripe covers a pixel. `phase` is the pixel's position within the period of
+/// the stripes, from 0 to 1. `None` if all weights are 0 at the pixel.
 fn stripe(by_camera: &[Option<Vec<f32>>], pixel: usize, phase: f32) -> Option<usize> {
     let weights =
         || by_camera.iter().enumerate().filter_map(|(c, w)| Some((c, w.as_ref()?[pixel])));
@@ -117,8 +119,8 @@ fn stripe(by_camera: &[Option<Vec<f32>>], pixel: usize, phase: f32) -> Option<us
     found.map(|(camera, _)| camera)
 }
 
-/// Converts a view's depths to colours, on a scale of inverse depth. Returns the picture, and the depths of the first
-/// and the last colour of the scale, metres. `None` if no pixel has a depth.
+/// Converts a view's depths to colours, on a scale that is linear in inverse depth. Returns the picture, and the depths
+/// of the first and the last colour of the scale, metres. `None` if no pixel has a depth.
 pub(super) fn depth_picture(depths: &DepthMap) -> Option<(Rendered, [f32; 2])> {
     let inverse = |depth: &f32| 1.0 / depth;
     let mut sorted: Vec<f32> = depths.data().iter().map(inverse).filter(|v| !v.is_nan()).collect();

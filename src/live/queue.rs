@@ -12,12 +12,12 @@ const MAX_WAITING: usize = 32;
 /// Answer to a request: a picture, or the reason why the picture can't be rendered.
 pub(super) type Answer = Result<Picture, LiveError>;
 
-/// A request for a picture, with flags that are set when a later request of the same viewer replaces it.
+/// A request for a picture, with flags that are set when a later request of the same viewer replaces the request.
 pub(super) struct Asked {
     pub request: PictureRequest,
     is_outdated: AtomicBool,
-    /// Whether a later request of the same viewer has another time or other methods, and not only another viewpoint.
-    /// False if there is no later request.
+    /// Whether a later request of the same viewer has another time or other methods than this request. False if only
+    /// the viewpoint differs, or if there is no later request.
     is_instant_outdated: AtomicBool,
 }
 
@@ -28,12 +28,13 @@ pub(super) struct Job {
 }
 
 impl Asked {
-    /// Returns whether the viewer still looks at the time of this request by the same methods, from any viewpoint.
+    /// Returns whether the viewer still looks at the time of this request, rendered with the methods of this request.
+    /// The viewpoint may have changed.
     pub fn is_instant_wanted(&self) -> bool {
         !self.is_instant_outdated.load(Ordering::Relaxed)
     }
 
-    /// Returns whether another request has another time or other methods than this one.
+    /// Returns whether the request `other` has another time or other methods than this request.
     fn differs(&self, other: &PictureRequest) -> bool {
         let of = |r: &PictureRequest| (r.time_s, r.method, r.sync, r.proxy);
         of(&self.request) != of(other)
@@ -47,7 +48,7 @@ impl Asked {
 }
 
 impl Job {
-    /// Returns whether the viewer still waits for the picture.
+    /// Returns whether the viewer still waits for the picture of this request.
     pub fn is_wanted(&self) -> bool {
         !self.asked.is_outdated.load(Ordering::Relaxed) && !self.reply.is_closed()
     }
@@ -76,8 +77,9 @@ struct QueueState {
 }
 
 impl Queue {
-    /// Adds a request, which replaces the viewer's earlier request. If the earlier request is waiting, its receiver is
-    /// closed. If it is running, it is stopped. A request to save a picture replaces no other request.
+    /// Adds a request, which replaces the earlier request of the same viewer. If the earlier request is waiting, it is
+    /// removed, and its receiver is closed. If it is running, it is marked, so that rendering stops. A request to save
+    /// a picture replaces no other request.
     ///
     /// Returns the receiver of the answer.
     ///
@@ -109,8 +111,9 @@ impl Queue {
         Ok(receiver)
     }
 
-    /// Waits for the next request: a quick one if `is_quick` is true, otherwise one of full quality. Each kind has its
-    /// own worker threads, so that quick requests never wait for slow ones. `None` after the queue is closed.
+    /// Waits for the next request, and removes it from the queue. If `is_quick` is true, it is a request for a quick
+    /// picture, otherwise for a picture of full quality. Each kind has its own worker threads, so that quick requests
+    /// never wait for slow requests. `None` after the queue is closed.
     pub fn take(&self, is_quick: bool) -> Option<Job> {
         let mut state = self.lock();
         loop {
@@ -127,7 +130,8 @@ impl Queue {
         }
     }
 
-    /// Returns whether a waiting request of full quality has another time or other methods than `asked`.
+    /// Returns whether a request for a picture of full quality is waiting that has another time or other methods than
+    /// `asked`.
     pub fn has_apart(&self, asked: &Asked) -> bool {
         let mut state = self.lock();
         state.waiting.retain(Job::is_wanted);

@@ -1,4 +1,4 @@
-//! Parses the address of a picture: `picture?method=st&t=0.1&x=0&y=0&z=0&w=640&h=400`.
+//! Parses the address of a requested picture: `picture?method=st&t=0.1&x=0&y=0&z=0&w=640&h=400`.
 //!
 //! | name | value |
 //! |---|---|
@@ -6,12 +6,12 @@
 //! | `level` | quality of the picture: `quick`, `full`, `saved` ([`Level`]) |
 //! | `t` | seconds on the reference camera's clock, as in the capture's file |
 //! | `x`, `y`, `z` | position in the rig's axes: right, up, ahead, metres ([`super::RigFrame`]) |
-//! | `at` | instead of `x`, `y` and `z`: `cN` for the position of camera N, `tN` for that of true image N |
+//! | `at` | instead of `x`, `y` and `z`: `cN` for the viewpoint of camera N, `tN` for the viewpoint of ground-truth image N |
 //! | `yaw`, `pitch` | rotation to the right and up, degrees |
 //! | `zoom` | focal length as a multiple of the reference camera's |
 //! | `w`, `h` | width and height of the picture, pixels |
-//! | `sync`, `proxy` | names of methods in place of those of the chosen options. Optional |
-//! | `viewer`, `slot` | viewer, and part of the page: a request replaces the last request with the same two names. Optional |
+//! | `sync`, `proxy` | names of methods that replace the methods with which the server was started. Optional |
+//! | `viewer`, `slot` | names of the viewer and of the part of the page: a request replaces the earlier request with the same two names. Optional |
 //!
 //! Names and values consist of letters, digits and `.+-`, so that no character needs escaping.
 
@@ -23,12 +23,12 @@ use crate::options::ProxyMethod;
 /// Content of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PictureMethod {
-    /// Space-time light field rendering with the chosen options.
+    /// Space-time light field rendering with the options with which the server was started.
     SpaceTime,
     /// Traditional light field rendering: each camera's frame nearest in time is blended without synchronization.
     Traditional,
-    /// The true image of a simulated scene. The request is an error if there is no true image at this viewpoint and
-    /// time.
+    /// The ground-truth image of a simulated scene. The request is an error if there is no ground-truth image with this
+    /// viewpoint and time.
     Truth,
     /// The cameras from which each pixel is blended, as stripes in the cameras' colours.
     Sources,
@@ -41,10 +41,10 @@ pub enum PictureMethod {
 /// Quality of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Level {
-    /// Fast, for a moving viewpoint: rendered with the preset `draft`, or with the chosen options if all that they need
-    /// is cached.
+    /// Fast, for a moving viewpoint: rendered with the options for full quality if all intermediate results are cached,
+    /// and otherwise with the preset `draft`.
     Quick,
-    /// Full quality: rendered with the chosen options.
+    /// Full quality: rendered with the options with which the server was started.
     Full,
     /// Rendered like [`Self::Full`], and encoded as `stlfr render` writes it.
     Saved,
@@ -57,7 +57,7 @@ pub enum Place {
     Free([f64; 3]),
     /// Viewpoint of the camera with this index.
     Camera(usize),
-    /// Viewpoint of the true image with this index.
+    /// Viewpoint of the ground-truth image with this index.
     Truth(usize),
 }
 
@@ -81,9 +81,11 @@ pub struct PictureRequest {
     pub time_s: f64,
     pub place: Place,
     pub view: ViewDirection,
-    /// Synchronization method of this picture. `None`: the method of the chosen options.
+    /// Synchronization method with which the picture is rendered. `None`: the method of the options with which the
+    /// server was started.
     pub sync: Option<SyncMethod>,
-    /// Proxy method of this picture. `None`: the method of the chosen options.
+    /// Proxy method with which the picture is rendered. `None`: the method of the options with which the server was
+    /// started.
     pub proxy: Option<ProxyMethod>,
     /// Name of the viewer and of the part of its page that shows the picture, such as `a1.b`. A request replaces the
     /// earlier request with the same name, unless the name is empty.
@@ -141,7 +143,7 @@ impl PictureRequest {
     }
 }
 
-/// Parses a viewpoint: `c3` is the viewpoint of camera 3, `t12` that of true image 12.
+/// Parses a viewpoint: `c3` is the viewpoint of camera 3, `t12` is the viewpoint of ground-truth image 12.
 fn named_place(at: &str) -> Result<Place, LiveError> {
     let number = |digits: &str| digits.parse().ok();
     let place = match at.split_at_checked(1) {
@@ -156,7 +158,7 @@ fn wrong(name: &str, reason: &str) -> LiveError {
     LiveError::Request(format!("{name}: {reason}"))
 }
 
-/// Pairs of name and value of a query that have not been read yet.
+/// The fields of a query that have not been read yet, as pairs of name and value.
 struct Fields<'a>(Vec<(&'a str, &'a str)>);
 
 impl<'a> Fields<'a> {
@@ -181,8 +183,8 @@ impl<'a> Fields<'a> {
         Some(self.0.swap_remove(at).1)
     }
 
-    /// Reads a value that must be one of the words in `all`, which are paired with their meanings. If the query lacks
-    /// `name`, the first entry of `all` is chosen.
+    /// Reads the field `name`, whose value must be one of the words in `all`, and returns the value that is paired with
+    /// this word. If the query lacks the field, the first entry of `all` is chosen.
     fn choice<T: Copy>(&mut self, name: &str, all: &[(&str, T)]) -> Result<T, LiveError> {
         let Some(value) = self.take(name) else { return Ok(all[0].1) };
         let found = all.iter().find(|(n, _)| *n == value);

@@ -1,5 +1,5 @@
-//! Viewpoints of pictures: the cameras, the true images, and any positions in the rig's own axes. These axes are x to
-//! the right, y up and z ahead, in metres. Their origin is the mean of the cameras' centres.
+//! Viewpoints of pictures: the cameras, the ground-truth images, and free positions in the rig's own axes. These axes
+//! are x to the right, y up and z ahead, in metres. Their origin is the mean of the cameras' centres.
 
 use super::{LiveError, PictureRequest, Place, ViewDirection};
 use crate::camera::{Camera, CameraModel};
@@ -13,19 +13,21 @@ const MARGIN_SHARE: f64 = 0.5;
 /// Maximum distance of viewpoints from the cameras' bounding box, along each axis, as a multiple of the spacing of
 /// neighbouring cameras. [`MARGIN_SHARE`] applies instead if it gives a longer distance.
 const MARGIN_SPACINGS: f64 = 2.0;
-/// Maximum distance of viewpoints from a rig's only camera, along each axis, metres.
+/// Maximum distance of viewpoints from the camera of a rig with a single camera, along each axis, metres.
 const LONE_MARGIN_M: f64 = 0.1;
 /// Distance from the viewpoint at which a camera's weight has fallen to half, as a multiple of the spacing of
 /// neighbouring cameras. The view's direction is the mean of the cameras' viewing directions with these weights.
 const SOFT_SPACINGS: f64 = 0.5;
-/// Allowed zooms: focal lengths as multiples of the reference camera's focal length.
+/// Range of allowed zooms. A zoom is the focal length of a picture as a multiple of the reference camera's focal
+/// length.
 pub(super) const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
-/// Maximum rotation away from the viewpoint's direction, to each side and up or down, degrees.
+/// Maximum angle by which the user may rotate a view to each side, up and down, degrees. It is measured from the
+/// direction that the viewpoint has by default.
 pub(super) const MAX_TURN_DEG: f64 = 20.0;
 /// Minimum width and height of a requested picture, pixels.
 const MIN_SIZE_PX: u32 = 16;
 
-/// Coordinate frame of a rig, with the cameras and the viewpoints of true images.
+/// Coordinate frame of a camera rig, with its cameras and the viewpoints of ground-truth images.
 #[derive(Clone, Debug)]
 pub struct RigFrame {
     /// Transform from the rig's axes to the world, metres. In this transform, the rig's axes are x to the right, y down
@@ -62,8 +64,9 @@ fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64
 }
 
 impl RigFrame {
-    /// Creates the frame of a capture's cameras. It looks in the cameras' mean direction, or in the reference camera's
-    /// direction if the mean is undefined. `truths` are the cameras of the true images.
+    /// Creates the coordinate frame of a capture's cameras. The axis `ahead` has the cameras' mean direction, or the
+    /// reference camera's direction if the mean is undefined. `spacing_m` is the median distance between neighbouring
+    /// cameras. `truths` are the cameras of the ground-truth images.
     pub fn new(capture: &Capture, spacing_m: f64, truths: Vec<Camera>) -> Self {
         let cameras: Vec<Camera> = capture.cameras.iter().map(|c| c.camera.clone()).collect();
         let count = cameras.len() as f64;
@@ -85,8 +88,8 @@ impl RigFrame {
     /// Returns the pinhole camera of a requested picture.
     ///
     /// # Errors
-    /// If the position, the direction, the zoom or the size is out of bounds, or if there is no camera or true image
-    /// with the requested index.
+    /// If the position, the rotation, the zoom or the size is out of bounds, or if there is no camera or ground-truth
+    /// image with the requested index.
     pub fn camera(&self, request: &PictureRequest) -> Result<Camera, LiveError> {
         let found = |all: &[Camera], index: usize, what: &str| match all.get(index) {
             Some(camera) => self.at_camera(camera, &request.view),
@@ -170,7 +173,8 @@ impl RigFrame {
         self.pinhole(camera.center(), camera.cam_from_world.rotation.inverse(), view)
     }
 
-    /// Returns the mean orientation of the cameras, `world_from_cam`. Cameras near to `center` have larger weights.
+    /// Returns the default orientation `world_from_cam` of a view from `center`: the weighted mean orientation of the
+    /// cameras. Cameras near to `center` have larger weights.
     fn direction(&self, center: &Point3<f64>) -> UnitQuaternion<f64> {
         let soft_m = (SOFT_SPACINGS * self.spacing_m).max(1e-9);
         let [ahead, down] = axis_sums(&self.cameras, |camera| {

@@ -1,4 +1,4 @@
-//! Describes a capture for the page.
+//! Describes a capture as JSON, for the page on which its light field is viewed.
 
 use super::Studio;
 use super::overlays::DEPTH_COLORS;
@@ -60,7 +60,8 @@ pub(super) fn scene(studio: &Studio) -> Value {
     })
 }
 
-/// Returns the methods that the page offers, each with its name and help.
+/// Returns the methods of a stage that the page offers to the user, as JSON objects with the method's name and help
+/// text.
 fn choices<M: Method>(is_offered: impl Fn(M) -> bool) -> Vec<Value> {
     let offered = M::ALL.iter().copied().filter(|m| is_offered(*m));
     offered.map(|m| json!({ "name": m.name(), "help": m.help() })).collect()

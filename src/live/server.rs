@@ -29,7 +29,7 @@ const WRITE_TIMEOUT: Duration = Duration::from_secs(20);
 const MAX_REQUEST_BYTES: usize = 16 << 10;
 /// Maximum number of headers of a request.
 const MAX_HEADERS: usize = 64;
-/// Pause after an attempt to accept a connection has failed.
+/// Pause before the next attempt, after accepting a connection has failed.
 const RETRY: Duration = Duration::from_millis(50);
 
 const HTML: &str = "text/html; charset=utf-8";
@@ -52,7 +52,7 @@ const PAGE: [(&str, &str, &str); 11] = [
     ("save.js", SCRIPT, include_str!("page/save.js")),
 ];
 
-/// A server that has bound its port, but does not answer requests until [`Self::serve`] is called.
+/// A server of interactive views. It has bound its port, but answers no requests until [`Self::serve`] is called.
 pub struct Server {
     listener: TcpListener,
     guard: Guard,

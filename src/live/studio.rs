@@ -1,4 +1,4 @@
-//! Renders the requested pictures of a light field.
+//! Renders the pictures of a light field that the page in the browser requests.
 
 use super::encode::{Colors, encode, encode_saved};
 use super::overlays::{Weights, depth_picture};
@@ -17,19 +17,20 @@ use crate::progress::Reporter;
 use std::sync::Arc;
 
 /// Width and height of the views for which geometry is computed in advance, pixels. The views are small to save time.
-/// Only the depth maps of the filming cameras are kept for later views, and their size doesn't depend on this size.
+/// Only the depth maps of the filming cameras are cached for later views, and the size of these maps doesn't depend on
+/// the size of the view.
 const SMALL_PX: [u32; 2] = [32, 24];
 
-/// Function that is called during rendering. Rendering stops when it returns false, for example because the viewer has
-/// sent a newer request.
+/// Function that is called during rendering. Rendering stops when the function returns false, for example because the
+/// viewer has sent a newer request.
 pub(super) type Proceed<'p> = &'p (dyn Fn() -> bool + Sync);
 
 /// An encoded picture, with the methods by which it was rendered.
 pub struct Picture {
     /// Contents of a PNG file.
     pub bytes: Vec<u8>,
-    /// Names of the synchronization method and the proxy method by which the picture was rendered, such as
-    /// `refined, mesh`. Empty for a true image.
+    /// Names of the two methods by which the picture was rendered, for synchronization and for the geometry proxy, such
+    /// as `refined, mesh`. Empty for a ground-truth image.
     pub made_by: String,
     /// Depths of the first and the last colour of a depth picture's scale, metres. `None` for other pictures.
     pub depths_m: Option<[f32; 2]>,
@@ -38,25 +39,25 @@ pub struct Picture {
 /// A rendered picture before it is encoded.
 struct Made {
     rendered: Rendered,
-    /// Synchronization method and proxy method by which the picture was rendered. `None` for a true image.
+    /// Synchronization method and proxy method by which the picture was rendered. `None` for a ground-truth image.
     by: Option<(SyncMethod, ProxyMethod)>,
     depths_m: Option<[f32; 2]>,
 }
 
-/// Options and images from which a view is rendered.
+/// The options with which a view is rendered, and the camera images from which it is rendered.
 struct ViewInputs<'a> {
     options: &'a RenderOptions,
     /// Synchronized images of all cameras at the view's instant. `None` if they must be computed.
     images: Option<GivenImages>,
 }
 
-/// Renders pictures of a light field and of its ground truth.
+/// Renders pictures of a light field, and shows its ground-truth images.
 pub struct Studio<'a> {
     pub(super) field: &'a LightField,
     pub(super) rig: Arc<RigFrame>,
     pub(super) truth: TrueViews,
     pub(super) colors: Colors,
-    /// Command-line arguments that are equivalent to the chosen options. The page shows them.
+    /// Command-line arguments that are equivalent to the options for full quality. The page shows them to the user.
     pub(super) words: Vec<String>,
     full: RenderOptions,
     quick: RenderOptions,
@@ -65,7 +66,7 @@ pub struct Studio<'a> {
 impl<'a> Studio<'a> {
     /// Creates a studio for a light field. `options` are the options for full quality: every automatic choice in them
     /// must already be replaced by a method, and a motion trail is ignored. `words` are the equivalent command-line
-    /// arguments. If the ground truth can't be read, a note is shown, and there are no true images.
+    /// arguments. If the ground truth can't be read, a note is shown, and no ground-truth images are available.
     pub fn new(
         field: &'a LightField,
         options: &RenderOptions,
@@ -85,13 +86,13 @@ impl<'a> Studio<'a> {
         Self { field, rig: Arc::new(rig), truth, colors, words, full, quick }
     }
 
-    /// Returns the options for pictures of full quality.
+    /// Returns the options with which pictures of full quality are rendered.
     pub(super) fn full(&self) -> &RenderOptions {
         &self.full
     }
 
-    /// Returns the options for pictures of full quality, except that methods named in the request replace the methods
-    /// of these options.
+    /// Returns the options for full quality. If the request names a synchronization method or a proxy method, this
+    /// method replaces the method in the options.
     fn chosen(&self, request: &PictureRequest) -> RenderOptions {
         let mut options = self.full.clone();
         options.sync = request.sync.unwrap_or(options.sync);
@@ -134,9 +135,10 @@ impl<'a> Studio<'a> {
         })
     }
 
-    /// Returns the options and images from which a view is rendered. For a quick picture, these are the chosen options
-    /// if all that they need is cached, so that the picture looks the same in motion and at rest. Otherwise they are
-    /// the options of the preset `draft`.
+    /// Returns the options with which the requested picture is rendered; for a quick picture also the synchronized
+    /// images, if they are cached. Pictures of full quality have the options `chosen`. A quick picture has these
+    /// options too if all intermediate results are cached, so that the picture looks the same in motion and at rest.
+    /// Otherwise, it has the options of the preset `draft`.
     fn inputs<'o>(
         &'o self,
         request: &PictureRequest,
@@ -153,7 +155,7 @@ impl<'a> Studio<'a> {
         ViewInputs { options: if is_ready { chosen } else { &self.quick }, images }
     }
 
-    /// Renders a picture of the light field.
+    /// Renders a picture of the light field, without the encoding as a file. `target` is the camera of the picture.
     fn rendered(
         &self,
         request: &PictureRequest,
@@ -213,7 +215,8 @@ impl<'a> Studio<'a> {
         Ok((self.field.corrected_all(self.time_s(request), &options, context)?, sync))
     }
 
-    /// Renders the blending weights of the cameras in a view, as stripes or as numbers.
+    /// Renders the blending weights of the cameras in a view, as coloured stripes or as numbers, depending on the
+    /// request's method.
     fn explained(
         &self,
         request: &PictureRequest,

@@ -1,4 +1,5 @@
-//! Renders pictures of the ground truth: its images, rotated and zoomed.
+//! Renders pictures of the ground truth: a ground-truth image is resampled for a rotated or zoomed view from the same
+//! position.
 
 use super::{LiveError, PictureRequest, Place};
 use crate::camera::Camera;
@@ -11,13 +12,13 @@ use nalgebra::{Isometry3, Translation3};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Maximum size of all true images in memory, bytes.
+/// Maximum size of all ground-truth images that are cached in memory, bytes.
 const MAX_BYTES: usize = 64 << 20;
-/// Maximum difference between a requested time and the time of a true image, seconds. It allows for the rounding of
-/// times in addresses.
+/// Maximum difference between a requested time and the time of a ground-truth image, seconds. It allows for the
+/// rounding of times in addresses.
 const SAME_INSTANT_S: f64 = 1e-6;
 
-/// A true image. Its file is read when the image is first needed.
+/// A ground-truth image of a simulated scene. Its file is read when the image is first needed.
 #[derive(Clone, Debug)]
 pub(super) struct LiveTruth {
     pub id: String,
@@ -27,7 +28,7 @@ pub(super) struct LiveTruth {
     file: PathBuf,
 }
 
-/// All true images of a capture. Empty for a capture without ground truth.
+/// All ground-truth images of a capture. Empty for a capture without ground truth.
 pub(super) struct TrueViews {
     pub views: Vec<LiveTruth>,
     images: Memo,
@@ -60,10 +61,11 @@ impl TrueViews {
         Ok(Self { views, ..Self::default() })
     }
 
-    /// Returns the true image at the requested viewpoint, resampled with the requested rotation and zoom.
+    /// Returns the ground-truth image at the requested viewpoint and time, resampled for the requested rotation and
+    /// zoom. `target` is the camera of the picture.
     ///
     /// # Errors
-    /// If there is no true image at this viewpoint and time, or if it can't be read.
+    /// If there is no ground-truth image with this viewpoint and time, or if its file can't be read.
     pub fn view(&self, request: &PictureRequest, target: &Camera) -> Result<Rendered, LiveError> {
         let Place::Truth(index) = request.place else {
             let there =

@@ -1,4 +1,4 @@
-//! The worker threads, which answer requests.
+//! The worker threads, which render the requested pictures.
 
 use super::queue::{Answer, Asked, Job};
 use super::{Level, LiveError, Queue, Studio};
@@ -10,13 +10,13 @@ use std::thread::Scope;
 
 /// Number of worker threads for quick requests.
 const QUICK_WORKERS: usize = 2;
-/// Increase of the niceness of worker threads for full quality. Quick pictures thus have priority.
+/// Increase of the niceness of the threads that render pictures of full quality. Quick pictures thus have priority.
 const FULL_NICENESS: i32 = 5;
-/// Maximum length of [`Ahead`], the list of requests whose instants are processed in advance.
+/// Maximum length of [`Ahead`], the list of answered requests for whose instants results are computed in advance.
 const MAX_AHEAD: usize = 8;
 
-/// Answered requests, oldest first. For their instants, the cameras' images and depth maps are to be computed in
-/// advance, so that other viewpoints at these instants are rendered quickly.
+/// Answered requests, oldest first. The cameras' images and depth maps at the instants of these requests are to be
+/// computed in advance, so that views from other viewpoints at the same instants are rendered quickly.
 type Ahead = VecDeque<Arc<Asked>>;
 
 /// Starts the worker threads, which end when the queue is closed. Quick pictures and pictures of full quality have
@@ -77,7 +77,8 @@ fn work(studio: &Studio, queue: &Queue, is_quick: bool, pool: &ThreadPool) {
     }
 }
 
-/// Appends a request to `ahead`. If there are then more than [`MAX_AHEAD`] requests, removes the oldest.
+/// Appends the request `shown`, whose picture the viewer sees, to `ahead`. If there are then more than [`MAX_AHEAD`]
+/// requests, removes the oldest.
 fn plan(ahead: &mut Ahead, shown: Arc<Asked>) {
     ahead.push_back(shown);
     if ahead.len() > MAX_AHEAD {
@@ -85,8 +86,9 @@ fn plan(ahead: &mut Ahead, shown: Arc<Asked>) {
     }
 }
 
-/// Computes the cameras' images and depth maps at the instants of the requests in `ahead`, so that other viewpoints at
-/// these instants are rendered quickly. Stops when a picture of full quality of another instant is requested.
+/// Computes the cameras' images and depth maps at the instants of the requests in `ahead`, so that views from other
+/// viewpoints at these instants are rendered quickly. Stops when a picture of full quality with another time or other
+/// methods is requested.
 fn prepare(studio: &Studio, queue: &Queue, ahead: &mut Ahead, pool: &ThreadPool) {
     while let Some(asked) = ahead.pop_front() {
         let is_free = || !queue.has_apart(&asked);

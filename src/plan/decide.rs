@@ -1,4 +1,5 @@
-//! Decisions of the plan. Each function chooses a method by a measured number, and gives the reason as a sentence.
+//! The decisions of a plan, the automatic choice of methods. Each function makes the decision for one stage of the
+//! pipeline by a measured number, and gives the reason as a sentence.
 
 use super::motion::MAX_NOISE;
 use super::{Motion, Shape};
@@ -9,7 +10,7 @@ use crate::options::ProxyMethod;
 use crate::registration::{GainCurve, Gains};
 use serde::Serialize;
 
-/// The choice of a method for one stage, with its reason.
+/// The choice of a method for one stage of the pipeline, with the reason of the choice.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Decision {
     /// Name of the stage, such as `sync`.
@@ -38,8 +39,9 @@ impl Decision {
     }
 }
 
-/// Reports whether the cameras' temporal offsets are estimated. `clocks` has the clock's index for each camera; clock 0
-/// is the clock of the reference camera. `is_static` is true if every camera took a single frame.
+/// Reports whether the cameras' temporal offsets have to be estimated. `clocks` has the index of each camera's clock.
+/// Cameras with the same index share a clock; clock 0 is the reference camera's. `is_static` is true if every camera
+/// took a single frame.
 pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     if is_static {
         let because = "Every camera took one frame, which is the same at any time.";
@@ -55,12 +57,13 @@ pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     Decision::new("offsets", "estimated", because)
 }
 
-/// Largest motion at which a frame pair is cross-faded, as a multiple of the error budget `budget_px`. The multiple is
-/// 2, because halfway between the two frames a cross-fade displaces each image by half of the motion.
+/// Largest motion from one frame to the next at which the two frames are cross-faded, as a multiple of the error budget
+/// `budget_px`. The multiple is 2, because halfway between the frames a cross-fade displaces each image by half of the
+/// motion.
 const CROSSFADE_BUDGETS: f64 = 2.0;
 
-/// Chooses the sync method by the motion in the frame pairs. `budget_px` is the position error, in pixels, that a
-/// cheaper method may cause.
+/// Chooses the sync method, which interpolates a camera's image between its frames, by the motion from frame to frame.
+/// `budget_px` is the maximum position error, in pixels, that a cheaper method may cause.
 pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
     let Motion { largest_px, residual_px, changed_fraction, .. } = *motion;
     let by = |method: SyncMethod, measured, limit, because: String| {
@@ -99,13 +102,16 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
     by(SyncMethod::Refined, residual_px, budget_px, because)
 }
 
-/// Factor by which the noise of a frame pair that was not examined may exceed the noise of the examined still pairs.
+/// Ratio of the threshold for still frame pairs to the largest change by noise that was measured in a few still pairs.
+/// In a still pair, nothing moves from one frame to the next. With a smaller factor, still pairs with stronger noise
+/// would be registered needlessly. With a larger factor, slight motion would count as noise.
 const NOISE_MARGIN: f32 = 1.25;
 
 /// Chooses the threshold by which still frame pairs are recognized. A pair is still if no image block changes by more
-/// than the threshold. Still pairs are cross-faded without registration. The change of a block is its mean absolute
-/// difference of pixel values, which are from 0 to 1. `budget_px` is the position error, in pixels, that a cheaper
-/// method may cause.
+/// than the threshold. Still pairs are cross-faded without registration. The change of a block is the mean absolute
+/// difference of its pixel values, which are from 0 to 1. The threshold is 0 if no examined pair is still, or if
+/// features in still pairs move too far for `budget_px`. `budget_px` is the maximum position error, in pixels, that a
+/// cheaper method may cause.
 pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     let Motion { still_pairs, still_change, still_px, pairs, .. } = *motion;
     if pairs == 0 {
@@ -134,9 +140,9 @@ pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     (limit, Decision::new("still pairs", "cross-faded", because).by(still_px, limit_px))
 }
 
-/// Chooses refinement as the sync method if it can gain more than `budget_db` over triangulation, and triangulation
-/// otherwise. `gain_db` is the largest possible PSNR gain of refinement, in decibels. `frames` names the held-out
-/// frames in the reason.
+/// Chooses between two sync methods: [`SyncMethod::Refined`] if it can gain more than `budget_db` over
+/// [`SyncMethod::Triangulation`], and triangulation otherwise. `gain_db` is the largest possible PSNR gain of
+/// refinement, in decibels. `frames` lists the held-out frames for the text of the reason.
 pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let refines = gain_db > budget_db;
     let method = if refines { SyncMethod::Refined } else { SyncMethod::Triangulation };
@@ -147,9 +153,10 @@ pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, De
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Chooses between two sync methods: refined images of each camera, and images from all cameras, which take twice as
-/// long. `gain_db` is the PSNR gain of images from all cameras on the held-out frames, in decibels. They are chosen if
-/// this gain exceeds `budget_db`. `frames` names the held-out frames in the reason.
+/// Chooses between two sync methods. [`SyncMethod::Refined`] interpolates each camera's image from its own frames.
+/// [`SyncMethod::AllCameras`] blends in images of other cameras, and takes twice as long. `gain_db` is the PSNR gain of
+/// `AllCameras` on the held-out frames, in decibels; it is chosen if this gain exceeds `budget_db`. `frames` lists the
+/// held-out frames for the text of the reason.
 pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let pays = gain_db > budget_db;
     let method = if pays { SyncMethod::AllCameras } else { SyncMethod::Refined };
@@ -162,8 +169,8 @@ pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, D
 }
 
 /// Chooses scene flow as the proxy if its PSNR gain over depth per pixel exceeds `budget_db`, and depth per pixel
-/// otherwise. `gain_db` is the gain of scene flow on the held-out frames, in decibels. `frames` names these frames in
-/// the reason.
+/// otherwise. `gain_db` is this gain on the held-out frames, in decibels. `frames` lists the held-out frames for the
+/// text of the reason.
 pub fn scene_flow(gain_db: f64, frames: &str, budget_db: f64) -> (ProxyMethod, Decision) {
     let method = if gain_db > budget_db { ProxyMethod::SceneFlow } else { ProxyMethod::Depth };
     let because = format!(
@@ -180,8 +187,9 @@ fn better_or_worse(gain_db: f64) -> String {
 }
 
 /// Chooses between blending weights in space only, and weights in space and time. `gain_db` is the PSNR gain of weights
-/// in space and time on the held-out frames, in decibels. Any positive gain suffices, because both take about the same
-/// time. If `gain_db` is `None`, no method is chosen. `frames` names the held-out frames in the reason.
+/// in space and time on the held-out frames, in decibels. Any positive gain suffices, because both methods take about
+/// the same time. If `gain_db` is `None`, no frames were compared, and no method is chosen. `frames` lists the held-out
+/// frames for the text of the reason.
 pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decision) {
     let Some(gain_db) = gain_db else {
         let because = "No held-out frames were compared: that needs refined motion, depth per pixel and a frame \
@@ -197,13 +205,14 @@ pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decisi
     (Some(method), Decision::new("blend", method.name(), because).by(gain_db, 0.0))
 }
 
-/// Maximum curvature of trajectories that are modelled as straight lines ([`Motion::curvature_px`]), as a fraction of
-/// the error budget `budget_px`. With a larger value, views would lose 0.1 to 0.2 dB that curved trajectories gain at
-/// hardly any cost. With a smaller value, the noise of tracks, 0.01 px, would count as curvature.
+/// Maximum curvature ([`Motion::curvature_px`]) at which the trajectories of features are modelled as straight lines,
+/// as a fraction of the error budget `budget_px`. With a larger value, views would lose 0.1 to 0.2 dB that curved
+/// trajectories gain at hardly any cost. With a smaller value, the noise of tracks, 0.01 px, would count as curvature.
 const CURVATURE_FRACTION: f64 = 0.2;
 
-/// Decides whether trajectories are modelled as curved. They are if their measured curvature exceeds a fifth of the
-/// error budget `budget_px`. The returned Boolean is true if they are.
+/// Decides whether the trajectories of features are modelled as curves or as straight lines. They are curves if their
+/// measured curvature exceeds a fifth of the error budget `budget_px`, in pixels. The returned Boolean is true for
+/// curves.
 pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     let limit_px = CURVATURE_FRACTION * budget_px;
     let is_curved = motion.curvature_px > limit_px;
@@ -216,8 +225,9 @@ pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     (is_curved, decision.by(motion.curvature_px, limit_px))
 }
 
-/// Chooses the proxy: a plane if it displaces points in views between cameras by at most `budget_px` pixels, otherwise
-/// depth per pixel. If `shape` is `None`, no point of the scene could be triangulated, and no method is chosen.
+/// Chooses the geometry proxy: a plane if it displaces the scene's points by at most `budget_px` pixels in views
+/// between cameras, otherwise depth per pixel. If `shape` is `None`, no point of the scene could be triangulated, and
+/// no method is chosen.
 pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Decision) {
     let Some(shape) = shape else {
         let because = "No point of the scene could be triangulated to tell.";
@@ -234,7 +244,8 @@ pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Dec
     (Some(method), decision.by(shape.off_plane_px, budget_px))
 }
 
-/// Reports whether the cameras' gains are corrected. [`Gains`] defines which difference of gains is significant.
+/// Reports whether the cameras' gains differ from each other, or change over the recording, so that images are
+/// corrected. Differences that are not significant count as none ([`Gains`]).
 pub fn gains(gains: &Gains) -> Decision {
     let (difference, std_err) = gains.largest;
     let numbers = format!(
@@ -258,7 +269,8 @@ pub fn gains(gains: &Gains) -> Decision {
     Decision::new("gains", "corrected", format!("{numbers}, which is corrected."))
 }
 
-/// Reports whether the lenses distort. `distortion_px` is the largest displacement of a pixel by lens distortion.
+/// Reports whether the lenses have distortion. `distortion_px` is the largest displacement of a pixel by lens
+/// distortion, over all cameras.
 pub fn lenses(distortion_px: f64) -> Decision {
     if distortion_px == 0.0 {
         return Decision::new("lenses", "pinhole", "No lens distorts.").by(0.0, 0.0);
@@ -271,9 +283,9 @@ pub fn lenses(distortion_px: f64) -> Decision {
 /// their main direction, divided by the extent along it. Above this limit, the cameras count as a grid.
 const LINE: f64 = 0.05;
 
-/// Reports whether the cameras spread in one or in two directions. The reference cameras of the epipolar test lie in
-/// these directions. `extent_ratio` is the extent of the camera centres across their main direction, divided by the
-/// extent along it.
+/// Reports whether the cameras spread in one or in two directions. Tracks are tested by epipolar geometry against one
+/// other camera in each of these directions. `extent_ratio` is the extent of the camera centres across their main
+/// direction, divided by the extent along it.
 pub fn references(extent_ratio: f64) -> Decision {
     let because = format!(
         "Across their main direction the cameras spread {extent_ratio:.2} times as far as along it."

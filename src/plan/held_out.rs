@@ -1,9 +1,9 @@
-//! Cross-validation on held-out frames. A recorded frame is rendered from other cameras only. Its difference from the
-//! recording measures the error of a method on this capture ([`Probe`]).
+//! Cross-validation on held-out frames. A view with the camera and the time of a recorded frame is rendered from other
+//! cameras only. Its difference from the recorded frame measures the error of a method on this capture ([`Probe`]).
 //!
-//! Three methods are judged by the errors on held-out frames: the sync method that blends images from all cameras,
-//! scene flow, and blending weights in time. Refinement is judged by how much it changes views between cameras,
-//! relative to the error on held-out frames.
+//! Three methods are judged by their errors on held-out frames: the sync method that blends images from all cameras,
+//! scene flow, and blending weights in time. The sync method that refines motion per pixel is judged by how much it
+//! changes views between cameras, relative to the error on held-out frames.
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
@@ -35,14 +35,17 @@ const FRACTIONS: [f64; 3] = [0.5, 0.25, 0.75];
 /// surfaces between the frame and a view halfway to the nearest camera.
 const PARALLAX_PX: usize = 16;
 
-/// Minimum time between a view's instant and the two frames of a camera around it, as a fraction of the camera's frame
-/// interval. A camera with a nearer frame isn't counted, because its synchronization has hardly any error to measure.
+/// Minimum time between a view's instant and the camera's frames before and after it, as a fraction of the camera's
+/// frame interval. Only cameras without a nearer frame are counted, because interpolation very near to a frame has
+/// hardly any error to measure.
 const MIN_FRACTION: f64 = 0.1;
 
-/// Minimum number of changing pixels in a held-out frame.
+/// Minimum number of changing pixels in a held-out frame. A pixel is changing if it differs from the frame before or
+/// after by more than noise.
 const MIN_PIXELS: usize = 64;
 
-/// The held-out frames of a capture. Each has the light field of its neighbouring cameras, from which it is rendered.
+/// The held-out frames of a capture, by which methods are compared. Each held-out frame comes with a light field of the
+/// neighbouring cameras only, from which its view is rendered.
 pub struct Probe {
     frames: Vec<HeldOutFrame>,
 }
@@ -51,29 +54,30 @@ struct HeldOutFrame {
     /// Light field of the nearest other cameras, without the camera of this frame.
     neighbors: LightField,
     camera: Camera,
-    /// Description such as `frame 3 of cam1`, with the frame's index and the camera's id.
+    /// Description of the held-out frame, such as `frame 3 of cam1`, with the frame's index and the camera's id.
     name: String,
     time_s: f64,
     /// Camera of the view in which sync methods are compared. It is halfway between `camera` and the nearest other
     /// camera.
     view: Camera,
-    /// Instant of `view`, in seconds. It lies between this frame and the next frame. For the last frame, it lies
-    /// between this frame and the frame before.
+    /// Instant of `view`, in seconds. It lies between the held-out frame and the camera's next frame. If the held-out
+    /// frame is the camera's last, it lies between this frame and the frame before.
     view_s: f64,
     /// The held-out frame as recorded, corrected to the gains of the reference camera.
     truth: Image,
-    /// Exposure of views that are rendered from `neighbors`: that of their reference camera, by its index in the whole
-    /// capture, at a time on its own clock, seconds.
+    /// Exposure of views that are rendered from `neighbors`: a camera and a time. The views have the gains of this
+    /// camera at this time. The camera is the reference camera of `neighbors`, by its index in the whole capture. The
+    /// time is seconds on the camera's own clock.
     exposure: (usize, f64),
     gains: Arc<Gains>,
-    /// Mask of the pixels, row by row, at which this frame differs from the frame before or after it by more than
-    /// noise.
+    /// Mask, row by row, of the changing pixels. There, the held-out frame differs from the camera's frame before or
+    /// after by more than noise.
     changing: Vec<bool>,
     /// The mask of changing pixels, row by row, dilated by [`PARALLAX_PX`] pixels.
     near_changing: Vec<bool>,
 }
 
-/// Sums of squared errors over the held-out frames, one sum for each kind of blending weights.
+/// Sums of the squared errors of views relative to the held-out frames, one sum for each kind of blending weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HeldOutErrors {
     pub in_space: f64,
@@ -81,8 +85,8 @@ pub struct HeldOutErrors {
 }
 
 impl HeldOutErrors {
-    /// Returns the error for a blending method. If `is_decided_later`, the blending method is still to be chosen, and
-    /// the smaller of the two errors is returned.
+    /// Returns the sum of squared errors for a blending method. If `is_decided_later` is true, the blending method will
+    /// be chosen later, and the smaller of the two sums is returned.
     pub fn by(&self, blend: BlendMethod, is_decided_later: bool) -> f64 {
         match blend {
             _ if is_decided_later => self.in_space.min(self.in_space_and_time),
@@ -93,9 +97,9 @@ impl HeldOutErrors {
 }
 
 impl Probe {
-    /// Chooses the held-out frames. Returns `None` if no camera has a suitable frame. A suitable frame lies in time
-    /// between frames of at least half of the nearest cameras, and at least 64 of its pixels change. If all cameras
-    /// film at the same times, no frame is suitable.
+    /// Chooses the held-out frames. Returns `None` if no camera has a suitable frame. In time, a suitable frame lies
+    /// between two frames of at least half of the nearest cameras. At least 64 of its pixels change from the frame
+    /// before or after. If all cameras film at the same times, no frame is suitable.
     pub fn open(
         whole: &LightField,
         registration: &RegistrationOptions,
@@ -112,14 +116,14 @@ impl Probe {
         Ok((!frames.is_empty()).then_some(Self { frames }))
     }
 
-    /// Returns a description of the held-out frames, such as `frame 3 of cam1, frame 8 of cam2`.
+    /// Returns a list of the held-out frames as text, such as `frame 3 of cam1, frame 8 of cam2`.
     pub fn names(&self) -> String {
         let names: Vec<&str> = self.frames.iter().map(|f| f.name.as_str()).collect();
         names.join(", ")
     }
 
     /// Estimates the largest PSNR gain, in decibels, that the slower options `dearer` can have over the options
-    /// `cheaper`. The gain is 10·log₁₀(1 + D/E), for the changing part of views between cameras.
+    /// `cheaper`. The gain is 10·log₁₀(1 + D/E), for the changing pixels of views between cameras.
     ///
     /// D is the sum of squared differences between the views with both options. E is the sum of squared errors of
     /// `dearer` on the held-out frames. The estimate assumes that every change by `dearer` is an improvement, and that
@@ -127,8 +131,8 @@ impl Probe {
     /// no changing pixel is visible.
     ///
     /// The gain on the held-out frames would be misleading, for two reasons. A held-out frame is twice as far from its
-    /// neighbours as a view between cameras, which doubles the error of the proxy. A displaced outline costs a sharp
-    /// image more PSNR than a blurred image.
+    /// neighbours as a view between cameras, which doubles the displacements that errors of the geometry proxy cause. A
+    /// displaced outline costs a sharp image more PSNR than a blurred image.
     pub fn possible_gain_db(
         &self,
         field: &LightField,
@@ -151,7 +155,7 @@ impl Probe {
     }
 
     /// Returns the errors of views that are rendered with each of the options `candidates`, for both kinds of blending
-    /// weights. Errors are measured in the changing part of the held-out frames. A frame is used only if it can be
+    /// weights. Errors are measured at the changing pixels of the held-out frames. A frame is used only if it can be
     /// rendered with all candidates, and a pixel only if all of these views cover it. Returns `None` if no pixel is
     /// used.
     ///
@@ -186,11 +190,11 @@ impl Probe {
 
 impl HeldOutFrame {
     /// Chooses a frame of this camera as held-out frame `number`, which is from 0 to [`FRAMES`] - 1. `times_s` are the
-    /// camera's frame times in seconds. The larger the number, the later in the recording is the frame.
+    /// camera's frame times in seconds. Frames with larger numbers are later in the recording.
     ///
-    /// Returns `None` if no frame lies within the recording of any neighbouring camera. Also returns `None` if the
-    /// chosen frame lies between frames of fewer than half of the neighbouring cameras, or if fewer than [`MIN_PIXELS`]
-    /// of its pixels change.
+    /// Returns `None` if, at the time of every frame of this camera, no neighbouring camera can give an image. Also
+    /// returns `None` if the chosen frame lies in time between two frames of fewer than half of the neighbouring
+    /// cameras, or if fewer than [`MIN_PIXELS`] of its pixels change.
     fn open(
         whole: &LightField,
         camera: usize,
@@ -241,8 +245,8 @@ impl HeldOutFrame {
         }))
     }
 
-    /// Renders this frame from its neighbours twice: with blending weights in space, and with weights in space and
-    /// time. Returns `None` if one of the two images can't be rendered.
+    /// Renders the view of this held-out frame from the neighbouring cameras twice: with blending weights in space, and
+    /// with blending weights in space and time. Returns `None` if one of the two images can't be rendered.
     fn by_both_weights(
         &self,
         options: &RenderOptions,
@@ -256,7 +260,8 @@ impl HeldOutFrame {
         Ok(in_space.zip(in_time).map(<[Rendered; 2]>::from))
     }
 
-    /// Returns the sum of squared errors of a view relative to this frame, over the pixels at which `counts` is true.
+    /// Returns the sum of squared grey differences between a rendered view and this held-out frame, over the pixels at
+    /// which `counts` is true. The gains of the view are corrected first.
     fn squared_error(&self, view: &Rendered, counts: &[bool]) -> f64 {
         let (camera, own_s) = self.exposure;
         let image = self.gains.corrected(camera, own_s, &view.image);
@@ -264,8 +269,8 @@ impl HeldOutFrame {
     }
 }
 
-/// Renders the view of the camera `at` at the time `time_s`. Returns `None` if the view can't be rendered. A frame that
-/// can't be read is an error.
+/// Renders the view of the camera `at` at the time `time_s`, seconds from the capture's start. Returns `None` if the
+/// view can't be rendered. A frame that can't be read is an error.
 pub(crate) fn rendered(
     field: &LightField,
     at: &Camera,
@@ -291,7 +296,7 @@ fn squared(a: &Image, b: &Image, counts: &[bool]) -> f64 {
     pixels.filter(|(_, counts)| **counts).map(|((a, b), _)| f64::from(a - b).powi(2)).sum()
 }
 
-/// Creates the light field of the cameras with these indices, in this order.
+/// Creates the light field of a part of the capture's cameras: those with the indices `cameras`, in this order.
 pub(crate) fn field_of(capture: &Capture, offsets: &Offsets, cameras: &[usize]) -> LightField {
     let mut known = offsets.clone();
     known.cameras = cameras.iter().map(|&c| offsets.cameras[c].clone()).collect();
@@ -329,16 +334,17 @@ pub(crate) fn halfway_to_neighbor(capture: &Capture, camera: usize) -> Camera {
     view
 }
 
-/// Returns the indices of those `times_s` at which the largest number of cameras can give an image. Returns an empty
-/// list if no camera can give an image at any of the times.
+/// Returns the indices of the times in `times_s` (a camera's frame times, seconds from the capture's start) at which
+/// the largest number of the light field's cameras can give an image. Returns an empty list if no camera can give an
+/// image at any of the times.
 pub(crate) fn well_covered_frames(field: &LightField, times_s: &[f64]) -> Vec<usize> {
     let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
     let most = usable.iter().max().copied().unwrap_or(0).max(1);
     (0..usable.len()).filter(|&k| usable[k] == most).collect()
 }
 
-/// Returns a recorded frame, and the mask of its changing pixels, row by row. A pixel is changing if it differs from
-/// the frame before or after by more than noise.
+/// Returns the image of a recorded frame, and the mask of its changing pixels, row by row. A pixel is changing if it
+/// differs from the same camera's frame before or after by more than noise.
 pub(crate) fn recorded(
     frames: &FrameStore,
     camera: usize,

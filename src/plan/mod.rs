@@ -1,28 +1,29 @@
-//! Automatic choice of methods. For every stage, the plan chooses the cheapest method whose error on this capture is
-//! within a budget. Each decision has the number that decided it.
+//! Automatic choice of methods. For every stage of the pipeline, the plan chooses the cheapest method whose error on
+//! this capture is within a budget. Each decision records the measured number on which it is based.
 //!
 //! | question | measured | decided |
 //! |---|---|---|
 //! | which cameras have known clocks? | clocks in `capture.json` | whether offsets are estimated |
-//! | does anything move? | motion of features, blocks that change ([`Motion`]) | the sync method |
+//! | does anything move? | motion of features, image blocks that change ([`Motion`]) | the sync method |
 //! | can refinement gain enough? | views with and without refinement, errors on held-out frames ([`Probe`]) | the sync method |
 //! | do images from all cameras gain enough? | errors on held-out frames with and without them ([`Probe`]) | the sync method |
 //! | does scene flow gain over depth per pixel? | errors on held-out frames with both ([`Probe`]) | the proxy method |
 //! | do blending weights in time gain? | errors on held-out frames with and without them ([`Probe`]) | the blending method |
-//! | does something move in every frame pair? | frame pairs in which no block changes | whether still pairs are registered |
+//! | does something move in every frame pair? | frame pairs in which no image block changes | whether frame pairs without motion are registered |
 //! | are trajectories straight? | curvature of trajectories through four frames | whether trajectories are curved |
 //! | is a plane sufficient? | parallax of points relative to a plane ([`Shape`]) | the proxy method |
-//! | do cameras have equal gains? | linear light of the same features ([`crate::registration::Gains`]) | whether gains are corrected |
-//! | do lenses distort? | the largest displacement of a pixel | whether images are resampled |
-//! | does the rig spread in two directions? | extent of the camera centres | reference cameras of the epipolar test |
+//! | do cameras have equal gains? | linear light of the same features in several cameras ([`crate::registration::Gains`]) | whether gains are corrected |
+//! | do lenses distort? | the largest displacement of a pixel by distortion | whether images are resampled |
+//! | does the rig spread in two directions? | extent of the camera centres | against which cameras tracks are tested by epipolar geometry |
 //!
 //! There are two error budgets. `budget_px` is the position error, in pixels, that a cheaper method may cause.
-//! `budget_db` applies where rendered views are compared: the PSNR gain of the dearer method must exceed this budget.
-//! The ground truth of a simulated capture is not used. Planning changes neither the capture nor the light field.
+//! `budget_db` applies where rendered views are compared: a slower method is chosen only if its PSNR gain, in decibels,
+//! exceeds this budget. The ground truth of a simulated capture is not used. Planning changes neither the capture nor
+//! the light field.
 //!
 //! Known limits: all moving objects of a capture get the same method. Motion is measured only in frames at the start,
-//! the middle and the end of the recording. An object with fewer than five corners and no changing block is not
-//! detected as moving.
+//! the middle and the end of the recording. An object with fewer than five corner features and no changing image block
+//! is not detected as moving.
 
 mod decide;
 pub(crate) mod held_out;
@@ -45,21 +46,21 @@ use rig::{extent_ratio, largest_distortion_px};
 use serde::Serialize;
 use std::slice;
 
-/// The methods that were chosen for a capture, with the reasons.
+/// The methods of all stages that were chosen automatically for a capture, with the reasons.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
-    /// Position error that a cheaper method may cause, in pixels.
+    /// Maximum position error in the image that a cheaper method may cause, in pixels.
     pub budget_px: f64,
-    /// One decision per stage, in the order of the stages.
+    /// One decision per stage of the pipeline.
     pub decisions: Vec<Decision>,
-    /// The given options with the chosen methods. No method is left to be chosen automatically.
+    /// The options of all stages with the chosen methods. No method in them is left to be chosen automatically.
     pub options: RenderOptions,
 }
 
-/// Returns whether the automatic choice of methods can have an effect. This depends on the stages that `options.auto`
-/// names. The choice of a proxy method always has an effect. With scene flow as the proxy, the sync method and the
-/// blending method have no effect. A choice of the blending method has an effect only with depth per pixel and refined
-/// images.
+/// Returns whether an automatic choice of methods can change rendered views. `options.auto` has the stages whose
+/// methods are chosen automatically. The choice of a proxy method always has an effect. With scene flow as the proxy,
+/// the sync method and the blending method have no effect. The choice of the blending method has an effect only with
+/// depth per pixel and with the sync methods `Refined` and `AllCameras`.
 pub fn is_undecided(options: &RenderOptions) -> bool {
     let AutoOptions { sync, proxy, blend, .. } = options.auto;
     let is_refined = options.sync.of_one_camera() == SyncMethod::Refined;
@@ -72,10 +73,11 @@ pub fn is_undecided(options: &RenderOptions) -> bool {
 }
 
 /// Chooses the methods of all stages by measurements of a light field's capture. In the returned options, the stages
-/// that `options.auto` names have the chosen methods.
+/// that `options.auto` names have the chosen methods, and other stages have the methods of `options`.
 ///
-/// Views are rendered only if motion requires refinement and [`is_undecided`] is true. Otherwise motion alone decides
-/// the sync method, the blending method is unchanged, and scene flow is not considered.
+/// Views are rendered for comparison only if the motion in the images requires [`SyncMethod::Refined`], and
+/// [`is_undecided`] is true. Otherwise, the motion alone decides the sync method, the blending method is unchanged, and
+/// scene flow is not considered.
 pub fn plan(
     field: &LightField,
     options: &RenderOptions,
@@ -127,18 +129,19 @@ pub fn plan(
     Ok(Plan { budget_px, decisions, options: decided })
 }
 
-/// Decisions that are made by comparing rendered views.
+/// The decisions that are made by comparing rendered views with each other and with held-out frames.
 struct ByViews {
     sync: (SyncMethod, Decision),
-    /// The blending method, with the decision. A method of `None` leaves the blending method unchanged.
+    /// The chosen blending method, with the reason. If the method is `None`, the blending method stays unchanged.
     blend: (Option<BlendMethod>, Decision),
-    /// The proxy method, with the decision; `None` leaves the proxy method unchanged.
+    /// The chosen proxy method, with the reason. If `None`, the proxy method stays unchanged.
     proxy: Option<(ProxyMethod, Decision)>,
 }
 
 /// Chooses the sync method, the blending method and the proxy (depth per pixel or scene flow) by comparing rendered
-/// views. The sync method and the proxy are chosen only if `options.auto` names these stages. `sync` is the choice by
-/// motion, and is returned unchanged if it isn't refinement.
+/// views. The sync method and the proxy are chosen only if `options.auto` names these stages. `sync` is the sync method
+/// that the motion in the images requires, with its decision. If this method isn't [`SyncMethod::Refined`], nothing is
+/// rendered, and `sync` is returned unchanged.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,
@@ -199,8 +202,8 @@ fn by_scene_flow(options: &RenderOptions) -> RenderOptions {
     options
 }
 
-/// Returns the PSNR gain, in decibels, of the second squared error over the first. It is positive if the second error
-/// is smaller. Returns `None` if one of the errors is 0.
+/// Returns the PSNR gain, in decibels, of a view with the second squared error over a view with the first squared
+/// error. The gain is positive if the second error is smaller. Returns `None` if one of the errors is 0.
 fn gain_db([error, other]: [f64; 2]) -> Option<f64> {
     (error > 0.0 && other > 0.0).then(|| 10.0 * (error / other).log10())
 }
@@ -212,8 +215,8 @@ fn percentile(mut values: Vec<f64>, fraction: f64) -> Option<f64> {
     values.get((fraction * last as f64).round() as usize).copied()
 }
 
-/// Returns the options with which sync methods are compared. In these options, a mesh replaces depth per pixel as the
-/// proxy, because depth per pixel takes several times as long.
+/// Returns the options with which views are rendered to compare sync methods. They equal the given options, except that
+/// a mesh replaces depth per pixel as the proxy. Depth per pixel takes several times as long.
 fn probing(mut options: RenderOptions) -> RenderOptions {
     if options.proxy.method == ProxyMethod::Depth {
         options.proxy.method = ProxyMethod::Mesh;

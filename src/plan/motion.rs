@@ -1,4 +1,4 @@
-//! Measurement of the motion in the images, in a few frame pairs of every camera.
+//! Measurement of the motion in the images, in a few pairs of successive frames of every camera.
 
 use super::percentile;
 use crate::capture::{CaptureError, FrameTimes};
@@ -10,32 +10,35 @@ use crate::registration::{
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-/// Number of examined frame pairs per camera: the first, the middle and the last pair.
+/// Number of pairs of successive frames that are examined per camera: the first, the middle and the last pair.
 const PAIRS: usize = 3;
 
-/// Number of tracks that must move at least as far as [`Motion::largest_px`] says. A few outliers therefore don't
-/// determine this value.
+/// Number of tracked features that move at least as far as the measured largest motion, [`Motion::largest_px`]. The
+/// motion of the fifth fastest feature is taken, so that a few outliers don't determine the value.
 const WITNESSES: usize = 5;
 
-/// Motion from frame to frame below which a feature counts as static, in pixels.
+/// Motion from one frame to the next below which a tracked feature counts as static, in pixels.
 const STILL_PX: f64 = 0.5;
 
-/// Largest change of an image block that noise can cause in a still pair: a mean absolute difference of pixel values,
-/// which are from 0 to 1. A larger change means that the light changes or that the whole image moves.
+/// Largest change of an image block that noise can cause from one frame to the next, if nothing moves. The change is
+/// the mean absolute difference of pixel values, which are from 0 to 1. A larger change means that the light changes or
+/// that the whole image moves.
 pub(super) const MAX_NOISE: f32 = 4.0 / 255.0;
 
 /// Radius of the neighbourhood whose tracks predict a track's motion, in pixels. With a larger radius, any motion that
 /// varies in space would add to [`Motion::residual_px`]. With a smaller radius, the outlines of moving objects would be
 /// missed.
 const NEIGHBORHOOD_PX: f64 = 40.0;
-/// Number of neighbouring tracks that predict a track's motion. The nearest tracks are used.
+/// Number of nearest tracks whose weighted mean motion predicts a track's motion.
 const PREDICTING: usize = 6;
 
-/// The motion in a capture, measured in a few frame pairs of every camera. Numbers of pairs are totals. All other
-/// values are maxima over the pairs.
+/// The motion in a capture, measured in a few pairs of successive frames of every camera. Numbers of pairs are totals.
+/// All other values are maxima over the pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
-    /// Largest motion of features from frame to frame, in pixels.
+    /// Largest motion of features from one frame to the next, in pixels. For a frame pair, it is the motion of the
+    /// fifth fastest feature, so that outliers are ignored; 0 with fewer features. The value is the maximum over the
+    /// pairs.
     pub largest_px: f64,
     /// Curvature of trajectories, in pixels. For a feature, it is the distance between its trajectory through four
     /// frames and the straight line between its positions in the middle two frames, halfway in time between these two.
@@ -51,9 +54,10 @@ pub struct Motion {
     /// Number of still pairs: frame pairs in which no block changes by more than noise, and no feature moves.
     pub still_pairs: usize,
     /// Largest change of an image block in the still pairs: the mean absolute difference of its pixel values, which are
-    /// from 0 to 1. In a still pair, no block changes by more than noise.
+    /// from 0 to 1. In a still pair, no block changes by more than noise, and no feature moves.
     pub still_change: f32,
-    /// Largest motion of features in the still pairs, in pixels. In a still pair, no block changes by more than noise.
+    /// Largest motion of features in the still pairs, in pixels. In a still pair, no image block changes by more than
+    /// noise, and this motion is below 0.5 px.
     pub still_px: f64,
     /// Number of examined frame pairs; 0 if every camera took one frame.
     pub pairs: usize,
@@ -107,7 +111,8 @@ impl Motion {
     }
 }
 
-/// Returns the index of the first frame of each examined pair, for a recording of `frames` frames.
+/// Returns the index of the earlier frame of each pair of successive frames to examine, for a recording of `frames`
+/// frames.
 fn spread(frames: usize) -> Vec<usize> {
     let pairs = frames.saturating_sub(1);
     let mut found: Vec<usize> = match pairs {
@@ -118,8 +123,8 @@ fn spread(frames: usize) -> Vec<usize> {
     found
 }
 
-/// Returns the largest motion, in pixels, that at least [`WITNESSES`] tracks reach. Returns 0 if there are fewer
-/// tracks.
+/// Returns the largest motion, in pixels, that at least [`WITNESSES`] tracks reach or exceed. Returns 0 if there are
+/// fewer tracks.
 fn largest(tracks: &[Track]) -> f64 {
     let mut motions: Vec<f64> = tracks.iter().map(|t| t.motion().norm()).collect();
     motions.sort_by(|a, b| b.total_cmp(a));
@@ -138,7 +143,8 @@ fn curvature(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
 }
 
 /// Computes [`Motion::residual_px`] for one frame pair. The residual of a track is half of the difference between its
-/// motion and the weighted mean motion of the nearest tracks.
+/// motion and the weighted mean motion of the nearest tracks: the difference halfway in time between the two frames.
+/// Returns 0 if no track has enough neighbours.
 fn residual(tracks: &[Track]) -> f64 {
     let neighbors = Neighbors::new(tracks.iter().map(|t| t.earlier));
     let missed: Vec<f64> = tracks

@@ -5,7 +5,7 @@ use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::{Plane, Proxy};
 use crate::options::RenderOptions;
 
-/// Number of evenly spaced instants at which the shape is measured.
+/// Number of evenly spaced instants at which the scene's deviation from a plane is measured.
 const INSTANTS: usize = 3;
 
 /// The deviation of the scene's points from a plane, in the reference camera's view.
@@ -19,8 +19,8 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// Measures the shape at a few instants. Returns `None` if no point can be triangulated, or if the recordings of
-    /// the cameras with known clocks don't overlap in time.
+    /// Measures the deviation of the scene from a plane at a few instants. Returns `None` if no point can be
+    /// triangulated, or if the recordings of the cameras with known clocks don't overlap in time.
     pub fn survey(
         field: &LightField,
         options: &RenderOptions,

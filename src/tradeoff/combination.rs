@@ -1,4 +1,4 @@
-//! The combinations of methods and parameters that are measured.
+//! The combinations of methods and parameters whose time and quality are measured.
 
 use crate::interpolation::SyncMethod;
 use crate::lumigraph::BlendMethod;
@@ -6,15 +6,16 @@ use crate::method::Method;
 use crate::offset::OffsetMethod;
 use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 
-/// The methods of the geometric proxy that are measured.
+/// The methods of the geometry proxy that are combined with the other stages' methods and measured.
 const PROXIES: &[ProxyMethod] = &[ProxyMethod::Plane, ProxyMethod::Mesh, ProxyMethod::Depth];
 
-/// Returns all combinations of synchronization, proxy and blend methods. All other options are copied from `base`.
+/// Returns options for all combinations of synchronization, proxy and blending methods. All other options are
+/// copied from `base`.
 ///
 /// The offset method is varied in [`variations`], like a parameter, because offsets are estimated once and then
 /// take no time per view. [`SyncMethod::AllCameras`] always computes depth per pixel, so that it is combined only
-/// with [`ProxyMethod::Depth`]. [`ProxyMethod::SceneFlow`] is left out, because most of its time is spent on
-/// frames, and views at several instants share the results.
+/// with [`ProxyMethod::Depth`]. [`ProxyMethod::SceneFlow`] is left out, because the time for a single view would be
+/// misleading: most of the time is spent on the recorded frames, and views at several instants share these results.
 pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     for &sync in SyncMethod::ALL {
@@ -32,7 +33,8 @@ pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     found
 }
 
-/// Returns options with the most accurate method of every stage. All other options are copied from `base`.
+/// Returns options with the most accurate method of every stage. Options that choose no method are copied from
+/// `base`.
 pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
     let mut options = base.clone();
     (options.sync, options.proxy.method) = (SyncMethod::Refined, ProxyMethod::Depth);
@@ -41,17 +43,17 @@ pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
     options
 }
 
-/// Properties of a capture that determine which parameters can have an effect.
+/// Properties of a capture that determine which options can change its views, and are therefore varied.
 #[derive(Clone, Copy, Debug)]
 pub struct Variable {
     /// Whether the temporal offsets between cameras are estimated.
     pub offsets: bool,
-    /// Number of the capture's cameras. At most so many cameras can be blended into a view.
+    /// Number of the capture's cameras. It is the maximum number of cameras that can be blended into a view.
     pub cameras: usize,
 }
 
-/// Returns copies of the options in which one main parameter is changed. There is one copy for every other value of
-/// every main parameter that the options' methods use.
+/// Returns copies of the options in which one main parameter is changed. For each main parameter that the methods
+/// in `options` use, there is one copy for each of its measured values, except the present value.
 pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     let mut add = |change: &dyn Fn(&mut RenderOptions)| {
@@ -99,7 +101,8 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
     found
 }
 
-/// Returns the name of a combination: its methods, and the main parameters whose values are not the defaults.
+/// Returns the name of a combination of options: its methods, and the main parameters whose values are not the
+/// defaults.
 pub fn name(options: &RenderOptions) -> String {
     let default = RenderOptions::default();
     let (sync, proxy, blend) = (options.sync, &options.proxy, &options.blend);

@@ -10,30 +10,33 @@ use crate::method::Method;
 use crate::options::RenderOptions;
 use crate::progress::{Reporter, Task, in_words};
 
-/// The reference images, the timed view and the cache with which combinations of options are measured.
+/// The inputs with which combinations of options are measured: the reference images, the view whose rendering time
+/// is measured, and the cache of measurements.
 pub(super) struct Bench<'a> {
     pub store: Store,
     pub targets: Vec<Target>,
-    /// The view that is timed.
+    /// The view whose rendering time is measured.
     pub timed: View,
     pub runs: usize,
     pub clock: TimingClock,
     pub reporter: &'a Reporter,
 }
 
-/// Time, in seconds, that one thread takes per pixel of a view and per camera. It is the mean over all methods on
-/// the scene `magazine`. The expected duration of a measurement is computed from it.
+/// Time, in seconds, that one thread takes to render a view, per pixel and per camera of the capture. It is the
+/// mean over all methods on the test scene `magazine`. The expected duration of the measurements is computed from
+/// it.
 const SAMPLE_S: f64 = 4e-7;
 
 impl Bench<'_> {
-    /// Returns the kind of reference images against which quality is measured.
+    /// Returns the kind of reference images against which the quality of views is measured.
     pub fn against(&self) -> Against {
         let order = [Against::Truth, Against::HeldOut, Against::MostAccurate];
         let there = |a: &Against| self.targets.iter().any(|t| t.against == *a);
         order.into_iter().find(there).unwrap_or(Against::MostAccurate)
     }
 
-    /// Returns the measurements of these combinations. Measurements that are in the cache are not repeated.
+    /// Measures the time and the quality of the given combinations of options. Measurements that are in the cache
+    /// are not repeated. `label` describes the combinations in the progress display.
     pub fn measure(
         &self,
         label: &str,
@@ -58,7 +61,7 @@ impl Bench<'_> {
         Ok(points)
     }
 
-    /// Returns whether a combination can be rendered and has fewer timed runs than required.
+    /// Returns whether a combination of options can be rendered and has fewer timed runs than required.
     fn is_untimed(&self, point: &CachedPoint) -> bool {
         point.reason.is_none() && point.runs.len() < self.runs
     }
@@ -122,9 +125,9 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Times a view of each combination in turns, so that other load on the machine affects all combinations alike.
-    /// Frames are registered before the timed runs. Before each run, cached results for the view's instant are
-    /// discarded.
+    /// Measures the time that each combination of options takes to render the view [`Self::timed`]. The
+    /// combinations are rendered in turns, so that other load on the machine affects all of them alike. Frames are
+    /// registered before the timed runs. Before each run, cached results for the view's instant are discarded.
     fn time(
         &self,
         field: &LightField,
@@ -157,14 +160,15 @@ impl Bench<'_> {
 }
 
 impl CachedPoint {
-    /// Returns whether the combination can be rendered but has no score for this target yet.
+    /// Returns whether this combination of options can be rendered, but has not been compared with the target's
+    /// reference image yet.
     fn lacks(&self, target: &Target) -> bool {
         self.reason.is_none() && !self.scores.contains_key(&target.id)
     }
 }
 
-/// Groups the combinations that share registered frames and temporal offsets. Each group holds the combinations'
-/// indices.
+/// Groups the combinations of options that can share registered frames and temporal offsets, because their
+/// registration options and offset methods are equal. Each group has the indices of its combinations in `points`.
 fn groups(points: &[CachedPoint]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (k, CachedPoint { options, .. }) in points.iter().enumerate() {

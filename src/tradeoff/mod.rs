@@ -7,20 +7,20 @@
 //! - `tradeoff.svg`: a chart of quality against time, with a numbered Pareto front
 //! - `recommended.json`: the recommended options, for the command-line argument `--options`
 //!
-//! Measurements are cached with the capture, so that an interrupted run can be resumed.
+//! Measurements are cached in the capture's folder, so that an interrupted run can be resumed.
 //!
 //! **Combinations** ([`methods`], [`variations`]): first, every synchronization method is combined with every proxy
-//! and blend method. The presets and the methods that `auto` chooses are added. Then the combinations on the Pareto
-//! front are varied in rounds. Each variation changes one main parameter, or the offset method if clocks are
-//! unknown.
+//! and blend method. The presets, and the methods that the automatic choice `auto` finds for the capture, are
+//! added. Then the combinations on the Pareto front are varied, in one or more rounds. Each variation changes one
+//! main parameter, or the offset method if clocks are unknown.
 //!
-//! **Quality** is the mean PSNR of the moving part of the image over views with a ground-truth image. Without
+//! **Quality** is the PSNR of the moving part of the image, averaged over views with a ground-truth image. Without
 //! ground truth, frames of held-out cameras are the reference images; the other cameras render each of them at the
 //! frame's own time. PSNR of all pixels and FLIP are also written. Quality is the same from run to run.
 //!
 //! **Time** is the time in seconds for one view at a new instant between frames that are already registered: the
-//! median of several runs. Registration, and estimation of the cameras' temporal offsets, are preparation and timed
-//! separately.
+//! median of several runs. Registration of frames, and estimation of the cameras' temporal offsets, count as
+//! preparation, and are timed separately.
 //!
 //! | file | content |
 //! |---|---|
@@ -72,19 +72,19 @@ pub const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json
 /// Options of [`tradeoff`].
 #[derive(Clone, Debug)]
 pub struct TradeoffOptions {
-    /// Number of timed runs of the view of each combination.
+    /// Number of runs in which the rendering time of each combination of options is measured.
     pub runs: usize,
     /// Number of rounds in which the combinations on the Pareto front are varied by single parameters. With 0, only
     /// combinations of methods are measured.
     pub rounds: usize,
-    /// Options that are common to all combinations.
+    /// Options that all combinations have in common, except for the varied methods and parameters.
     pub base: RenderOptions,
     /// Additional combinations to measure.
     pub also: Vec<RenderOptions>,
     pub clock: TimingClock,
 }
 
-/// The clock whose times the Pareto front is computed from.
+/// The kind of rendering time from which the Pareto front is computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum TimingClock {
@@ -116,8 +116,8 @@ impl Default for TradeoffOptions {
     }
 }
 
-/// Maximum difference between the quality of the recommended combination and the best quality, in decibels of PSNR.
-/// A difference of this size is invisible.
+/// Maximum loss of quality of the recommended combination relative to the best quality of all combinations, in
+/// decibels of PSNR. A difference of this size is invisible.
 pub const SLACK_DB: f64 = 0.2;
 
 /// The reason why a trade-off can't be measured, as one sentence.
@@ -148,16 +148,16 @@ pub struct Tradeoff {
     /// Name of the capture.
     pub capture: String,
     pub cameras: usize,
-    /// Width and height of the timed view, pixels.
+    /// Width and height, in pixels, of the view whose rendering time is measured.
     pub size_px: (usize, usize),
     /// Number of threads that render a view.
     pub threads: usize,
     pub against: Against,
-    /// Clock whose times the Pareto front is computed from.
+    /// Kind of rendering time from which the Pareto front is computed.
     pub clock: TimingClock,
-    /// Number of views over which quality is averaged.
+    /// Number of views with reference images over which quality is averaged.
     pub views: usize,
-    /// Time that `auto` takes to choose its methods, seconds.
+    /// Time that the automatic choice of methods (`auto`) takes, seconds.
     pub planning_s: f64,
     /// The measured combinations, fastest first. Combinations that can't be rendered are last.
     pub points: Vec<Point>,
@@ -171,18 +171,18 @@ pub fn schema() -> serde_json::Value {
 }
 
 impl Tradeoff {
-    /// Returns the point with this label: a preset's name, or [`AUTO`].
+    /// Returns the measured combination with this label: a preset's name, or [`AUTO`].
     pub fn labelled(&self, label: &str) -> Option<&Point> {
         self.points.iter().find(|p| p.labels.iter().any(|l| l == label))
     }
 
-    /// Returns the points on the Pareto front, fastest first.
+    /// Returns the measured combinations on the Pareto front of time and quality, fastest first.
     pub fn pareto_front(&self) -> impl Iterator<Item = &Point> {
         self.points.iter().filter(|p| p.on_front)
     }
 }
 
-/// Label of the combination that `auto` chooses.
+/// Label of the combination of methods that the automatic choice finds for the capture ([`crate::plan`]).
 pub const AUTO: &str = "auto";
 
 /// Measures time and quality of views for many combinations of options, and writes the results into the folder
@@ -229,7 +229,7 @@ pub fn tradeoff(
     Ok(tradeoff)
 }
 
-/// Adds the combinations of `more` that are not in the list yet.
+/// Adds to `wanted` those combinations of options in `more` that it does not contain yet.
 fn add(wanted: &mut Vec<RenderOptions>, more: impl IntoIterator<Item = RenderOptions>) {
     for options in more {
         if !wanted.contains(&options) {

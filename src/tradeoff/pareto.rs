@@ -1,6 +1,6 @@
 //! The Pareto front of time and quality.
 
-/// Time and quality of a measured combination.
+/// Time and quality of a measured combination of options: a point in the diagram of the trade-off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trade {
     pub seconds: f64,

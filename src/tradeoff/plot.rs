@@ -3,7 +3,7 @@
 use super::{Against, Point, Spread, TimingClock, Tradeoff};
 use crate::chart::{self, Chart, ChartPoint, Label, Series};
 
-/// Returns the label of the y axis.
+/// Returns the label of the chart's y axis, which names the reference images and the unit of quality.
 fn quality(tradeoff: &Tradeoff) -> &'static str {
     let moving = tradeoff.points.iter().any(|p| p.moving.psnr_db.is_some());
     match (tradeoff.against, moving) {
@@ -71,8 +71,8 @@ pub(super) fn svg(tradeoff: &Tradeoff) -> String {
     chart::svg(&[chart], 1)
 }
 
-/// Returns the lines of the legend: the numbered points of the Pareto front, then the labelled points, then the
-/// recommended point.
+/// Returns the lines of the chart's legend: the numbered combinations on the Pareto front, then the presets and `auto`,
+/// then the recommended combination. `front` has the combinations on the Pareto front, fastest first.
 fn key(tradeoff: &Tradeoff, front: &[&Point]) -> Vec<String> {
     let line = |mark: &str, point: &Point| {
         let seconds = time(tradeoff, point).map_or(f64::NAN, |s| s.median);

@@ -1,5 +1,5 @@
-//! Stores measurements in the capture's cache, with one entry per combination. An interrupted run can therefore be
-//! resumed, and a run with more combinations reuses the measurements of an earlier run.
+//! Stores measurements in the capture's disk cache, with one entry per combination of options. An interrupted run can
+//! therefore be resumed, and a run with more combinations reuses the measurements of an earlier run.
 
 use super::TradeoffError;
 use crate::capture::{Capture, Truth};
@@ -21,31 +21,33 @@ const PREPARATIONS: CacheKind = CacheKind { name: "tradeoff-preparations", versi
 const PLANS: CacheKind = CacheKind { name: "tradeoff-plans", version: 2 };
 const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 3 };
 
-/// Stored measurements of one combination.
+/// Stored measurements of one combination of options.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct CachedPoint {
     pub options: RenderOptions,
-    /// Scores of the rendered views, by the id of the target (the view with a reference image).
+    /// Scores of the rendered views against their reference images. The key is the id of the target, which is a view
+    /// with a reference image.
     pub scores: BTreeMap<String, RegionScores>,
-    /// Reason why no view can be rendered; `None` if views can be rendered. If there is a reason, the scores are not
-    /// used.
+    /// Reason why no view can be rendered with these options; `None` if views can be rendered. If there is a reason,
+    /// `scores` and `runs` are not used.
     pub reason: Option<String>,
-    /// Time of each run of the timed view.
+    /// Rendering times of the view that is timed, one for each run.
     pub runs: Vec<Elapsed>,
 }
 
-/// Temporal offsets for one choice of registration options and offset method, with the times of the preparation.
+/// Temporal offsets of the cameras for one choice of registration options and offset method, with the times that the
+/// estimation of offsets and the registration of frames took.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Prepared {
     pub offsets: Offsets,
-    /// Time to estimate the offsets; `None` if the clocks are known.
+    /// Time to estimate the offsets; `None` if the cameras' clocks are known, so that nothing is estimated.
     pub offsets_took: Option<Elapsed>,
     pub registration_took: Elapsed,
 }
 
-/// The options after every `auto` is replaced by a method, and the time to choose the methods.
+/// Options in which every automatic choice is replaced by the chosen method, and the time to choose the methods.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Planned {
@@ -88,8 +90,8 @@ impl Store {
         Ok(Self { capture: capture.clone(), cache, reporter: *reporter, noted })
     }
 
-    /// Returns the temporal offsets for these options, and the times of the preparation. They are loaded from the
-    /// cache or, if they are not cached, computed and measured.
+    /// Returns the temporal offsets for these options, and the times that the estimation of offsets and the
+    /// registration of frames took. They are loaded from the cache or, if they are not cached, computed and timed.
     pub fn prepared(&self, options: &RenderOptions) -> Result<Prepared, TradeoffError> {
         let capture = &self.capture;
         let still_change = options.interpolation.still_change;
@@ -119,7 +121,8 @@ impl Store {
         Ok(prepared)
     }
 
-    /// Returns the options `asked` with every `auto` replaced by the planned method, and the time of planning.
+    /// Returns the options `asked` with every automatic choice replaced by the chosen method, and the time that the
+    /// choice took.
     pub fn planned(&self, asked: &RenderOptions) -> Result<Planned, TradeoffError> {
         if asked.auto.stages().is_empty() {
             let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
@@ -139,7 +142,8 @@ impl Store {
         Ok(planned)
     }
 
-    /// Returns the cached measurements of a combination. If there are none, returns an entry without measurements.
+    /// Returns the cached measurements of a combination of options. If there are none, returns a [`CachedPoint`]
+    /// without measurements.
     pub fn point(&self, options: &RenderOptions) -> CachedPoint {
         let cached = self.load::<CachedPoint>(POINTS, options);
         cached.filter(|cached| cached.options == *options).unwrap_or_else(|| CachedPoint {
@@ -154,7 +158,7 @@ impl Store {
         self.save(POINTS, &point.options, point);
     }
 
-    /// Returns the cached measurement of this kind for these options. Returns `None` if there is none.
+    /// Returns the cached measurement of this kind for these options. Returns `None` if no such measurement is cached.
     fn load<T: DeserializeOwned>(&self, kind: CacheKind, options: &impl Serialize) -> Option<T> {
         self.cache.load_json(kind, options)
     }
@@ -171,8 +175,8 @@ impl Store {
     }
 }
 
-/// Returns the middle of the time span that all cameras cover, in seconds. If there is no such span, returns the
-/// middle of the reference camera's time span.
+/// Returns the middle of the time span that all cameras with known clocks cover, in seconds from the capture's start.
+/// If there is no such span, returns the middle of the reference camera's time span.
 pub(super) fn middle_s(field: &LightField) -> f64 {
     let own_span = || field.span_s(field.capture().reference);
     let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();

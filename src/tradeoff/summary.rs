@@ -1,4 +1,4 @@
-//! Summarizes measurements as points of the trade-off.
+//! Summarizes the measurements of each combination of options as a [`Point`] of the trade-off between time and quality.
 
 use super::measure::Bench;
 use super::pareto::Trade;
@@ -11,13 +11,14 @@ use crate::options::RenderOptions;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Measured quality and processing time of one combination of methods.
+/// Measured quality and processing time of one combination of methods and parameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
     /// Name of the combination: its methods, and the parameters that differ from their defaults.
     pub name: String,
-    /// Names of the presets whose options equal these options. Also `auto`, if `auto` chooses these options.
+    /// Names of the presets whose options equal this combination's options. Also `auto`, if the automatic choice of
+    /// methods gives these options.
     pub labels: Vec<String>,
     /// Options of all stages, in the format of an options file.
     #[schemars(with = "serde_json::Value")]
@@ -42,7 +43,8 @@ pub struct Point {
     pub preparation: Option<PreparationTime>,
 }
 
-/// Mean scores of the moving part, or of all pixels, over all views. Views without such pixels are left out.
+/// Mean scores over all compared views, either of the moving part of the image or of all pixels. Views without such
+/// pixels are left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeanScores {
@@ -52,7 +54,7 @@ pub struct MeanScores {
     pub flip: Option<f64>,
 }
 
-/// Statistics of the times of several runs, in seconds.
+/// Statistics of the times that a view took in several runs, in seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Spread {
@@ -62,8 +64,8 @@ pub struct Spread {
     pub runs: usize,
 }
 
-/// Wall-clock times of the preparation, in seconds. One preparation suffices for all views at instants between the same
-/// two frames of each camera.
+/// Wall-clock times of the preparation before a view is rendered, in seconds. One preparation suffices for all views at
+/// instants between the same two frames of each camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PreparationTime {
@@ -85,16 +87,17 @@ const IDENTICAL_DB: f64 = 99.0;
 /// Step, in decibels, to which qualities are rounded before combinations are compared.
 const STEP_DB: f64 = 0.01;
 
-/// Returns the time and the quality of a combination, from its measurements `point`. A value is NaN if the combination
-/// can't be rendered or the value wasn't measured.
+/// Returns the time and the quality of a combination of options, from its measurements `point`. The time is the median
+/// over the runs. A value is NaN if the combination can't be rendered or the value wasn't measured.
 pub(super) fn trade(bench: &Bench, point: &CachedPoint) -> Trade {
     let seconds = spread(point, |elapsed| bench.clock.of(elapsed)).map_or(f64::NAN, |s| s.median);
     let quality = quality_db(bench, point).unwrap_or(f64::NAN);
     Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
 }
 
-/// Summarizes a measured combination. `on_front` tells whether it is on the Pareto front of all combinations. `labels`
-/// are the names of the presets and `auto`, each with the options that it stands for.
+/// Summarizes the measurements of a combination of options. `on_front` tells whether the combination is on the Pareto
+/// front of all combinations. `labels` are the names of the presets and `auto`, each with the options that it stands
+/// for.
 pub(super) fn summarized(
     bench: &Bench,
     cached: &CachedPoint,
@@ -154,7 +157,7 @@ fn mean(
     }
 }
 
-/// Returns statistics of the times that the combination took to render a view, over all runs. `seconds` selects
+/// Returns statistics of the rendering times of a combination of options, over all timed runs. `seconds` selects
 /// wall-clock time or processor time. `None` if the combination can't be rendered or wasn't timed.
 fn spread(point: &CachedPoint, seconds: impl Fn(&Elapsed) -> f64) -> Option<Spread> {
     if point.reason.is_some() {

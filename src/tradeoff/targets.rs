@@ -31,12 +31,13 @@ pub enum Against {
     Truth,
     /// Frames of held-out cameras. The view of a frame is rendered from the other cameras at the frame's own time.
     HeldOut,
-    /// A view that is rendered by the most accurate method of every stage. It measures the loss against these
-    /// methods, not accuracy.
+    /// A view that is rendered by the most accurate method of every stage. Quality then measures the difference from
+    /// these methods, not the accuracy.
     MostAccurate,
 }
 
-/// A view with a reference image, with which a rendered view is compared.
+/// A view with a reference image. Each combination of options renders this view, and the result is compared with the
+/// reference image.
 pub(super) struct Target {
     pub id: String,
     pub view: View,
@@ -47,7 +48,8 @@ pub(super) struct Target {
     reference: ReferenceImage,
     /// For each pixel, row by row, whether it shows a moving surface.
     moving: Vec<bool>,
-    /// For each pixel, row by row, whether the view by the most accurate methods has a colour there.
+    /// For each pixel, row by row, whether the most accurate methods can render a colour. Pixels without one are not
+    /// compared.
     covered: Vec<bool>,
     depth: BitDepth,
 }
@@ -59,11 +61,11 @@ pub(super) struct View {
     pub time_s: f64,
 }
 
-/// Number of cameras that are held out, one after the other, if there is no ground truth.
+/// Number of cameras that are held out, one at a time, if there is no ground truth.
 const HELD_OUT: usize = 2;
 
-/// The capture from which targets are made, the temporal offsets of its cameras, and the options that all combinations
-/// have in common.
+/// The inputs from which views with reference images are created: the capture, the temporal offsets of its cameras, and
+/// the options that all measured combinations have in common.
 pub(super) struct TargetScene<'a> {
     pub capture: &'a Arc<Capture>,
     pub offsets: &'a Offsets,
@@ -71,8 +73,8 @@ pub(super) struct TargetScene<'a> {
 }
 
 impl Target {
-    /// Returns the scores of a rendered view. Pixels that the most accurate methods leave empty are not measured.
-    /// Other pixels that `rendered` leaves empty count as black.
+    /// Returns the scores of a rendered view against the reference image. Pixels that the most accurate methods leave
+    /// empty are not compared. Other pixels that `rendered` leaves empty count as black.
     pub fn score(&self, rendered: &Rendered) -> RegionScores {
         let truth = self.reference.image();
         let image = as_written(&rendered.image, truth.channels(), self.depth);
@@ -91,7 +93,8 @@ impl TargetScene<'_> {
         field_of(self.capture, self.offsets, &others)
     }
 
-    /// Returns the targets, and the view that is timed.
+    /// Returns the views with reference images, and the view whose rendering time is measured. `truth` is the ground
+    /// truth; `None` if the capture has none.
     pub fn targets(&self, truth: Option<&Truth>) -> Result<(Vec<Target>, View), TradeoffError> {
         let mut found = truth.map_or(Ok(Vec::new()), |truth| self.true_views(truth))?;
         if let Some(first) = found.first() {
@@ -113,8 +116,8 @@ impl TargetScene<'_> {
         Ok((found, timed))
     }
 
-    /// Creates a target with a ground-truth image. `rendered` is the same view, rendered by the most accurate
-    /// methods.
+    /// Creates a target with a ground-truth image. `rendered` is the same view, rendered by the most accurate methods;
+    /// only pixels that it covers will be compared.
     fn target(&self, id: String, view: View, truth: TrueImage, rendered: Rendered) -> Target {
         let pixels_per_degree = CompareOptions::default().pixels_per_degree;
         Target {
@@ -152,8 +155,8 @@ impl TargetScene<'_> {
     }
 
     /// Returns one target for each held-out camera. The held-out cameras are the [`HELD_OUT`] nearest to the rig's
-    /// centre that can be rendered. The reference image is a frame at whose time the most other cameras have an image.
-    /// If there are several such frames, it is the middle one.
+    /// centre that can be rendered. The reference image is the frame of the held-out camera at whose time the largest
+    /// number of other cameras can give an image. If there are several such frames, it is the middle one.
     fn held_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
         let frames = FrameStore::new(self.capture.clone(), &self.base.registration);

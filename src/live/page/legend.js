@@ -1,8 +1,8 @@
-// The legend: the colours of cameras and of depths, with what is under the pointer.
+// The legend: the colours of the cameras or of depths, and the blending weights or the depth under the pointer.
 
 import { address } from "./stream.js";
 
-/** Part of a picture beneath which a camera's weight is not listed. */
+/** Smallest blending weight, from 0 to 1, that is shown as a number. Smaller weights are shown as a dash. */
 const LEAST = 0.005;
 const UNPOINTED = "Point at the picture for the depth there.";
 
@@ -22,7 +22,7 @@ export class Legend {
     this.weights = null;
   }
 
-  /** Shows the legend of a method, or none if the method has none. */
+  /** Shows the legend of a method. Hides the legend if the method needs none. */
   of(method) {
     if (method === this.method) return;
     this.method = method;
@@ -44,7 +44,7 @@ export class Legend {
     this.list(null, "weight in the whole picture");
   }
 
-  /** Lists weights, one a camera; null if they are not known yet. */
+  /** Lists the blending weights, one per camera. `weights` is null if they are not known yet. */
   list(weights, caption) {
     this.caption.textContent = caption;
     this.values.forEach((value, k) => {
@@ -64,7 +64,7 @@ export class Legend {
     this.card.replaceChildren(element("h2", { textContent: "Depth" }), this.caption, this.scale, element("p", { className: "ends" }, ...this.ends));
   }
 
-  /** Takes over a picture that is shown: the range of its depths, or the weights of its cameras. */
+  /** Updates the legend after a new picture is shown: the range of its depths, or the cameras' blending weights. */
   async shown(picture, fields) {
     if (this.method === "depth" && picture.depths_m) {
       this.depths_m = picture.depths_m;
@@ -75,14 +75,14 @@ export class Legend {
     if (picture.level === "full") await this.load(picture, fields);
   }
 
-  /** Forgets the weights of the last picture, and cancels their request. */
+  /** Discards the blending weights of the last picture, and cancels the request for them. */
   forget() {
     this.weights = null;
     this.abort?.abort();
     this.abort = new AbortController();
   }
 
-  /** Requests the weights of a picture. They stay unknown if they can't be had. */
+  /** Requests the blending weights of a picture. If the server can't give them, they stay unknown. */
   async load({ width, height }, fields) {
     const { signal } = this.abort;
     const wanted = { ...fields, w: width, h: height, method: "weights", level: "full", slot: "w" };
@@ -110,7 +110,7 @@ export class Legend {
     return sum;
   }
 
-  /** Shows what is under the pointer, at fractions of the picture's width and height; null: it is outside. */
+  /** Shows the weights or the depth at the pointer. `place`: fractions of the picture's size; null if outside of it. */
   point(place, pane) {
     if (this.method === "sources" && this.weights) {
       if (!place) return this.list(this.mean, "weight in the whole picture");
@@ -133,7 +133,7 @@ export class Legend {
     this.caption.textContent = `${metres(1 / (far + (near - far) * share))} under the pointer`;
   }
 
-  /** The place of a colour on the scale, 0 to 1; null for a pixel without a depth. */
+  /** The position of a colour on the depth scale, from 0 (far) to 1 (near); null for a pixel without a depth. */
   share(color) {
     const colors = this.scene.depth_colors;
     let best = { far: 30 ** 2, share: null };

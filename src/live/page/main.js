@@ -9,28 +9,28 @@ import { METHODS, State, WORDS, truthName } from "./state.js";
 import { Stream, fullSize } from "./stream.js";
 
 const byId = (id) => document.getElementById(id);
-/** How long a note is shown, milliseconds. */
+/** Duration for which a message is shown, milliseconds. */
 const TOAST_MS = 6000;
 /** Delay of updates of the link after a change, and interval of updates of the frame rate, milliseconds. */
 const SETTLE_MS = 400;
 /** Duration of one movement along the cameras and back while time stands still, seconds. */
 const ORBIT_S = 7;
-/** A recording plays at the fastest speed at which it lasts this long, seconds. */
+/** Minimum duration of the playback, seconds. The initial speed is the fastest that satisfies it. */
 const MIN_LOOP_S = 3;
-/** Interval at which a page at rest asks whether the server is there, milliseconds. */
+/** Interval at which a page at rest checks whether the server can be reached, milliseconds. */
 const HEARTBEAT_MS = 4000;
 const ENDED = "The server has ended, or can’t be reached.";
 
 let state, map, plan, legend, scene;
 const panes = [new Pane(byId("pane-a")), new Pane(byId("pane-b"))];
 const size = () => fullSize(scene.lens, byId("picture").clientWidth);
-/** Size of a saved picture: the whole image, in full resolution. */
+/** Size of a saved picture, pixels: the size of the reference camera's images. */
 const savedSize = () => [scene.lens.width, scene.lens.height];
 const streams = panes.map(
   (pane, k) => new Stream("ab"[k], size, (picture) => shown(pane, picture), (sentence) => failed(pane, sentence)),
 );
 let isPlaying = false;
-/** Whether the server did not answer last time. */
+/** Whether the server did not answer the last request. */
 let isLost = false;
 let orbit = null;
 let arrivals = [];
@@ -63,7 +63,7 @@ function failed(pane, sentence) {
   describe();
 }
 
-/** Asks whether the server is there, if nothing else does: a page at rest requests nothing. */
+/** Checks whether the server can be reached, if no other request is running. (A page at rest requests no pictures.) */
 async function listenForHeart() {
   if (document.hidden || streams.some((stream) => stream.abort)) return;
   try {
@@ -74,7 +74,7 @@ async function listenForHeart() {
   }
 }
 
-/** What made a picture, in words: the server names methods as the command line does. */
+/** Describes the methods by which a picture was rendered. `madeBy` has their names on the command line. */
 const inWords = (madeBy) => madeBy.split(", ").map((name) => WORDS[name] ?? name).join(", ");
 
 /** Shows the methods, the size and the frame rate of the pictures, beneath the capture's name. */
@@ -101,7 +101,7 @@ function request() {
   const fields = state.query();
   const methods = [state.left, state.right];
   streams.forEach((stream, k) => {
-    // The page knows where there is truth; elsewhere no request is needed.
+    // The page has a list of the ground-truth images. For a view without one, no request is needed.
     if (methods[k] === "truth" && !state.isTrue()) {
       stream.want(null);
       failed(panes[k], scene.truths.length ? "There is truth at some places and times only" : "This capture has no truth");
@@ -147,7 +147,7 @@ function reflect() {
 let isDue = false;
 let settling = 0;
 
-/** Called after a change. Updates controls and requests once a frame, and the link when nothing changes any more. */
+/** Called after a change of the state. Updates controls and requests once per animation frame, and the link at rest. */
 function changed(names) {
   if (!isDue) {
     isDue = true;
@@ -191,8 +191,8 @@ function stopTime(on) {
 const press = (id, on) => byId(id).setAttribute("aria-pressed", String(on));
 
 /**
- * The path of the orbit: a function from an angle, radians, to a place. It goes along a line of cameras and back, or
- * around the middle of cameras that fill a plane.
+ * The path of the orbit: a function from an angle, radians, to a viewpoint. The path goes along a line of cameras and
+ * back. For cameras that fill a plane, it is an ellipse around their middle.
  */
 function orbitPath() {
   const places = scene.cameras.map((camera) => camera.at).sort((a, b) => a[0] - b[0]);
@@ -280,7 +280,7 @@ const KEYS = {
   "?": () => byId("keys").showModal(),
 };
 
-/** Whether the focused control uses the key: arrows move a slider, space presses a button, letters choose in a list. */
+/** Whether the focused control uses the key: arrows move a slider, space presses a button, letters select in a list. */
 function isTaken({ key, target }) {
   if (target.closest("dialog, #save-menu")) return true;
   if (target.matches("select")) return /^[\p{L}\p{N} ]$/u.test(key) || key.startsWith("Arrow") || key === "Home";
@@ -303,7 +303,7 @@ function key(event) {
 
 // Controls
 
-/** Shows the truth on one side. If there is none of the current view, goes to the nearest place that has some. */
+/** Shows the ground truth on one side. If the current view has none, moves to the nearest ground-truth image. */
 function truthAt(side) {
   if (!state.isTrue() && scene.truths.length) state.goTo(state.nearestTruth());
   play(false);
@@ -379,7 +379,7 @@ function fillTime([first, last]) {
   byId("speed").value = (speeds.find(({ value }) => (last - first) / Number(value) >= MIN_LOOP_S) ?? speeds.at(-1)).value;
 }
 
-/** Shows in the legend what is under the pointer. */
+/** Shows the blending weights or the depth under the pointer in the legend. */
 function pointAt({ clientX, clientY }) {
   const box = byId("picture").getBoundingClientRect();
   const place = [(clientX - box.left) / box.width, (clientY - box.top) / box.height];

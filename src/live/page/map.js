@@ -4,7 +4,7 @@ const SVG = "http://www.w3.org/2000/svg";
 /** Distance within which a tap selects a camera, pixels. */
 const SNAP_PX = 9;
 
-/** An element of SVG, appended to another. */
+/** Creates an SVG element, and appends it to `parent`. */
 export function shape(name, parent, attributes) {
   const element = document.createElementNS(SVG, name);
   for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
@@ -39,7 +39,7 @@ export class RigMap {
     new ResizeObserver(() => this.draw()).observe(svg);
   }
 
-  /** The map's size and scale, and the conversions between places (metres) and pixels. */
+  /** The map's size and scale, and the conversions between positions (metres) and pixels. */
   frame() {
     const [width, height] = [this.svg.clientWidth || 1, this.svg.clientHeight || 1];
     const scale = Math.min(width / this.size[0], height / this.size[1]);
@@ -63,7 +63,7 @@ export class RigMap {
     this.state.set({ x, y });
   }
 
-  /** Goes to the camera under the pointer; returns whether there is one. */
+  /** Moves the viewpoint to the camera under the pointer. Returns false if no camera is there. */
   snap(event) {
     const [px, py] = this.local(event);
     const { px: pixels } = this.frame();

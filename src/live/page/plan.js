@@ -2,9 +2,9 @@
 
 import { shape } from "./map.js";
 
-/** Space around the map, pixels: fields of view reach beyond the places of viewpoints. */
+/** Margin around the map, pixels. It is needed because fields of view extend beyond the bounds of viewpoints. */
 const MARGIN_PX = 4;
-/** Length of a field of view, as a fraction of the width of the places of viewpoints. */
+/** Drawn length of a field of view, as a fraction of the width of the bounds of viewpoints. */
 const REACH = 0.2;
 
 export class Plan {
@@ -24,7 +24,7 @@ export class Plan {
     new ResizeObserver(() => this.draw()).observe(svg);
   }
 
-  /** The conversions between places, metres to the right and ahead, and pixels. */
+  /** The conversions between positions (metres to the right and ahead) and pixels of the map. */
   frame() {
     const [width, height] = [this.svg.clientWidth || 1, this.svg.clientHeight || 1];
     const { low, high } = this.state.scene;
@@ -39,7 +39,7 @@ export class Plan {
     };
   }
 
-  /** The direction of a view from a place: the mean of the cameras', weighted by proximity, as the server has it. */
+  /** The direction of a view, radians to the right: the mean of the cameras' directions, weighted as in the server. */
   direction({ x, y, z }) {
     const { cameras, spacing_m: spacing } = this.state.scene;
     const soft = Math.max(0.5 * spacing, 1e-9);
@@ -52,7 +52,7 @@ export class Plan {
     return Math.atan2(sum[0], sum[1]);
   }
 
-  /** The outline of a field of view: its apex, and its two far corners. */
+  /** The outline of a field of view on the map, as the points of an SVG polygon: its apex and its two far corners. */
   field(x, z, angle, zoom) {
     const { px, reach } = this.frame();
     const half = Math.atan(0.5 / (this.state.scene.lens.focal * zoom));
@@ -61,7 +61,7 @@ export class Plan {
   }
 
   draw() {
-    // Hidden, it has no size.
+    // A hidden map has no size, and can't be drawn.
     if (!this.svg.clientWidth) return;
     const { scene, ...now } = this.state;
     const hasColors = [now.left, now.right].includes("sources");

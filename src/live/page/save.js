@@ -2,7 +2,7 @@
 
 import { address } from "./stream.js";
 
-/** Gives the browser a file to save. */
+/** Makes the browser save a file. */
 function download(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
@@ -35,14 +35,14 @@ export async function saveCamera(state, [w, h]) {
 /** Quotes a word for a shell. */
 const quoted = (word) => (/^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`);
 
-/** The options of the command line with a method of the page in place of their own. */
+/** The command-line options with `method` as the value of `flag`. Without a method, they are unchanged. */
 function withMethod(options, flag, method) {
   if (!method) return options;
   const own = options.filter((word, k) => word !== flag && options[k - 1] !== flag && !word.startsWith(`${flag}=`));
   return [...own, flag, method];
 }
 
-/** The command that renders the same picture. */
+/** The command line of `stlfr render` that renders the same picture. */
 export function command(state) {
   const { folder } = state.scene;
   const sync = state.left === "lfr" ? "nearest" : state.sync;
@@ -51,7 +51,7 @@ export function command(state) {
   return words.map(quoted).join(" ");
 }
 
-/** The command that opens this place again, in any run of the program. */
+/** The command line of `stlfr view` that opens the page again with the same view, in any run of the program. */
 export function returnCommand(state) {
   const { folder, options } = state.scene;
   return ["stlfr", "view", folder, ...options, "--at", state.link()].map(quoted).join(" ");

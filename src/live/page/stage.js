@@ -3,7 +3,7 @@
 /** Duration of the cross-fade from a quick picture to one of full quality, milliseconds. */
 const FADE_MS = 280;
 
-/** A pane shows one method's pictures, or a sentence that says why there is none. A picture dispatches an event. */
+/** A pane shows the pictures of one method, or the reason why there is none. Each new picture dispatches an event. */
 export class Pane {
   constructor(element) {
     this.element = element;
@@ -14,7 +14,7 @@ export class Pane {
     this.picture = null;
   }
 
-  /** Shows a picture. One of full quality is faded in over a quick one. */
+  /** Shows a picture. After a quick picture, a picture of full quality is faded in. */
   show(picture) {
     const { bitmap } = picture;
     this.before.hidden = true;
@@ -31,7 +31,7 @@ export class Pane {
     this.element.dispatchEvent(new CustomEvent("picture", { detail: picture.level }));
   }
 
-  /** Lays the last picture over the next one, and lets it vanish. */
+  /** Starts a cross-fade: lays a copy of the last picture over the next picture, and fades the copy out. */
   fade() {
     const { before, canvas } = this;
     [before.width, before.height] = [canvas.width, canvas.height];
@@ -48,13 +48,13 @@ export class Pane {
     return [x * width, y * height].map((v, k) => Math.min([width, height][k] - 1, Math.max(0, Math.floor(v))));
   }
 
-  /** Centres the pane's sentence in its visible part: `percent` of the picture's width. */
+  /** Centres the pane's message horizontally in the pane's visible part, at `percent` of the picture's width. */
   center(percent) {
     this.problem.style.left = `${percent}%`;
     this.problem.style.maxWidth = `min(30rem, ${2 * Math.min(percent, 100 - percent)}% - 32px)`;
   }
 
-  /** Says why there is no picture, over the last picture, greyed. `action` is a button's label and its function. */
+  /** Shows why there is no picture, over the greyed last picture. `action` is a button's label and its function. */
   fail(sentence, action) {
     this.problem.hidden = !sentence;
     this.problem.firstElementChild.textContent = sentence && sentence[0].toUpperCase() + sentence.slice(1) + (/[.!?…]$/.test(sentence) ? "" : ".");
@@ -64,9 +64,9 @@ export class Pane {
   }
 }
 
-/** Change of the zoom's natural logarithm per pixel that the wheel scrolls. */
+/** Change of the natural logarithm of the zoom per pixel that the wheel scrolls. */
 const WHEEL = 0.0015;
-/** Rotation by a drag over the picture's width, degrees at zoom 1. */
+/** Rotation of the view by a drag over the picture's width, degrees at zoom 1. */
 const DRAG_TURN_DEG = 40;
 
 /** Makes drags, pinches and the wheel on an element change the viewpoint, the rotation and the zoom. */
@@ -81,7 +81,7 @@ export function gestures(element, picture, state) {
   element.addEventListener("pointerdown", (event) => {
     if (event.target.closest("button, input") || event.button > 2) return;
     element.setPointerCapture(event.pointerId);
-    // The focus that a pointer gives is not outlined; the next key takes the mark away.
+    // While this mark is set, the focused element has no outline. The next key press removes the mark.
     element.dataset.focusedBy = "pointer";
     element.focus({ preventScroll: true });
     pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, turns: event.button === 2 });

@@ -1,6 +1,6 @@
 // The state of the page: viewpoint, time, zoom and methods, with their bounds, and the link that holds the state.
 
-/** The methods: their names in addresses, in links and on the page. */
+/** The contents of a picture: names in addresses and links, and names on the page. */
 export const METHODS = {
   st: "ST-LFR",
   lfr: "Traditional",
@@ -9,7 +9,7 @@ export const METHODS = {
   depth: "Depth",
 };
 
-/** What the methods of the command line do, in words. */
+/** Descriptions of the command line's synchronization and proxy methods, for the page. */
 export const WORDS = {
   nearest: "nearest frames",
   crossfade: "cross-faded frames",
@@ -24,10 +24,10 @@ export const WORDS = {
   "scene-flow": "scene flow",
 };
 
-/** The name of an image of the truth: its place, and its time. An id such as t1-between has the instant before the place. */
+/** The name of a ground-truth image: its viewpoint and time. In an id such as t1-between, the time is removed. */
 export const truthName = ({ id, time_s: time }) => `${id.replace(/^t\d+-(?=.)/, "")} · ${time.toFixed(4)} s`;
 
-/** Times that differ by less than this are one instant, seconds. */
+/** Times that differ by less than this, in seconds, count as the same instant. */
 const SAME_INSTANT_S = 1e-6;
 
 const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
@@ -42,7 +42,7 @@ export class State {
     Object.assign(this, this.home, { t: (first + last) / 2, left: "st", right: "", split: 50, sync: "", proxy: "" });
   }
 
-  /** Changes some fields, clamped to their bounds. A new position clears `at`, the named place. */
+  /** Changes some fields, clamped to their bounds. A new position clears `at`, the name of the viewpoint. */
   set(values) {
     const next = { ...values };
     if (["x", "y", "z"].some((axis) => axis in next) && !("at" in next)) next.at = "";
@@ -66,7 +66,7 @@ export class State {
     if (changed.length) this.on(changed);
   }
 
-  /** Goes to the place of a camera, such as `c3`, or to the place and time of an image of the truth, such as `t0`. */
+  /** Moves to the viewpoint of camera N, `cN`, or to the viewpoint and time of ground-truth image N, `tN`. */
   goTo(at) {
     const index = Number(at.slice(1));
     const place = (at[0] === "t" ? this.scene.truths : this.scene.cameras)[index];
@@ -76,13 +76,13 @@ export class State {
     this.assign({ x, y, z, yaw: 0, pitch: 0, at, ...time });
   }
 
-  /** Whether there is an image of the truth at the current place and time. */
+  /** Whether there is a ground-truth image with the current viewpoint and time. */
   isTrue() {
     const truth = this.at[0] === "t" ? this.scene.truths[Number(this.at.slice(1))] : undefined;
     return Boolean(truth) && Math.abs(truth.time_s - this.t) < SAME_INSTANT_S;
   }
 
-  /** The image of the truth nearest in space and time; "" without one. */
+  /** The ground-truth image nearest in space and time, such as `t0`; "" if there is none. */
   nearestTruth() {
     const { truths, spacing_m: spacing } = this.scene;
     const far = ({ at }) => Math.hypot(at[0] - this.x, at[1] - this.y, at[2] - this.z);
@@ -93,7 +93,7 @@ export class State {
     return best < 0 ? "" : `t${best}`;
   }
 
-  /** The current time as a frame number of the reference camera, with decimals. */
+  /** The current time as a fractional frame number of the reference camera. */
   frame() {
     const times = this.scene.frames_s;
     const after = times.findIndex((time) => time > this.t);
@@ -102,7 +102,7 @@ export class State {
     return after - 1 + (this.t - times[after - 1]) / (times[after] - times[after - 1]);
   }
 
-  /** The time of a frame number of the reference camera, which may have decimals. */
+  /** The time of a frame number of the reference camera, seconds. The number may be fractional. */
   timeOf(frame) {
     const times = this.scene.frames_s;
     const k = clamp(Math.floor(frame), 0, times.length - 1);
@@ -110,7 +110,7 @@ export class State {
     return times[k] + (times[next] - times[k]) * clamp(frame - k, 0, 1);
   }
 
-  /** The fields of a picture's address that give the viewpoint, the zoom, the time, and methods that differ from the chosen ones. */
+  /** The fields of a picture's address: viewpoint, zoom, time, and methods that differ from the server's options. */
   query() {
     const place = this.at ? { at: this.at } : { x: this.x.toFixed(6), y: this.y.toFixed(6), z: this.z.toFixed(6) };
     const turn = { yaw: this.yaw.toFixed(3), pitch: this.pitch.toFixed(3) };
@@ -130,8 +130,8 @@ export class State {
   }
 
   /**
-   * Takes over the fields of a link. Missing and invalid fields keep their values; but if the link has a place, missing
-   * rotation and zoom are reset.
+   * Sets the fields that a link gives. Missing and invalid fields keep their values. But if the link gives a viewpoint,
+   * missing rotation and zoom are reset.
    */
   follow(link) {
     const fields = new URLSearchParams(link);

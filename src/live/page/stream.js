@@ -3,31 +3,31 @@
 
 /** Time without changes after which a picture of the chosen quality is requested, milliseconds. */
 const REST_MS = 140;
-/** Sizes of quick pictures, as fractions of the full one. */
+/** Sizes of quick pictures, as fractions of the size of a full picture. */
 const SCALES = [1, 0.75, 0.5, 0.35];
-/** Median time of quick pictures above which the next ones are smaller, milliseconds. */
+/** Median time from request to picture above which the next quick pictures are smaller, milliseconds. */
 const SLOW_MS = 70;
-/** Median time of quick pictures below which the next ones are larger, milliseconds. */
+/** Median time from request to picture below which the next quick pictures are larger, milliseconds. */
 const FAST_MS = 24;
-/** Smallest height of quick pictures, pixels, unless full ones are smaller. */
+/** Smallest height of quick pictures, pixels, unless full pictures are smaller. */
 const MIN_HEIGHT_PX = 240;
-/** Number of quick pictures over which this median is taken. */
+/** Number of quick pictures whose median time decides on the size of the next ones. */
 const DECIDING = 4;
 
 const viewer = Array.from(crypto.getRandomValues(new Uint8Array(8)), (b) => b.toString(16).padStart(2, "0")).join("");
 
-/** The address of a picture. */
+/** The address of a picture or of another answer of the server, with the name of this viewer. */
 export function address(name, fields) {
   return `${name}?${new URLSearchParams({ ...fields, viewer })}`;
 }
 
-/** Size of a full picture, pixels: the whole image of the lens, with at most the resolution of its place on the screen. */
+/** Size of a full picture, pixels: the size of the lens's image, but at most the size of the picture on the screen. */
 export function fullSize(lens, width) {
   const scale = Math.min(1, (width * (window.devicePixelRatio || 1)) / lens.width);
   return [lens.width, lens.height].map((length) => Math.max(16, Math.round(length * scale)));
 }
 
-/** Requests and decodes a picture. Without a picture, throws an error with the server's sentence. */
+/** Requests and decodes a picture. If the server returns none, throws an error with the server's message. */
 async function load(fields, signal) {
   const start = performance.now();
   const response = await fetch(address("picture", fields), { signal, cache: "no-store" });
@@ -52,7 +52,7 @@ export class Stream {
     this.times = [];
   }
 
-  /** Sets the wanted picture: the fields of its address, or null for none. */
+  /** Sets the wanted picture. `fields` are the fields of its address; null if no picture is wanted. */
   want(fields) {
     clearTimeout(this.timer);
     this.wanted = fields;
@@ -64,7 +64,7 @@ export class Stream {
     if (fields && !this.abort) this.next("quick");
   }
 
-  /** Requests the wanted picture, and when it has arrived, the next one. */
+  /** Requests the wanted picture. After its arrival, requests a newer view, or the same view at full quality. */
   async next(level) {
     const { version, slot } = this;
     const [width, height] = this.size();
