@@ -216,5 +216,5 @@ def cross(vectors: Array) -> Array:
 
 
 def worst(covariance: Array) -> float:
-    """The standard deviation along the axis where it is largest."""
+    """The largest standard deviation along any axis, of a vector with this covariance matrix."""
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance)[-1])))

@@ -1,4 +1,4 @@
-"""Two balls, one near and one far, swing before bookshelves; the near ball hides the far ball at times.
+"""Two balls, one near and one far, swing in front of bookshelves; the near ball hides the far ball at times.
 
 Depths from the rig: vase 1.3 m, near ball 1.5 m, far ball 1.9 m, shelves 2.3 m. At 640x480 the near ball moves up to 20
 pixels a frame, along an arc that crosses the epipolar lines of any rig. Both balls spin, so their textures rotate too.

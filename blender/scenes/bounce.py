@@ -38,7 +38,7 @@ def ball(name: str, picture: paint.Image, radius_m: float) -> Any:
 
 
 def table() -> None:
-    """A table of planks, and a plain cloth that hangs from its edge."""
+    """Add a table of planks, with a plain cloth that hangs from its front edge."""
     top = kit.printed(
         "table",
         paint.planks(

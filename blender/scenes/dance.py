@@ -1,4 +1,4 @@
-"""A figure dances before a plain green cloth, which surrounds it and continues along the floor.
+"""A figure dances in front of a plain green cloth, which surrounds it and continues along the floor.
 
 This scene is for arrays whose cameras surround it, such as `tests/bench/dome12.json`. The textured limbs rotate against
 each other, and occlude each other and the body; each camera sees at most half of their surfaces. The cloth has soft

@@ -1,4 +1,4 @@
-"""A hand in a chequered sleeve waves before wooden boards with posters.
+"""A hand in a chequered sleeve waves in front of wooden boards with posters.
 
 Depths from the rig: hand and sleeve 1.0 to 1.1 m, plant pot 1.45 m, boards 2.0 m. At 640x480 the fingertips move up to
 25 pixels a frame, along an arc with an additional vertical oscillation. Meanwhile, the fingers bend slightly.

@@ -1,4 +1,4 @@
-"""A head turns and talks before bookshelves.
+"""A head turns and talks in front of bookshelves.
 
 Depths from the rig: nose 0.95 m, shoulders 1.05 m, lamp 1.5 m, books 2.1 m. At 640x480 the face moves 8 to 18 pixels a
 frame. It turns and nods, the shoulders sway, and the jaw opens and closes four times a second, so that the skin around

@@ -1,4 +1,4 @@
-"""A template for new scenes: a card with text floats before a wall while a box rotates.
+"""A template for new scenes: a card with text floats in front of a wall while a box rotates.
 
 Copy this file under another name into this folder; then `stlfr capture RIG --scene NAME` films it. Requirements:
 

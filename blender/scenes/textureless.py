@@ -1,4 +1,4 @@
-"""Plain bodies before a plain wall, with almost no texture to match.
+"""Plain bodies in front of a plain wall, with almost no texture to match.
 
 Depths from the rig: cone 1.4 m, cylinder 1.7 m, sphere 1.9 m, wall 2.4 m. The wall has very faint stains and a single
 scratch. The bodies have hardly more than their outlines and their shading. At 640x480 the cylinder and the sphere move

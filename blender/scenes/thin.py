@@ -1,4 +1,4 @@
-"""Thin objects before wooden boards: a wheel's spokes, a wire fence, and cables.
+"""Thin objects in front of wooden boards: a wheel's spokes, a wire fence, and cables.
 
 Depths from the rig: fence 1.35 m, wheel 1.6 m, swinging cables 1.8 m, boards 2.2 m. At 640x480, spokes and wires are
 one to three pixels wide. The wheel moves up and down by up to 10 pixels a frame. It also rotates, so that its rim moves

@@ -124,7 +124,7 @@ def _what_is_missing(bpy: Any) -> str | None:
 
 
 def frame_at(scene: Any, world_time_s: float) -> tuple[int, float]:
-    """The Blender frame and sub-frame at a world time. World time 0 is the scene's first frame, minus `LEAD` if set."""
+    """The Blender frame and sub-frame at a world time. World time 0 is the first frame minus the time `LEAD`."""
     seconds = world_time_s - scene.get(LEAD, 0.0)
     frame = scene.frame_start + seconds * scene.render.fps / scene.render.fps_base
     whole = int(frame // 1)

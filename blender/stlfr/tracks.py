@@ -75,8 +75,7 @@ class CameraTracks:
     """Times of the frames, on the reference camera's clock. With a rolling shutter, the positions of a point are those
     when its row is exposed."""
     arrays: dict[str, npt.NDArray[Any]]
-    """Arrays (frames, points, …) by name: `world` positions in metres, image positions in `pixels`, `visible` 0 or
-    1."""
+    """Arrays by name, over frames and points: `world` positions in metres, image `pixels`, and `visible` (0 or 1)."""
 
 
 @dataclass(frozen=True)

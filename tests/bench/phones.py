@@ -108,7 +108,7 @@ class Made:
         return float(self.true_s[camera["id"]][0] - first_s)
 
     def row(self, name: str, folder: Path, *options: str) -> None:
-        """Estimate the offsets of a capture, render the free views, and print a row of the table."""
+        """Estimate a capture's offsets, render the ground truth's free viewpoints, and print a row of the table."""
         described = json.loads((folder / "capture.json").read_text())
         cameras = {camera["id"]: camera for camera in described["cameras"]}
         options = tuple(option for option in options if option)

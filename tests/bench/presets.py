@@ -61,7 +61,10 @@ def main() -> None:
 def measured(
     folder: Path, views: list[dict[str, Any]], preset: str, options: dict[str, Any]
 ) -> tuple[float, float, float]:
-    """Mean PSNR of the moving part and of the whole image, and the median of a view's processor seconds."""
+    """Render views with a preset and options.
+
+    Returns the mean PSNR of the moving part, the mean PSNR of the whole image, and the median processor seconds.
+    """
     moving, whole, seconds = [], [], []
     capture = stlfr.open(folder)
     for view in views:
