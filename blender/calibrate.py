@@ -1,9 +1,9 @@
-"""Find or refine a calibration from what stands still in a recording.
+"""Estimate or refine the cameras' calibration from the static parts of a recording.
 
 Run as `python -I blender/calibrate.py new CAPTURE [--lens MODEL] [--focal PX] [--between CAMERA --and CAMERA --metres M]`,
 or as `python -I blender/calibrate.py refine CAPTURE [--focal] [--principal-point]`. CAPTURE isn't changed. Stdout carries
-progress, then one line of JSON: every camera's lens, pose and their standard errors. Exit code 0 if it is found, 1 if the
-images don't tell, 2 for bad input. The same capture gives the same numbers each time.
+progress, then one line of JSON: every camera's lens and pose with their standard errors. Exit code 0 for success, 1 if
+the images don't determine the calibration, 2 for bad input. The result is deterministic.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ sys.path.pop(0)
 
 
 def parser() -> argparse.ArgumentParser:
-    """The arguments."""
+    """The parser of the command line: the subcommands `new` and `refine` with their options."""
     found: argparse.ArgumentParser = check.Parser(
         prog="calibrate.py", description="Find or refine a calibration."
     )
@@ -31,24 +31,31 @@ def parser() -> argparse.ArgumentParser:
     new = ways.add_parser("new", help="without a calibration")
     new.add_argument("--lens", default="SIMPLE_RADIAL", help="COLMAP's lens model")
     new.add_argument("--focal", type=float, help="focal length of all cameras, pixels")
-    new.add_argument("--between", metavar="CAMERA", help="of two cameras, one")
+    new.add_argument(
+        "--between", metavar="CAMERA", help="one of two cameras whose distance is known"
+    )
     new.add_argument("--and", metavar="CAMERA", dest="other", help="and the other")
     new.add_argument("--metres", type=float, help="how far they stand apart")
     refine = ways.add_parser("refine", help="a given calibration")
     refine.add_argument("--focal", action="store_true", help="focal lengths too")
-    refine.add_argument("--principal-point", action="store_true", help="and these")
+    refine.add_argument(
+        "--principal-point", action="store_true", help="refine principal points too"
+    )
     for way in (new, refine):
         way.add_argument("capture", type=Path, metavar="CAPTURE", help="capture folder")
     return found
 
 
 def progress(done: int, total: int, what: str) -> None:
-    """A line for the program that runs this."""
+    """Print one line of progress as JSON, for the program that started this script: `done` of `total` steps."""
     print(json.dumps({"done": done, "total": total, "what": what}), flush=True)
 
 
 def request(options: argparse.Namespace, ids: list[str]) -> Any:
-    """How an unknown calibration is found."""
+    """The request of the subcommand `new`: lens model, focal length and known distance, checked.
+
+    `ids` are the ids of the capture's cameras. Raises `CheckError` if an option is invalid.
+    """
     if options.focal is not None and not 0.0 < options.focal < 1e6:
         raise check.CheckError("--focal: must be positive", 2)
     distance = None
@@ -63,7 +70,7 @@ def request(options: argparse.Namespace, ids: list[str]) -> Any:
 
 
 def run(arguments: list[str]) -> int:
-    """The command."""
+    """Run the command with these arguments, print its result, and return the exit code 0."""
     options = parser().parse_args(arguments)
     import pycolmap
 
@@ -94,7 +101,7 @@ def run(arguments: list[str]) -> int:
 
 
 def main() -> int:
-    """Run, and say what went wrong in one sentence."""
+    """Run the command; print an error as one sentence on stderr. Returns the exit code."""
     try:
         return run(sys.argv[1:])
     except check.CheckError as error:

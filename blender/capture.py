@@ -1,8 +1,8 @@
 """Film a scene with a simulated camera rig, into a capture folder.
 
-Run as `python -I blender/capture.py RIG --scene NAME -o CAPTURE`. Stdout carries JSON lines with the
-progress and notes, and nothing else; an error is one sentence on stderr, with exit code 2 for bad input and 1
-for a failure. Stopped at any time, the same command goes on where it was.
+Run as `python -I blender/capture.py RIG --scene NAME -o CAPTURE`. Stdout carries only JSON lines with progress and
+notes. An error is one sentence on stderr, with exit code 2 for bad input and 1 for a failure. If the command is
+stopped, the same command resumes filming where it stopped.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ errors, plans, folder, videos, sharing, in_blender, rolling = (
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one sentence, without the usage."""
+    """A parser that raises `BadInputError` for wrong arguments, instead of printing the usage and exiting."""
 
     def error(self, message: str) -> NoReturn:
         raise errors.BadInputError(message)
 
 
 def size(text: str) -> tuple[int, int]:
-    """`320x240`."""
+    """Parse an image size such as `320x240` to (width, height) in pixels, each at least 8."""
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     if not match or min(int(match[1]), int(match[2])) < 8:
         raise argparse.ArgumentTypeError(
@@ -56,7 +56,7 @@ def size(text: str) -> tuple[int, int]:
 
 
 def count(minimum: int) -> Any:
-    """A whole number from `minimum` on."""
+    """An argument type for `argparse`: parses a whole number from `minimum` to 100000."""
 
     def parse(text: str) -> int:
         if not text.isdecimal() or not minimum <= int(text) <= 100_000:
@@ -69,7 +69,7 @@ def count(minimum: int) -> Any:
 
 
 def seconds(text: str) -> tuple[float, ...]:
-    """`0.1,0.15`."""
+    """Parse a list of times in seconds, such as `0.1,0.15`."""
     try:
         times_s = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -80,7 +80,7 @@ def seconds(text: str) -> tuple[float, ...]:
 
 
 def parts(text: str) -> tuple[int, int, int]:
-    """`3-6/100`, or `3/100`."""
+    """Parse parts of the work, such as `3-6/100` or `3/100`, to (first part, last part, number of parts)."""
     match = re.fullmatch(r"(\d{1,6})(?:-(\d{1,6}))?/(\d{1,6})", text)
     if match:
         first, last, count = int(match[1]), int(match[2] or match[1]), int(match[3])
@@ -90,7 +90,7 @@ def parts(text: str) -> tuple[int, int, int]:
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
-    """The command line."""
+    """Parse the command line. Raises `BadInputError` if an argument is wrong."""
     parser = Parser(
         prog="capture.py", description="Film a scene with a simulated camera rig."
     )
@@ -102,7 +102,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
 
 
 def add_scene(parser: Parser) -> None:
-    """Add the arguments for rig, scene and folder."""
+    """Add the arguments for the rig, the scene and the capture folder."""
     parser.add_argument("rig", type=Path, metavar="RIG", help="rig file")
     scene = parser.add_mutually_exclusive_group(required=True)
     scene.add_argument("--scene", metavar="NAME", help="a scene of blender/scenes")
@@ -123,7 +123,7 @@ def add_scene(parser: Parser) -> None:
 
 
 def add_film(parser: Parser) -> None:
-    """Add the arguments for sizes, samples and engine."""
+    """Add the arguments for image size, number of frames, samples per pixel, render engine and video output."""
     parser.add_argument(
         "--size",
         type=size,
@@ -158,7 +158,7 @@ def add_film(parser: Parser) -> None:
 
 
 def add_truth(parser: Parser) -> None:
-    """Add the arguments for the truth."""
+    """Add the arguments for ground truth: instants, point tracks and a slow-motion video."""
     instants = parser.add_mutually_exclusive_group()
     instants.add_argument(
         "--instants",
@@ -222,7 +222,7 @@ def add_processes(parser: Parser) -> None:
 
 
 def filming_options(arguments: argparse.Namespace) -> Any:
-    """The filming options of the command line."""
+    """The options of the filming plan, as given on the command line. Also puts `--module` on the module path."""
     if arguments.module:
         sys.path.insert(0, arguments.module)
     return plans.Options(
@@ -250,7 +250,7 @@ CORES = (
 
 
 class Filming:
-    """The work of this process, and how far the whole is."""
+    """The filming of one capture by this process, and its progress: `done` of `total` steps."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self.arguments = arguments
@@ -259,7 +259,7 @@ class Filming:
         self.done = self.total = 0
 
     def run(self) -> None:
-        """Film the missing images, and those of a capture that is whole then."""
+        """Film the images that are still missing; then, unless only parts were asked for, finish the capture."""
         for path in sorted(self.folders()):
             if path.is_symlink():  # images would be written or deleted elsewhere
                 raise errors.BadInputError(
@@ -284,11 +284,12 @@ class Filming:
                 if not is_part:
                     self.finish(cameras, unpacked, member)
             except (errors.FailureError, OSError):
-                if not member.is_over:  # what it fails for lack of isn't needed
+                # Another process finished the capture and removed temporary files that this one was using.
+                if not member.is_over:
                     raise
 
     def folders(self) -> set[Path]:
-        """The folders in the capture that the film is written into."""
+        """All folders inside the capture's folder that filming writes into."""
         files = [Path(file) for job in self.plan.jobs for file in job.files]
         inside = {parent for file in files for parent in file.parents if parent.name}
         names = [plans.HIDDEN_FOLDER, "colmap", "truth"]
@@ -296,31 +297,34 @@ class Filming:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the capture is."""
+        """Whether the capture is complete: capture.json, which is written last, exists."""
         return (self.target / plans.CAPTURE_FILE).is_file()
 
     def is_filmed(self, job: Any) -> bool:
-        """Whether a job is done, here or elsewhere."""
+        """Whether a job's files are complete, or packed into a video; whichever process wrote them."""
         return videos.holds(job, self.target) or job.is_finished(self.target)
 
     def chosen_jobs(self) -> list[Any]:
-        """The jobs of the parts that were asked for."""
+        """The jobs of the parts given by `--part`; without it, all jobs."""
         jobs = self.plan.jobs
         first, last, count = self.arguments.part or (1, 1, 1)
         return jobs[(first - 1) * len(jobs) // count : last * len(jobs) // count]
 
     def on_done(self, what: str) -> None:
-        """Say that one more step is done."""
+        """Count one more step as done, and report it."""
         self.done += 1
         report(self.done, self.total, what)
 
     def on_notes(self, notes: list[str]) -> None:
-        """Say what the scene's first worker notes."""
+        """Report the notes about the scene that the first worker process sent."""
         for note in notes:
             report(self.done, self.total, "starting Blender", note)
 
     def film(self, jobs: list[Any], member: Any) -> dict[str, Any]:
-        """Film, with the others; gives the views' cameras."""
+        """Do the jobs in worker processes, sharing them with other commands that film this capture.
+
+        Returns the camera object of every view, by the view's id.
+        """
         workers = min(self.arguments.workers or CORES, max(1, len(jobs)))
         crews = importlib.import_module("stlfr_extension.workers")
         command = [sys.executable, "-I", str(HERE), "--worker"]
@@ -340,7 +344,11 @@ class Filming:
             raise
 
     def finish(self, cameras: dict[str, Any], unpacked: list[Any], member: Any) -> None:
-        """Pack and describe what was filmed; the others do so too, each thing once."""
+        """Pack the cameras `unpacked` into videos, and write the capture's description, with capture.json last.
+
+        Other processes that film this capture share these steps, so that each is done once. `cameras` has the camera
+        object of every view.
+        """
         packing = sharing.Shared(
             member,
             {videos.video_file(camera.id): camera for camera in unpacked},
@@ -359,22 +367,22 @@ class Filming:
 
 
 def elsewhere(what: str) -> str:
-    """What another process did."""
+    """The description of a step that another process did, for a progress line."""
     return f"{what} (elsewhere)"
 
 
 CYCLES_SAMPLE_S = 1.1e-6
-"""Time of one core for a sample of a pixel, in the project's scenes."""
+"""Time that one core takes for one sample of one pixel in Cycles, seconds; measured on this project's scenes."""
 
 IMAGE_S = 0.3
-"""Time of one core for an image besides its samples, and by Workbench altogether."""
+"""Time that one core takes for an image, seconds: in Cycles without its samples, in Workbench altogether."""
 
 BAND_S = 0.1
-"""Time of one core for a band of a rolling shutter's frame, after the first, in place of that."""
+"""Time that one core takes for each further band of rows of a frame with a rolling shutter, seconds."""
 
 
 def expected(plan: Any, jobs: list[Any], cores: int) -> str:
-    """How long filming may take."""
+    """A sentence for the user with the estimated duration of these jobs on `cores` cores."""
     samples = sum(job.width_px * job.height_px * job.samples for job in jobs)
     by_sample = CYCLES_SAMPLE_S * samples if plan.options.engine == "cycles" else 0.0
     bands = sum(further_bands(plan.rig, job) for job in jobs)
@@ -384,7 +392,7 @@ def expected(plan: Any, jobs: list[Any], cores: int) -> str:
 
 
 def further_bands(rig: Any, job: Any) -> int:
-    """The number of bands after the first that a job's image is rendered in; 0 but for frames of a rolling shutter."""
+    """The number of bands of rows after the first in which a job's image is rendered: 0 without a rolling shutter."""
     by_id = {camera.id: camera for camera in rig.cameras}
     camera = by_id.get(job.view_id)
     if camera is None or job.is_geometry:
@@ -400,14 +408,14 @@ def report(done: int, total: int, what: str, note: str | None = None) -> None:
 
 
 def stop(*_: object) -> NoReturn:
-    """On a signal: leave through the `with` that ends the workers."""
+    """Signal handler: raises an error, so that the context managers end the worker processes."""
     raise errors.FailureError(
         "filming was stopped; the same command goes on where it was"
     )
 
 
 def main() -> int:
-    """Run, and say what went wrong in one sentence."""
+    """Run the command, or a worker process; print an error as one sentence on stderr. Returns the exit code."""
     arguments = in_blender.own_arguments()
     match arguments:
         case ["--worker-in", blender]:

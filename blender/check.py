@@ -1,14 +1,14 @@
-"""Check a capture's calibration against pycolmap and Blender, implementations that aren't ours.
+"""Check a capture's calibration against pycolmap and Blender, which are independent implementations.
 
-Run as `python -I blender/check.py CAPTURE`. Two questions, answered by the package `calibration`:
+Run as `python -I blender/check.py CAPTURE`. The package `calibration` makes two checks:
 
 - Model: do Blender, pycolmap and the `stlfr` module project the same points to the same pixels?
-- Pixels: where does pycolmap place the cameras from the images alone (SIFT, exhaustive matching,
-  incremental mapping, intrinsics as given), and how far is that from the capture's poses?
+- Images: how far are the capture's poses from those that pycolmap reconstructs from the images (SIFT, exhaustive
+  matching, incremental mapping, intrinsics as given)?
 
-Stdout carries one JSON object, stderr a table with the verdict as its last line: right, off, that the images can't
-tell, or that the program itself is inconsistent. Exit code 0 if it is right, 1 if not, 2 for bad input.
-The same capture gives the same numbers each time.
+Stdout carries one JSON object. Stderr carries a table, with the verdict in its last line: the calibration is right, it
+is off, the images don't suffice for a verdict, or the program itself is inconsistent. Exit code 0 if the calibration is
+right, 1 if not, 2 for bad input. The result is deterministic.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ CheckError: Any = importlib.import_module("stlfr_calibration.capture").CheckErro
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one sentence, without the usage."""
+    """A parser that raises `CheckError` for wrong arguments, instead of printing the usage and exiting."""
 
     def error(self, message: str) -> NoReturn:
         raise CheckError(message, 2)
 
 
 def run(arguments: list[str]) -> int:
-    """The command."""
+    """Run the check, print its result, and return the exit code: 0 if the calibration is right, otherwise 1."""
     parser = Parser(
         prog="check.py", description="Check a capture's calibration against pycolmap."
     )
@@ -69,7 +69,7 @@ def run(arguments: list[str]) -> int:
 
 
 def main() -> int:
-    """Run, and say what went wrong in one sentence."""
+    """Run the command; print an error as one sentence on stderr. Returns the exit code."""
     try:
         return run(sys.argv[1:])
     except CheckError as error:

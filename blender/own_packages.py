@@ -1,7 +1,7 @@
 """Import folders of this project as packages, for the scripts beside this file.
 
-The folder `stlfr` needs another name than its own, which is that of the compiled module. A script imports this file with
-its folder on the path of modules, and takes the folder off it before it imports anything else.
+The folder `stlfr` is imported under another name, because the compiled module is called `stlfr` too. To import this
+file, a script puts its folder on `sys.path`; it then removes the folder before it imports anything else.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def load(folder: Path, name: str) -> None:
-    """Import a folder under a name."""
+    """Import a folder with an `__init__.py` as a package with this name."""
     spec = importlib.util.spec_from_file_location(
         name, folder / "__init__.py", submodule_search_locations=[str(folder)]
     )
@@ -25,7 +25,10 @@ def load(folder: Path, name: str) -> None:
 
 
 def load_extension() -> None:
-    """Import the folder stlfr/ as `stlfr_extension`. In an installed extension, this file lies in that folder."""
+    """Import the Blender extension, the folder stlfr/, as `stlfr_extension`.
+
+    In an installed extension, this file itself lies in that folder.
+    """
     folder = HERE / "stlfr"
     load(folder if folder.is_dir() else HERE, "stlfr_extension")
 

@@ -1,8 +1,8 @@
 """Pack the Blender extension: `python -I blender/package.py WHEEL -o OUT.zip`.
 
-The zip holds the folder stlfr/, the filming script, the wheel of the compiled module as it is, and the
-manifest with that wheel and its platform, which is printed. Blender's own tool validates the zip. An error is one sentence on stderr,
-with exit code 2 for bad input and 1 for a failure.
+The zip file holds the folder stlfr/, the filming script, the wheel of the compiled module, and the extension's
+manifest, which lists this wheel and its platform. The platform is printed. Blender's own tool builds and validates the
+zip file. An error is one sentence on stderr, with exit code 2 for bad input and 1 for a failure.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ PLATFORMS = {
     r"win_amd64": "windows-x64",
     r"win_arm64": "windows-arm64",
 }
-"""Blender's name for a wheel's platform."""
+"""Blender's names of platforms, by regular expressions for the platform tags of Python wheels."""
 
 
 class PackageError(Exception):
-    """One sentence for the user."""
+    """An error while packing the extension; its message is one sentence for the user."""
 
 
 def pack(wheel: Path, output: Path) -> str:
-    """Write the zip, once it is whole and valid; its platform."""
+    """Build the zip file, validate it, and only then copy it to `output`. Returns Blender's name of its platform."""
     template = HERE / "stlfr" / "blender_manifest.toml"
     platform, manifest = manifest_with(wheel, template)
     with tempfile.TemporaryDirectory() as scratch:
@@ -58,7 +58,10 @@ def pack(wheel: Path, output: Path) -> str:
 
 
 def manifest_with(wheel: Path, manifest: Path) -> tuple[str, str]:
-    """The wheel's platform, and the manifest that lists both; the versions have to be the same."""
+    """Blender's name of the wheel's platform, and the manifest's text with the wheel and the platform added.
+
+    Raises `PackageError` if the wheel's name, version or platform doesn't suit the manifest.
+    """
     text = manifest.read_text(encoding="utf-8")
     name, version, *_, tags = wheel.stem.split("-")
     expected = tomllib.loads(text)["version"]
@@ -81,7 +84,10 @@ def manifest_with(wheel: Path, manifest: Path) -> tuple[str, str]:
 
 
 def blender_tool(*arguments: str | Path) -> None:
-    """Run Blender's command line tool for extensions, which comes with `bpy` and needs no Blender."""
+    """Run Blender's command line tool for extensions with these arguments. The tool is part of the module `bpy`.
+
+    Raises `PackageError` if `bpy` isn't installed or the tool fails.
+    """
     spec = importlib.util.find_spec("bpy")
     if spec is None or not spec.submodule_search_locations:
         raise PackageError("bpy isn't installed, which brings Blender's extension tool")
@@ -99,7 +105,7 @@ def blender_tool(*arguments: str | Path) -> None:
 
 
 def main() -> None:
-    """Run; what went wrong is one sentence on stderr."""
+    """Run the command; print an error as one sentence on stderr, and exit."""
     parser = argparse.ArgumentParser(description="Pack the Blender extension.")
     parser.add_argument("wheel", type=Path, help="wheel of the Python module stlfr")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="ZIP")

@@ -1,8 +1,8 @@
-"""Write the animated scene camera of a .blend as a path of `stlfr render`.
+"""Write the animated camera of a .blend file's scene as a camera path for `stlfr render --path`.
 
-Run as `python -I blender/path.py SCENE.blend PATH.json`. The time that a frame shows is that of the render tab under
-Light Field; where it was never set, the scene's first second is the capture's. An error is one sentence on stderr, with
-exit code 2 for bad input and 1 for a failure.
+Run as `python -I blender/path.py SCENE.blend PATH.json`. The settings under Light Field in Blender's render tab map a
+frame of the scene to a time of the capture. If they were never set, the scene starts at the capture's time 0. An error
+is one sentence on stderr, with exit code 2.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ scenes = importlib.import_module("stlfr_extension.scenes")
 
 
 def main() -> int:
-    """Run, and say what went wrong in one sentence."""
+    """Run the command; print an error as one sentence on stderr. Returns the exit code."""
     if len(sys.argv) != 3:
         print("path.py takes SCENE.blend and PATH.json", file=sys.stderr)
         return 2
     blend = Path(sys.argv[1])
     try:
-        # The time of a frame is among the extension's settings.
+        # The extension's settings map frames to times.
         properties.register()
         found = camera_path.path(scenes.open_scene(None, blend))
         Path(sys.argv[2]).write_text(json.dumps(found), encoding="utf-8")

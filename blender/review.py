@@ -1,8 +1,8 @@
-"""Lay out a comparison in Blender's sequence editor: review.json to review.blend.
+"""Lay out the result of `stlfr compare` in Blender's video sequencer: reads review.json, writes review.blend.
 
-Run as `python -I blender/review.py REVIEW/review.json`. Each reel (the video, new views, filming cameras)
-becomes a scene, as `stlfr/reels.py` lays it out. An error is one sentence on stderr, with exit code 2 for
-bad input and 1 for a failure.
+Run as `python -I blender/review.py REVIEW/review.json`. Each reel of review.json (the video, the new views, the filming
+cameras) becomes a scene, laid out by `stlfr/reels.py`. An error is one sentence on stderr, with exit code 2 for bad
+input and 1 for a failure.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ reels = importlib.import_module("stlfr_extension.reels")
 
 
 def build(layout_file: Path) -> Path:
-    """Write review.blend beside review.json."""
+    """Write review.blend beside `layout_file`, which is review.json. Returns the path of review.blend."""
     reels.read_reels(layout_file)
     bpy.ops.wm.read_homefile(app_template="Video_Editing", use_factory_startup=True)
     others = list(bpy.data.scenes)
@@ -36,7 +36,7 @@ def build(layout_file: Path) -> Path:
     for scene in others:
         bpy.data.scenes.remove(scene)
     target = layout_file.resolve().parent / "review.blend"
-    # A name of its own, for another process may lay out the same comparison.
+    # The temporary name contains the process id, because another process may write the same file.
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial.blend")
     bpy.context.preferences.filepaths.save_version = 0
     try:
@@ -54,7 +54,7 @@ def build(layout_file: Path) -> Path:
 
 
 def main() -> int:
-    """Run, and say what went wrong in one sentence."""
+    """Run the command; print an error as one sentence on stderr. Returns the exit code."""
     if len(sys.argv) != 2:
         print("review.py takes one argument, REVIEW/review.json", file=sys.stderr)
         return 2

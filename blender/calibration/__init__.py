@@ -1,17 +1,19 @@
-"""Calibrations: checked against pycolmap and Blender, found where there is none, and refined.
+"""Checks calibrations against pycolmap and Blender, estimates unknown calibrations, and refines given ones.
 
-- `capture`: what is checked: cameras and poses of `capture.json` and of the COLMAP model beside it.
-- `model`: do Blender, pycolmap and the `stlfr` module project the same points to the same pixels?
-- `frames`: the images of one instant, and what may have moved in them.
-- `mapping`: where pycolmap puts the cameras from those images alone, intrinsics as given.
-- `residuals`: how far that is from the capture's poses, camera by camera.
-- `report`: both questions in one result, and as a table.
+Modules that check a calibration:
 
-Found and refined:
+- `capture`: reads cameras and poses from `capture.json` and from the COLMAP model beside it.
+- `model`: compares the projections of Blender, pycolmap and the `stlfr` module.
+- `frames`: one image per camera of about the same instant, with masks of moving pixels.
+- `mapping`: the cameras' poses by pycolmap's structure from motion, from these images and the given intrinsics.
+- `residuals`: the difference of these poses from the capture's poses, for each camera.
+- `report`: the results of both checks, as JSON and as a table.
 
-- `background`: what stands still, the median of each camera's frames, which needs no synchronization.
-- `linear`: reprojection errors, and how they change with cameras, lenses and points.
+Modules that estimate or refine a calibration:
+
+- `background`: each camera's static background, the median of its frames; needs no synchronization.
+- `linear`: reprojection errors, and their derivatives by cameras, lenses and points.
 - `adjustment`: bundle adjustment with priors on the lenses.
 - `uncertainty`: the standard errors of poses and lenses.
-- `estimation`: `stlfr calibrate` and `stlfr refine` from these parts.
+- `estimation`: the commands `stlfr calibrate` and `stlfr refine`.
 """

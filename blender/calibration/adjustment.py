@@ -1,8 +1,8 @@
-"""Bundle adjustment: all cameras, their lenses and all points at once, with a robust loss.
+"""Bundle adjustment with priors on the lenses: optimizes all cameras, lenses and points together, with a robust loss.
 
-pycolmap's own has no priors, and a rig whose cameras look one way hardly tells the focal length (moves without turns
-tell nothing of it). So the steps are our own (Gauss-Newton with points eliminated), and lenses have priors: what the
-images don't tell stays as it was. Points and matches are pycolmap's.
+pycolmap's bundle adjustment has no priors. If all cameras look in the same direction, the images hardly determine the
+focal length. So this module has its own damped Gauss-Newton steps, with points eliminated. Its priors keep lens
+parameters near their given values where the images don't determine them. pycolmap matches and triangulates the points.
 """
 
 from __future__ import annotations
@@ -19,24 +19,28 @@ from .mapping import DATABASE, MAX_ERROR_PX, mapping_options
 from .uncertainty import JointCovariance, StandardErrors, errors_of, inverse
 
 FIRST_ERROR_PX = 8.0
-"""Matches further off a given calibration are dropped before the first adjustment. Larger, and wrong matches pull cameras;
-smaller, and a calibration that is off by pixels loses its right ones."""
+"""Maximum reprojection error of matches before the first adjustment, pixels. If larger, wrong matches bias the cameras;
+if smaller, a given calibration with errors of some pixels loses correct matches."""
 
 LOSS_STD_ERRS = 2.0
-"""Where the robust loss turns from squares to distances, in standard deviations of the errors. Larger, and wrong matches
-pull cameras; smaller, and right ones count for less than they are worth."""
+"""Reprojection error at which the robust loss turns from quadratic to linear, in standard deviations. If larger, wrong
+matches bias the cameras; if smaller, correct matches get too little weight."""
 
 MIN_NOISE_PX = 0.02
-"""What features are off at the least. Larger, and good features count for less; smaller, and rounding is believed."""
+"""Lower bound of the features' estimated standard deviation, pixels. If larger, accurate features get too little
+weight; if smaller, rounding errors pass for precision."""
 
 MAX_STEPS = 50
 DONE_PX = 1e-5
-"""A step that moves no pixel's mean error by more is the last."""
+"""The adjustment ends when a step reduces the root mean square reprojection error by less than about this, pixels."""
 
 
 @dataclass(frozen=True)
 class Priors:
-    """What is known of lenses before the images are seen: standard deviations. None: as given, exactly."""
+    """Standard deviations of the priors on lens parameters. None fixes a group of parameters at its given values.
+
+    `focal_fraction` is a fraction of the focal length; `distortion` is that of each distortion coefficient.
+    """
 
     focal_fraction: float | None = None
     centre_px: float | None = None
@@ -44,7 +48,7 @@ class Priors:
 
     @property
     def refined(self) -> tuple[str, ...]:
-        """The groups of lens parameters that may change."""
+        """The groups of lens parameters that are not fixed, of `focal`, `centre` and `distortion`, in this order."""
         groups = {
             "focal": self.focal_fraction,
             "centre": self.centre_px,
@@ -53,7 +57,10 @@ class Priors:
         return tuple(name for name, std in groups.items() if std is not None)
 
     def stds(self, lens: Any) -> Array:
-        """Of the refined numbers of a lens."""
+        """The prior's standard deviation of each refined parameter of the pycolmap camera `lens`, ordered as `refined`.
+
+        The focal length is one parameter, a factor on `fx` and `fy` together.
+        """
         counts = {"focal": 1, "centre": 2, "distortion": len(lens.extra_params_idxs())}
         stds = {
             "focal": self.focal_fraction,
@@ -65,16 +72,22 @@ class Priors:
 
 
 class Adjustment:
-    """Moves the cameras and points of pycolmap's `model` to where they are likeliest. World and scale stay free."""
+    """Maximum a posteriori estimate of cameras, lenses and points; changes pycolmap's reconstruction `model` in place.
+
+    The world's position, rotation and scale are not fixed.
+    """
 
     def __init__(self, model: Any, given: dict[int, Array], priors: Priors) -> None:
-        """`given` are the lens parameters that the priors are of, by camera id."""
+        """`given` has the lens parameters at the maximum of the priors, by pycolmap's camera id."""
         self.model, self.given, self.priors = model, given, priors
         self.covariance: JointCovariance | None = None
-        """Of the cameras, once they are adjusted."""
+        """The joint covariance of all cameras; None until `run` has adjusted them."""
 
     def run(self, pycolmap: Any) -> dict[str, StandardErrors]:
-        """Adjusts; gives standard errors by image name, empty if there are too few points."""
+        """Adjusts the model and sets `covariance`. Returns standard errors by image name.
+
+        The result is empty, and the model unchanged, if the points are too few to determine the cameras.
+        """
         damping = 1e-6
         linear = linearized(self.model, self.priors.refined)
         if linear.redundancy <= 0:
@@ -98,7 +111,7 @@ class Adjustment:
             cost = self.cost(linear, noise_px)
             if gain_px2 < DONE_PX * noise_px:
                 break
-        # What the robust noise leaves out of errors with long tails still counts.
+        # The median ignores the tails of the error distribution; the standard errors must include them.
         spread_px = np.sqrt(np.sum(linear.errors_px**2) / linear.redundancy)
         information, _ = self.normal(linear, max(noise_px, float(spread_px)))
         covariance = inverse(linear, information)
@@ -108,13 +121,13 @@ class Adjustment:
 
     @staticmethod
     def noise_px(linear: Linearization) -> float:
-        """The standard deviation of a coordinate's error, by the median, so that wrong matches don't count."""
+        """Robust standard deviation of the reprojection error in one coordinate, from the median absolute error."""
         lost = np.sqrt(2 * len(linear.errors_px) / linear.redundancy)
         median = float(np.median(np.abs(linear.errors_px)))
         return max(MIN_NOISE_PX, 1.4826 * median * float(lost))
 
     def cost(self, linear: Linearization, noise_px: float) -> float:
-        """Minus the logarithm of the likelihood, up to a constant."""
+        """The negative logarithm of the posterior (robust reprojection errors and lens priors), up to a constant."""
         loss = (LOSS_STD_ERRS * noise_px) ** 2
         squares = np.sum(linear.errors_px**2, axis=1)
         data = float(np.sum(2 * loss * (np.sqrt(1 + squares / loss) - 1)))
@@ -122,7 +135,7 @@ class Adjustment:
         return 0.5 * data / noise_px**2 + 0.5 * float(np.sum(deviations**2))
 
     def deviations(self, linear: Linearization) -> Array:
-        """How far the lenses are from what is given, by camera and number, in standard deviations."""
+        """Differences of the refined lens parameters from the given ones, in standard deviations; a row per image."""
         rows = []
         for image in linear.images:
             lens = self.model.cameras[image.camera_id]
@@ -133,13 +146,13 @@ class Adjustment:
         return np.array(rows)
 
     def weights(self, linear: Linearization, noise_px: float) -> Array:
-        """Of the rows: those of soft L1."""
+        """The weight of each observation (row of `linear`) under the soft L1 loss, for reweighted least squares."""
         loss = (LOSS_STD_ERRS * noise_px) ** 2
         squares = np.sum(linear.errors_px**2, axis=1)
         return np.asarray(1 / np.sqrt(1 + squares / loss))
 
     def normal(self, linear: Linearization, noise_px: float) -> tuple[Array, Array]:
-        """Information and gradient of all cameras' numbers, priors included."""
+        """The information matrix and gradient of all cameras' parameters: points are eliminated, priors are added."""
         information, gradient = linear.reduced(self.weights(linear, noise_px))
         information, gradient = information / noise_px**2, gradient / noise_px**2
         deviations = self.deviations(linear)
@@ -153,7 +166,7 @@ class Adjustment:
     def step(
         self, linear: Linearization, noise_px: float, damping: float, pycolmap: Any
     ) -> None:
-        """One damped step of Gauss and Newton."""
+        """Takes one damped Gauss-Newton (Levenberg-Marquardt) step: changes the model's points, poses and lenses."""
         information, gradient = self.normal(linear, noise_px)
         scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
         scaled = information / np.outer(scale, scale)
@@ -174,7 +187,7 @@ class Adjustment:
             lens.params = np.array(lens.params) + moved
 
     def state(self) -> Any:
-        """Everything that a step changes."""
+        """A copy of all that a step changes: the points' positions, images' poses and lens parameters, by id."""
         model = self.model
         return (
             {i: np.array(point.xyz) for i, point in model.points3D.items()},
@@ -183,7 +196,7 @@ class Adjustment:
         )
 
     def restore(self, state: Any) -> None:
-        """Undoes a step."""
+        """Sets the model back to a `state` from before a step."""
         points, poses, lenses = state
         for i, xyz in points.items():
             self.model.points3D[i].xyz = xyz
@@ -196,13 +209,13 @@ class Adjustment:
 def set_pose(
     model: Any, image: Any, rotation: Array, centre: Array, pycolmap: Any
 ) -> None:
-    """An image's camera gets this rotation from the world, and this centre."""
+    """Sets the pose of an image in pycolmap's `model`, by the rotation from world to camera and the camera's centre."""
     pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ centre)
     model.frames[image.frame_id].rig_from_world = pose
 
 
 def drop_outliers(model: Any, max_error_px: float) -> None:
-    """Drops what reprojects further off, and points that no two cameras see any more."""
+    """Deletes observations with larger reprojection errors, and points that fewer than two cameras then see."""
     off = []
     for image in model.images.values():
         for index, point in enumerate(image.points2D):
@@ -212,13 +225,16 @@ def drop_outliers(model: Any, max_error_px: float) -> None:
             if found is None or np.linalg.norm(found - point.xy) > max_error_px:
                 off.append((image.image_id, index))
     for image_id, index in off:
-        # A point is deleted with its last but one sight.
+        # pycolmap deletes a point, with its last observation, when only one would remain.
         if model.images[image_id].points2D[index].has_point3D():
             model.delete_observation(image_id, index)
 
 
 def placed(scratch: Path, cameras: list[Camera], pycolmap: Any) -> Any:
-    """A reconstruction without points: the given poses and lenses, for the images that `match` left in `scratch`."""
+    """A pycolmap reconstruction without points, with the poses and lenses of `cameras`.
+
+    Its images are those in the database that `match` wrote into the folder `scratch`, in the order of `cameras`.
+    """
     model = pycolmap.Reconstruction()
     with pycolmap.Database.open(scratch / DATABASE) as database:
         images = sorted(database.read_all_images(), key=lambda image: image.name)
@@ -238,7 +254,7 @@ def placed(scratch: Path, cameras: list[Camera], pycolmap: Any) -> Any:
 
 
 def triangulated(model: Any, scratch: Path, max_error_px: float, pycolmap: Any) -> Any:
-    """The reconstruction with the points that its poses give."""
+    """The reconstruction with points triangulated anew from its poses, up to this reprojection error."""
     options = mapping_options(pycolmap)
     options.mapper.filter_max_reproj_error = max_error_px
     options.triangulation.complete_max_reproj_error = max_error_px
@@ -259,11 +275,12 @@ def adjusted(
     priors: Priors,
     pycolmap: Any,
 ) -> tuple[Any, dict[str, StandardErrors], JointCovariance | None]:
-    """Given cameras, moved to where the points of their own images put them; standard errors by image name, covariance.
+    """The reconstruction after bundle adjustment of the given cameras, standard errors by image name, and covariance.
 
-    There are none if there are too few points.
+    The matches are read from the database that `match` wrote into the folder `scratch`. If there are too few points,
+    the standard errors are empty and the covariance is None.
 
-    A camera's `expected` are the lens parameters that the priors are of; by default its `params`.
+    The priors' means are a camera's `expected` lens parameters, by default its `params`.
     """
     model = placed(scratch, cameras, pycolmap)
     names = {image.name: image.camera_id for image in model.images.values()}

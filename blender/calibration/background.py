@@ -1,8 +1,8 @@
-"""What stands still in each camera's recording: the median of its frames.
+"""The static background of each camera's recording: the median of its frames.
 
-It needs no synchronization: what stands still is the same at any time. What moves away from a place for most of
-the recording is gone from the median there. Where many frames differ from the median, something covered the
-place for long, and the place is masked.
+The median needs no synchronization, because static surfaces look the same at any time. A moving object vanishes from
+the median of a pixel that it covers in less than half of the frames. A pixel is masked if many frames differ from the
+median, because an object then covered the background for long.
 """
 
 from __future__ import annotations
@@ -15,20 +15,23 @@ from .capture import Array
 from .frames import MOVING_LEVELS, MOVING_WINDOW_PX, Picture, box_mean, eight_bit
 
 MAX_FRAMES = 15
-"""Frames of a camera that its median is of, evenly spaced. Larger, and long films take longer; smaller, and more noise is
-left, and of what stops for a while."""
+"""Maximum number of frames in a camera's median, evenly spaced in time. If larger, the median takes longer; if smaller,
+it has more noise, and shows more of the objects that stop for a while."""
 
 MAX_MOVING_FRACTION = 0.25
-"""A place is masked where a larger fraction of the frames differs from the median. Larger, and the median of a body that
-moves slowly passes as still; smaller, and the background behind moving bodies is lost."""
+"""A pixel is masked if a larger fraction of the frames differs from the median. If larger, slowly moving bodies pass
+for static; if smaller, the background behind moving bodies is masked too."""
 
 MARGIN_PX = 4
-"""How far around masked pixels features are ignored. Larger, and few features are left; smaller, and features stand on
-the outlines of what moves."""
+"""Half-width of the square around masked pixels in which features are ignored. If larger, few features remain; if
+smaller, features lie on the outlines of moving bodies."""
 
 
 def background(capture: Any, camera_id: str) -> Picture:
-    """The median of a camera's frames, and where it is of one still surface. `capture` is the `stlfr` module's."""
+    """The median of a camera's frames, with a mask of static pixels. `capture` is a `stlfr.Capture`.
+
+    If the camera has fewer than three frames, the first frame without a mask.
+    """
     count = len(capture.times(camera_id))
     indices = np.unique(
         np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(int)

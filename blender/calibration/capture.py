@@ -1,4 +1,4 @@
-"""Cameras and poses: of `capture.json`, and of the COLMAP model beside it."""
+"""Reads cameras and poses from `capture.json`, and from the COLMAP model in the folder `colmap` beside it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ reading: Any = importlib.import_module("stlfr_extension.reading")
 Array = npt.NDArray[np.float64]
 
 Camera = dict[str, Any]
-"""A camera as capture.json spells it: width, height, model, params, cam_from_world."""
+"""A camera object as in capture.json, with the fields `width`, `height`, `model`, `params` and `cam_from_world`."""
 
 
 class CheckError(Exception):
-    """Ends the check with one sentence."""
+    """An error that ends the command: one sentence for the user, and the exit code."""
 
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(message)
@@ -29,31 +29,34 @@ class CheckError(Exception):
 
 @dataclass(frozen=True)
 class Pose:
-    """cam_from_world."""
+    """A camera's pose as the transform from world to camera: `rotation` (3, 3) first, then `translation_m`."""
 
     rotation: Array
     translation_m: Array
 
     @property
     def centre_m(self) -> Array:
-        """The camera's centre in the world."""
+        """The camera's centre in world coordinates, metres."""
         centre: Array = -self.rotation.T @ self.translation_m
         return centre
 
 
 @dataclass(frozen=True)
 class EstimatedPose(Pose):
-    """A pose estimated from images, in the reconstruction's world, with standard errors along its worst axis."""
+    """A pose estimated by structure from motion, in the reconstruction's world and unit of length.
+
+    Standard errors are those along the axis where they are largest.
+    """
 
     rotation_std_err_deg: float = 0.0
     centre_std_err: float = 0.0
-    """In that world's unit of length."""
+    """Standard error of the camera's centre, in the reconstruction's unit of length."""
     points: int = 0
-    """Points of the reconstruction that the camera sees."""
+    """Number of the reconstruction's points that the camera sees."""
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object, or one sentence."""
+    """Read a JSON file that holds an object. Raises `CheckError` if it can't be read or holds no object."""
     try:
         content = json.loads(reading.read_text(path))
     except FileNotFoundError:
@@ -66,7 +69,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def pose_of(camera: Camera, pycolmap: Any) -> Pose:
-    """A camera entry's pose."""
+    """The pose of a camera object of capture.json."""
     w, x, y, z = camera["cam_from_world"]["rotation_wxyz"]
     quaternion = np.array([x, y, z, w]) / np.linalg.norm([w, x, y, z])
     rotation = pycolmap.Rotation3d(quaternion).matrix()
@@ -76,7 +79,7 @@ def pose_of(camera: Camera, pycolmap: Any) -> Pose:
 
 
 def lens_of(camera: Camera, pycolmap: Any) -> Any:
-    """A camera entry's intrinsics as pycolmap's camera."""
+    """The intrinsics of a camera object of capture.json, as a `pycolmap.Camera`."""
     return pycolmap.Camera(
         model=camera["model"],
         width=camera["width"],
@@ -86,7 +89,7 @@ def lens_of(camera: Camera, pycolmap: Any) -> Any:
 
 
 def view_of(camera: Camera) -> Camera:
-    """A camera entry without its frames, in the form that the `stlfr` module reads."""
+    """A camera object with only the fields that `stlfr.project` takes: size, lens and pose, but no frames."""
     fields = ("width", "height", "model", "params", "cam_from_world")
     return {name: camera[name] for name in fields}
 
@@ -94,11 +97,14 @@ def view_of(camera: Camera) -> Camera:
 def exported_model(
     folder: Path, cameras: list[Camera], pycolmap: Any
 ) -> dict[str, tuple[Any, Pose]] | None:
-    """Every camera's intrinsics and pose as pycolmap reads them from `colmap/`; None without it."""
+    """Each camera's intrinsics and pose by its id, which pycolmap reads from `folder`/colmap; None without that folder.
+
+    Raises `CheckError` if pycolmap can't read the model, or if one of `cameras` isn't in it.
+    """
     if not (folder / "colmap").is_dir():
         return None
     for file in sorted((folder / "colmap").iterdir()):
-        # At a pipe, pycolmap would wait.
+        # pycolmap would wait forever for data from a pipe.
         if not file.is_file():
             raise CheckError(f"{file}: is no regular file", 2)
     try:

@@ -1,4 +1,4 @@
-"""A calibration from a recording's own still background, or a given one refined by it."""
+"""Estimates a calibration from the static background of a recording (`calibrate`), or refines one (`refine`)."""
 
 from __future__ import annotations
 
@@ -19,21 +19,23 @@ from .residuals import Similarity, alignment, angle_deg, robust_mean_rotation
 from .uncertainty import JointCovariance, StandardErrors
 
 GUESSED_FOCAL = 1.2
-"""An unknown focal length, in image widths (or heights, where they are larger): COLMAP's guess."""
+"""Initial guess of an unknown focal length, as a multiple of the image's longer side. It is COLMAP's default."""
 
 FOCAL_STD = 0.3
 DISTORTION_STD = 0.1
-"""What is known of an unknown lens. Larger, and a rig that doesn't tell its lenses gets absurd ones; smaller, and lenses
-that it tells are pulled towards the guess."""
+"""Standard deviations of the priors on an unknown lens: `FOCAL_STD` as a fraction of the focal length, `DISTORTION_STD`
+for each distortion coefficient. If larger, a lens that the images hardly determine becomes absurd; if smaller, a lens
+that the images determine is biased towards the initial guess."""
 
 REFINED_FOCAL_STD = 0.01
 REFINED_CENTRE_STD = 0.005
-"""How far a given focal length is off, as a fraction, and a given principal point, as a fraction of the image's width.
-Larger, and what a rig doesn't tell drifts; smaller, and errors stay."""
+"""Standard deviations of the priors on a given lens: `REFINED_FOCAL_STD` as a fraction of the focal length,
+`REFINED_CENTRE_STD` of the principal point as a fraction of the image's width. If larger, parameters that the images
+don't determine drift; if smaller, errors of the given lens remain."""
 
 TOLD_FOCAL = 0.02
-"""A focal length is told by the images if its standard error is a smaller fraction. Larger, and guesses pass for
-measurements; smaller, and measurements for guesses."""
+"""Maximum standard error of a focal length, as a fraction of it; above, a note says that the images don't determine it.
+If larger, guesses pass for measurements; if smaller, measurements pass for guesses."""
 
 FOCAL_NOTE = (
     "Focal lengths are taken as exact. If they may be off by 0.1 % or more, give --focal:"
@@ -41,20 +43,21 @@ FOCAL_NOTE = (
 )
 
 MIN_POINTS = 30
-"""Points that a camera must see. Larger, and poor images are refused; smaller, and cameras stand anywhere."""
+"""Minimum number of points that each camera must see. If larger, usable images are refused; if smaller, estimated poses
+may be arbitrary."""
 
 Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
 class Request:
-    """How an unknown calibration is found."""
+    """What the user gives for the estimation of an unknown calibration."""
 
     lens: str = "SIMPLE_RADIAL"
     focal_px: float | None = None
-    """Of all cameras, exactly; None: unknown."""
+    """The exact focal length of all cameras, pixels; None if it is unknown."""
     distance: tuple[str, str, float] | None = None
-    """Two cameras and how far they stand apart, metres."""
+    """The ids of two cameras and the distance between them in metres, which sets the scale; None if it is unknown."""
 
 
 def calibrate(
@@ -64,7 +67,11 @@ def calibrate(
     progress: Progress,
     pycolmap: Any,
 ) -> dict[str, Any]:
-    """Cameras without a calibration. Of each of `cameras` only id and size are read. `capture` is the `stlfr` module's."""
+    """Estimates lenses and poses of cameras without a calibration. Returns the result for `stlfr calibrate` as JSON.
+
+    Of `cameras`, only ids and image sizes are read. `capture` is a `stlfr.Capture`. Raises `CheckError` if there are
+    fewer than two cameras, or if the images don't determine the calibration.
+    """
     if len(cameras) < 2:
         raise CheckError("calibrating needs two cameras or more", 2)
     unknown = [lensless(camera, request, pycolmap) for camera in cameras]
@@ -106,7 +113,11 @@ def refine(
     progress: Progress,
     pycolmap: Any,
 ) -> dict[str, Any]:
-    """A given calibration, refined: poses, and the lens parameters of `groups` (`focal`, `centre`). World and scale are kept."""
+    """Refines a given calibration: all poses, and the lens parameters of `groups` (`focal`, `centre`).
+
+    Returns the result for `stlfr refine` as JSON, with each camera's change of pose. A similarity aligns the result
+    with the given cameras, because images determine neither the world's frame nor its scale.
+    """
     if len(cameras) < 2:
         raise CheckError("refining needs two cameras or more", 2)
     progress_of = Steps(progress, len(cameras) + 2)
@@ -140,14 +151,17 @@ def refine(
 def in_world(
     covariance: JointCovariance | None, names: dict[str, str], similarity: Similarity
 ) -> dict[str, Any] | None:
-    """The covariance of all cameras in their order, as capture.json has it. `names` are their ids by their images' names."""
+    """The joint covariance of all cameras as in capture.json, after a similarity of the world; None for None.
+
+    `names` has the cameras' ids by image name, in the order of capture.json.
+    """
     if covariance is None:
         return None
     return covariance.entry(list(names), similarity.rotation, similarity.scale)
 
 
 class Steps:
-    """Says what is done next."""
+    """Reports progress: each call names the step that starts now, and counts the previous one as done."""
 
     def __init__(self, progress: Progress, total: int) -> None:
         self.progress, self.done, self.total = progress, 0, total
@@ -164,7 +178,10 @@ def match_backgrounds(
     progress_of: Steps,
     pycolmap: Any,
 ) -> dict[str, str]:
-    """Matches what stands still, into a database in `scratch`. Gives the cameras' ids by the names of their images."""
+    """Matches features of the cameras' static backgrounds, and writes them into a COLMAP database in `scratch`.
+
+    Returns the cameras' ids by image name. Raises `CheckError` if a camera has too few features.
+    """
     pictures: dict[str, Picture] = {}
     for camera in cameras:
         progress_of(f"background of {camera['id']}")
@@ -176,7 +193,10 @@ def match_backgrounds(
 
 
 def lensless(camera: Camera, request: Request, pycolmap: Any) -> Camera:
-    """A camera of unknown pose, and of unknown lens where no focal length is given."""
+    """A camera object without a pose. Its `expected` lens parameters have the requested focal length, or a guess.
+
+    The field `params` is set only if a focal length is requested; without it, pycolmap guesses the intrinsics.
+    """
     size = {name: camera[name] for name in ("id", "width", "height")}
     guess = GUESSED_FOCAL * max(camera["width"], camera["height"])
     lens = pycolmap.Camera.create(
@@ -188,7 +208,7 @@ def lensless(camera: Camera, request: Request, pycolmap: Any) -> Camera:
 
 
 def require_features(scratch: Path, names: dict[str, str], pycolmap: Any) -> None:
-    """Refuses cameras that show too little."""
+    """Raises `CheckError` if a camera has fewer than `MIN_POINTS` features in its static background."""
     with pycolmap.Database.open(scratch / DATABASE) as database:
         for image in database.read_all_images():
             count = database.num_keypoints_for_image(image.image_id)
@@ -207,7 +227,11 @@ def mapped_cameras(
     request: Request,
     pycolmap: Any,
 ) -> list[Camera]:
-    """All cameras with poses and lenses, as mapping finds them: by the guessed lens, else with lenses of its own."""
+    """All cameras with the poses and lenses that incremental mapping finds.
+
+    Mapping first keeps the initial lenses. If it then can't place all cameras and no focal length was requested, it
+    runs again and also estimates lenses. Raises `CheckError` if some cameras still have no pose.
+    """
     fewest = [camera["id"] for camera in cameras]
     for refined in (False,) if request.focal_px else (False, True):
         options = mapping_options(pycolmap)
@@ -236,7 +260,7 @@ def mapped_cameras(
 
 
 def pose_entry(image: Any) -> dict[str, Any]:
-    """The pose of pycolmap's image as capture.json spells it."""
+    """The pose of a pycolmap image as the field `cam_from_world` of capture.json."""
     cam_from_world = image.cam_from_world()
     x, y, z, w = (float(v) for v in cam_from_world.rotation.quat)
     translation = [float(v) for v in cam_from_world.translation]
@@ -251,7 +275,10 @@ def described(
     errors: dict[str, StandardErrors],
     cameras: list[Camera],
 ) -> list[dict[str, Any]]:
-    """The reconstruction's cameras in their order, with how sure they are."""
+    """The reconstructed lenses and poses with their standard errors, as JSON objects in the order of `cameras`.
+
+    Raises `CheckError` if a camera sees fewer than `MIN_POINTS` points.
+    """
     images = {names[image.name]: image for image in model.images.values()}
     found = []
     for camera in cameras:
@@ -285,7 +312,10 @@ def described(
 def world_scale(
     poses: dict[str, Pose], distance: tuple[str, str, float] | None
 ) -> tuple[float, list[str]]:
-    """Metres of the reconstruction's unit, and what is said about it."""
+    """The length of the reconstruction's unit in metres, from the known distance between two cameras, and notes.
+
+    Without a distance, the mean distance of neighbouring cameras becomes 1 m, and a note says so.
+    """
     centres = {camera_id: pose.centre_m for camera_id, pose in poses.items()}
     if distance is not None:
         first, second, metres = distance
@@ -307,7 +337,10 @@ def world_scale(
 
 
 def upright(poses: dict[str, Pose], scale: float) -> Similarity:
-    """Into the world whose axes are the cameras' mean axes, and whose origin is their mean place."""
+    """The similarity into a world whose axes are the cameras' mean axes, and whose origin is their mean centre.
+
+    `scale` is the length of the reconstruction's unit in metres.
+    """
     rotation = robust_mean_rotation([pose.rotation for pose in poses.values()])
     origin: Array = np.mean([pose.centre_m for pose in poses.values()], axis=0)
     return Similarity(rotation, scale, -scale * rotation @ origin)
@@ -316,7 +349,7 @@ def upright(poses: dict[str, Pose], scale: float) -> Similarity:
 def set_world(
     cameras: list[dict[str, Any]], similarity: Similarity, pycolmap: Any
 ) -> None:
-    """Moves all cameras into another world."""
+    """Transforms the poses of all cameras, and their positions' standard errors, into another world, in place."""
     for camera in cameras:
         pose = similarity.pose(pose_of(camera, pycolmap))
         x, y, z, w = (float(v) for v in pycolmap.Rotation3d(pose.rotation).quat)

@@ -1,9 +1,9 @@
-"""The images of one instant, one a camera, and what may have moved in them.
+"""One image per camera for the check of a calibration, with a mask of static pixels.
 
-Cameras that aren't synchronized have no images of one instant. Where a simulator left its truth, the
-check takes that: all cameras at one instant. Else it takes the frame of each camera that is nearest to
-the middle of the capture, by the cameras' own clocks, and masks what moved between the frames before
-and after it: what stands still is the same at any time. What the mask misses is left to RANSAC.
+Unsynchronized cameras have no images of a common instant. If a simulator filmed the capture and wrote ground truth, the
+images are the ground truth of all cameras at one instant. Otherwise, each camera's image is its frame nearest to the
+middle of the capture, by the camera's own clock. Pixels that differ between the frames before and after this frame are
+masked, because they may show moving objects. RANSAC must reject moving objects that the mask misses.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ import numpy.typing as npt
 from .capture import Array, Camera, CheckError, read_json
 
 MOVING_LEVELS = 10.0
-"""A pixel counts as moving where the frames before and after differ by this much (of 255), averaged over
-`MOVING_WINDOW_PX`. Larger, and slow things stay in; smaller, and noise takes out what stands still."""
+"""A pixel counts as moving if the mean difference of two frames over a window of `MOVING_WINDOW_PX` is larger; grey
+levels of 255. If larger, slow motion is missed; if smaller, noise masks static pixels."""
 
 MOVING_WINDOW_PX = 5
-"""Side of the window that differences are averaged over. Larger, and what is small moves unnoticed; smaller, and noise
-takes out what stands still."""
+"""Side of the square window over which differences of frames are averaged. If larger, small moving objects are missed;
+if smaller, noise masks static pixels."""
 
 MOVING_MARGIN_PX = 15
-"""How far around moving pixels features are ignored: they look that far. Larger, and few features are left to place
-cameras by; smaller, and features depend on what moves."""
+"""Half-width of the square around moving pixels in which features are ignored; a SIFT descriptor covers pixels up to
+about this distance. If larger, few features remain; if smaller, descriptors depend on moving objects."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One camera's image, 8-bit (H, W, channels), and its mask of static pixels (None: all)."""
+    """One camera's image, 8-bit (H, W, channels), and the mask `still` of its static pixels; None if all are static."""
 
     pixels: npt.NDArray[np.uint8]
     still: npt.NDArray[np.bool_] | None = None
@@ -41,7 +41,10 @@ class Picture:
 def pictures_of_one_instant(
     folder: Path, capture: Any, cameras: list[Camera], pycolmap: Any
 ) -> tuple[dict[str, Picture], str]:
-    """One image per camera, by id, and where they come from. `capture` is the `stlfr` module's."""
+    """One image per camera, by id, and a description of their source and time. `capture` is a `stlfr.Capture`.
+
+    The images are ground truth if `folder` has it for all cameras, otherwise frames with masks of static pixels.
+    """
     ids = [camera["id"] for camera in cameras]
     found = truth_images(folder, ids)
     if found is not None:
@@ -57,7 +60,10 @@ def pictures_of_one_instant(
 
 
 def truth_images(folder: Path, ids: list[str]) -> tuple[dict[str, Path], float] | None:
-    """The files of the first instant that the truth shows from all cameras, and the instant."""
+    """The ground truth image files of all cameras at the first instant that has them, by camera id, and the instant.
+
+    None if the capture has no ground truth, or none with all cameras at one instant.
+    """
     if not (folder / "truth" / "truth.json").is_file():
         return None
     truth = read_json(folder / "truth" / "truth.json")
@@ -73,9 +79,10 @@ def truth_images(folder: Path, ids: list[str]) -> tuple[dict[str, Path], float] 
 
 
 def picture_at(capture: Any, camera_id: str, times_s: Array, time_s: float) -> Picture:
-    """The frame nearest to an instant, and what stood still around it.
+    """The camera's frame nearest to an instant, with a mask of pixels that are alike in the frames before and after.
 
-    The first and the last frame have no neighbour on one side; the other one's is used alone.
+    At the first frame, the mask compares this frame and the next; at the last frame, the previous frame and this one.
+    There is no mask if the camera has a single frame.
     """
     nearest = int(np.argmin(np.abs(times_s - time_s)))
     before, after = max(nearest - 1, 0), min(nearest + 1, len(times_s) - 1)
@@ -89,7 +96,7 @@ def picture_at(capture: Any, camera_id: str, times_s: Array, time_s: float) -> P
 def standing_still(
     before: npt.NDArray[np.uint8], after: npt.NDArray[np.uint8]
 ) -> npt.NDArray[np.bool_]:
-    """Mask (H, W) of pixels far enough from every difference between two images."""
+    """Mask (H, W) of pixels that are more than `MOVING_MARGIN_PX` away from pixels where the two images differ."""
     grey = [image.astype(np.float64).mean(axis=2) for image in (before, after)]
     moving = box_mean(np.abs(grey[1] - grey[0]), MOVING_WINDOW_PX) > MOVING_LEVELS
     still: npt.NDArray[np.bool_] = (
@@ -101,15 +108,15 @@ def standing_still(
 def eight_bit(
     pixels: npt.NDArray[np.uint8] | npt.NDArray[np.uint16],
 ) -> npt.NDArray[np.uint8]:
-    """The same image in 8 bits, as SIFT sees it."""
+    """An image with 8 or 16 bits per value, converted to 8 bits."""
     if pixels.dtype == np.uint8:
         return pixels.astype(np.uint8)
     return (pixels.astype(np.float64) / 257.0 + 0.5).astype(np.uint8)
 
 
 def read_image(path: Path, pycolmap: Any) -> npt.NDArray[np.uint8]:
-    """An image file as 8-bit RGB."""
-    # At a pipe, pycolmap would wait.
+    """An image file as 8-bit RGB (H, W, 3). Raises `CheckError` if it can't be read."""
+    # pycolmap would wait forever for data from a pipe.
     bitmap = pycolmap.Bitmap.read(path, as_rgb=True) if path.is_file() else None
     if bitmap is None:
         raise CheckError(f"{path}: can't be read as an image", 2)
@@ -117,7 +124,7 @@ def read_image(path: Path, pycolmap: Any) -> npt.NDArray[np.uint8]:
 
 
 def box_mean(image: Array, window_px: int) -> Array:
-    """The mean over a square window (odd size) around every pixel; borders are replicated."""
+    """The mean of an image (H, W) over a square window of odd size around each pixel; borders are replicated."""
     half = window_px // 2
     for axis in (0, 1):
         padding = [(half + 1, half) if a == axis else (0, 0) for a in (0, 1)]

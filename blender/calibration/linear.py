@@ -1,8 +1,8 @@
-"""A reconstruction's reprojection errors, and how they change with cameras and points.
+"""A reconstruction's reprojection errors, and their derivatives by the parameters of cameras and points.
 
-A camera changes by six numbers: a turn about the world's axes (radians), then a move of its centre. With its lens refined
-it has more: the logarithm of its focal lengths, its principal point (pixels), its distortion. Points are eliminated
-(the Schur complement).
+A camera has six pose parameters: a rotation about the world's axes (radians), then a translation of its centre. They
+may be followed by lens parameters: the logarithm of its focal lengths, its principal point (pixels) and its distortion
+coefficients. Points are eliminated from the normal equations by the Schur complement.
 """
 
 from __future__ import annotations
@@ -16,57 +16,58 @@ import numpy.typing as npt
 from .capture import Array
 
 FREEDOMS = 7
-"""Of a similarity: turn, move, scale."""
+"""Degrees of freedom of a similarity: three of rotation, three of translation, and the scale."""
 
 STEP = 1e-6
-"""Of a central difference, as a fraction of a point's depth. Larger, and the projection's curvature enters the
-derivative; smaller, and rounding does."""
+"""Step of central differences: a fraction of a point's depth, and of a unit of each lens parameter. If larger, the
+projection's curvature falsifies the derivative; if smaller, rounding errors do."""
 
 CHUNK = 2048
-"""Points that are eliminated at once. Larger, and more memory is taken; smaller, and more time."""
+"""Number of points that are eliminated in one batch. Larger batches take more memory, smaller ones more time."""
 
 Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Linearization:
-    """All sights of a model: a point seen in an image is a row."""
+    """The observations of a reconstruction, with derivatives. A row is one observation of a point in an image."""
 
     images: list[Any]
     refined: tuple[str, ...]
-    """Groups of lens parameters among a camera's numbers, in their order: `focal`, `centre`, `distortion`."""
+    """The groups of lens parameters that follow a camera's pose parameters, of `focal`, `centre`, `distortion`, in this
+    order."""
     point_ids: list[int]
     camera: Indices
-    """By row: the number of its image."""
+    """For each row, the index of its image in `images`."""
     point: Indices
-    """By row: the number of its point."""
+    """For each row, the index of its point in `point_ids`."""
     by_camera: Array
-    """By row: how its pixel changes with its camera (2xN)."""
+    """For each row, the derivatives (2, K) of the projected pixel by the camera's K parameters."""
     by_point: Array
-    """By row: how its pixel changes with its point (2x3)."""
+    """For each row, the derivatives (2, 3) of the projected pixel by the point's coordinates."""
     errors_px: Array
-    """By row: projected minus seen."""
+    """For each row, the reprojection error (x, y): the projected pixel minus the observed one."""
     span: float
-    """The points' median distance from the cameras."""
+    """The median distance of the points from the mean of the camera centres; 1 if there are no points."""
 
     @property
     def size(self) -> int:
-        """Numbers of a camera."""
+        """The number of parameters of one camera."""
         return int(self.by_camera.shape[2])
 
     @property
     def centres(self) -> Array:
-        """Of the cameras."""
+        """The cameras' centres (N, 3) in world coordinates, in the order of `images`."""
         return np.array([image.projection_center() for image in self.images])
 
     @property
     def redundancy(self) -> int:
-        """How many more numbers are measured than estimated."""
+        """The number of measured coordinates minus the number of estimated parameters, without the gauge freedoms."""
         estimated = 3 * len(self.point_ids) + self.size * len(self.images) - FREEDOMS
         return 2 * len(self.errors_px) - estimated
 
     def reduced(self, weights: Array | None = None) -> tuple[Array, Array]:
-        """Information and gradient of the cameras with all points eliminated. Weights are the rows'."""
+        """The cameras' information matrix and gradient, with all points eliminated. `weights` has one per row."""
         count, size = len(self.images), self.size
         weights = np.ones(len(self.camera)) if weights is None else weights
         weighted = weights[:, None, None] * self.by_camera
@@ -88,7 +89,7 @@ class Linearization:
         return information, flat
 
     def moved_points(self, weights: Array, change: Array) -> Array:
-        """How points move (P, 3) where the cameras change so."""
+        """The changes (P, 3) of the points that minimize the errors after this change of all cameras' parameters."""
         moves = np.zeros((len(self.point_ids), 3))
         for rows, inverses, mixed, gradient in self._points(weights):
             pull = gradient + np.einsum("pci,c->pi", mixed, change)
@@ -96,7 +97,11 @@ class Linearization:
         return moves
 
     def _points(self, weights: Array) -> Any:
-        """Chunks of points: which, inverse information (P, 3, 3), mixed with cameras (P, C, 3), gradient (P, 3)."""
+        """Yields batches of points, each with four parts of the normal equations.
+
+        These are the points' indices, the inverse of their information matrices (P, 3, 3), the information shared with
+        the cameras' parameters (P, C, 3), and the gradient (P, 3).
+        """
         size, width = self.size, self.size * len(self.images)
         order = np.argsort(self.point, kind="stable")
         for first in range(0, len(self.point_ids), CHUNK):
@@ -113,13 +118,16 @@ class Linearization:
             mixed = np.zeros((end - first, width, 3))
             columns = self.camera[rows, None] * size + np.arange(size)
             products = np.swapaxes(self.by_camera[rows], 1, 2) @ weighted
-            # A camera may see a point at two places.
+            # One image may have two observations of a point, so `+=` would lose one of them.
             np.add.at(mixed, (point[:, None], columns), products)
             yield slice(first, end), np.linalg.pinv(own), mixed, gradient
 
 
 def linearized(model: Any, refined: tuple[str, ...]) -> Linearization:
-    """pycolmap's `model`; `refined` are groups of lens parameters: `focal`, `centre`, `distortion`."""
+    """The linearization of pycolmap's reconstruction `model`, at its current cameras and points.
+
+    `refined` names the groups of lens parameters with derivatives: `focal`, `centre`, `distortion`.
+    """
     images = [image for image in model.images.values() if image.has_pose]
     point_ids = sorted(model.points3D)
     numbers = {point_id: k for k, point_id in enumerate(point_ids)}
@@ -142,7 +150,7 @@ def linearized(model: Any, refined: tuple[str, ...]) -> Linearization:
 def _sights(
     model: Any, image: Any, refined: tuple[str, ...]
 ) -> tuple[list[int], Array, Array, Array]:
-    """An image's sights: their points, by_camera, by_point, and errors (N, 2), pixels."""
+    """An image's N observations: the points' ids, `by_camera`, `by_point` and `errors_px` as in `Linearization`."""
     seen = [p for p in image.points2D if p.has_point3D()]
     ids = [p.point3D_id for p in seen]
     lens, matrix = model.cameras[image.camera_id], image.cam_from_world().matrix()
@@ -164,12 +172,15 @@ def _sights(
 
 
 def pixels(lens: Any, places: Array) -> Array:
-    """Where a lens shows points of the camera's frame (N, 2)."""
+    """The pixels (N, 2) of points (N, 3) in camera coordinates, by the pycolmap camera `lens`."""
     return np.asarray(lens.img_from_cam(places)).reshape(-1, 2)
 
 
 def directions(lens: Any, refined: tuple[str, ...]) -> Array:
-    """How a lens's parameters change (K, P) with each of its refined numbers."""
+    """The derivatives (K, P) of the lens's P parameters by the K refined parameters.
+
+    The focal length is refined as one logarithm, so its row has the focal lengths themselves. All other rows have a 1.
+    """
     params = np.array(lens.params)
     units, changes = np.eye(len(params)), []
     if "focal" in refined:
@@ -183,7 +194,7 @@ def directions(lens: Any, refined: tuple[str, ...]) -> Array:
 
 
 def _by_lens(lens: Any, places: Array, refined: tuple[str, ...]) -> Array:
-    """How pixels change (N, 2, K) with the refined numbers of a lens."""
+    """The derivatives (N, 2, K) of pixels by the lens's K refined parameters, by central differences."""
     params = np.array(lens.params)
     changes = directions(lens, refined)
     columns = np.empty((len(places), 2, len(changes)))
@@ -197,7 +208,7 @@ def _by_lens(lens: Any, places: Array, refined: tuple[str, ...]) -> Array:
 
 
 def cross(vectors: Array) -> Array:
-    """The cross-product matrices (N, 3, 3) of vectors."""
+    """The cross-product matrices (N, 3, 3) of vectors (N, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
@@ -205,5 +216,5 @@ def cross(vectors: Array) -> Array:
 
 
 def worst(covariance: Array) -> float:
-    """The standard deviation along the axis where it is largest."""
+    """The largest standard deviation along any axis, of a vector with this covariance matrix."""
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(covariance)[-1])))

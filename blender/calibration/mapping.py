@@ -1,7 +1,7 @@
-"""Where pycolmap puts the cameras from images alone: SIFT, exhaustive matching, incremental mapping.
+"""Camera poses from images alone, by pycolmap: SIFT features, exhaustive matching, incremental mapping.
 
-The same images give the same poses each time: seeds are fixed and pycolmap runs on one thread
-wherever threads would change the order of its sums.
+The result is deterministic: seeds are fixed, and pycolmap runs on one thread wherever threads would change the order of
+summation.
 """
 
 from __future__ import annotations
@@ -19,17 +19,20 @@ from .uncertainty import standard_errors
 SEED = 1
 
 DATABASE = "database.db"
-"""COLMAP's database in a scratch folder."""
+"""Name of COLMAP's database of features and matches, in a temporary folder."""
 
 MAX_ERROR_PX = 1.0
-"""Matches further off are dropped (COLMAP's own limit is 4). Larger, and slightly wrong matches pull
-cameras by up to a millimetre at 320x240; smaller, and right matches go too where images are noisy."""
+"""Maximum epipolar and reprojection error of matches, pixels (COLMAP's default is 4). If larger, slightly wrong matches
+shift cameras by up to a millimetre at 320x240; if smaller, correct matches in noisy images are dropped too."""
 
 
 def poses_from_pixels(
     pictures: dict[str, Picture], cameras: list[Camera], pycolmap: Any
 ) -> dict[str, EstimatedPose]:
-    """Structure from motion with the intrinsics given; world and scale are its own. Cameras it can't place are missing, all of them where there is too little to tell how well."""
+    """Camera poses by structure from motion with given intrinsics, by camera id, in a world frame and scale of its own.
+
+    Cameras that can't be placed are missing. The result is empty if there are too few points for standard errors.
+    """
     with tempfile.TemporaryDirectory(prefix="stlfr-check-") as scratch_name:
         scratch = Path(scratch_name)
         names = match(pictures, cameras, scratch, pycolmap)
@@ -57,9 +60,9 @@ def poses_from_pixels(
 def match(
     pictures: dict[str, Picture], cameras: list[Camera], scratch: Path, pycolmap: Any
 ) -> dict[str, str]:
-    """Features of all pictures and their matches, in `scratch`/database.db; gives the camera's id by image name.
+    """Extracts and matches features of all pictures, into `scratch`/database.db. Returns camera ids by image name.
 
-    A camera without `params` has unknown intrinsics.
+    pycolmap guesses the intrinsics of a camera without `params`.
     """
     (scratch / "images").mkdir()
     (scratch / "masks").mkdir()
@@ -102,7 +105,10 @@ def match(
 
 
 def map_cameras(scratch: Path, options: Any, pycolmap: Any) -> Any:
-    """The reconstruction with the most cameras, of what `match` left in `scratch`; None without any."""
+    """Runs incremental mapping on the matches that `match` wrote into the folder `scratch`.
+
+    Returns the reconstruction with the most cameras, or None if no two cameras can be placed.
+    """
     models = pycolmap.incremental_mapping(
         scratch / DATABASE, scratch / "images", scratch, options
     )
@@ -110,7 +116,7 @@ def map_cameras(scratch: Path, options: Any, pycolmap: Any) -> Any:
 
 
 def mapping_options(pycolmap: Any) -> Any:
-    """Options of incremental mapping that accept the small angles of a tightly packed rig."""
+    """Options of incremental mapping: fixed intrinsics, and minimum triangulation angles for cameras close together."""
     options = pycolmap.IncrementalPipelineOptions()
     options.ba_refine_focal_length = options.ba_refine_principal_point = False
     options.ba_refine_extra_params = False

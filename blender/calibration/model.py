@@ -1,7 +1,7 @@
-"""Projections: the same points by Blender, by pycolmap and by the `stlfr` module.
+"""Compares how Blender, pycolmap and the `stlfr` module project points to pixels.
 
-Each difference is the largest distance in pixels over `POINTS` random points of the image, in front
-of the camera and behind it; infinite where only one of two sees a point.
+A difference between two of them is the largest distance of their pixels over `POINTS` random points, in front of the
+camera and behind it. It is infinite if only one of the two gives some point a pixel.
 """
 
 from __future__ import annotations
@@ -16,27 +16,32 @@ import numpy as np
 from .capture import Array, Camera, Pose, lens_of, pose_of, view_of
 
 Projector = Callable[[Camera, Array], Array]
-"""A camera object and world points (N, 3) to pixels (N, 2), NaN where a point has no image."""
+"""A function from a camera object and world points (N, 3) to pixels (N, 2), with NaN for points that have no image."""
 
 SEED = 1
 
 POINTS = 2000
-"""Per lens and camera. Larger takes time; smaller, and a difference in one corner of the image goes unnoticed."""
+"""Number of random points that are projected for each lens model and camera. If larger, the check takes longer; if
+smaller, it may miss a difference in one corner of the image."""
 
 TOLERANCE_PX = 1e-9
-"""pycolmap and stlfr compute the same formula in double precision; rounding is some 1e-13 px at these image
-sizes. Larger, and a difference in convention at the far end of the image could hide; smaller, and it is noise."""
+"""Maximum difference between pycolmap and stlfr. Both compute the same formula in double precision, with rounding
+errors of about 1e-13 px. If larger, a difference in convention could pass; if smaller, rounding errors fail."""
 
 BLENDER_TOLERANCE_PX = 3e-4
-"""Blender's projection matrix is in single precision: 24 bits of coordinates up to 1000 px, some 6e-5 px.
-Larger, and a shift of the principal point by a wrong rounding could hide; smaller, and it is noise."""
+"""Maximum difference between Blender and stlfr. Blender's projection matrix has single precision, 24 bits: about
+6e-5 px at coordinates up to 1000 px. If larger, a wrongly rounded principal point could pass; if smaller, rounding
+errors fail."""
 
 
 # Against pycolmap
 
 
 def difference_px(camera: Camera, lens: Any, pose: Pose, project: Projector) -> float:
-    """The largest difference between the projections of pycolmap and of the `stlfr` module."""
+    """The largest distance between the projections of pycolmap (`lens`, `pose`) and of stlfr (`camera`), pixels.
+
+    `project` is stlfr's projection. The result is infinite if only one of the two gives some point a pixel.
+    """
     points_world_m = seen_points(camera, lens, pose)
     points_cam_m = points_world_m @ pose.rotation.T + pose.translation_m
     theirs = np.asarray(lens.img_from_cam(points_cam_m), dtype=np.float64)
@@ -45,7 +50,7 @@ def difference_px(camera: Camera, lens: Any, pose: Pose, project: Projector) -> 
 
 
 def seen_points(camera: Camera, lens: Any, pose: Pose) -> Array:
-    """World points (N, 3) on the rays of random pixels, one in ten of them behind the camera."""
+    """World points (`POINTS`, 3) on the rays of random pixels, about a tenth of them behind the camera."""
     random = np.random.default_rng(SEED)
     pixels = random.uniform((0, 0), (camera["width"], camera["height"]), (POINTS, 2))
     depth_m = random.uniform(0.2, 20.0, POINTS) * random.choice(
@@ -57,7 +62,10 @@ def seen_points(camera: Camera, lens: Any, pose: Pose) -> Array:
 
 
 def largest_px(theirs: Array, ours: Array) -> float:
-    """The largest distance; infinite if only one of the two sees a point, or no point is seen."""
+    """The largest distance between two projections (N, 2) of the same points; NaN marks points without a pixel.
+
+    Infinite if only one projection has a pixel for some point, or if no point has one.
+    """
     absent = np.isnan(theirs).any(axis=1)
     if not np.array_equal(absent, np.isnan(ours).any(axis=1)) or absent.all():
         return float("inf")
@@ -95,13 +103,13 @@ MODELS: dict[str, list[float]] = {
     "FISHEYE": [400.0, 400.0, 321.0, 239.0],
     "EUCM": [686.0, 680.0, 321.0, 239.0, 0.6, 1.1],
 }
-"""Every lens model that stlfr reads, distorted as real lenses are; images of 640x480."""
+"""Parameters of one lens, with realistic distortion, for each lens model that stlfr reads; images of 640x480."""
 
 POSE = {"rotation_wxyz": [0.8, -0.2, 0.4, 0.4], "translation": [0.3, -1.1, 2.0]}
 
 
 def model_differences_px(project: Projector, pycolmap: Any) -> dict[str, float]:
-    """Differences between pycolmap and stlfr by lens model."""
+    """The difference between the projections of pycolmap and stlfr for each lens model of `MODELS`, pixels."""
     found = {}
     for name, params in MODELS.items():
         camera = {"width": 640, "height": 480, "model": name, "params": params}
@@ -116,7 +124,10 @@ def model_differences_px(project: Projector, pycolmap: Any) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class BlenderCamera:
-    """What decides a projection in Blender: full size, resolution percentage, fit, shift, pixel aspect."""
+    """The settings of Blender that decide a camera's projection, besides pose, focal length and sensor size.
+
+    `size_px` is the image size at a resolution percentage of 100.
+    """
 
     size_px: tuple[int, int]
     fit: str
@@ -126,7 +137,7 @@ class BlenderCamera:
 
     @property
     def format(self) -> str:
-        """`landscape`, `portrait` or `square`."""
+        """The shape of the image: `landscape`, `portrait` or `square`."""
         width, height = self.size_px
         if width == height:
             return "square"
@@ -134,7 +145,10 @@ class BlenderCamera:
 
 
 def blender_cameras() -> Iterator[BlenderCamera]:
-    """Every format with every sensor fit, and shifts, pixel aspects and percentages with each."""
+    """Blender cameras to compare: every image format with every sensor fit, each with several other settings.
+
+    These are the lens shift, the pixel aspect and the resolution percentage.
+    """
     for size_px, fit, rest in itertools.product(
         [(640, 480), (480, 640), (500, 500)],
         ["AUTO", "HORIZONTAL", "VERTICAL"],
@@ -156,21 +170,21 @@ def blender_cameras() -> Iterator[BlenderCamera]:
 
 @dataclass(frozen=True)
 class BlenderDifference:
-    """One Blender camera's differences, in pixels."""
+    """The differences between projections of one Blender camera, in pixels."""
 
     camera: BlenderCamera
     blender_px: float
-    """Between Blender and stlfr."""
+    """The largest distance between the pixels of Blender and of stlfr."""
     pycolmap_px: float
-    """Between pycolmap and stlfr."""
+    """The largest distance between the pixels of pycolmap and of stlfr."""
 
 
 def blender_differences_px(
     project: Projector, pycolmap: Any, conversion: Any
 ) -> list[BlenderDifference]:
-    """Of every Blender camera; `conversion` is the extension's module `described`.
+    """The differences for each of `blender_cameras`. `conversion` is the Blender extension's module `described`.
 
-    Makes a scene of its own in the running Blender, and removes it.
+    Makes a temporary scene in the running Blender, and removes it.
     """
     import bpy
 
@@ -210,9 +224,9 @@ def blender_differences_px(
 def blender_pixels(
     camera: Any, scene: Any, points_world_m: Array, width_px: int, height_px: int
 ) -> Array:
-    """Pixels of points by Blender's own projection matrix; NaN behind the camera.
+    """Pixels (N, 2) of world points by Blender's own projection matrix; NaN for points behind the camera.
 
-    The matrix is Blender's, in its single precision; the product is taken in double.
+    The matrix has Blender's single precision; it is applied in double precision.
     """
     import bpy
 

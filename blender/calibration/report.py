@@ -1,4 +1,4 @@
-"""The whole check as one result, as it is printed in JSON, and as a table for people."""
+"""The check of a calibration: its result as JSON, and as a table for the user."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ PIXEL_FIELDS = (
     "position_std_err_mm",
     "points",
 )
-"""What the pixels say of a camera."""
+"""Names of a camera's fields in the result that come from its images: how far structure from motion places the camera
+from its calibrated pose. They are None for a camera that can't be placed."""
 
 FORMATS = ("landscape", "portrait", "square")
 FITS = ("AUTO", "HORIZONTAL", "VERTICAL")
@@ -40,7 +41,11 @@ def check(
     pycolmap: Any,
     conversion: Any,
 ) -> dict[str, Any]:
-    """Model and pixels. `capture` is the `stlfr` module's, `conversion` the extension's module `described`."""
+    """Checks a capture's calibration: the projection models, and the poses against its images. Returns the JSON result.
+
+    `capture` is a `stlfr.Capture`, `project` is `stlfr.project`, and `conversion` is the Blender extension's module
+    `described`.
+    """
     cameras: list[Camera] = read_json(folder / "capture.json")["cameras"]
     checked_model, off, own = check_model(
         folder, cameras, project, pycolmap, conversion
@@ -60,9 +65,10 @@ def check(
 def judged(
     off: list[str], own: list[str], found: list[Residual], missing: list[str]
 ) -> tuple[str, str]:
-    """The verdict, `right`, `off`, `unknown` or `inconsistent`, and why.
+    """The verdict (`right`, `off`, `unknown` or `inconsistent`), and the reason for it.
 
-    `off` says how the capture's projections differ, `own` how the program's do.
+    `off` lists errors of the capture's projections, and `own` errors of the program itself. `found` are the cameras'
+    residuals. `missing` are the ids of cameras that could not be placed by their images.
     """
     if own:
         return "inconsistent", "; ".join(own)
@@ -94,12 +100,12 @@ def check_model(
     pycolmap: Any,
     conversion: Any,
 ) -> tuple[dict[str, Any], list[str], list[str]]:
-    """Projections of this capture's cameras; of every lens model, and of every kind of Blender camera.
+    """Compares projections of this capture's cameras, of every lens model, and of many settings of Blender's camera.
 
-    With them come what is wrong with the capture, and what is wrong with the program.
+    Returns the differences as JSON, errors of the capture as sentences, and errors of the program as sentences.
 
-    pycolmap reads the capture's COLMAP model where it has one, so that both exports are checked
-    against each other; else capture.json's numbers.
+    If the capture has a COLMAP model, pycolmap reads it, so that this model is also checked against capture.json.
+    Otherwise, pycolmap uses the numbers of capture.json.
     """
     exported = exported_model(folder, cameras, pycolmap)
     own = exported or {
@@ -148,7 +154,7 @@ def check_model(
 
 
 def finite(distances_px: list[float]) -> float | None:
-    """The largest distance; None if only one of the two sees some points."""
+    """The largest distance in pixels; None if it is infinite, as some point has a pixel by only one projection."""
     largest = max(distances_px)
     return largest if np.isfinite(largest) else None
 
@@ -156,7 +162,10 @@ def finite(distances_px: list[float]) -> float | None:
 def check_pixels(
     folder: Path, capture: Any, cameras: list[Camera], pycolmap: Any
 ) -> tuple[dict[str, Any], list[Residual]]:
-    """Where the images of one instant put each camera, against where the capture does."""
+    """Compares each camera's calibrated pose with its pose by structure from motion from one image per camera.
+
+    Returns the result's fields as JSON, and the residuals of the cameras that could be placed.
+    """
     entries: list[dict[str, Any]] = [
         {"id": c["id"], **dict.fromkeys(PIXEL_FIELDS)} for c in cameras
     ]
@@ -183,7 +192,7 @@ def check_pixels(
     return found, differing
 
 
-# For people
+# The table
 
 
 VERDICTS = {
@@ -195,19 +204,19 @@ VERDICTS = {
 
 
 def closing(result: dict[str, Any]) -> str:
-    """The verdict in one line."""
+    """The check's verdict and its reason in one line."""
     return f"{VERDICTS[result['verdict']]} {result['reason']}"
 
 
 def table(result: dict[str, Any]) -> str:
-    """The capture first, then the program's own consistency, and the verdict last."""
+    """The check's result as a table: the capture's cameras, the projection models, and the verdict in the last line."""
     return "\n".join(
         [*pixels_table(result), "", *model_table(result["model"]), "", closing(result)]
     )
 
 
 def pixels_table(result: dict[str, Any]) -> list[str]:
-    """One line for each camera."""
+    """Lines of the table that compare the cameras' poses with their images: one per camera, then the tolerances."""
     lines = [
         f"{'camera':<12} {'rotation':>10} {'std. error':>10} {'position':>10} {'std. error':>10} {'points':>7}"
     ]
@@ -228,7 +237,11 @@ def pixels_table(result: dict[str, Any]) -> list[str]:
 
 
 def model_table(found: dict[str, Any]) -> list[str]:
-    """The largest difference of a projection: of this capture, and of the program, whatever the capture."""
+    """Lines of the table with the largest differences of projections.
+
+    The first line is about this capture's cameras, if it has a COLMAP model. The last line is about the program's lens
+    models and Blender cameras, whatever the capture.
+    """
     lines = []
     if found["colmap_folder"]:
         lines.append(
@@ -245,11 +258,11 @@ def model_table(found: dict[str, Any]) -> list[str]:
 
 
 def largest(distances_px: list[float | None]) -> str:
-    """The largest distance as text."""
+    """The largest distance as text; `not the same` if one of the distances is unknown (None)."""
     known = [px for px in distances_px if px is not None]
     return shown(max(known) if len(known) == len(distances_px) else None)
 
 
 def shown(distance_px: float | None) -> str:
-    """A distance as text."""
+    """A distance in pixels as text; `not the same` for None."""
     return "not the same" if distance_px is None else f"{distance_px:.1e} px"

@@ -1,13 +1,13 @@
-"""Standard errors of reconstructed camera poses.
+"""Standard errors of reconstructed camera poses and lenses.
 
-The covariance of bundle adjustment with all points eliminated (Triggs et al., Bundle Adjustment: A
-Modern Synthesis, 2000, sections 6 and 9), from the reprojection errors that are left. Images say nothing
-about where the world's origin is, how it is turned and how large its unit is; so these seven freedoms are
-taken out, as `residuals` does when it aligns. A camera changes by six numbers: a turn about the world's
-axes (radians), then a move of its centre. Lengths are in the mapping's own unit. Where lenses were estimated too, a
-camera has more numbers: the logarithm of its focal lengths, then its principal point (pixels) and its distortion.
+They follow from the covariance of bundle adjustment with all points eliminated (Triggs et al., Bundle Adjustment: A
+Modern Synthesis, 2000, sections 6 and 9), scaled by the remaining reprojection errors. Images don't determine the
+world's origin, orientation and scale. So these seven gauge freedoms are removed from the covariance, as `residuals`
+removes them by an alignment. A camera has six pose parameters: a rotation about the world's axes (radians), then a
+translation of its centre, in the reconstruction's unit of length. If lenses are estimated too, these parameters follow:
+the logarithm of the focal lengths, the principal point (pixels) and the distortion coefficients.
 
-Errors that points share (a texture seen at a slant, a wrong lens) aren't in it.
+Errors that many points share, such as those of a wrong lens or of slanted textures, are not included.
 """
 
 from __future__ import annotations
@@ -23,16 +23,20 @@ from .linear import FREEDOMS, Linearization, cross, linearized, worst
 
 @dataclass(frozen=True)
 class StandardErrors:
-    """Of a reconstructed camera: of its pose along the worst axis, and of its lens."""
+    """Standard errors of a reconstructed camera's pose and lens.
+
+    `rotation_deg` and `centre` are those along the axis with the largest error. `centre` is in the reconstruction's
+    unit of length.
+    """
 
     rotation_deg: float
     centre: float
     points: int
-    """Points that the camera sees."""
+    """Number of points that the camera sees."""
     error_px: float
-    """Root mean square of its reprojection errors."""
+    """Root mean square of the camera's reprojection errors."""
     focal_fraction: float
-    """Of its focal length, as a fraction of it; 0 where it is taken as known."""
+    """Standard error of the focal length, as a fraction of it; 0 if the focal length was fixed."""
 
 
 GROUPS = {
@@ -40,21 +44,24 @@ GROUPS = {
     "centre": "principal_point",
     "distortion": "distortion",
 }
-"""What capture.json calls the groups of lens parameters."""
+"""The names in capture.json of the groups of lens parameters."""
 
 
 @dataclass(frozen=True)
 class JointCovariance:
-    """Of all cameras' numbers together, without the seven gauge freedoms."""
+    """The joint covariance of all cameras' pose and lens parameters, without the seven gauge freedoms."""
 
     names: list[str]
-    """The images, in the order of the matrix."""
+    """The image names, one per camera, in the order of the matrix's rows."""
     refined: tuple[str, ...]
-    """The groups of lens parameters after each pose, in their order."""
+    """The groups of lens parameters that follow each camera's six pose parameters, in the matrix's order."""
     matrix: Array
 
     def entry(self, names: list[str], rotation: Array, scale: float) -> dict[str, Any]:
-        """As capture.json has it: for these images in this order, in a world that is turned and scaled."""
+        """The covariance in the form of capture.json: the lower triangle, for the given images in this order.
+
+        `rotation` and `scale` transform it into another world.
+        """
         size = len(self.matrix) // len(self.names)
         order = [self.names.index(name) for name in names]
         rows = (np.array(order)[:, None] * size + np.arange(size)).ravel()
@@ -72,7 +79,10 @@ class JointCovariance:
 
 
 def standard_errors(model: Any) -> dict[str, StandardErrors]:
-    """For each image of pycolmap's `model`, by name. Empty if there are too few points to tell."""
+    """Standard errors of each image's pose, by image name, for pycolmap's reconstruction `model` with fixed lenses.
+
+    Empty if there are too few points to determine the poses.
+    """
     linear = linearized(model, ())
     if linear.redundancy <= 0:
         return {}
@@ -81,7 +91,10 @@ def standard_errors(model: Any) -> dict[str, StandardErrors]:
 
 
 def errors_of(linear: Linearization, covariance: Array) -> dict[str, StandardErrors]:
-    """By image name, from the covariance of all cameras' numbers."""
+    """Standard errors by image name, from the joint covariance of all cameras' parameters.
+
+    Those of poses are relative to the mean rotation, position and scale of all cameras.
+    """
     count, size = len(linear.images), linear.size
     poses = (np.arange(count)[:, None] * size + np.arange(6)).ravel()
     aligned = _aligning(linear.centres)
@@ -103,7 +116,10 @@ def errors_of(linear: Linearization, covariance: Array) -> dict[str, StandardErr
 
 
 def inverse(linear: Linearization, information: Array) -> Array:
-    """The inverse without the seven gauge freedoms. Lengths are made comparable with radians by the scene's span."""
+    """The inverse of the cameras' information matrix without the seven gauge freedoms, which is their covariance.
+
+    To be comparable with radians, lengths are divided by the median distance of the points.
+    """
     own = np.ones(linear.size)
     own[3:6] = linear.span
     units = np.tile(own, len(linear.images))
@@ -113,7 +129,10 @@ def inverse(linear: Linearization, information: Array) -> Array:
 
 
 def _aligning(centres: Array) -> Array:
-    """The projection that removes mean rotation, translation and scale from pose changes."""
+    """The projection matrix that removes the mean rotation, translation and scale from changes of all cameras' poses.
+
+    `centres` (N, 3) are the cameras' centres; the matrix is (6 N, 6 N).
+    """
     count, around = len(centres), centres - centres.mean(axis=0)
     mean_turn = np.tile(np.hstack([np.eye(3), np.zeros((3, 3))]), count) / count
     unturned = np.eye(6 * count)

@@ -1,12 +1,12 @@
-"""Scenes to film. Each module's `build()` fills an empty Blender file.
+"""Scenes to film. The function `build()` of a scene's module builds the scene in an empty Blender file.
 
-Metres, Z up. World time t seconds is Blender frame 1 + 30 t, sub-frames included. An object named
-`rig` says where the rig stands: like a Blender camera, it looks along its -Z with +Y up.
-Everything is procedural and seeded: the same pixels every time, no files.
+Lengths are metres, and Z points up. World time t seconds is Blender frame 1 + 30 t, with sub-frames. The pose of the
+object named `rig` is the camera rig's pose: like a Blender camera, it looks along its -Z axis, with +Y up. Scenes are
+procedural with fixed seeds and read no files, so that they always give the same pixels.
 """
 
 TUNED_ON = ("magazine", "ball", "head", "book", "spin", "bounce")
-"""Sweeps choose parameters on these scenes, and on no others."""
+"""The training scenes: only on these scenes, the library's parameters are tuned."""
 
 JUDGED_ON = (
     "hand",
@@ -22,4 +22,4 @@ JUDGED_ON = (
     "along",
     "dance",
 )
-"""These scenes only judge: what is measured on them changes no parameter."""
+"""The held-out test scenes: results on them are only reported, and no parameter is tuned on them."""

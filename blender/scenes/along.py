@@ -1,8 +1,9 @@
-"""Motion along the epipolar lines of a horizontal rig, and no other: everything slides sideways.
+"""A train and a cart slide sideways: all motion is along the epipolar lines of a horizontal rig.
 
-Depths from the rig: train 1.5 m, cart 1.8 m, wallpaper 2.2 m. No point changes its height or its depth, so
-a shift in time and a shift in depth look alike: from one pair of cameras in a row, offsets can't be
-told from such motion. At 640x480 the train moves 12 to 18 pixels a frame, the cart 8 to 12 the other way.
+Depths from the rig: train 1.5 m, cart 1.8 m, wallpaper 2.2 m. No point changes its height or its depth, so a change of
+the temporal offset and a change of depth have the same effect on the images. Thus a pair of cameras in a horizontal row
+can't determine temporal offsets. At 640x480 the train moves 12 to 18 pixels a frame, and the cart 8 to 12 pixels in the
+opposite direction.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ RIG_HEIGHT_M = 1.2
 
 
 def wagon(name: str, codes: tuple[str, ...], x_m: float) -> Any:
-    """A box with windows; it has no wheels that turn."""
+    """A railway wagon: a box with windows, without wheels, whose rotation would be another motion."""
     body = kit.box(
         name,
         backdrop.photo(name, (0.34, 0.2), codes, 0.024),
@@ -40,7 +41,7 @@ def wagon(name: str, codes: tuple[str, ...], x_m: float) -> Any:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))
@@ -72,7 +73,7 @@ def build() -> None:
 
 
 def cart() -> None:
-    """A cart with a sign, which goes the other way."""
+    """A cart with a sign, which slides in the direction opposite to the train's."""
     body = kit.box(
         "cart",
         backdrop.photo(
@@ -94,7 +95,7 @@ def cart() -> None:
 
 
 def vase() -> None:
-    """A painted vase that stands in front."""
+    """A painted vase that stands still in the foreground."""
     standing = kit.turned(
         "vase",
         kit.printed(

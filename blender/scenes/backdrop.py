@@ -1,4 +1,4 @@
-"""What stands behind and beside the actors: walls, posters, shelves, crates. All in textures with detail at every scale."""
+"""Backgrounds of the scenes: walls, floors, posters and bookshelves, with textures that have detail at every scale."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TEXEL_M = 0.003
 def photo(
     name: str, size_m: tuple[float, float], codes: tuple[str, ...], feature_m: float
 ) -> Any:
-    """A material like a photograph, painted at 1.5 mm a texel: finer than any camera here sees."""
+    """A material that resembles a printed photograph, with texels of 1.5 mm, finer than the cameras can resolve."""
     texel_m = 0.0015
     shape = (round(size_m[1] / texel_m), round(size_m[0] / texel_m))
     return kit.printed(name, paint.photo(name, shape, codes, feature_m / texel_m))
@@ -23,7 +23,7 @@ def photo(
 def wall(
     name: str, picture: paint.Image, depth_m: float, centre_height_m: float
 ) -> None:
-    """An upright wall facing the rig, as large as the picture at `TEXEL_M`."""
+    """Add an upright wall that faces the rig, with this picture; each of its pixels has the size `TEXEL_M`."""
     height_m, width_m = (n * TEXEL_M for n in picture.shape[:2])
     plane = kit.Sheet()
     plane.rectangle(
@@ -33,12 +33,12 @@ def wall(
 
 
 def shape_of(width_m: float, height_m: float) -> tuple[int, int]:
-    """A wall's picture: rows and columns."""
+    """The shape (rows, columns) of the picture for a wall of this size."""
     return (round(height_m / TEXEL_M), round(width_m / TEXEL_M))
 
 
 def bricks(depth_m: float, centre_height_m: float) -> None:
-    """Bricks of many colours, 3.2 x 2.6 m."""
+    """Add a wall of bricks in many colours, 3.2 x 2.6 m."""
     picture = paint.bricks(
         "bricks",
         shape_of(3.2, 2.6),
@@ -54,7 +54,7 @@ def flowers(
     centre_height_m: float,
     codes: tuple[str, ...] = ("e9dfc7", "7d9a6a", "b8556b", "e2b04a"),
 ) -> None:
-    """Flowered wallpaper, 3.4 x 2.6 m."""
+    """Add a wall with flowered wallpaper, 3.4 x 2.6 m."""
     picture = paint.wallpaper("flowers", shape_of(3.4, 2.6), 0.12 / TEXEL_M, codes)
     wall("wall", picture, depth_m, centre_height_m)
 
@@ -65,13 +65,13 @@ def boards(
     codes: tuple[str, ...] = ("4a2f1b", "8a5a30", "c08a50", "e0bd84"),
     upright: bool = True,
 ) -> None:
-    """Wooden boards, 3.4 x 2.6 m."""
+    """Add a wall of wooden boards, 3.4 x 2.6 m."""
     picture = paint.planks("boards", shape_of(3.4, 2.6), 0.14 / TEXEL_M, codes, upright)
     wall("wall", picture, depth_m, centre_height_m)
 
 
 def floor(near_m: float, far_m: float, height_m: float) -> None:
-    """A wooden floor from before the wall towards the rig."""
+    """Add a wooden floor from the depth `far_m` towards the rig, to the depth `near_m`."""
     depth_m = far_m - near_m
     picture = paint.planks(
         "floor",
@@ -91,7 +91,7 @@ def poster(
     codes: tuple[str, ...],
     centre_m: tuple[float, float, float],
 ) -> None:
-    """A poster, 38 x 50 cm: a picture with two words over it."""
+    """Add a poster, 38 x 50 cm, with a title above a picture."""
     name = title.replace("\n", " ").lower()
     sheet = kit.Sheet()
     sheet.rectangle(kit.ink(f"{name} edge", "efe9dc"), (-0.19, -0.25), (0.38, 0.50))
@@ -103,7 +103,7 @@ def poster(
 
 
 def books(depth_m: float, centre_height_m: float, shelves: int = 4) -> None:
-    """A wall of shelves full of books, no two alike, 3.2 m wide; they stand out by 3 to 12 cm."""
+    """Add bookshelves, 3.2 m wide, full of books of different sizes whose backs protrude by different lengths."""
     random = paint.generator("books")
     columns, per_book_px, height_px = 24, 24, 200
     spines = paint.generator("spines")
@@ -145,7 +145,7 @@ def books(depth_m: float, centre_height_m: float, shelves: int = 4) -> None:
 
 
 def _spine(k: int, width_px: int, height_px: int, random: np.random.Generator) -> Any:
-    """One book's back: cloth, bands, and a title as a row of strokes."""
+    """The picture of one book's spine: cloth, bands, and a title as a row of strokes."""
     codes = ("7d1d1d", "1d3557", "2f5d3a", "c9a227", "5a3d6b", "d8cfb8", "1f1f24")
     inks = ("f0e3b4", "e9c46a", "f4f1de", "2b1b12", "f0e3b4", "7a2f1c", "c0c0c0")
     image = np.broadcast_to(

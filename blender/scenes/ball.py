@@ -1,8 +1,7 @@
-"""Two balls swing before shelves of books: one near, one far, each hiding the other at times.
+"""Two balls, one near and one far, swing in front of bookshelves; the near ball hides the far ball at times.
 
-Depths from the rig: globe on a stool 1.3 m, near ball 1.5 m, far ball 1.9 m, shelves 2.3 m. At
-640x480 the near ball moves up to 20 pixels a frame, along an arc that crosses the epipolar lines of
-any rig; both spin, so their texture turns as well.
+Depths from the rig: vase 1.3 m, near ball 1.5 m, far ball 1.9 m, shelves 2.3 m. At 640x480 the near ball moves up to 20
+pixels a frame, along an arc that crosses the epipolar lines of any rig. Both balls spin, so their textures rotate too.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ def pendulum(
     length_m: float,
     hook_m: tuple[float, ...],
 ) -> Any:
-    """A ball on a string; its origin is the hook."""
+    """A ball on a string; the object's origin is the hook, so that its rotation swings the ball."""
     hung = kit.turned(name, material, kit.sphere_profile(radius_m, -length_m))
     string = kit.turned(
         f"{name} string",
@@ -36,7 +35,7 @@ def pendulum(
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))

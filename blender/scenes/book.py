@@ -1,7 +1,7 @@
-"""An open book is held up and read from while one of its leaves is turned.
+"""An open book moves while one of its leaves is turned.
 
-Depths from the rig: book 1.15 to 1.35 m, cups 1.5 m, wallpaper 2.1 m. At 640x480 the book moves 6 to
-17 pixels a frame, mostly up and down; the leaf swings over in 1.1 s and bends as it goes.
+Depths from the rig: book 1.15 to 1.35 m, cups 1.5 m, wallpaper 2.1 m. At 640x480 the book moves 6 to 17 pixels a frame,
+mostly up and down. The leaf turns over in 1.1 s, and bends meanwhile.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ LEAF = (
 
 
 def arch_m(x: float) -> float:
-    """How far an open page comes forward: a bulge by the spine that flattens to the edge."""
+    """The height of an open page above the book's plane, at the distance `x` from the spine: a bulge near the spine."""
     across = min(1.0, abs(x) / PAGE_M[0])
     return 0.030 * math.sin(math.pi * across**0.6) + 0.02 * across
 
 
 def page(sheet: kit.Sheet, left_m: float, parts: tuple[str, ...], picture: Any) -> None:
-    """Print one page: text from the top, a picture where the text ends."""
+    """Add one page to the sheet: text paragraphs from the top, and a picture below the text."""
     black = kit.ink("black", "191512")
     y = PAGE_M[1] / 2 - 0.035
     for part in parts:
@@ -54,7 +54,7 @@ def page(sheet: kit.Sheet, left_m: float, parts: tuple[str, ...], picture: Any) 
 
 
 def book() -> Any:
-    """Two pages on their blocks, and the cover behind them."""
+    """The open book without the turning leaf: two pages, the blocks of pages under them, and the cover."""
     width, height = PAGE_M
     paper = kit.ink("paper", "f1e9d6")
     etching = backdrop.photo(
@@ -78,7 +78,7 @@ def book() -> Any:
     cover.rectangle(cloth, (-0.26, -0.185), (0.52, 0.37))
     back = cover.build("cover", lambda x, _y: -0.012 + 0.04 * abs(x))
     back.parent = opened
-    # A block of pages under each side: its outer edges are what one sees of it.
+    # A block of pages under each side; only its outer edges are visible.
     edge = kit.printed(
         "edges", paint.planks("edges", (300, 200), 4, ("b8ab8c", "d8ccb0", "efe6d0"))
     )
@@ -92,7 +92,7 @@ def book() -> Any:
 
 
 def leaf() -> Any:
-    """A single leaf at the spine; over the driver's 0 to 1 it goes from the right side to the left."""
+    """The leaf that is turned: it moves from the right side to the left as `LEAF_TURN` goes from 0 to 1."""
     sheet = kit.Sheet()
     sheet.rectangle(kit.ink("leaf", "f4eddc"), (0.0, -PAGE_M[1] / 2), PAGE_M)
     page(
@@ -119,21 +119,21 @@ def leaf() -> Any:
 
 LEAF_STEPS = 8
 LEAF_TURN = "(0.5 - 0.5*cos(2.9*{t} + 0.75))"
-"""How far the leaf is over: there and back in 2.2 s."""
+"""Driver expression for the turn of the leaf: 0 on the right, 1 on the left, with a period of 2.2 s."""
 
 
 def hat(step: int) -> str:
-    """The weight of one of the leaf's shapes: 1 at its place, 0 from its neighbours on."""
+    """Driver expression for the weight of the leaf's shape key `step`, for linear interpolation between keys."""
     return f"max(0, 1 - abs({LEAF_STEPS}*{LEAF_TURN} - {step}))"
 
 
 def swung(rest_m: kit.Points, over: float) -> kit.Points:
-    """The leaf's vertices on their way: each column turns about the spine, the outer ones lag behind."""
+    """The leaf's vertices when it is turned by the fraction `over`; columns farther from the spine lag behind."""
     x, layer, z = rest_m.T
     turn = math.pi * over
     lag = 0.9 * math.sin(turn) * (x / PAGE_M[0])
     angle = turn - lag
-    # Along the curve, not along the chord, so that paper keeps its length.
+    # Integrated along the curve, not along its chord, so that the paper keeps its length.
     order = np.argsort(x, kind="stable")
     steps = np.diff(x[order], prepend=x[order][0])
     across, out = np.empty_like(x), np.empty_like(x)
@@ -147,7 +147,7 @@ def swung(rest_m: kit.Points, over: float) -> kit.Points:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(0.5, -0.7, 0.7))

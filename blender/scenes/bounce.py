@@ -1,9 +1,9 @@
-"""Two balls bounce on a table: at each bounce their motion reverses at once.
+"""Two balls bounce on a table; at each bounce, their vertical motion reverses instantaneously.
 
-Depths from the rig: near ball 1.45 m, far ball 1.8 m, table 1.3 to 2.05 m, bricks with a plain door 2.2 m.
-At 640x480 the near ball hits the table at 22 pixels a frame and leaves it as fast: at 0.14 s first, then every
-0.28 s. The far ball does so at 25 pixels a frame: at 0.24 s first, then every 0.4 s. Both spin and drift, so
-that points of their surfaces move up to 32 pixels a frame.
+Depths from the rig: near ball 1.45 m, far ball 1.8 m, table 1.3 to 2.05 m, bricks with a plain door 2.2 m. At 640x480
+the near ball hits the table at 22 pixels a frame and leaves it at the same speed, first at 0.14 s and then every 0.28
+s. The far ball hits the table at 25 pixels a frame, first at 0.24 s and then every 0.4 s. Both balls spin and drift
+sideways, so that points on their surfaces move up to 32 pixels a frame.
 """
 
 from __future__ import annotations
@@ -14,13 +14,16 @@ from . import backdrop, kit, paint
 
 RIG_HEIGHT_M = 1.2
 TABLE_M = RIG_HEIGHT_M - 0.34
-"""The table top's height."""
+"""Height of the table's top above the ground."""
 
 GRAVITY_M_S2 = 9.81
 
 
 def bounce(body: Any, lowest_m: float, first_s: float, period_s: float) -> None:
-    """Let a body fall to the height `lowest_m` at `first_s`, below a period, and each `period_s` after."""
+    """Animate the height of a bouncing body: it hits the height `lowest_m` at the time `first_s` and every `period_s`.
+
+    `first_s` must be less than `period_s`.
+    """
     rise_m = GRAVITY_M_S2 * period_s**2 / 8
     phase = 1.0 - first_s / period_s
     from_top = f"(2*fmod({{t}}/{period_s} + {phase:.6f}, 1) - 1)"
@@ -28,14 +31,14 @@ def bounce(body: Any, lowest_m: float, first_s: float, period_s: float) -> None:
 
 
 def ball(name: str, picture: paint.Image, radius_m: float) -> Any:
-    """A printed ball around its own middle."""
+    """A ball with this picture as its texture; its origin is its centre."""
     return kit.turned(
         name, kit.printed(name, picture), kit.sphere_profile(radius_m, 0.0)
     )
 
 
 def table() -> None:
-    """A table of planks, and a plain cloth that hangs from its edge."""
+    """Add a table of planks, with a plain cloth that hangs from its front edge."""
     top = kit.printed(
         "table",
         paint.planks(
@@ -49,7 +52,7 @@ def table() -> None:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))

@@ -1,10 +1,12 @@
-"""A figure dances before plain green cloth that runs all round behind it and on along the floor.
+"""A figure dances in front of a plain green cloth, which surrounds it and continues along the floor.
 
-For arrays whose cameras stand around the scene, such as `tests/bench/dome12.json`: textured limbs turn against each other, hide each
-other and the body, and no camera sees more than half of them. The cloth has soft folds and nothing to match.
+This scene is for arrays whose cameras surround it, such as `tests/bench/dome12.json`. The textured limbs rotate against
+each other, and occlude each other and the body; each camera sees at most half of their surfaces. The cloth has soft
+folds, but no texture to match.
 
-Depths from the rig: figure 1.6 to 2.5 m, cloth and floor 1.6 to 3.5 m. At 640x480 half of what moves does so by 10
-to 17 pixels a frame and a tenth by 18 to 24 or more; by `dome12` at 1024x1224 by 17 to 32 and 33 to 45.
+Depths from the rig: figure 1.6 to 2.5 m, cloth and floor 1.6 to 3.5 m. In images of 640x480, the median speed of moving
+pixels is 10 to 17 pixels a frame, and a tenth of them moves by more than 18 to 24. In images of `dome12` at 1024x1224,
+these speeds are 17 to 32 and 33 to 45.
 """
 
 from __future__ import annotations
@@ -19,20 +21,20 @@ from . import kit, paint
 RIG_HEIGHT_M = 1.2
 FLOOR_M = 0.52
 CENTRE_M = (0.0, 2.0)
-"""The middle of the stage, at which all cameras of an array look."""
+"""The centre of the stage (x, y), at which all cameras of a surrounding array look."""
 CLOTH_RADIUS_M = 1.5
 TEMPO = 1.45
-"""How many times as fast as the expressions below say."""
+"""Factor on the speed of the dance: expressions in this file are evaluated at `TEMPO` times the world time."""
 
 
 def cloth() -> None:
-    """A hanging half cylinder whose foot bends into the floor, of the same colour, under all cameras."""
+    """Add the background: a half cylinder of cloth, which bends at its foot into a floor of the same colour."""
     shape = (500, 900)
     random = paint.generator("cloth")
     folds = paint.noise(shape, 120, 2, random)
     picture = np.broadcast_to(paint.color("58a873"), (*shape, 3)).astype(np.float32)
     material = kit.printed("cloth", paint.shaded(picture, 0.16 * (folds - 0.5)))
-    # The profile from the top down, then round the foot of the cloth.
+    # The profile from the top down, then along the bend at the foot of the cloth.
     bend_m = 0.25
     profile = [(CLOTH_RADIUS_M, 3.6 - 0.3 * k) for k in range(10)]
     profile += [
@@ -42,7 +44,7 @@ def cloth() -> None:
         )
         for turn in np.linspace(0.0, math.pi / 2, 9)
     ]
-    # Away from the rig, and wide open towards it: there along its face, and back along its rear.
+    # An arc around the stage, open towards the rig: one way along the front of the cloth, back along its rear.
     angles = np.linspace(math.radians(-35), math.radians(215), 97)
     there = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
     thickness_m = 0.01
@@ -73,9 +75,10 @@ def limb(
     parent: Any,
     joint_m: tuple[float, float, float],
 ) -> Any:
-    """A rounded limb that hangs down from its joint; its origin is the joint.
+    """A rounded limb that hangs down from its joint, which is the object's origin.
 
-    `size_m` is its length, and its radii at the joint and at the other end.
+    `size_m` is the limb's length, its radius at the joint, and its radius at the other end. `joint_m` is the joint's
+    position relative to `parent`.
     """
     length_m, from_m, to_m = size_m
     centres = [(0.0, 0.0, 0.6 * from_m), (0.0, 0.0, 0.35 * from_m)]
@@ -95,12 +98,12 @@ def limb(
 
 
 def cloth_of(name: str, codes: tuple[str, ...], spacing_px: float) -> Any:
-    """A printed fabric: patches of these colours."""
+    """The material of a printed fabric with patches of these colours, about `spacing_px` texels wide."""
     return kit.printed(name, paint.patchwork(name, (260, 240), codes, spacing_px))
 
 
 def torso(body: Any) -> None:
-    """Hips, waist, chest and neck, in a patched shirt."""
+    """Add the torso to the body: hips, waist, chest and neck, in a patched shirt."""
     shirt = cloth_of("shirt", ("c8362b", "f1c84b", "f4efe2", "1f3f7a", "261d1d"), 22)
     outline = [
         (-0.10, 0.050, 0.045),
@@ -124,7 +127,7 @@ def torso(body: Any) -> None:
 
 
 def head(body: Any) -> Any:
-    """A head with a face painted on, in a woollen cap."""
+    """Add a head with a painted face and a woollen cap to the body."""
     shape = (240, 480)
     face = paint.ramp(
         paint.noise(shape, 30, 3, paint.generator("face")),
@@ -157,17 +160,20 @@ def head(body: Any) -> Any:
 
 
 def drive(target: Any, path: str, axis: int, expression: str) -> None:
-    """Animate one component in the dance's tempo."""
+    """Animate one component of a property; `{t}` in the expression is world time in seconds times `TEMPO`."""
     kit.drive(target, path, axis, expression.replace("{t}", f"({TEMPO}*{{t}})"))
 
 
 def turn(target: Any, axis: int, middle: float, amount: float, rhythm: str) -> None:
-    """Swing a joint about an axis: radians, `rhythm` an expression of `{t}` from -1 to 1."""
+    """Animate the angle of a joint about one axis: `middle` plus `amount` times `rhythm`, radians.
+
+    `rhythm` is an expression of `{t}` with values from -1 to 1.
+    """
     drive(target, "rotation_euler", axis, f"{middle} + {amount}*{rhythm}")
 
 
 def arms(body: Any) -> None:
-    """Both arms swing up and round, the forearms with more."""
+    """Add both arms to the body; upper arms, forearms and hands swing at different rates."""
     sleeve = cloth_of("sleeve", ("c8362b", "f4efe2", "1f3f7a", "e79a3c"), 16)
     skin = kit.printed(
         "skin",
@@ -188,7 +194,7 @@ def arms(body: Any) -> None:
 
 
 def legs(body: Any) -> None:
-    """One leg carries, the other kicks, in turn."""
+    """Add both legs to the body; they kick alternately."""
     denim = cloth_of("trousers", ("1d2f52", "34598f", "7fa1cf", "d9e2ee", "b3452c"), 18)
     shoe = kit.printed(
         "shoe", paint.patchwork("shoe", (120, 120), ("1c1a1a", "f2ede2", "c7342c"), 12)
@@ -206,7 +212,7 @@ def legs(body: Any) -> None:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))

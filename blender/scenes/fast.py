@@ -1,7 +1,7 @@
-"""Very fast: what moves does so at 40 pixels a frame at 640x480.
+"""A paddle and a ball move very fast, at about 40 pixels a frame in images of 640x480.
 
-Depths from the rig: paddle 1.35 to 1.45 m, ball 1.75 m, bricks 2.2 m. The paddle goes round in a
-circle at constant speed, so its motion crosses the epipolar lines of any rig; the ball bounces.
+Depths from the rig: paddle 1.35 to 1.45 m, ball 1.75 m, bricks 2.2 m. The paddle moves along a circle at constant
+speed, so its motion crosses the epipolar lines of any rig. The ball bounces.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ RIG_HEIGHT_M = 1.2
 
 
 def paddle() -> Any:
-    """A round bat with a picture on it, 24 cm across, and its handle."""
+    """A round paddle with a diameter of 24 cm, a picture on its front, and a handle."""
     face = backdrop.photo(
         "bat", (0.75, 0.1), ("7d1020", "d23b2f", "f3e3c0", "e8a13a", "2b1b3a"), 0.03
     )
@@ -44,7 +44,7 @@ def paddle() -> Any:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(0.5, -0.6, 0.8))

@@ -1,8 +1,7 @@
-"""A hand waves, in a chequered sleeve, before wooden boards with pictures on them.
+"""A hand in a chequered sleeve waves in front of wooden boards with posters.
 
-Depths from the rig: hand and sleeve 1.0 to 1.1 m, plant pot 1.45 m, boards 2.0 m. At 640x480 the
-fingertips move up to 25 pixels a frame, in an arc with an up and down on top of it; the fingers bend
-a little as they go.
+Depths from the rig: hand and sleeve 1.0 to 1.1 m, plant pot 1.45 m, boards 2.0 m. At 640x480 the fingertips move up to
+25 pixels a frame, along an arc with an additional vertical oscillation. Meanwhile, the fingers bend slightly.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from . import backdrop, kit, paint
 
 RIG_HEIGHT_M = 1.2
 
-# Where each finger leaves the palm, which way it points (degrees from upright, to the thumb's side
-# positive), how long its three bones are, and its thickness. Metres, the wrist at the origin.
+# For each finger: the position (x, z) of its base, its lean in degrees from upright (positive towards the thumb), the
+# lengths of its three bones, and its radius. Metres, with the wrist at the origin.
 FINGERS = {
     "index": ((0.036, 0.094), 9.0, (0.044, 0.026, 0.022), 0.0118),
     "middle": ((0.012, 0.100), 1.0, (0.048, 0.030, 0.023), 0.0122),
@@ -30,7 +29,7 @@ STEPS_PER_BONE = 7
 
 
 def finger(name: str, curl: float) -> kit.Points:
-    """A finger's rings, its joints bent forward by `curl` radians each."""
+    """The surface of a finger as rings for `kit.lofted`; each joint is bent forward by `curl` radians."""
     (x, z), lean_deg, bones_m, radius_m = FINGERS[name]
     lean = math.radians(lean_deg)
     outward = np.array([math.sin(lean), 0.0, math.cos(lean)])
@@ -58,7 +57,7 @@ def finger(name: str, curl: float) -> kit.Points:
 
 
 def palm() -> kit.Points:
-    """From the wrist to the knuckles: broad and flat, with the ball of the thumb."""
+    """The surface of the palm from the wrist to the knuckles, broad and flat, as rings for `kit.lofted`."""
     centres, radii = [], []
     for at in np.linspace(0.0, 1.0, 20):
         width = 0.029 + 0.019 * math.sin(min(1.0, 1.6 * at) * math.pi / 2)
@@ -74,7 +73,7 @@ def palm() -> kit.Points:
 
 
 def ball_of_the_thumb() -> kit.Points:
-    """The muscle between wrist and thumb."""
+    """The surface of the muscle between wrist and thumb, as rings for `kit.lofted`."""
     centres, radii = [], []
     for at in np.linspace(-0.98, 0.98, 13):
         centres.append((0.030 + 0.012 * at, -0.008, 0.030 + 0.032 * at))
@@ -85,7 +84,7 @@ def ball_of_the_thumb() -> kit.Points:
 def skin_picture(
     name: str, shape: tuple[int, int], joints: tuple[float, ...]
 ) -> paint.Image:
-    """Mottled skin with creases across it where the joints are (0 to 1 along it)."""
+    """A picture of mottled skin, with creases across it at the joints, whose positions along it are from 0 to 1."""
     random = paint.generator(f"skin {name}")
     mottled = paint.ramp(
         0.6 * paint.noise(shape, 26, 3, random)
@@ -105,12 +104,12 @@ def skin_picture(
 
 
 def skin(name: str, shape: tuple[int, int], joints: tuple[float, ...]) -> Any:
-    """A material of that skin."""
+    """A material with the skin texture of `skin_picture`."""
     return kit.printed(name, skin_picture(name, shape, joints))
 
 
 def sleeve() -> kit.Points:
-    """The forearm in its sleeve, from the cuff down and out of the picture."""
+    """The surface of the sleeve with the forearm, from the cuff downwards, as rings for `kit.lofted`."""
     centres = [(0.0, 0.0, -0.02 - 0.5 * at) for at in np.linspace(0, 1, 26)]
     radii = [
         (0.042 + 0.02 * at + 0.004 * math.sin(37 * at), 0.036 + 0.02 * at)
@@ -120,7 +119,7 @@ def sleeve() -> kit.Points:
 
 
 def chequers() -> Any:
-    """Woven checks in three colours."""
+    """The material of the sleeve: woven checks in three colours."""
     shape = (1000, 500)
     y, x = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape), indexing="ij")
     image = np.broadcast_to(paint.color("e8dcc4"), (*shape, 3)).astype(np.float32)
@@ -139,9 +138,10 @@ def hand(
     skin_of: Callable[[str, tuple[int, int], tuple[float, ...]], Any] = skin,
     curl: str = "0.5 + 0.5*sin(7.1*{t} + 0.4)",
 ) -> Any:
-    """The hand with its forearm; its origin is the elbow's side of the wrist.
+    """The hand with its forearm; the object's origin is at the wrist.
 
-    `skin_of` makes the skin of each part as `skin` does; `curl` says how far the fingers bend, 0 to 1.
+    `skin_of` makes the material of each part, like `skin`. `curl` is a driver expression for the bend of the fingers,
+    from 0 to 1.
     """
     names = list(FINGERS)
     joints = (0.30, 0.60, 0.82)
@@ -176,7 +176,7 @@ def hand(
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.45, brightest=(-0.6, -0.6, 0.7))

@@ -1,8 +1,8 @@
-"""A head turns and talks before shelves of books.
+"""A head turns and talks in front of bookshelves.
 
-Depths from the rig: nose 0.95 m, shoulders 1.05 m, lamp 1.5 m, books 2.1 m. At 640x480 the face moves 8 to
-18 pixels a frame: it turns and nods, the shoulders sway, and the jaw opens and closes four times a
-second, which stretches the skin around the mouth.
+Depths from the rig: nose 0.95 m, shoulders 1.05 m, lamp 1.5 m, books 2.1 m. At 640x480 the face moves 8 to 18 pixels a
+frame. It turns and nods, the shoulders sway, and the jaw opens and closes four times a second, so that the skin around
+the mouth is stretched.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ RIG_HEIGHT_M = 1.2
 RINGS, SEGMENTS = 110, 144
 TEXTURE = (420, 640)
 
-# Ellipsoids that add up to a head: centre and radii in metres. The face looks along -Y, Z is up, the
-# origin is between the ears. Right and left are mirrored.
+# The head is the smooth union of these ellipsoids, each with its centre and radii in metres. The face looks along -Y,
+# Z points up, the origin is between the ears, and the head is symmetric.
 BODIES = (
     ((0, 0.018, 0.040), (0.076, 0.098, 0.086)),  # skull
     ((0, -0.030, 0.040), (0.066, 0.060, 0.062)),  # forehead
@@ -48,7 +48,10 @@ MOUTH_M = -0.062
 
 
 def outside_m(points: kit.Points) -> kit.Points:
-    """Roughly how far points (..., 3) are outside of the head; the bodies melt into one another."""
+    """The approximate signed distance of points (..., 3) to the head's surface, metres; negative inside.
+
+    The head is the smooth union of the ellipsoids `BODIES`, minus the eye sockets.
+    """
     total = np.zeros(points.shape[:-1])
     for centre, radii in BODIES:
         scaled = (points - centre) / np.array(radii)
@@ -57,14 +60,14 @@ def outside_m(points: kit.Points) -> kit.Points:
     distance = -np.log(np.maximum(total, 1e-30)) * BLEND_M / 4
     for centre, radius in SOCKETS:
         hollow = radius - np.linalg.norm(points - np.array(centre), axis=-1)
-        # A smooth maximum: the socket is carved out.
+        # A smooth maximum subtracts the eye socket.
         distance = np.logaddexp(600 * distance, 600 * hollow) / 600
     result: kit.Points = distance
     return result
 
 
 def head_rings() -> kit.Points:
-    """The head's surface, seen from its middle in every direction: rings from below to the top."""
+    """The head's surface as rings from the bottom to the top, by ray casting in all directions from `MIDDLE_M`."""
     polar = np.linspace(0.02, math.pi - 0.02, RINGS)[:, None]
     around = (np.arange(SEGMENTS) * math.tau / SEGMENTS)[None, :]
     directions = np.stack(
@@ -86,11 +89,11 @@ def head_rings() -> kit.Points:
 
 
 MIDDLE_M = np.array([0.0, -0.012, -0.005])
-"""From where the whole surface can be seen."""
+"""A point inside the head from which the whole surface is visible, so that each direction meets the surface once."""
 
 
 def jaw_open(rings_m: kit.Points) -> kit.Points:
-    """The same surface with the mouth open: what is below the lips turns about the ears."""
+    """The head's surface with the mouth open: points below the lips are rotated about an axis near the ears."""
     x, y, z = np.moveaxis(rings_m, -1, 0)
     lower = np.clip((MOUTH_M + 0.002 - z) / 0.005, 0, 1) * np.clip(
         (0.01 - y) / 0.05, 0, 1
@@ -104,7 +107,7 @@ def jaw_open(rings_m: kit.Points) -> kit.Points:
 
 
 def face_paint(rings_m: kit.Points) -> paint.Image:
-    """Skin, hair, brows, lips and stubble, each where it lies on the head."""
+    """The texture of the head, from the positions of its texels: skin, hair, brows, lips and stubble."""
     x, y, z = np.moveaxis(enlarged(rings_m), -1, 0)
     random = paint.generator("face")
 
@@ -114,7 +117,7 @@ def face_paint(rings_m: kit.Points) -> paint.Image:
     def spot(
         centre: tuple[float, float], size: tuple[float, float], soft: float
     ) -> paint.Image:
-        """1 inside an ellipse on the face, seen from the front."""
+        """A mask that is 1 inside an ellipse on the face as seen from the front, 0 outside, with a soft border."""
         distance = np.hypot((x - centre[0]) / size[0], (z - centre[1]) / size[1])
         result: paint.Image = np.clip((1 - distance) / soft + 0.5, 0, 1) * (y < 0)
         return result
@@ -167,7 +170,7 @@ def covered_with_hair(
     place_m: tuple[kit.Points, kit.Points, kit.Points],
     noise: Callable[..., paint.Image],
 ) -> paint.Image:
-    """The skin, with hair above the hairline and none about the ears."""
+    """The texture `skin` with hair above the hairline, except near the ears; `place_m` are the texels' positions."""
     x, y, z = place_m
     strands = 0.5 * noise(3, 1) + 0.5 * noise(24, 3)
     hair = paint.ramp(strands, (0.2, 0.5, 0.8), ("1d120a", "3f2815", "7a5230"))
@@ -181,7 +184,7 @@ def covered_with_hair(
 
 
 def enlarged(rings_m: kit.Points) -> kit.Points:
-    """Where each texel lies: the rings, interpolated to the texture's size."""
+    """The position of each texel on the head's surface (rows, columns, 3), interpolated from the rings."""
     v = np.linspace(0, RINGS - 1 - 1e-6, TEXTURE[0])
     u = np.arange(TEXTURE[1]) / TEXTURE[1] * SEGMENTS
     low, left = v.astype(int), u.astype(int)
@@ -192,7 +195,7 @@ def enlarged(rings_m: kit.Points) -> kit.Points:
 
 
 def eye(place_m: tuple[float, float, float]) -> Any:
-    """An eyeball that looks along its -Z."""
+    """An eyeball with a painted iris, which looks along its -Z axis."""
     shape = (128, 64)
     v = np.linspace(0, 1, shape[0], dtype=np.float32)[:, None] * np.ones(
         shape, np.float32
@@ -212,7 +215,7 @@ def eye(place_m: tuple[float, float, float]) -> Any:
 
 
 def lids(place_m: tuple[float, float, float], skin: Any) -> Any:
-    """The skin over an eyeball: caps from above and below that leave the front free."""
+    """The eyelids over an eyeball: two spherical caps, above and below, which leave its front uncovered."""
     radius_m = 1.10 * EYE_RADIUS_M
     upper, lower = (
         [
@@ -229,7 +232,7 @@ def lids(place_m: tuple[float, float, float], skin: Any) -> Any:
 
 
 def bust() -> Any:
-    """Neck and shoulders; the shirt is striped."""
+    """The neck and shoulders, in a striped shirt."""
     skin = backdrop.photo(
         "neck", (0.4, 0.2), ("a86f50", "c48f6d", "d9ab8b", "b98262", "e0b799"), 0.03
     )
@@ -266,7 +269,7 @@ def bust() -> Any:
 
 
 def stripes() -> Any:
-    """A jersey in two blues and white."""
+    """The material of the shirt: stripes in two blues and white, with a knitted texture."""
     shape = (360, 900)
     y = np.arange(shape[0], dtype=np.float32)[:, None] * np.ones(shape, np.float32)
     image = np.broadcast_to(paint.color("d3cdbf"), (*shape, 3)).astype(np.float32)
@@ -278,7 +281,7 @@ def stripes() -> Any:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.5, brightest=(-0.7, -0.5, 0.6))

@@ -1,8 +1,9 @@
-"""What scenes are built from: matt materials, printed sheets, simple bodies, motion, light.
+"""Building blocks of scenes: matt materials, printed sheets, simple bodies, animation, light.
 
-Every surface is diffuse, so that a point looks alike from every camera. Textures are painted (see
-`paint`) and stored in the file: many times faster to render than shader noise. Motion is by drivers on the frame number, in expressions that
-Blender evaluates itself (no Python, no permission to ask for), so it is exact at sub-frames.
+All surfaces but those of `polished` are diffuse, so that a point has the same colour in all cameras. Textures are
+images painted by `paint` and stored in the file, which render many times faster than procedural shader noise. Motion is
+animated by drivers with expressions of the frame number. Blender evaluates these expressions without Python (so they
+need no permission to run scripts), and exactly at sub-frames.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ Points = npt.NDArray[np.float64]
 
 FPS = 30
 SECONDS = f"((frame - 1) / {FPS})"
-"""World time in a driver's expression."""
+"""Expression for world time in seconds, for a driver."""
 
 
 def ink(name: str, code: str) -> Any:
-    """A plain matt colour (sRGB code)."""
+    """A matt material of one colour, given by an sRGB code such as `d0a040`."""
     material, diffuse = _matt(name)
     linear = (*_linear(paint.color(code)), 1.0)
     diffuse.inputs["Color"].default_value = linear
@@ -35,7 +36,7 @@ def ink(name: str, code: str) -> Any:
 
 
 def printed(name: str, picture: paint.Image) -> Any:
-    """A matt material that shows a picture over the surface's UV square."""
+    """A matt material that shows a picture over the unit square of the surface's UV coordinates."""
     height, width = picture.shape[:2]
     image = bpy.data.images.new(name, width, height)
     pixels = np.ones((height, width, 4), dtype=np.float32)
@@ -51,7 +52,7 @@ def printed(name: str, picture: paint.Image) -> Any:
 
 
 def _matt(name: str) -> tuple[Any, Any]:
-    """A material with nothing but a diffuse shader, and that shader."""
+    """A new material that has only a diffuse shader, and this shader's node."""
     material = bpy.data.materials.new(name)
     nodes = material.node_tree.nodes
     nodes.clear()
@@ -62,7 +63,7 @@ def _matt(name: str) -> tuple[Any, Any]:
 
 
 def polished(name: str, code: str, roughness: float) -> Any:
-    """Metal of a colour: 0 a mirror, 0.3 satin. It looks different from every camera."""
+    """A metal material of one colour, which looks different to each camera. Roughness 0 is a mirror, 0.3 is satin."""
     material = bpy.data.materials.new(name)
     nodes = material.node_tree.nodes
     nodes.clear()
@@ -84,7 +85,7 @@ def _linear(srgb: paint.Image) -> list[float]:
 
 
 class Letters(NamedTuple):
-    """The flat shape of a text, relative to the origin of its first baseline."""
+    """The flat outline of a text as polygons. Points are relative to the start or middle of its first baseline."""
 
     points_m: list[tuple[float, float]]
     faces: list[list[int]]
@@ -93,8 +94,8 @@ class Letters(NamedTuple):
 class Sheet:
     """A printed sheet: rectangles and text in page coordinates, metres.
 
-    x runs right and y up, seen from the front; the front faces -Y, the page's y is the world's Z.
-    Each print layer stands 0.4 mm above the one below, which no camera here can resolve.
+    Seen from the front, x points right and y points up. The front faces -Y, and the page's y is the object's Z. Each
+    print layer is 0.4 mm above the layer below, too little for the cameras to resolve.
     """
 
     LAYER_M = 0.0004
@@ -117,7 +118,7 @@ class Sheet:
         size_m: tuple[float, float],
         layer: int = 0,
     ) -> None:
-        """A rectangle from its lower left corner, cut into columns so that it can bend."""
+        """Add a rectangle with this lower left corner and size, divided into columns so that it can be bent."""
         (x, y), (width, height) = corner_m, size_m
         columns = max(1, math.ceil(width / 0.012))
         first = len(self.vertices)
@@ -137,7 +138,10 @@ class Sheet:
         size_m: float,
         layer: int = 2,
     ) -> None:
-        """Text in Blender's built-in font, from the start of the first line's baseline; `size_m` is its height."""
+        """Add left-aligned text in Blender's built-in font, starting at `start_m` on the first line's baseline.
+
+        `size_m` is the font size.
+        """
         self._print(material, _letters(body, size_m, "LEFT"), start_m, layer)
 
     def centred_text(
@@ -148,7 +152,7 @@ class Sheet:
         size_m: float,
         layer: int = 2,
     ) -> None:
-        """Text as `text` prints it, each line centred; `middle_m` lies on the first line's baseline."""
+        """Add text with centred lines, in the font of `text`; `middle_m` is the middle of the first line's baseline."""
         self._print(material, _letters(body, size_m, "CENTER"), middle_m, layer)
 
     def _print(
@@ -163,7 +167,7 @@ class Sheet:
     def build(
         self, name: str, bend: Callable[[float, float], float] = lambda x, y: 0.0
     ) -> Any:
-        """The finished object; `bend(x, y)` is how far a point comes forward, towards -Y."""
+        """Create the sheet's object; `bend(x, y)` is the distance by which a point is moved forward, towards -Y."""
         points = [
             (x, -bend(x, y) - self.LAYER_M * layer, y) for x, y, layer in self.vertices
         ]
@@ -180,7 +184,7 @@ class Sheet:
 
 
 def _letters(body: str, size_m: float, align: str) -> Letters:
-    """The flat shape of a text; `align` is LEFT or CENTER, Blender's names."""
+    """The polygons of a text in Blender's built-in font; `align` is `LEFT` or `CENTER`."""
     curve = bpy.data.curves.new("text", "FONT")
     curve.body, curve.size, curve.align_x = body, size_m, align
     curve.resolution_u = 3
@@ -211,18 +215,21 @@ def _mesh(
 
 
 def add(new_object: Any) -> Any:
-    """Put an object into the scene."""
+    """Add an object to the scene, and return it."""
     bpy.context.scene.collection.objects.link(new_object)
     return new_object
 
 
 def group(name: str) -> Any:
-    """Nothing to see: what has it as its parent moves with it."""
+    """Add an invisible object, to be the parent of objects that move together."""
     return add(bpy.data.objects.new(name, None))
 
 
 def print_in_front(body: Any, sheet: Sheet, name: str, depth_m: float) -> None:
-    """Put a sheet flat in front of a turned body, whose own UV is angle and ring, so rays."""
+    """Attach a sheet in front of a body made by `turned`, at `depth_m` along the body's Z axis.
+
+    A picture on the body itself would be distorted, because its UV coordinates are angle and ring.
+    """
     front = sheet.build(name)
     front.rotation_euler.x = -1.5707963
     front.location.z = depth_m
@@ -236,8 +243,10 @@ def box(
     base_m: Sequence[float],
     part: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0),
 ) -> Any:
-    """An upright box; `base_m` is the middle of its underside. Each side shows `part` of the picture:
-    left, bottom, right, top, from 0 to 1."""
+    """An upright box; `base_m` is the middle of its underside.
+
+    Each side shows the part `part` of the material's picture: left, bottom, right, top, from 0 to 1.
+    """
     w, d, h = size_m[0] / 2, size_m[1] / 2, size_m[2]
     corners = [(x, y, z) for z in (0.0, h) for y in (-d, d) for x in (-w, w)]
     faces = [
@@ -263,7 +272,10 @@ def turned(
     profile_m: Sequence[tuple[float, float]],
     segments: int = 48,
 ) -> Any:
-    """A body of revolution about its own Z: (radius, height) from bottom to top; UV is angle and ring."""
+    """A body of revolution about its own Z axis; the profile is pairs (radius, height) from bottom to top.
+
+    UV coordinates are the angle and the index of the profile's point, both scaled to 0 to 1.
+    """
     angles = np.arange(segments) * math.tau / segments
     circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(segments)], axis=1)
     rings = [r * circle + (0.0, 0.0, z) for r, z in profile_m]
@@ -271,12 +283,15 @@ def turned(
 
 
 def lofted(name: str, material: Any, rings_m: Points) -> Any:
-    """A skin over closed rings (rings, segments, 3); UV is how far around and which ring."""
+    """A surface through closed rings of points (rings, segments, 3).
+
+    UV coordinates are the position around the ring and the index of the ring, both scaled to 0 to 1.
+    """
     return skinned(name, [(material, rings_m)])
 
 
 def skinned(name: str, parts: Sequence[tuple[Any, Points]]) -> Any:
-    """One object of several skins as `lofted` makes them, each with a material of its own."""
+    """One object of several surfaces as in `lofted`, each given by its material and its rings."""
     points: list[list[float]] = []
     faces: list[tuple[int, ...]] = []
     face_uvs: list[list[tuple[float, float]]] = []
@@ -310,7 +325,10 @@ def tube(
     upright: Sequence[float],
     segments: int = 16,
 ) -> Points:
-    """Rings around a path for `lofted`: half-width and half-thickness at each centre; thickness is along `upright`."""
+    """The rings for `lofted` of a tube with elliptic cross sections around a path of centres.
+
+    `radii_m` are the half-width and half-thickness at each centre; the thickness is measured along `upright`.
+    """
     path = np.array(centres_m, dtype=np.float64)
     along = np.gradient(path, axis=0)
     across = np.cross(along, np.array(upright, dtype=np.float64))
@@ -328,7 +346,10 @@ def tube(
 
 
 def bend(target: Any, name: str, points_m: Points, expression: str) -> None:
-    """A second shape of the object's mesh, its vertices in order; `expression` says how much of it, 0 to 1."""
+    """Add a shape key to an object's mesh, with new positions of all vertices in the mesh's order.
+
+    `expression` is the driver expression of its weight, from 0 to 1, in which `{t}` is world time in seconds.
+    """
     if target.data.shape_keys is None:
         target.shape_key_add(name="rest", from_mix=False)
     key = target.shape_key_add(name=name, from_mix=False)
@@ -341,7 +362,7 @@ def bend(target: Any, name: str, points_m: Points, expression: str) -> None:
 def sphere_profile(
     radius_m: float, centre_height_m: float, rings: int = 24
 ) -> list[tuple[float, float]]:
-    """A sphere for `turned`."""
+    """The profile of a sphere for `turned`; `centre_height_m` is the height of its centre."""
     angles = [-math.pi / 2 + math.pi * i / rings for i in range(rings + 1)]
     return [
         (radius_m * math.cos(a) + 1e-5, centre_height_m + radius_m * math.sin(a))
@@ -350,7 +371,7 @@ def sphere_profile(
 
 
 def drive(target: Any, path: str, axis: int, expression: str) -> None:
-    """Animate one component; `{t}` in the expression is world time in seconds."""
+    """Animate one component of an object's property `path`; `{t}` in the expression is world time in seconds."""
     curve = target.driver_add(path, axis)
     curve.driver.type = "SCRIPTED"
     curve.driver.expression = expression.replace("{t}", SECONDS)
@@ -362,16 +383,15 @@ def sky(
     brightest: Sequence[float],
     seen_in_mirrors: bool = False,
 ) -> None:
-    """All the light there is: a smooth sky, `brightness` on average, brightest in one direction.
+    """Set the scene's light: a smooth sky with mean radiance `brightness`, brightest in the direction `brightest`.
 
-    It runs from `1 - contrast` times the average on one side to `1 + contrast` times on the other.
-    Shading and soft contact shadows come from it alone: half the render time of a sun, less noise.
-    Paths end at their second surface, so what a mirror shows is dark unless the sky is sampled there,
-    which takes half as long again.
+    Its radiance varies from `1 - contrast` to `1 + contrast` times the mean. It gives shading and soft contact shadows
+    in half the render time of a sun, with less noise. Light paths end at their second surface. So objects reflected in
+    a mirror are dark, unless `seen_in_mirrors` makes Cycles sample the sky there, which takes half as long again.
     """
     world = bpy.data.worlds.new("sky")
     if not seen_in_mirrors:
-        world.cycles.sampling_method = "NONE"  # smooth enough to be met by chance
+        world.cycles.sampling_method = "NONE"  # diffuse rays sample it well enough
     nodes, links = world.node_tree.nodes, world.node_tree.links
     direction = nodes.new("ShaderNodeTexCoord").outputs["Generated"]
     towards = nodes.new("ShaderNodeVectorMath")
@@ -390,7 +410,7 @@ def sky(
 
 
 def sun(strength: float, direction: Sequence[float], angle_deg: float) -> None:
-    """A light from far away that shines in `direction`; its shadows are as soft as its angle is wide."""
+    """Add a distant light that shines in `direction`. A larger angular diameter `angle_deg` gives softer shadows."""
     light = bpy.data.lights.new("sun", "SUN")
     light.energy, light.angle = strength, math.radians(angle_deg)
     lamp = add(bpy.data.objects.new("sun", light))
@@ -399,7 +419,7 @@ def sun(strength: float, direction: Sequence[float], angle_deg: float) -> None:
 
 
 def place_rig(location_m: Sequence[float], target_m: Sequence[float]) -> None:
-    """Say where the rig stands and what it looks at, upright."""
+    """Add the object `rig`, whose pose is the camera rig's pose: at `location_m`, looking at `target_m`, upright."""
     rig = add(bpy.data.objects.new("rig", None))
     look = mathutils.Vector(target_m) - mathutils.Vector(location_m)
     rig.location = location_m
@@ -408,7 +428,7 @@ def place_rig(location_m: Sequence[float], target_m: Sequence[float]) -> None:
 
 
 def start_scene() -> None:
-    """The clock: world time 0 is frame 1, 30 frames a second, three seconds to look at. One bounce of light."""
+    """Set the scene's frame rate (30 Hz; frame 1 is world time 0), its length (3 s), and one bounce of light."""
     scene = bpy.context.scene
     cycles = scene.cycles
     cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = 1

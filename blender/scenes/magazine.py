@@ -1,8 +1,8 @@
-"""A person waves an open magazine, a ball swings, and a vase hides part of the wall behind them.
+"""An open magazine is waved, a ball swings, and a vase occludes part of the wall behind them.
 
-Depths from the rig: vase 1.40 m, magazine 1.55 to 1.75 m, ball 1.85 m, wall 2.1 m. At 640x480 the
-magazine moves 10 to 20 pixels a frame, mostly up and down, so across a horizontal rig's epipolar
-lines; it also turns and its swing is never a straight line.
+Depths from the rig: vase 1.40 m, magazine 1.55 to 1.75 m, ball 1.85 m, wall 2.1 m. At 640x480 the magazine moves 10 to
+20 pixels a frame along a curved path. It moves mostly up and down, across a horizontal rig's epipolar lines, and also
+rotates.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ COLUMN_RIGHT = (
 
 
 def magazine() -> Any:
-    """The open magazine: 62 x 42 cm, two bulging pages."""
+    """The open magazine: two bulging pages with text and pictures, 62 x 42 cm."""
     paper, black, red = (
         kit.ink("paper", "f2efe4"),
         kit.ink("black", "161412"),
@@ -68,7 +68,7 @@ def magazine() -> Any:
 
 
 def wave(held: Any) -> None:
-    """A person's swing: up and down once a second, sideways and turning at other periods."""
+    """Animate an object as if waved by hand: up and down once a second, sideways and in rotation with other periods."""
     kit.drive(held, "location", 0, "-0.10 + 0.070*sin(5.10*{t} + 1.9)")
     kit.drive(held, "location", 1, "1.66 + 0.045*sin(4.30*{t} + 0.4)")
     kit.drive(
@@ -83,7 +83,7 @@ def wave(held: Any) -> None:
 
 
 def ball() -> Any:
-    """A patterned ball on a string; its origin is the hook that it swings from."""
+    """A patterned ball on a string; the object's origin is the hook from which it hangs."""
     material = kit.printed(
         "ball",
         paint.patchwork(
@@ -102,7 +102,7 @@ def ball() -> Any:
 
 
 def swing(hung: Any) -> None:
-    """A pendulum of 0.62 m: 1.58 s to and fro, across and a little towards the rig, spinning."""
+    """Animate a ball as a pendulum of 0.62 m with a period of 1.58 s, mostly sideways, and spinning."""
     hung.location = (0.46, 1.86, RIG_HEIGHT_M + 0.62)
     hung.rotation_mode = "ZXY"
     kit.drive(hung, "rotation_euler", 0, "0.16*sin(3.98*{t} + 1.3)")
@@ -111,7 +111,7 @@ def swing(hung: Any) -> None:
 
 
 def wall() -> None:
-    """Bricks of many colours with posters on them, and crates before them."""
+    """Add the background: a brick wall with posters, and crates in front of it."""
     backdrop.bricks(2.1, RIG_HEIGHT_M)
     backdrop.poster(
         "SPACE\nTIME",
@@ -143,7 +143,7 @@ def wall() -> None:
 
 
 def foreground() -> None:
-    """A painted vase close to the rig, hiding part of what is behind it."""
+    """Add a painted vase close to the rig, which occludes part of the background."""
     glaze = photo(
         "glaze", (0.6, 0.4), ("14213d", "2a6f97", "f1faee", "e9c46a", "9d0208"), 0.022
     )
@@ -161,7 +161,7 @@ def foreground() -> None:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))

@@ -1,8 +1,8 @@
-"""Highlights and reflections that slide over the surfaces they are seen on.
+"""Highlights and reflections on polished metal, which move over the surfaces that show them.
 
-Depths from the rig: kettle 1.35 m, tray 1.55 m, bowl 1.8 m, wallpaper 2.2 m. What is seen in the polished
-metal lies elsewhere than the metal: it moves otherwise, and looks different from every camera. At 640x480
-the tray moves 5 to 14 pixels a frame. Workbench shows none of this.
+Depths from the rig: kettle 1.35 m, tray 1.55 m, bowl 1.8 m, wallpaper 2.2 m. Reflections have another depth and another
+motion than the metal, and look different to each camera. At 640x480 the tray moves 5 to 14 pixels a frame. Workbench
+renders no reflections.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ RIG_HEIGHT_M = 1.2
 
 
 def window(x_m: float, material: Any) -> None:
-    """A wall behind the rig, for the metal to reflect."""
+    """Add a wall behind the rig, which is reflected by the metal."""
     sheet = kit.Sheet()
     sheet.rectangle(material, (-1.2, -1.0), (2.4, 2.0))
     behind = sheet.build("behind")
@@ -25,7 +25,7 @@ def window(x_m: float, material: Any) -> None:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(
@@ -61,7 +61,7 @@ def build() -> None:
 
 
 def tray() -> None:
-    """A polished tray that swings, with a printed badge on it."""
+    """Add a polished tray that swings, with a printed ring on it."""
     metal = kit.turned(
         "tray",
         kit.polished("tray", "d8d4cc", 0.08),
@@ -96,7 +96,7 @@ def tray() -> None:
 
 
 def kettle() -> None:
-    """A copper kettle that rocks."""
+    """Add a copper kettle that rocks."""
     copper = kit.turned(
         "kettle",
         kit.polished("copper", "d08a5a", 0.12),
@@ -118,7 +118,7 @@ def kettle() -> None:
 
 
 def bowl_and_ball() -> None:
-    """A glazed bowl that stands still, and a chrome ball that swings behind it."""
+    """Add a static glazed bowl, and a chrome ball that swings."""
     bowl = kit.turned(
         "bowl",
         kit.polished("glaze", "3f8f8a", 0.25),

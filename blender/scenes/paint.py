@@ -1,7 +1,7 @@
-"""Paint textures as arrays: smooth noise, cells, bricks, and pictures made of them. NumPy only.
+"""Textures painted with NumPy: smooth noise, Voronoi cells, bricks, and pictures composed of them.
 
-An image is height x width (x 3), row 0 at the bottom as in Blender, values sRGB-encoded 0 to 1.
-Everything is drawn from a seed, so the same call paints the same pixels.
+An image is an array (height, width) or (height, width, 3) of sRGB-encoded values from 0 to 1. Row 0 is at the bottom,
+as in Blender. All random numbers are seeded, so that equal calls paint equal pixels.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Image = npt.NDArray[np.float32]
 
 
 def generator(name: str) -> np.random.Generator:
-    """Random numbers of this texture's own."""
+    """A random number generator whose seed is computed from the texture's name."""
     return np.random.default_rng(zlib.crc32(name.encode()))
 
 
@@ -31,7 +31,7 @@ def color(hex_code: str) -> Image:
 def noise(
     shape: tuple[int, int], feature_px: float, octaves: int, random: np.random.Generator
 ) -> Image:
-    """Smooth noise from 0 to 1 with features of about `feature_px`, each octave half as large and as strong."""
+    """Smooth noise from 0 to 1 with features of about `feature_px`; each octave halves their size and strength."""
     total = np.zeros(shape, dtype=np.float32)
     for octave in range(octaves):
         total += 0.5**octave * _smooth_lattice(
@@ -45,7 +45,7 @@ def noise(
 def _smooth_lattice(
     shape: tuple[int, int], spacing_px: float, random: np.random.Generator
 ) -> Image:
-    """Random values on a lattice, smoothly interpolated."""
+    """An image of random values on a lattice with this spacing, smoothly interpolated."""
     y, x = (np.arange(n, dtype=np.float32) / spacing_px for n in shape)
     lattice = random.random((int(y[-1]) + 2, int(x[-1]) + 2), dtype=np.float32)
     row, column = y.astype(int), x.astype(int)
@@ -58,7 +58,7 @@ def _smooth_lattice(
 def cells(
     shape: tuple[int, int], spacing_px: float, random: np.random.Generator
 ) -> Image:
-    """Voronoi cells of about `spacing_px`, each one grey from 0 to 1: straight edges, sharp corners."""
+    """An image of Voronoi cells about `spacing_px` wide, each with a constant grey value from 0 to 1."""
     y, x = (np.arange(n, dtype=np.float32) / spacing_px + 1 for n in shape)
     lattice_shape = (int(y[-1]) + 3, int(x[-1]) + 3)
     shift_y, shift_x, grey = random.random((3, *lattice_shape), dtype=np.float32)
@@ -82,7 +82,7 @@ def cells(
 
 
 def ramp(factor: Image, stops: Sequence[float], codes: Sequence[str]) -> Image:
-    """Colours along a factor."""
+    """Map an image of factors to colours, which are interpolated between the `codes` at the factors `stops`."""
     colors = np.stack([color(code) for code in codes])
     return np.stack(
         [np.interp(factor, stops, colors[:, c]) for c in range(3)], axis=-1
@@ -92,7 +92,7 @@ def ramp(factor: Image, stops: Sequence[float], codes: Sequence[str]) -> Image:
 def photo(
     name: str, shape: tuple[int, int], codes: Sequence[str], feature_px: float
 ) -> Image:
-    """Like a printed photograph: soft large shapes in five colours, hard small ones over them, grain."""
+    """A picture like a printed photograph: soft large shapes in five colours, small sharp cells, and grain."""
     random = generator(name)
     shapes = ramp(
         noise(shape, 5 * feature_px, 4, random), (0.15, 0.38, 0.5, 0.62, 0.85), codes
@@ -109,7 +109,7 @@ def bricks(
     codes: Sequence[str],
     mortar: str,
 ) -> Image:
-    """A brick wall: rows of bricks in colours between `codes`, stained, chipped and grainy."""
+    """A picture of a brick wall: bricks in colours interpolated between `codes`, with stains, chips and grain."""
     random = generator(name)
     y, x = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape), indexing="ij")
     row = (y / brick_px[0]).astype(int)
@@ -133,7 +133,7 @@ def bricks(
 def patchwork(
     name: str, shape: tuple[int, int], codes: Sequence[str], feature_px: float
 ) -> Image:
-    """Plain patches in the given colours with a speckle over them."""
+    """A picture of patches about `feature_px` wide in the given colours, with fine noise added."""
     random = generator(name)
     grey = cells(shape, feature_px, random)
     colors = np.stack([color(code) for code in codes])
@@ -148,13 +148,13 @@ def planks(
     codes: Sequence[str],
     upright: bool = False,
 ) -> Image:
-    """Wooden boards that lie, or stand, side by side: grain along them, dark gaps between."""
+    """A picture of wooden boards, horizontal or `upright`: grain along the boards, dark gaps between them."""
     random = generator(name)
     height, width = shape[::-1] if upright else shape
     y = np.arange(height, dtype=np.float32)
     board = (y / plank_px).astype(int)
     tint = random.random(int(board.max()) + 1, dtype=np.float32)
-    # Features eight times as long as wide, each board from another place of the same wood.
+    # Features are eight times as long as wide. Each board is cut from another place of the same wood.
     wood = noise((2 * height, width // 8 + 2), 0.3 * plank_px, 4, random)
     rows = (np.arange(height) + 37 * board) % wood.shape[0]
     columns = np.arange(width) / 8
@@ -172,7 +172,10 @@ def planks(
 def wallpaper(
     name: str, shape: tuple[int, int], tile_px: float, codes: Sequence[str]
 ) -> Image:
-    """Flowers of petals in a staggered grid on a ground: ground, leaf, petal and heart in `codes`; a little faded."""
+    """A picture of wallpaper with flowers in a staggered grid, slightly faded.
+
+    `codes` are the colours of the ground, the leaves, the petals and the flowers' centres.
+    """
     random = generator(name)
     y, x = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape), indexing="ij")
     row = np.floor(y / tile_px)
@@ -198,12 +201,15 @@ def wallpaper(
 
 
 def blended(image: Image, amount: Image, code: str) -> Image:
-    """Towards a colour, where and as far as `amount` (0 to 1) says."""
+    """Blend an image towards a colour; `amount` is the colour's weight at each pixel, from 0 to 1."""
     return (image + amount[..., None] * (color(code) - image)).astype(np.float32)
 
 
 def shaded(image: Image, amount: Image) -> Image:
-    """Lighter where `amount` is above 0, darker where below, inside the range that light leaves unclipped."""
+    """Brighten an image where `amount` is positive, darken it where negative; values are clipped to 0.04 to 0.96.
+
+    This range prevents that the scene's light clips colours in renderings.
+    """
     return np.clip(
         image + amount[..., None] * (0.35 + 0.65 * image), 0.04, 0.96
     ).astype(np.float32)

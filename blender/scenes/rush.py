@@ -1,7 +1,7 @@
-"""Faster than any other scene: what moves does so at 60 to 120 pixels a frame at 640x480.
+"""A disc and a parcel move at 60 to 120 pixels a frame in images of 640x480, faster than in any other scene.
 
-Depths from the rig: disc 1.35 to 1.45 m, parcel 1.7 m, bricks 2.2 m. The disc goes round in a circle, and
-its motion crosses the epipolar lines of any rig. The parcel slides to and fro along the rig.
+Depths from the rig: disc 1.35 to 1.45 m, parcel 1.7 m, bricks 2.2 m. The disc moves along a circle, and its motion
+crosses the epipolar lines of any rig. The parcel slides to and fro in the direction of the rig's line.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ RIG_HEIGHT_M = 1.2
 
 
 def disc() -> Any:
-    """A patchwork disc, 18 cm across, that faces the rig."""
+    """A disc with a patchwork texture, which faces the rig; its diameter is 18 cm."""
     colours = ("d9412b", "f3c531", "f7f4ec", "2b62b8", "241a1a")
     face = kit.printed("quilt", paint.patchwork("quilt", (320, 320), colours, 40))
     body = kit.turned(
@@ -30,7 +30,7 @@ def disc() -> Any:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(0.5, -0.6, 0.8))

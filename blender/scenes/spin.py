@@ -1,9 +1,9 @@
-"""A globe, a disc and a box spin fast in place, at 20 to 25 degrees a frame, and drift.
+"""A globe, a disc and a box spin at 20 to 25 degrees a frame, and drift slowly.
 
-Depths from the rig: globe 1.3 m, disc 1.6 m, box 1.85 m, shelf 1.9 m, bricks 2.2 m. At 640x480 the globe's
-surface moves up to 40 pixels a frame, the disc's rim 30, the box's corners 24. The globe's motion changes by up
-to 15 pixels from frame to frame. The axes lean, so that much of the motion crosses the epipolar lines. Points
-near an axis move slowly; those far from it turn out of sight within a few frames.
+Depths from the rig: globe 1.3 m, disc 1.6 m, box 1.85 m, shelf 1.9 m, bricks 2.2 m. At 640x480 the globe's surface
+moves up to 40 pixels a frame, the disc's rim 30, the box's corners 24. The globe's displacement changes by up to 15
+pixels from frame to frame. The axes are tilted, so that much of the motion crosses the epipolar lines. Points near an
+axis move slowly; points far from it are visible for only a few frames.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ RIG_HEIGHT_M = 1.2
 
 
 def axle(name: str, lean_rad: tuple[float, float], rad_s: float, spun: Any) -> Any:
-    """Let a body spin about its own Z at `rad_s`; the axle leans back and sideways, and can be moved."""
+    """Animate a body to spin about its own Z axis at `rad_s`. Returns its parent: a tilted axle that can be moved.
+
+    `lean_rad` are the axle's rotations about X and Y.
+    """
     leaning = kit.group(name)
     leaning.rotation_euler = (lean_rad[0], lean_rad[1], 0.0)
     spun.parent = leaning
@@ -26,7 +29,7 @@ def axle(name: str, lean_rad: tuple[float, float], rad_s: float, spun: Any) -> A
 
 
 def globe() -> Any:
-    """A globe of 26 cm."""
+    """A globe with a diameter of 26 cm; the object's origin is its centre."""
     colours = ("14304f", "2f6f9f", "e8dcb8", "7d9a4a", "b5502f")
     return kit.turned(
         "globe",
@@ -36,7 +39,7 @@ def globe() -> Any:
 
 
 def disc() -> Any:
-    """A printed disc of 34 cm that lies on its Z; its front is its upper side."""
+    """A printed disc with a diameter of 34 cm, whose axis is the object's Z axis; its front faces +Z."""
     rim = kit.printed(
         "rim",
         paint.patchwork("rim", (60, 900), ("1c1c1e", "b8b0a0", "c23b22", "e9c46a"), 28),
@@ -65,7 +68,7 @@ def disc() -> Any:
 
 
 def crate() -> Any:
-    """A box around its own middle, upright."""
+    """An upright box; the object's origin is its centre."""
     colours = ("2b1d0e", "7f5530", "f0dcae", "3f7a6a", "a0352a")
     return kit.box(
         "crate",
@@ -76,7 +79,7 @@ def crate() -> Any:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))

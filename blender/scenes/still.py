@@ -1,7 +1,7 @@
-"""Almost nothing moves: a clock's second hand, and flowers that sway by a fraction of a pixel a frame.
+"""A nearly static scene: only a clock's second hand moves, and flowers sway by a fraction of a pixel a frame.
 
-Depths from the rig: flowers 1.4 m, clock 1.9 m, books 2.2 m. At 640x480 the tip of the second hand moves
-0.2 pixels a frame, the blossoms up to 0.5.
+Depths from the rig: flowers 1.4 m, clock 1.9 m, boards 2.2 m. At 640x480 the tip of the second hand moves 0.2 pixels a
+frame, and the blossoms up to 0.5 pixels a frame.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ RIG_HEIGHT_M = 1.2
 
 
 def clock() -> None:
-    """A wall clock of 46 cm with its second hand; hour and minute hands stand at ten past ten."""
+    """Add a wall clock of 46 cm with a moving second hand; the hour and minute hands show ten past ten."""
     dial = kit.Sheet()
     ivory, black, red = (
         kit.ink("ivory", "efe9d8"),
@@ -67,7 +67,7 @@ def clock() -> None:
 
 
 def hands(dial: Any, black: Any, red: Any) -> None:
-    """The hour, minute and second hands of a clock; the second hand goes round."""
+    """Add the hour, minute and second hands to a clock; only the second hand moves."""
     for name, material, width, length, turn, out in (
         ("hour hand", black, 0.014, 0.10, -math.tau * 10.17 / 12, 0.006),
         ("minute hand", black, 0.010, 0.16, -math.tau * 10 / 60, 0.009),
@@ -84,7 +84,7 @@ def hands(dial: Any, black: Any, red: Any) -> None:
 
 
 def flower(number: int, x_m: float, height_m: float) -> None:
-    """A stem with a blossom that sways about its foot."""
+    """Add a flower, a stem with a blossom, which sways about its foot. `number` varies its colours and its motion."""
     stem = kit.lofted(
         "stem",
         kit.ink("stem", "3f6f3a"),
@@ -122,7 +122,7 @@ def flower(number: int, x_m: float, height_m: float) -> None:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))

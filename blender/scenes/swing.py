@@ -1,9 +1,8 @@
-"""A heavy ball is swung hard on a string and turns round at the end of its swing, spinning as it goes.
+"""A ball swings fast on a string, with abrupt reversals at the ends of its swing, and spins.
 
-Depths from the rig: jar 1.25 m, ball 1.4 to 1.55 m, stand of thin rods 1.85 m, wallpaper with a plain panel
-2.2 m. At 640x480 the ball moves up to 31 pixels a frame along a slanted arc, and points of its surface up to
-45. At the end of its swing, their motion changes by up to 17 pixels from frame to frame: at 0.20 s first, then
-every 0.26 s.
+Depths from the rig: jar 1.25 m, ball 1.4 to 1.55 m, stand of thin rods 1.85 m, wallpaper with a plain panel 2.2 m. At
+640x480 the ball moves up to 31 pixels a frame along a slanted arc, and points on its surface up to 45. At a reversal,
+first at 0.20 s and then every 0.26 s, the displacement of these points changes by up to 17 pixels from frame to frame.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ RIG_HEIGHT_M = 1.2
 
 
 def stand() -> None:
-    """A stand of thin rods, behind the ball: two posts, two bars, and a bell that hangs still."""
+    """Add a stand of thin rods behind the ball: two posts, two bars, and a bell that doesn't move."""
     steel = kit.ink("steel", "3a4048")
     for x_m in (-0.62, 0.50):
         post = kit.turned("post", steel, [(0.005, -0.70), (0.005, 0.62)], segments=10)
@@ -34,7 +33,7 @@ def stand() -> None:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(0.5, -0.6, 0.8))

@@ -1,22 +1,21 @@
-"""A scene to start from: a card with text floats before a wall while a box turns.
+"""A template for new scenes: a card with text floats in front of a wall while a box rotates.
 
-Copy this file under another name into this folder, and `stlfr capture RIG --scene NAME` films it. What a
-scene needs:
+Copy this file under another name into this folder; then `stlfr capture RIG --scene NAME` films it. Requirements:
 
-- `build()` fills an empty Blender file. Everything that it makes is decided by this file and by what it
-  imports from this folder: no files to read, no time, no random numbers but those of
-  `paint.generator(NAME)`. The same pixels every time.
-- Metres, Z up. World time t seconds is Blender frame 1 + 30 t. `kit.drive` moves things by expressions
-  of `{t}`, exact at any instant between frames; keyframes would do as well.
-- An object named `rig` (`kit.place_rig`) says where the cameras stand and what they look at.
-- Matt surfaces with painted pictures (`kit.printed`) render fastest, and look alike from every camera.
+- `build()` builds the scene in an empty Blender file. The result depends only on this file and on the modules that it
+  imports from this folder. It must not depend on other files, the time, or random numbers except those of
+  `paint.generator(NAME)`, so that it always gives the same pixels.
+- Lengths are metres, and Z points up. World time t seconds is Blender frame 1 + 30 t. `kit.drive` animates objects by
+  expressions of `{t}`, which are exact at any instant between frames; keyframes are possible too.
+- The pose of an object named `rig` (see `kit.place_rig`) is the camera rig's pose.
+- Matt surfaces with painted pictures (`kit.printed`) render fastest, and look alike in all cameras.
 
-What makes a good one, for rigs such as `linear8`: what moves is 1 to 1.8 m away, what stands behind it
-2 to 2.4 m, for depth without leaving the outer cameras' view; at 640x480 a metre per second at 1.5 m is 15
-pixels a frame; some of the motion runs up and down, across the epipolar lines of a horizontal rig, for
-along them time and depth can't be told apart; textures have detail from 3 pixels up.
+Recommendations for rigs such as `linear8`: moving objects at depths of 1 to 1.8 m, and the background at 2 to 2.4 m.
+Then there is depth, but nothing leaves the outer cameras' view. At 640x480, 1 m/s at a depth of 1.5 m is 15 pixels a
+frame. Some motion should be vertical, across the epipolar lines of a horizontal rig, because motion along these lines
+leaves time and depth ambiguous. Textures should have detail from 3 pixels upwards.
 
-Say in this comment what is where, and how fast it moves.
+Describe in this comment the depths of all objects, and how fast they move, as in the following line.
 
 Depths from the rig: card 1.4 m, box 1.7 m, wall 2.1 m. At 640x480 the card moves 5 to 12 pixels a frame.
 """
@@ -29,7 +28,7 @@ RIG_HEIGHT_M = 1.2
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))

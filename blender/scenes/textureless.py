@@ -1,8 +1,8 @@
-"""Almost nothing to hold on to: plain bodies before a plain wall.
+"""Plain bodies in front of a plain wall, with almost no texture to match.
 
-Depths from the rig: cone 1.4 m, cylinder 1.7 m, sphere 1.9 m, wall 2.4 m. The wall has the faintest stains, and a
-single scratch; the bodies have only their outlines and their shading. At 640x480 the cylinder moves 6
-to 14 pixels a frame and the sphere as much.
+Depths from the rig: cone 1.4 m, cylinder 1.7 m, sphere 1.9 m, wall 2.4 m. The wall has very faint stains and a single
+scratch. The bodies have hardly more than their outlines and their shading. At 640x480 the cylinder and the sphere move
+6 to 14 pixels a frame.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ RIG_HEIGHT_M = 1.2
 
 
 def plain(name: str, code: str, stains: float) -> Any:
-    """A colour with stains that change it by a few grey levels at most."""
+    """A material of one colour, with faint stains of a few grey levels; `stains` is their strength."""
     shape = (200, 400)
     image = np.broadcast_to(paint.color(code), (*shape, 3)).astype(np.float32)
     faint = paint.noise(shape, 60, 2, paint.generator(name)) - 0.5
@@ -25,7 +25,7 @@ def plain(name: str, code: str, stains: float) -> Any:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.8, contrast=0.55, brightest=(-0.6, -0.5, 0.7))

@@ -1,7 +1,8 @@
-"""Thin things: a wheel's spokes, a wire fence, and cables, before boards.
+"""Thin objects in front of wooden boards: a wheel's spokes, a wire fence, and cables.
 
-Depths from the rig: fence 1.35 m, wheel 1.6 m, swinging cables 1.8 m, boards 2.2 m. Spokes and wires are one to three pixels
-wide at 640x480. The wheel moves up and down by up to 10 pixels a frame and turns, its rim by up to 30.
+Depths from the rig: fence 1.35 m, wheel 1.6 m, swinging cables 1.8 m, boards 2.2 m. At 640x480, spokes and wires are
+one to three pixels wide. The wheel moves up and down by up to 10 pixels a frame. It also rotates, so that its rim moves
+by up to 30 pixels a frame.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ SPOKES = 18
 
 
 def ring(name: str, material: Any, radius_m: float, thickness_m: float) -> Any:
-    """A torus in the plane that faces the rig."""
+    """A torus whose plane faces the rig."""
     angles = np.linspace(0, math.tau, 97)
     centres = [(radius_m * math.cos(a), 0.0, radius_m * math.sin(a)) for a in angles]
     return kit.lofted(
@@ -27,14 +28,14 @@ def ring(name: str, material: Any, radius_m: float, thickness_m: float) -> Any:
 
 
 def rod(start_m: tuple[float, ...], end_m: tuple[float, ...], radius_m: float) -> Any:
-    """Rings of a straight wire."""
+    """The surface of a straight wire, as rings for `kit.lofted`."""
     centres = np.linspace(start_m, end_m, 4)
     upright = (0, 1, 0) if abs(end_m[1] - start_m[1]) < 0.05 else (0, 0, 1)
     return kit.tube(centres.tolist(), [(radius_m, radius_m)] * 4, upright, 6)
 
 
 def wheel() -> Any:
-    """A bicycle wheel of 27 cm radius: tyre, rim, spokes that cross, hub."""
+    """A bicycle wheel with a radius of 27 cm: tyre, rim, crossed spokes, hub and reflector."""
     rubber = kit.printed(
         "tyre", paint.patchwork("tyre", (40, 900), ("1c1c1e", "2a2a2d", "b8b0a0"), 18)
     )
@@ -72,7 +73,7 @@ def wheel() -> Any:
 
 
 def fence() -> None:
-    """Wire netting of rhombs on the right, between two posts."""
+    """Add a fence of wire netting with rhombic meshes."""
     wire = kit.ink("wire", "6f8f5f")
     wires = []
     for k in range(-5, 9):
@@ -91,7 +92,7 @@ def fence() -> None:
 
 
 def cable(number: int, x_m: float, length_m: float) -> None:
-    """A cable that hangs and swings, with a tag at its end."""
+    """Add a cable that hangs and swings, with a tag at its end. `number` varies its colour and its motion."""
     cord = kit.ink(f"cord {number}", ("1f1f24", "7d1d1d", "1d3557")[number % 3])
     hung = kit.lofted("cable", cord, rod((0, 0, -length_m), (0, 0, 0), 0.0025))
     hung.location = (x_m, 1.8, RIG_HEIGHT_M + 0.75)
@@ -114,7 +115,7 @@ def cable(number: int, x_m: float, length_m: float) -> None:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))

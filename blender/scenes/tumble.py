@@ -1,9 +1,9 @@
-"""Two boxes bounce, tumble, and cross, the near one in front of the far one.
+"""Two boxes bounce and tumble, and the near box passes in front of the far box.
 
-Depths from the rig: near box 1.4 m, far box 1.75 m, stage 1.2 to 2.05 m, boards 2.2 m. At 640x480 most of
-their points move 15 to 30 pixels a frame, one box to the right, the other to the left. They cross at 0.2 s. The
-near box bounces at 0.11 s first, then every 0.3 s. The far box bounces at 0.26 s first, then every 0.34 s; the
-near box hides part of it then.
+Depths from the rig: near box 1.4 m, far box 1.75 m, stage 1.2 to 2.05 m, boards 2.2 m. At 640x480 most points of the
+boxes move 15 to 30 pixels a frame, the near box to the right and the far box to the left. They pass each other at 0.2
+s. The near box bounces first at 0.11 s, then every 0.3 s. The far box bounces first at 0.26 s, when the near box hides
+a part of it, and then every 0.34 s.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from .bounce import bounce
 
 RIG_HEIGHT_M = 1.2
 STAGE_M = RIG_HEIGHT_M - 0.42
-"""The stage's height."""
+"""Height of the stage above the ground."""
 
 
 def box(name: str, codes: tuple[str, ...], title: str, size_m: float) -> Any:
-    """A printed cube around its own middle, with a word on two of its sides."""
+    """A printed cube with a word on two of its sides; the object's origin is the cube's centre."""
     middle = kit.group(name)
     print_ = backdrop.photo(name, (size_m, size_m), codes, 0.022)
     half_m = size_m / 2
@@ -43,7 +43,7 @@ def box(name: str, codes: tuple[str, ...], title: str, size_m: float) -> Any:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.4, brightest=(0.5, -0.6, 0.8))

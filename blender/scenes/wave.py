@@ -1,8 +1,8 @@
-"""A hand waves hard, as in a long goodbye: it turns round five times a second, and its skin is nearly plain.
+"""A hand with nearly plain skin waves fast: its motion reverses five times a second.
 
-Depths from the rig: hand and sleeve 1.0 to 1.1 m, lamp 1.45 m, boards with a plain board among them 2.0 m.
-At 640x480 the fingertips move up to 36 pixels a frame. Where the hand turns round, their motion changes by
-up to 20 pixels from frame to frame, at 0.09 s first and then every 0.2 s. The fingers bend as they go.
+Depths from the rig: hand and sleeve 1.0 to 1.1 m, lamp 1.45 m, boards with one plain board 2.0 m. At 640x480 the
+fingertips move up to 36 pixels a frame. At a reversal, first at 0.09 s and then every 0.2 s, their displacement changes
+by up to 20 pixels from frame to frame. Meanwhile, the fingers bend.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from .hand import hand, skin_picture
 RIG_HEIGHT_M = 1.2
 
 SKIN_CONTRAST = 0.3
-"""How much of the skin's mottling, creases and freckles is left. Larger gives features all over the hand;
-smaller leaves its outlines alone."""
+"""Factor on the contrast of the skin's mottling, creases and freckles. If larger, features are found all over the hand;
+if smaller, only on its outlines."""
 
 
 def plain_skin(name: str, shape: tuple[int, int], joints: tuple[float, ...]) -> Any:
-    """The hand's skin with little contrast."""
+    """A material like `hand.skin`, with its contrast reduced by `SKIN_CONTRAST`."""
     picture = skin_picture(name, shape, joints)
     mean = picture.mean(axis=(0, 1))
     return kit.printed(name, mean + SKIN_CONTRAST * (picture - mean))
 
 
 def lamp() -> None:
-    """A lamp on a thin stem, still."""
+    """Add a lamp on a thin stem, which doesn't move."""
     shade = kit.turned(
         "shade",
         kit.printed(
@@ -46,7 +46,7 @@ def lamp() -> None:
 
 
 def build() -> None:
-    """Fill an empty Blender file."""
+    """Build this scene in the empty Blender file that is open."""
     kit.start_scene()
     kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
     kit.sky(brightness=0.85, contrast=0.45, brightest=(0.6, -0.6, 0.7))

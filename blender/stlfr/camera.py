@@ -1,11 +1,11 @@
-"""Blender's camera to COLMAP's `PINHOLE` and back, in one place.
+"""Conversion between Blender's camera and COLMAP's `PINHOLE`.
 
-Pixels: the top-left pixel's centre is (0.5, 0.5), x right, y down.
-Camera axes: COLMAP's are +x right, +y down, +z forward; Blender's +x right, +y up, -z forward.
-World: metres, the same axes in both.
+Pixels: the top-left pixel's centre is (0.5, 0.5), x points right, y points down.
+Camera axes: COLMAP's are +x right, +y down, +z forward; Blender's are +x right, +y up, -z forward.
+World: metres, with the same axes in both.
 
-Blender keeps lens, sensor, shift and matrices in single precision. Describe a camera from what
-Blender reads back, not from what was asked for, and the description is what gets rendered.
+Blender stores lens, sensor, shift and matrices in single precision. So compute a camera's description from the values
+that Blender returns, not from those that were assigned; then the description equals what Blender renders.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ COLMAP_FROM_BLENDER_AXES: Array = np.diag([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class BlenderLens:
-    """What decides a perspective camera's projection in Blender.
+    """The settings that decide a perspective camera's projection in Blender, besides its pose.
 
-    `width_px` and `height_px` are the rendered size, resolution percentage applied.
+    `width_px` and `height_px` are the size of the rendered image, with the resolution percentage applied.
     """
 
     width_px: int
@@ -43,7 +43,7 @@ class BlenderLens:
 
 @dataclass(frozen=True)
 class Pinhole:
-    """COLMAP's `PINHOLE`, in pixels."""
+    """The parameters of COLMAP's camera model `PINHOLE`, in pixels."""
 
     width_px: int
     height_px: int
@@ -54,7 +54,7 @@ class Pinhole:
 
     @property
     def params(self) -> list[float]:
-        """COLMAP's order."""
+        """The parameters in COLMAP's order: fx, fy, cx, cy."""
         return [self.fx_px, self.fy_px, self.cx_px, self.cy_px]
 
     def rows(self, first: int, end: int) -> Pinhole:
@@ -64,20 +64,20 @@ class Pinhole:
 
 @dataclass(frozen=True)
 class RigidTransform:
-    """target_from_source: `target = R(rotation_wxyz) source + translation_m`."""
+    """A rigid transform target_from_source: `target = R(rotation_wxyz) source + translation_m`."""
 
     rotation_wxyz: tuple[float, float, float, float]
     translation_m: tuple[float, float, float]
 
     def matrix(self) -> Array:
-        """As a 4x4 matrix."""
+        """The transform as a 4x4 matrix."""
         matrix = np.eye(4)
         matrix[:3, :3] = rotation_from_quaternion(self.rotation_wxyz)
         matrix[:3, 3] = self.translation_m
         return matrix
 
     def to_json(self) -> dict[str, list[float]]:
-        """As capture.json spells it."""
+        """The transform as a JSON object of capture.json, with `rotation_wxyz` and `translation`."""
         return {
             "rotation_wxyz": [q + 0.0 for q in self.rotation_wxyz],  # no -0.0
             "translation": [t + 0.0 for t in self.translation_m],
@@ -85,15 +85,14 @@ class RigidTransform:
 
 
 def pinhole_from_lens(lens: BlenderLens) -> Pinhole:
-    """The `PINHOLE` that Blender's lens, sensor, shift and pixel aspect amount to.
+    """The `PINHOLE` camera with the same projection as Blender's lens, sensor, shift and pixel aspect.
 
-    Sensor fit says which side of the image the sensor spans. `HORIZONTAL`: the width, with
-    `sensor_width`. `VERTICAL`: the height, with `sensor_height`. `AUTO`: the longer side as shown,
-    pixel aspect included (the width if equal), and always with `sensor_width`, even for portrait.
+    The sensor fit decides which side of the image corresponds to the sensor's size. `HORIZONTAL`: the image's width
+    corresponds to `sensor_width`. `VERTICAL`: its height corresponds to `sensor_height`. `AUTO`: its longer side, pixel
+    aspect included (the width if equal), corresponds to `sensor_width`, also in portrait format.
 
-    Both shifts are in units of that side. A positive shift moves the window right or up over the
-    image plane, so the principal point moves left or down.
-    A pixel is `pixel_aspect_x` by `pixel_aspect_y`; only their ratio counts.
+    Both shifts are fractions of this side. A positive shift moves the image window right or up over the image plane, so
+    the principal point moves left or down. A pixel is `pixel_aspect_x` by `pixel_aspect_y`; only their ratio matters.
     """
     shown_width = lens.width_px * lens.pixel_aspect_x
     shown_height = lens.height_px * lens.pixel_aspect_y
@@ -115,10 +114,9 @@ def pinhole_from_lens(lens: BlenderLens) -> Pinhole:
 
 
 def lens_from_pinhole(pinhole: Pinhole, sensor_width_mm: float = 36.0) -> BlenderLens:
-    """The Blender lens (sensor fit `HORIZONTAL`) that renders as `pinhole` does.
+    """The Blender lens (sensor fit `HORIZONTAL`) with the projection of `pinhole`; the inverse of `pinhole_from_lens`.
 
-    Inverse of `pinhole_from_lens`. The pixel aspect carries fx/fy; Blender wants both its parts
-    at least 1, hence the two cases.
+    The pixel aspect represents fx/fy. Blender requires both of its parts to be at least 1, hence the two cases.
     """
     aspect_x = max(1.0, pinhole.fy_px / pinhole.fx_px)
     aspect_y = max(1.0, pinhole.fx_px / pinhole.fy_px)
@@ -137,7 +135,7 @@ def lens_from_pinhole(pinhole: Pinhole, sensor_width_mm: float = 36.0) -> Blende
 
 
 def lens_of(camera_object: Any, scene: Any) -> BlenderLens:
-    """Read a Blender camera object as this scene would render it."""
+    """The lens of a Blender camera object, with the image size and pixel aspect of this scene's render settings."""
     camera, render = camera_object.data, scene.render
     return BlenderLens(
         width_px=render.resolution_x * render.resolution_percentage // 100,
@@ -154,14 +152,14 @@ def lens_of(camera_object: Any, scene: Any) -> BlenderLens:
 
 
 def cam_from_world_of(camera_object: Any) -> RigidTransform:
-    """A Blender camera object's `cam_from_world`, with COLMAP's axes. Its scale is ignored, as Blender does."""
+    """A Blender camera object's `cam_from_world`, with COLMAP's axes. Like Blender, this ignores the object's scale."""
     return cam_from_world_of_matrix(
         np.array(camera_object.matrix_world, dtype=np.float64)
     )
 
 
 def cam_from_world_of_matrix(world_from_blender_cam: Array) -> RigidTransform:
-    """`cam_from_world` with COLMAP's axes from Blender's `matrix_world` of a camera."""
+    """The transform `cam_from_world` with COLMAP's axes, from a Blender camera's `matrix_world` (4x4)."""
     axes = world_from_blender_cam[:3, :3] / np.linalg.norm(
         world_from_blender_cam[:3, :3], axis=0
     )

@@ -1,4 +1,4 @@
-"""The animated scene camera as a path of `stlfr render --path`. No `bpy` here: scenes are read."""
+"""The animated scene camera as a camera path for `stlfr render --path`. Does not import `bpy`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from .described import describe_object
 from .errors import BadInputError
 
 MAX_FRAMES = 100_000
-"""As many keys as a path may have."""
+"""Maximum number of keys of a camera path, as `stlfr render` limits it."""
 
 
 def path(scene: Any) -> dict[str, Any]:
-    """The path's file: a key for every frame of the scene, at the time of the light field that it shows."""
+    """The content of a path file: a key for every frame of the scene, with the camera and the light field's time.
+
+    Raises `BadInputError` if the scene has too many frames, or if a camera isn't perspective.
+    """
     frames = range(scene.frame_start, scene.frame_end + 1)
     if not 1 <= len(frames) <= MAX_FRAMES:
         raise BadInputError(
@@ -36,6 +39,6 @@ def path(scene: Any) -> dict[str, Any]:
 
 
 def camera_at(scene: Any, frame: int) -> Any:
-    """The scene's camera at a frame: that of the last marker with one, else the active one."""
+    """The scene's camera at a frame: the camera of the last marker with a camera, or else the active camera."""
     cuts = [m for m in scene.timeline_markers if m.camera and m.frame <= frame]
     return max(cuts, key=lambda marker: marker.frame).camera if cuts else scene.camera

@@ -1,7 +1,7 @@
-"""Compare a capture with its truth, in a process of its own: `python -I compare.py CAPTURE FOLDER OPTIONS`.
+"""Compare a capture with its ground truth, as a child process: `python -I compare.py CAPTURE FOLDER OPTIONS`.
 
-FOLDER holds the module `stlfr`; OPTIONS are a render's, as JSON. The comparison lies in the capture then, as
-after `stlfr compare`.
+FOLDER contains the module `stlfr`; OPTIONS are render options as JSON. The result is written into the capture's folder,
+as by `stlfr compare`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import sys
 
 
 def main(capture: str, module_folder: str, options: str) -> int:
-    """Print progress and the files as JSON lines; an error is one sentence on stderr."""
+    """Run the comparison; print progress and the written files as JSON lines. An error is one sentence on stderr."""
     sys.path.insert(0, module_folder)
     import stlfr
 

@@ -1,4 +1,4 @@
-"""The comparison with the truth: made, shown in the Video Editing workspace, or read as a report."""
+"""Operators for the comparison with the ground truth: run it, show it in the video sequencer, open its report."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from .long_work import LongWork, Result, reported
 from .operators import module_folder, python
 
 WORKSPACE = "Video Editing"
-"""Blender's own, in which strips are seen."""
+"""Name of Blender's workspace with the video sequencer."""
 
 MARK = "stlfr_comparison"
-"""A property of the scenes that show a comparison: of which folder, and the scene's own name. Blender copies properties,
-so a copy and a scene that was renamed have another's name there: they are the user's."""
+"""Name of a custom property of scenes that show a comparison. Its value is the comparison's folder and the scene's
+name. If the name in it differs from the scene's name, the user has copied or renamed the scene, and it isn't
+replaced."""
 
 
 class STLFR_OT_compare(LongWork, bpy.types.Operator):
-    """Render what the capture has truth of, by the chosen methods, and set it beside the truth."""
+    """Render the views that have a ground truth, by the chosen methods, and compare them with the ground truth."""
 
     bl_idname = "stlfr.compare"
     bl_label = "Compare"
@@ -44,7 +45,7 @@ class STLFR_OT_compare(LongWork, bpy.types.Operator):
 
 
 class STLFR_OT_open_review(bpy.types.Operator):
-    """Show the comparison in the Video Editing workspace: truth, results and difference as strips."""
+    """Show the comparison in the Video Editing workspace: ground truth, results and difference as strips."""
 
     bl_idname = "stlfr.open_review"
     bl_label = "Show Comparison"
@@ -70,7 +71,7 @@ class STLFR_OT_open_report(bpy.types.Operator):
 
 
 def must_have_truth(capture: Path) -> None:
-    """Refuse a capture that there is nothing to compare with."""
+    """Raises `BadInputError` if the folder holds no complete capture, or a capture without ground truth."""
     fields.must_be_capture(capture)
     if not (capture / "truth" / "truth.json").is_file():
         raise BadInputError(
@@ -79,7 +80,7 @@ def must_have_truth(capture: Path) -> None:
 
 
 def review_file(scene: Any, name: str) -> Path:
-    """A file of the chosen capture's comparison."""
+    """The path of a file of the chosen capture's comparison. Raises `BadInputError` if there is no comparison yet."""
     capture = engine.capture_folder(scene)
     fields.must_be_capture(capture)
     file = capture / "review" / name
@@ -89,10 +90,11 @@ def review_file(scene: Any, name: str) -> Path:
 
 
 def show(context: Any, layout_file: Path) -> list[Any]:
-    """Add a comparison's scenes in place of those of the same one before, and turn to them.
+    """Add the scenes of a comparison to the file, and show the first of them in the Video Editing workspace.
 
-    Where that fails, those before stay. Copies that the user made of them, or has renamed, stay in any case.
-    The window's own scene stays: the Video Editing workspace shows another one in its sequencer.
+    They replace the scenes of an earlier comparison in the same folder, except those that the user has copied or
+    renamed. On an error, the earlier scenes remain. The window's active scene doesn't change, because the workspace has
+    its own scene for the sequencer.
     """
     folder = str(layout_file.resolve().parent)
     before = [
@@ -115,7 +117,7 @@ def _mark(scene: Any, folder: str) -> str:
 
 
 def _workspace(context: Any) -> Any:
-    """The Video Editing workspace; taken from Blender's template where the file has none."""
+    """The Video Editing workspace; if the file has none, it is added from Blender's template."""
     if WORKSPACE not in bpy.data.workspaces:
         for folder in bpy.utils.app_template_paths(path="Video_Editing"):
             with contextlib.suppress(RuntimeError):

@@ -1,4 +1,7 @@
-"""A camera as capture.json and view files spell it: made from Blender's, and projected by. No `bpy` here."""
+"""Camera objects as in capture.json and in view files: made from Blender's cameras, and their projection.
+
+Does not import `bpy`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from .camera import Array, Pinhole, RigidTransform
 from .distortion import Distortion
 
 Camera = dict[str, Any]
-"""`width`, `height`, `model` (`PINHOLE` or `OPENCV`), `params`, `cam_from_world`."""
+"""A camera object: `width`, `height`, `model` (`PINHOLE` or `OPENCV`), `params` and `cam_from_world`."""
 
 
 def describe(
@@ -20,7 +23,7 @@ def describe(
     cam_from_world: RigidTransform,
     distortion: Distortion | None = None,
 ) -> Camera:
-    """A camera without distortion is a `PINHOLE`."""
+    """The camera object with these intrinsics, pose and distortion: `OPENCV`, or `PINHOLE` without distortion."""
     model, more = "PINHOLE", []
     if distortion is not None and not distortion.is_none:
         model = "OPENCV"
@@ -35,39 +38,42 @@ def describe(
 
 
 def describe_object(camera_object: Any, scene: Any) -> Camera:
-    """A Blender camera object as this scene would render it."""
+    """The camera object of a Blender camera, with the image size of this scene's render settings."""
     pinhole = cameras.pinhole_from_lens(cameras.lens_of(camera_object, scene))
     return describe(pinhole, cameras.cam_from_world_of(camera_object))
 
 
 def lens_of(camera: Camera) -> tuple[Pinhole, Distortion]:
-    """Intrinsics."""
+    """The intrinsics of a camera object: pinhole parameters and distortion."""
     params = camera["params"]
     pinhole = Pinhole(camera["width"], camera["height"], *params[:4])
     return pinhole, Distortion(*params[4:])
 
 
 def pose_of(camera: Camera) -> RigidTransform:
-    """`cam_from_world`."""
+    """The pose of a camera object, as the transform `cam_from_world`."""
     pose = camera["cam_from_world"]
     return RigidTransform(tuple(pose["rotation_wxyz"]), tuple(pose["translation"]))
 
 
 def centre_of(camera: Camera) -> Array:
-    """The camera's centre in the world, metres."""
+    """The centre of a camera object in world coordinates, metres."""
     matrix = pose_of(camera).matrix()
     return np.asarray(-matrix[:3, :3].T @ matrix[:3, 3])
 
 
 def project(camera: Camera, points_m: Array) -> Array:
-    """Pixels (N, 2) of world points (N, 3); NaN behind the camera and past its lens's fold."""
+    """Pixels (N, 2) of world points (N, 3); NaN behind the camera, and where the distortion model folds back."""
     pinhole, distortion = lens_of(camera)
     ideal = cameras.project(pinhole, pose_of(camera), points_m)
     return distortions.pixels_from_ideal(pinhole, distortion, ideal)
 
 
 def direction_of(camera: Camera, pixel: tuple[float, float]) -> Array:
-    """The viewing direction of a pixel in the world, with length 1 along the camera's +z; NaN without an inverse."""
+    """The viewing direction of a pixel in world coordinates, scaled to length 1 along the camera's +z axis.
+
+    NaN if the distortion has no inverse at this pixel.
+    """
     pinhole, distortion = lens_of(camera)
     ((x, y),) = distortions.ideal_from_pixels(pinhole, distortion, np.array([pixel]))
     ray = [

@@ -1,8 +1,8 @@
-"""Lens distortion: COLMAP's OPENCV model (Brown's radial and tangential distortion) and its inverse. No `bpy` here.
+"""Lens distortion: COLMAP's OPENCV model (Brown's radial and tangential distortion) and its inverse.
 
-Filming distorts its images by this, and the calibration check projects by it. It is written apart from
-the library's own lens models on purpose: where a capture is reconstructed rightly, two independent
-implementations agree. It checks no rig; the module `stlfr` does.
+Filming distorts its images by this module, and point tracks are projected by it. It is intentionally independent of the
+lens models in the library `stlfr`: if a filmed capture is reconstructed correctly, two implementations agree. The
+module `stlfr` checks a rig's coefficients; this module doesn't. It does not import `bpy`.
 
 On the plane z = 1, with r² = x² + y²:
 
@@ -20,21 +20,22 @@ import numpy.typing as npt
 from .camera import Array, Pinhole
 
 ITERATIONS = 25
-"""Newton's method converges in 3 to 6 steps where there is an inverse at all. More steps cost time only where
-there is none; fewer than 6 lose points near the fold."""
+"""Maximum number of steps of Newton's method. It converges in 3 to 6 steps if an inverse exists. If larger, points
+without an inverse take longer; below 6, points near the radius where the model folds back get no inverse."""
 
 STEP = 1e-14
-"""The step, in normalized units of some hundreds of pixels, at which Newton's method has converged. Larger, and
-the inverse is off; smaller than a double's rounding, and no point ever converges."""
+"""Step of Newton's method at which it has converged, on the plane z = 1 (a unit is some hundreds of pixels). If larger,
+the inverse is inaccurate; if smaller than the rounding of a double, no point converges."""
 
 MIN_DETERMINANT = 1e-9
-"""Of the derivative, which is 1 without distortion. Not positive, and the point lies past the lens's fold, where
-the model shows a pixel twice. Larger, and good points near the fold are lost; 0, and the division overflows."""
+"""Minimum determinant of the distortion's derivative; without distortion it is 1. Where it isn't positive, the model
+folds back and maps two points to one pixel. If larger, valid points near this radius are lost; if 0, the division
+overflows."""
 
 
 @dataclass(frozen=True)
 class Distortion:
-    """The coefficients, without unit."""
+    """The coefficients of the distortion model, without units."""
 
     k1: float = 0.0
     k2: float = 0.0
@@ -43,11 +44,11 @@ class Distortion:
 
     @property
     def is_none(self) -> bool:
-        """Whether straight lines stay straight."""
+        """Whether all coefficients are 0, so that there is no distortion."""
         return self == Distortion()
 
     def distorted(self, points: Array) -> Array:
-        """Distorted points (N, 2) of the plane z = 1; meaningless past the lens's fold."""
+        """Distort points (N, 2) of the plane z = 1. The result is meaningless where `is_short_of_fold` is false."""
         x, y = points.T
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
@@ -60,9 +61,10 @@ class Distortion:
         )
 
     def is_short_of_fold(self, points: Array) -> npt.NDArray[np.bool_]:
-        """Whether the lens spreads points (N, 2) as it does those nearer to the axis.
+        """Whether points (N, 2) of the plane z = 1 are within the radius up to which the model is one-to-one.
 
-        Past the radius where it stops, the model folds the scene back over the image, as no lens does.
+        Beyond this radius, the distorted radius decreases again: the model folds the scene back over the image, unlike
+        any real lens.
         """
         r2 = (points**2).sum(axis=1)
         # The radial slope, 1 + 3 k1 r² + 5 k2 r⁴, is smallest at an end or at its parabola's vertex.
@@ -77,7 +79,7 @@ class Distortion:
         )
 
     def undistorted(self, points: Array) -> Array:
-        """Inverse of `distorted` by Newton's method; NaN where there is none."""
+        """The inverse of `distorted`, by Newton's method; NaN for points without an inverse."""
         found = points.copy()
         step = np.full_like(points, np.inf)
         with np.errstate(all="ignore"):
@@ -90,7 +92,7 @@ class Distortion:
         return found
 
     def _derivative(self, points: Array) -> tuple[Array, Array, Array]:
-        """Of x' by x, of x' by y and of y' by x (they are the same), of y' by y."""
+        """The derivatives of `distorted` at points (N, 2): of x' by x, of x' by y (equal to y' by x), of y' by y."""
         x, y = points.T
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
@@ -109,19 +111,19 @@ class Distortion:
 
 
 def _is_small(step: Array, found: Array) -> Array:
-    # A few digits more than the step that Newton aims at: the last one may be rounding alone.
+    # 100 times `STEP`, because the last step may consist of rounding errors only.
     limit = 1e2 * STEP * (1.0 + np.linalg.norm(found, axis=1))
     return np.asarray(np.linalg.norm(step, axis=1) < limit)
 
 
 def ideal_from_pixels(lens: Pinhole, distortion: Distortion, pixels: Array) -> Array:
-    """Undistorted positions of pixels (N, 2); NaN where the lens has no inverse."""
+    """The positions (N, 2) that pixels would have without distortion; NaN where the distortion has no inverse."""
     scale, center = _scale_and_center(lens)
     return distortion.undistorted((pixels - center) / scale) * scale + center
 
 
 def pixels_from_ideal(lens: Pinhole, distortion: Distortion, ideal: Array) -> Array:
-    """Distorted positions of a pinhole's pixels (N, 2); NaN past the lens's fold."""
+    """The distorted positions of an ideal pinhole's pixels (N, 2); NaN where the distortion model folds back."""
     scale, center = _scale_and_center(lens)
     points = (ideal - center) / scale
     pixels = distortion.distorted(points) * scale + center

@@ -1,4 +1,4 @@
-"""The render engine `STLFR`: F12 renders the scene camera's view of the light field, `Rendered` shading the viewport's."""
+"""The render engine `STLFR`: renders the light field from the scene's camera (F12), or in viewports."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from .errors import BadInputError, FailureError
 from .paths import absolute
 
 POLL_S = 0.05
-"""How long Escape may go unnoticed. Larger, and Blender seems to hang; smaller, and asking takes time from rendering."""
+"""Time between two checks for the Escape key. If larger, Blender seems to hang; if smaller, the checks slow
+rendering."""
 
 
 said: dict[str, tuple[int, str]] = {}
-"""Why the last picture of a scene couldn't be rendered, and at which frame."""
+"""Errors of the last rendering by scene name: the frame, and why it couldn't be rendered. The panel shows them."""
 
 
 class StlfrEngine(bpy.types.RenderEngine):
     """Renders the chosen capture's light field from the scene's camera, at the scene's time.
 
-    The picture is scene-linear: under the view transform `Standard`, without a look and without
-    dither, it is what `stlfr render` writes. Pixels that no camera sees are transparent.
-    Known limits: perspective cameras and views, one eye, no depth of field.
+    The rendered image is scene-linear. With the view transform `Standard`, no look and no dither, it is displayed and
+    saved exactly as `stlfr render` writes it. Pixels that no camera sees are transparent. Known limits: only
+    perspective cameras and views, only one eye, no depth of field.
     """
 
     bl_idname = "STLFR"
@@ -43,7 +44,7 @@ class StlfrEngine(bpy.types.RenderEngine):
     def view_draw(self, context: Any, depsgraph: Any) -> None:
         if self._viewport is None:
             self._viewport = viewport.Viewport()
-            # Not `__del__`: Blender has taken what it would read by then.
+            # Not `__del__`: by then, Blender has freed the data that it would read.
             weakref.finalize(self, self._viewport.close).atexit = False
         try:
             capture = capture_folder(depsgraph.scene)
@@ -65,8 +66,8 @@ class StlfrEngine(bpy.types.RenderEngine):
         except fields.StoppedError:
             return
         except (BadInputError, FailureError) as error:
-            # Nothing is written then. With `error_set` the sentence would be said twice. In a small window
-            # of a render it is cut off: the render properties show all of it.
+            # No image is written then. `error_set` would report the error twice. A small render window cuts the
+            # sentence off, so the render properties show it too.
             said[scene.name] = (scene.frame_current, str(error))
             self.report({"ERROR"}, str(error))
             return
@@ -74,9 +75,9 @@ class StlfrEngine(bpy.types.RenderEngine):
         self._show(view.scene_linear(work.samples), depsgraph)
 
     def _wait(self, work: _Work) -> None:
-        """Until the work has ended, or the user has had enough of it.
+        """Wait until the image is rendered, and show the progress.
 
-        What is being rendered then ends at its next step, unseen.
+        If the user cancels, raises `StoppedError`; the thread ends at its next step, and its image is discarded.
         """
         work.start()
         while not work.ended.wait(POLL_S):
@@ -96,14 +97,14 @@ class StlfrEngine(bpy.types.RenderEngine):
         result = self.begin_result(
             0, 0, right - left, top - bottom, layer=depsgraph.view_layer.name
         )
-        # Blender gives no result where rendering was cancelled meanwhile.
+        # Blender returns no result if rendering was cancelled in the meantime.
         if result is not None:
             result.layers[0].passes["Combined"].rect.foreach_set(shown.ravel())
             self.end_result(result)
 
 
 class _Work(threading.Thread):
-    """One image in a thread of its own: the module works without Python's lock."""
+    """A thread that renders one image. Blender stays responsive, because the module `stlfr` releases the GIL."""
 
     def __init__(self, request: view.Request) -> None:
         super().__init__(daemon=True)
@@ -132,7 +133,7 @@ class _Work(threading.Thread):
 
 
 def capture_folder(scene: Any) -> Path:
-    """The chosen capture."""
+    """The folder of the capture that is chosen in the scene. Raises `BadInputError` if none is chosen."""
     if not scene.stlfr.capture:
         raise BadInputError(
             "no capture is chosen: name its folder in the render properties, under Light Field"
@@ -145,7 +146,7 @@ def _camera(engine: StlfrEngine, scene: Any) -> Any:
 
 
 def _panels() -> list[Any]:
-    """Blender's own panels that serve any engine: output, lens, colour management."""
+    """Blender's own panels that suit any render engine, such as output, lens and colour management."""
     return [
         panel
         for panel in bpy.types.Panel.__subclasses__()
@@ -155,7 +156,7 @@ def _panels() -> list[Any]:
 
 @persistent
 def _show_time(*_: Any) -> None:
-    """After an animation, show the scene's frame in the properties again."""
+    """Handler after rendering an animation: redraws the properties, as Blender has set the scene's frame back."""
 
     def redraw() -> None:
         for window in bpy.context.window_manager.windows:
@@ -163,13 +164,13 @@ def _show_time(*_: Any) -> None:
                 if area.type in ("PROPERTIES", "VIEW_3D"):
                     area.tag_redraw()
 
-    # Blender sets the frame back after it has called this.
+    # Blender sets the frame back only after it has called this handler.
     bpy.app.timers.register(redraw, first_interval=0.1)
 
 
 @persistent
 def _forget(*_: Any) -> None:
-    """Forget the open capture when another file is loaded."""
+    """Handler after another file is loaded: forgets the errors of renderings of the previous file."""
     said.clear()
 
 
@@ -181,7 +182,7 @@ HANDLERS = {
 
 
 def register() -> None:
-    """Make it known to Blender."""
+    """Register the engine, its handlers and Blender's own panels for it."""
     viewport.register()
     for name, handler in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)
@@ -191,7 +192,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Leave nothing behind."""
+    """Unregister the engine, its handlers and Blender's own panels for it."""
     for panel in _panels():
         panel.COMPAT_ENGINES.discard(StlfrEngine.bl_idname)
     bpy.utils.unregister_class(StlfrEngine)

@@ -2,12 +2,12 @@
 
 
 class BadInputError(Exception):
-    """Something the user gave is wrong: exit code 2."""
+    """The user's input is wrong; exit code 2."""
 
     exit_code = 2
 
 
 class FailureError(Exception):
-    """The input is right and the work failed: exit code 1."""
+    """The input is valid, but the work failed; exit code 1."""
 
     exit_code = 1

@@ -1,6 +1,6 @@
-"""Estimate a capture's offsets, in a process of its own: `python -I estimate.py CAPTURE FOLDER`.
+"""Estimate a capture's temporal offsets, as a child process: `python -I estimate.py CAPTURE FOLDER`.
 
-FOLDER holds the module `stlfr`. The offsets are saved in the capture, as `stlfr offsets` does.
+FOLDER contains the module `stlfr`. The offsets are saved in the capture's folder, as by `stlfr offsets`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 
 
 def main(capture: str, module_folder: str) -> int:
-    """Print the offsets as one JSON line; an error is one sentence on stderr."""
+    """Estimate the offsets, and print them as one JSON line. An error is one sentence on stderr."""
     sys.path.insert(0, module_folder)
     import stlfr
 

@@ -1,7 +1,7 @@
-"""Read the float passes of an OpenEXR file as Cycles writes it here: one part, scanlines, no compression.
+"""Reads the float channels of an OpenEXR file as Cycles writes it for filming: one part, scanlines, no compression.
 
-Blender's Python has no access to the pixels of a render's passes, and the wheel brings no OpenEXR
-module; uncompressed, the format is a table of contents and rows of numbers.
+Blender's Python can't access the pixels of render passes, and the extension has no OpenEXR module. An uncompressed file
+is simple: a header, a table of offsets, and rows of numbers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TILED_DEEP_OR_MULTIPART = 0x1A00
 
 
 def read_channels(path: Path) -> dict[str, npt.NDArray[np.float32]]:
-    """Every channel of the file by its full name (`ViewLayer.Depth.Z`), as height x width."""
+    """All channels of the file by their full names (such as `ViewLayer.Depth.Z`), each an array (height, width)."""
     data = path.read_bytes()
     magic, version = struct.unpack_from("<ii", data)
     if magic != MAGIC or version & TILED_DEEP_OR_MULTIPART:
@@ -44,7 +44,7 @@ def read_channels(path: Path) -> dict[str, npt.NDArray[np.float32]]:
 
 
 def _attributes(data: bytes) -> tuple[dict[str, bytes], int]:
-    """The header's attributes, and where the table of row offsets starts."""
+    """The attributes of the file's header by name, and the position where the table of row offsets starts."""
     attributes, offset = {}, 8
     while data[offset] != 0:
         name, offset = _text(data, offset)
@@ -56,7 +56,7 @@ def _attributes(data: bytes) -> tuple[dict[str, bytes], int]:
 
 
 def _channel_names(channels: bytes, path: Path) -> list[str]:
-    """In file order, which is alphabetical."""
+    """The channel names in the file's order, which is alphabetical. Raises `FailureError` if a channel isn't float."""
     names, offset = [], 0
     while channels[offset] != 0:
         name, offset = _text(channels, offset)

@@ -1,7 +1,7 @@
-"""The capture that is open, so that one image's registered frames serve the next. No `bpy` here.
+"""The open capture, shared by all images, so that results cached for one image serve the next. Does not import `bpy`.
 
-Opening one can take long, as its videos are looked through: Blender's main thread waits for it only where a
-script or a button asks for what the capture holds.
+Opening a capture may take long, because its videos are read. So Blender's main thread waits for it only if a script or
+a button needs the capture's contents.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ Span = tuple[float, float]
 """A first and a last time, seconds."""
 
 _opening = threading.Lock()
-"""Held while one is opened, so that no two threads open the same."""
+"""Held while a capture is opened, so that two threads don't open the same capture."""
 
 _lock = threading.Lock()
-"""Of what follows; never held for long."""
+"""Protects the variables `_open`, `_spans` and `_closed`; held only briefly."""
 
 _open: tuple[Path, Stamp, stlfr.Capture] | None = None
 _spans: dict[Path, tuple[Stamp, Span | None]] = {}
 _closed = 0
-"""How often everything was forgotten: what was begun before is not kept."""
+"""Number of calls of `close`. A result whose computation began before the last call is not cached."""
 
 _reader: threading.Thread | None = None
 
@@ -43,7 +43,7 @@ class StoppedError(Exception):
 
 @contextlib.contextmanager
 def _own_errors() -> Iterator[None]:
-    """Turn the module's errors into this package's."""
+    """Turn errors of the module `stlfr` into this package's, with messages in the terms of Blender's panels."""
     try:
         yield
     except InterruptedError:
@@ -53,7 +53,10 @@ def _own_errors() -> Iterator[None]:
 
 
 def render(request: Request, proceed: Callable[[int, int], bool]) -> Samples:
-    """The image, as `stlfr render` writes it. Offsets that aren't known yet are estimated, and saved in the capture."""
+    """Render the requested image as `stlfr render` does. Unknown offsets are estimated, and saved in the capture.
+
+    Raises `StoppedError` if `proceed` returns false.
+    """
     with _own_errors():
         return _capture(request.capture).render(
             request.time_s,
@@ -64,21 +67,21 @@ def render(request: Request, proceed: Callable[[int, int], bool]) -> Samples:
 
 
 def moment(request: Request) -> stlfr.Moment:
-    """What the views of a request's instant share."""
+    """Prepare the requested instant: the results that all views of this instant share."""
     with _own_errors():
         return _capture(request.capture).moment(request.time_s, options=request.options)
 
 
 def seen(at: stlfr.Moment, request: Request) -> Samples:
-    """Render a request at its instant."""
+    """Render the requested view at an instant that `moment` has prepared."""
     with _own_errors():
         return at.view(request.camera)
 
 
 def span_s(folder: Path) -> Span | None:
-    """The first and the last time of the reference camera's frames: what is surely covered.
+    """The first and last time of the reference camera's frames, seconds; None if the folder holds no valid capture.
 
-    None where the folder holds no capture. Opens it where that isn't known yet.
+    If the result isn't cached, this opens the capture, which may take long.
     """
     stamp, closed = stamp_of(folder), _closed
     known = _spans.get(folder)
@@ -91,13 +94,13 @@ def span_s(folder: Path) -> Span | None:
 
 
 def knows_span(folder: Path) -> bool:
-    """Whether `span_s` returns at once."""
+    """Whether the result of `span_s` is cached, so that it returns immediately."""
     known = _spans.get(folder)
     return known is not None and known[0] == stamp_of(folder)
 
 
 def read_span(folder: Path) -> None:
-    """Find `span_s` in a thread of its own, if none does so yet: one at a time. Returns at once."""
+    """Start a thread that computes and caches `span_s`, unless one is running already. Returns immediately."""
     global _reader
     if is_reading() or knows_span(folder):
         return
@@ -108,7 +111,7 @@ def read_span(folder: Path) -> None:
 
 
 def is_reading() -> bool:
-    """Whether a thread is reading the span."""
+    """Whether a thread that `read_span` started is still running."""
     return _reader is not None and _reader.is_alive()
 
 
@@ -125,7 +128,10 @@ def _find_span_s(folder: Path) -> Span | None:
 
 
 def close(patience_s: float = 0.0) -> None:
-    """Forget the open capture, at once; what is being opened isn't kept. Waits at most so long for the thread."""
+    """Close the open capture and clear the cache; results of running threads won't be cached.
+
+    Then waits for the thread of `read_span`, at most `patience_s` seconds.
+    """
     global _open, _closed
     with _lock:
         _open = None
@@ -136,7 +142,7 @@ def close(patience_s: float = 0.0) -> None:
 
 
 def must_be_capture(folder: Path) -> None:
-    """Refuse a folder that holds none, and say what it holds instead."""
+    """Raises `BadInputError` if the folder holds no complete capture; the message states what it is instead."""
     if (folder / CAPTURE_FILE).is_file():
         return
     if not folder.exists():
@@ -151,7 +157,7 @@ def must_be_capture(folder: Path) -> None:
 
 
 def _capture(folder: Path) -> stlfr.Capture:
-    """The capture; opened anew when its description or its saved offsets have changed."""
+    """The open capture of a folder. It is opened again if capture.json or the saved offsets have changed."""
     import stlfr
 
     global _open
@@ -170,7 +176,7 @@ def _capture(folder: Path) -> stlfr.Capture:
 
 
 def stamp_of(folder: Path) -> Stamp:
-    """Time stamps and sizes of the capture's description and offsets; zeros for a missing file."""
+    """Modification times and sizes of capture.json and offsets.json, to detect changes; zeros for a missing file."""
     states = []
     for name in (CAPTURE_FILE, "offsets.json"):
         try:

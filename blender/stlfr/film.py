@@ -1,11 +1,13 @@
-"""Render one image, or the depth and motion of one view, exactly as every other one. The Blender side.
+"""Renders one image, or the depth and motion of one view, in Blender, with fixed settings for all images.
 
-Image: Cycles on the CPU, a fixed number of samples, no denoising, as many bounces as the scene says,
-motion blur as long as the camera's exposure, a rolling shutter in bands of rows (`rolling`), `Standard` view without a
-look, no dither; then whatever
-lens and sensor do (`sensor`). Or Workbench: the same cameras, geometry, textures, lenses and sensors under
-a fixed studio light, without shadows, reflections, highlights, motion blur and the noise of few samples.
-Geometry: Cycles with one sample at each pixel's centre, at an instant.
+Images by Cycles: on the CPU, with a fixed number of samples, without denoising, and with the scene's number of bounces.
+Motion blur lasts as long as the camera's exposure, and a rolling shutter is rendered in bands of rows (`rolling`). The
+view transform is `Standard`, without a look and without dither. Then `sensor` applies lens distortion and the sensor.
+
+Images by Workbench: the same cameras, geometry, textures, lenses and sensors under a fixed studio light. They have no
+shadows, reflections, highlights or motion blur, and no noise of few samples.
+
+Depth and motion: by Cycles, with one sample at each pixel's centre, at an instant.
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ from .plan import Job
 from .rig import RigCamera, RigView
 
 NARROWEST_FILTER_PX = 0.01
-"""Cycles' lower limit, and how close to the pixel's centre a geometry render's sample lies. Larger, and depths at
-edges are those of a neighbour; Blender raises what is smaller."""
+"""Width of the pixel filter when depth and motion are rendered, so that samples lie at the pixels' centres. If larger,
+pixels at edges get the depth of a neighbour; smaller values are below Cycles' limit, and Blender raises them."""
 
 WORKBENCH_BIAS_PX = {
     5: (0.0126, -0.1307),
@@ -40,30 +42,32 @@ WORKBENCH_BIAS_PX = {
     16: (0.0418, -0.0373),
     32: (0.0328, -0.1047),
 }
-"""How far right and down Workbench draws everything, by its number of anti-aliasing steps: it centres the
-steps' pattern on one of them, not on their mean. Measured with discs, to 0.002 px, in Blender 5.0. Wrong either
-way, and the images are shifted by as much against their calibration."""
+"""Displacement of Workbench's images to the right and down, pixels, by number of anti-aliasing samples. Workbench
+centres the pattern of samples on one of them, not on their mean. The values were measured on images of discs in Blender
+5.0, to 0.002 px. If they were wrong, images would be shifted against their calibration."""
 
 WORKBENCH_LIGHT = "paint.sl"
-"""Comes with Blender; the default light would be the user's own."""
+"""The studio light for Workbench. It is part of Blender; the default light could be one of the user's settings."""
 
 NOTHING_DEPTH_M = 1e9
-"""Farther is nothing: Cycles writes 1e10 where a ray meets none. Above that, the background becomes a surface; much
-smaller, and distant surfaces become background."""
+"""A larger depth means that the pixel shows nothing, as Cycles writes 1e10 for a ray that hits no surface. If larger
+than 1e10, the background counts as a surface; if much smaller, distant surfaces count as background."""
 
 WINDOW_MARGIN_PX = 2
-"""Rows that are rendered around a band, and left out: Workbench smooths its outermost row otherwise."""
+"""Rows that are rendered above and below a band of rows and then removed, because Workbench blurs the outermost row."""
+
 
 WIDE_SUFFIX = ".wide"
-"""Of the second camera of a distorted one; no rig's id has a dot."""
+"""Suffix of the id of the wide pinhole camera from which a distorted camera's image is resampled. Ids in rigs have no
+dots."""
 
 
 @dataclass(frozen=True)
 class Image:
-    """One picture to render: which view of the rig, when, how well, and with which noise.
+    """An image to render: a view of the rig, the time, the samples per pixel and the seeds.
 
-    `seed` is the rendering's, `sensor_seed` the sensor's; without one, the sensor has no noise, and its
-    shutter is global.
+    `seed` is the seed of the renderer, `sensor_seed` that of the sensor's noise. If `sensor_seed` is None, the image is
+    ground truth: without noise, and with a global shutter.
     """
 
     view_id: str
@@ -74,7 +78,7 @@ class Image:
 
 
 class Studio:
-    """A scene with the rig's cameras and views set up in it."""
+    """A scene to which the rig's cameras and views are added, ready to render."""
 
     def __init__(
         self,
@@ -103,7 +107,7 @@ class Studio:
         bpy.context.view_layer.update()
 
     def do(self, job: Job, capture: Path, scratch: Path, rate_hz: float) -> None:
-        """Put a job's files in place; `rate_hz` is the reference camera's."""
+        """Render the files of a job into the folder `capture`. `rate_hz` is the reference camera's frame rate."""
         image = Image(
             view_id=job.view_id,
             world_time_s=job.world_time_s,
@@ -118,14 +122,14 @@ class Studio:
             self.render_image(image, files[0], scratch)
 
     def strike(self) -> None:
-        """Take the cameras out of the scene again, and look through its own."""
+        """Remove the rig's cameras from the scene, and make the scene's original camera active again."""
         self.scene.camera = self.scenes_own_camera
         for camera_object in self.camera_objects.values():
             bpy.data.objects.remove(camera_object)
         self.camera_objects.clear()
 
     def describe(self, view_id: str) -> Camera:
-        """The view's camera as capture.json spells it, read back from Blender."""
+        """The camera object of a view as in capture.json, computed from the values that Blender returns."""
         view = self.views[view_id]
         pinhole = self._pinhole(view_id, view.width_px, view.height_px)
         transform = cameras.cam_from_world_of(self.camera_objects[view_id])
@@ -133,11 +137,11 @@ class Studio:
         return describe(pinhole, transform, distortion)
 
     def render_image(self, image: Image, target: Path, scratch: Path) -> None:
-        """Write a PNG as the camera records it. It gets its name only when it is whole and on the disk."""
+        """Render an image as the camera records it, and write it to `target` as PNG, atomically."""
         view = self.views[image.view_id]
         camera = view if isinstance(view, RigCamera) else None
         samples = image.samples
-        if image.view_id in self.wides:  # as many for each of the image's pixels
+        if image.view_id in self.wides:  # as many per pixel of the final image
             samples = max(1, round(samples / sensor.FINENESS**2))
         self._aim(image.view_id, image.world_time_s, samples, image.seed)
         self._expose(camera.exposure_s if camera else 0.0)
@@ -168,12 +172,12 @@ class Studio:
     def render_geometry(
         self, image: Image, depth: Path, motion: Path, scratch: Path, rate_hz: float
     ) -> None:
-        """Write the view's depth and motion as float32 .npy arrays, height x width.
+        """Write the view's depth and motion as float32 .npy arrays (height, width).
 
-        Depth: metres along the camera's +z at the pixel's centre, +inf where there is nothing.
-        Motion: the larger of the distances in pixels that the surface point seen there moves in
-        this view from 1/rate_hz before and to 1/rate_hz after. Cycles measures over one Blender
-        frame; at another frame rate than `rate_hz` that is scaled in proportion.
+        Depth: metres along the camera's +z at the pixel's centre; +inf if there is no surface.
+        Motion: the distance in pixels by which the visible surface point moves in this view during 1/rate_hz. Of the
+        motion before and the motion after the instant, the larger one is written. Cycles measures motion over one
+        Blender frame; if the scene's frame rate isn't `rate_hz`, it is scaled proportionally.
         """
         self._aim(image.view_id, image.world_time_s, 1, image.seed)
         self.scene.render.engine = "CYCLES"
@@ -187,7 +191,7 @@ class Studio:
         frames = self.scene.render.fps / self.scene.render.fps_base / rate_hz
         nothing = depth_m > NOTHING_DEPTH_M
         depth_m = np.where(nothing, np.float32(np.inf), depth_m)
-        # Blender's y points up. The second vector points from where the point comes to.
+        # Blender's y axis points up. The second vector points from the next position to this one.
         before = np.where(nothing, 0, frames * np.stack([x0, -y0])).transpose(1, 2, 0)
         after = np.where(nothing, 0, frames * np.stack([-x1, y1])).transpose(1, 2, 0)
         if image.view_id in self.wides:
@@ -201,7 +205,7 @@ class Studio:
         save_whole(moved_px.astype(np.float32), motion, scratch)
 
     def _add_wide(self, view: RigCamera) -> sensor.Wide:
-        """A second, larger camera in the same place, to resample the distorted lens's image from."""
+        """Add a pinhole camera with a larger image in the same pose, from which the distorted image is resampled."""
         lens = self._pinhole(view.id, view.width_px, view.height_px)
         wanted = sensor.wide_pinhole(lens, view.distortion)
         wide_id = view.id + WIDE_SUFFIX
@@ -220,14 +224,14 @@ class Studio:
     def _pinhole(
         self, camera_id: str, width_px: int, height_px: int
     ) -> cameras.Pinhole:
-        """A camera's pinhole as Blender renders it at a size."""
+        """The pinhole parameters with which Blender renders a camera at this image size."""
         render = self.scene.render
         render.resolution_x, render.resolution_y = width_px, height_px
         camera_object = self.camera_objects[camera_id]
         return cameras.pinhole_from_lens(cameras.lens_of(camera_object, self.scene))
 
     def _expose(self, exposure_s: float) -> None:
-        """Open the shutter for that long, around the current frame."""
+        """Set the exposure time of the next renderings, centred on the current frame; 0 is instantaneous."""
         render = self.scene.render
         render.use_motion_blur = exposure_s > 0.0
         if exposure_s > 0.0:
@@ -235,7 +239,7 @@ class Studio:
             render.motion_blur_shutter = exposure_s * render.fps / render.fps_base
 
     def _light(self, camera: RigCamera, scratch: Path) -> sensor.Light:
-        """What the camera's lens lets through, scene-linear, height x width x 3."""
+        """The scene-linear image (height, width, 3) behind the camera's lens, with its distortion."""
         light = self._rendered_light(scratch)
         return (
             self.wides[camera.id].resample(light) if camera.id in self.wides else light
@@ -244,7 +248,7 @@ class Studio:
     def _rolling_light(
         self, camera: RigCamera, world_time_s: float, scratch: Path
     ) -> sensor.Light:
-        """`_light` of a rolling shutter: every band of rows as it is at its own time."""
+        """The image as of `_light` for a rolling shutter: each band of rows is rendered at its own time."""
         wide = self.wides.get(camera.id)
         rendered = []
         size_px = (camera.width_px, camera.height_px)
@@ -265,16 +269,16 @@ class Studio:
         return np.concatenate(rendered)
 
     def _rendered_light(self, scratch: Path) -> sensor.Light:
-        """The picture that Blender renders, scene-linear, height x width x 3."""
+        """Render the active camera's image, scene-linear (height, width, 3)."""
         channels = self._render_channels(scratch)
         layer = bpy.context.view_layer.name
         return np.stack([channels[f"{layer}.Combined.{c}"] for c in "RGB"], axis=2)
 
     @contextlib.contextmanager
     def _window(self, rows: slice) -> Iterator[None]:
-        """Render only these rows within, and a margin above and below them.
+        """Within this context, Blender renders only these rows of the image, and a margin above and below them.
 
-        The lens is shifted to them, rather than the picture cropped: Workbench draws all of what it crops.
+        The lens is shifted to these rows. Cropping would be slower, because Workbench draws the whole image and then crops.
         """
         scene, lens = self.scene, self.scene.camera.data
         height_px = scene.render.resolution_y
@@ -294,11 +298,11 @@ class Studio:
             scene.render.resolution_y = height_px
 
     def _render_channels(self, scratch: Path) -> dict[str, sensor.Light]:
-        """Render all passes that are on."""
+        """Render, and return all enabled passes as channels by name."""
         settings = self.scene.render.image_settings
         settings.media_type = "MULTI_LAYER_IMAGE"
         settings.file_format = "OPEN_EXR_MULTILAYER"
-        # As `exr` reads them: all passes in one part, not compressed.
+        # `exr` can read only uncompressed files with all passes in one part.
         settings.color_depth, settings.exr_codec = "32", "NONE"
         settings.use_exr_interleave = True
         partial = self._render(scratch, ".exr")
@@ -330,7 +334,7 @@ class Studio:
         self.scene.frame_set(frame, subframe=subframe)
 
     def _use_engine(self, samples: int) -> None:
-        """Let the pictures' engine render next, geometry's being always Cycles."""
+        """Choose the engine for images, Workbench or Cycles; depth and motion are always rendered by Cycles."""
         render = self.scene.render
         if self.engine == "workbench":
             render.engine = "BLENDER_WORKBENCH"
@@ -347,7 +351,7 @@ class Studio:
 
     @contextlib.contextmanager
     def _unbiased(self) -> Iterator[None]:
-        """Shift the lens within to compensate Workbench's bias."""
+        """Within this context, the active camera's lens is shifted to compensate `WORKBENCH_BIAS_PX`."""
         render, lens = self.scene.render, self.scene.camera.data
         if render.engine != "BLENDER_WORKBENCH":
             yield
@@ -366,7 +370,7 @@ class Studio:
 
 
 def configure(scene: Any, threads: int) -> None:
-    """Set everything that a picture depends on and that stays the same from picture to picture."""
+    """Set all render settings that affect images and are the same for all images."""
     render, cycles, view = scene.render, scene.cycles, scene.view_settings
     render.engine = "CYCLES"
     render.threads_mode, render.threads = "FIXED", threads
@@ -394,12 +398,12 @@ def configure(scene: Any, threads: int) -> None:
     cycles.time_limit = 0.0
     stand = scene.camera
     for marker in scene.timeline_markers:
-        marker.camera = None  # or it would take the place of the rig's
-    scene.camera = stand  # each marker's end was a cut to the next one
+        marker.camera = None  # otherwise it would replace the rig's camera
+    scene.camera = stand  # removing a marker's camera has changed the active camera
 
 
 def configure_workbench(scene: Any) -> None:
-    """Textures under a studio's light that stays with the world, so that a point looks alike from every camera."""
+    """Set Workbench to show textures under a studio light fixed in the world, so that all cameras see equal colours."""
     scene.render.filter_size = 1.5
     shading = scene.display.shading
     shading.light, shading.studio_light = "STUDIO", WORKBENCH_LIGHT
@@ -413,12 +417,12 @@ def configure_workbench(scene: Any) -> None:
 
 
 def workbench_steps(samples: int) -> int:
-    """Workbench's anti-aliasing with at least so many samples a pixel, as far as it goes."""
+    """Workbench's smallest number of anti-aliasing samples that is at least `samples`; 32 is its maximum."""
     return min((n for n in WORKBENCH_BIAS_PX if n >= samples), default=32)
 
 
 def move_whole(partial: Path, target: Path) -> None:
-    """Give a finished scratch file its name, its bytes on the disk first."""
+    """Rename a complete temporary file to `target`, after syncing it to the disk."""
     with partial.open("r+b") as stream:
         os.fsync(stream.fileno())
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -426,7 +430,7 @@ def move_whole(partial: Path, target: Path) -> None:
 
 
 def save_whole(array: npt.NDArray[Any], target: Path, scratch: Path) -> None:
-    """Write a .npy file that gets its name only when it is whole."""
+    """Write an array to a .npy file atomically, by a temporary file in `scratch`."""
     partial = _scratch_file(scratch, ".npy")
     np.save(partial, array)
     move_whole(partial, target)

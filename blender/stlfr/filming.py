@@ -1,7 +1,7 @@
-"""What lies in a folder that is being filmed into, and the command that films. No `bpy` here.
+"""Filming from Blender's panels: the files in a folder that is being filmed into, and the command that films.
 
-Beside the plan, the hidden folder holds copies of the rig and of the .blend as they were when filming
-began: a film that was stopped goes on from them, whatever has become of the scene since.
+Beside the plan, the hidden folder holds copies of the rig and of the .blend file from the start of filming. If filming
+is stopped, it resumes with these copies, even if the scene has changed. Does not import `bpy`.
 """
 
 from __future__ import annotations
@@ -22,25 +22,28 @@ OPTIONS_COPY = "options.json"
 
 @dataclass(frozen=True)
 class Options:
-    """How to film. `workers` 0: a filming process for every core."""
+    """Options of filming from the panel. If `workers` is 0, there is one worker process per core."""
 
     title: str
-    """The scene's name for people; the copy of the .blend is called so."""
+    """The scene's name for display, and the name of the copy of the .blend file."""
     frames: int
     samples: int
     truth: bool
     instants: int
     workers: int
     lead_s: float = 0.0
-    """How long before the scene's first frame filming begins."""
+    """How many seconds before the scene's first frame filming begins."""
 
     def blend_copy(self, capture: Path) -> Path:
-        """Where the copy of the .blend lies."""
+        """The path of the copy of the .blend file."""
         return capture / HIDDEN_FOLDER / f"{self.title}.blend"
 
 
 def begin(capture: Path, rig_content: dict[str, Any], options: Options) -> Path:
-    """Make the folder a new film's; gives where the copy of the .blend belongs."""
+    """Prepare an empty or new folder for filming. Raises `BadInputError` if the folder isn't empty.
+
+    Returns the path to which the caller must save the copy of the .blend file.
+    """
     if is_begun(capture):
         raise BadInputError(
             f"{capture} holds a film that was stopped: resume it, or choose another folder"
@@ -56,17 +59,18 @@ def begin(capture: Path, rig_content: dict[str, Any], options: Options) -> Path:
 
 
 LEAD_MARGIN_S = 0.001
-"""What the lead has more than the last camera's delay: offsets are estimated, and Blender keeps single precision. Larger
-films what nobody sees; smaller, and the scene's first frame may lie before a camera's first image."""
+"""Added to the latest first frame of all cameras to get the lead, as estimated offsets have errors and Blender stores
+single precision. If larger, more is filmed that is never shown; if smaller, the scene's first frame may be before a
+camera's first image."""
 
 
 LEAD_FRAMES = 10
-"""Among how many of its frames a camera's first is looked for: some may be lost. More takes longer to draw jitter for;
-fewer, and a camera that loses its first ones is left out."""
+"""Number of frames among which a camera's first recorded frame is searched, as the first frames may be lost. If larger,
+the search takes longer; if smaller, a camera that loses all these frames is ignored."""
 
 
 def lead_s(rig_content: dict[str, Any]) -> float:
-    """How long before the scene's first frame filming begins: every camera has a frame by then."""
+    """How many seconds before the scene's first frame filming must begin, so that every camera has a frame by then."""
     native.check_rig(rig_content)
     rig = rigs.from_content(rig_content)
     shutters = rigs.shutters(rig, LEAD_FRAMES)
@@ -75,7 +79,7 @@ def lead_s(rig_content: dict[str, Any]) -> float:
 
 
 def tidy(capture: Path) -> None:
-    """Undo `begin` where nothing was filmed after it: the rig or the options were refused."""
+    """Undo `begin` if nothing was filmed afterwards, because the rig or the options were refused."""
     hidden = capture / HIDDEN_FOLDER
     options = _options(capture)
     if options is None or (hidden / PLAN_FILE).exists():
@@ -91,7 +95,7 @@ def tidy(capture: Path) -> None:
 
 
 def is_begun(capture: Path) -> bool:
-    """Whether a film was begun there, and can go on."""
+    """Whether filming into this folder was begun and isn't complete, and all files needed to resume it exist."""
     options = _options(capture)
     return (
         options is not None
@@ -102,7 +106,7 @@ def is_begun(capture: Path) -> bool:
 
 
 def _options(capture: Path) -> Options | None:
-    """What a film was begun with; None where none was."""
+    """The options with which filming into this folder was begun; None if it wasn't, or if they can't be read."""
     try:
         text = reading.read_text(capture / HIDDEN_FOLDER / OPTIONS_COPY)
         return Options(**json.loads(text))
@@ -113,10 +117,10 @@ def _options(capture: Path) -> Options | None:
 def command(
     capture: Path, python: list[str], module_folder: Path, blender: str
 ) -> list[str]:
-    """What films into a folder that `begin` has made.
+    """The command line that films into a folder that `begin` has prepared.
 
-    `module_folder` holds the module `stlfr`. `blender` is Blender's program, or empty where `bpy` is a
-    module.
+    `python` is the command that runs Python. `module_folder` contains the module `stlfr`. `blender` is the path of
+    Blender's program, or empty if `bpy` is installed as a Python module.
     """
     options = _options(capture)
     if options is None or not is_begun(capture):
@@ -136,7 +140,10 @@ def command(
 
 
 def finish(capture: Path) -> float:
-    """After the film: remove the scene's copy; gives the time offset at which the light field shows it."""
+    """Called after filming: deletes the copy of the .blend file.
+
+    Returns the time offset with which the light field shows the same instants as the scene, seconds.
+    """
     options = _options(capture)
     offset_s = time_offset_s(capture)
     if options is None or offset_s is None:
@@ -146,10 +153,10 @@ def finish(capture: Path) -> float:
 
 
 def time_offset_s(capture: Path) -> float | None:
-    """The capture's time at the first frame of the scene that was filmed; None where it wasn't filmed from a panel.
+    """The capture's time at the filmed scene's first frame, seconds; None if it wasn't filmed from a panel.
 
-    That is how long filming had gone on by then, less the world time at which the reference camera's
-    clock reads 0.
+    This is the lead (the time from the start of filming to this frame) minus the world time at which the reference
+    camera's clock shows 0.
     """
     options = _options(capture)
     try:
@@ -163,7 +170,7 @@ def time_offset_s(capture: Path) -> float | None:
 
 
 def _script() -> Path:
-    """`capture.py`: beside this folder in the sources, in it where the extension is installed."""
+    """The path of `capture.py`: inside this folder in an installed extension, beside this folder in the sources."""
     here = Path(__file__).resolve().parent
     packed = here / "capture.py"
     return packed if packed.is_file() else here.parent / "capture.py"

@@ -1,4 +1,4 @@
-"""Write a capture's text files: capture.json, truth.json and the COLMAP model. No `bpy` here."""
+"""Write a capture's text files: capture.json, truth.json and the COLMAP model. Does not import `bpy`."""
 
 from __future__ import annotations
 
@@ -23,11 +23,14 @@ if TYPE_CHECKING:
     from .rig import RigCamera, Shutter
 
 Camera = dict[str, Any]
-"""A camera as capture.json spells it: width, height, model, params, cam_from_world."""
+"""A camera object as in capture.json, with the fields `width`, `height`, `model`, `params` and `cam_from_world`."""
 
 
 def write_all(plan: Plan, cameras: dict[str, Camera], capture: Path) -> None:
-    """Everything but the images; capture.json last, because its presence says that the film is whole."""
+    """Write all files but the images. capture.json is written last, because its existence marks a complete capture.
+
+    `cameras` has the camera object of every view, by its id.
+    """
     if plan.options.truth:
         write_json(capture / "truth" / "truth.json", _truth_json(plan, cameras))
     _write_colmap(plan, cameras, capture / "colmap")
@@ -35,7 +38,7 @@ def write_all(plan: Plan, cameras: dict[str, Camera], capture: Path) -> None:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file that is never seen half-written; a list of numbers takes one line."""
+    """Write a JSON file atomically (temporary file, then rename), with each list of numbers on one line."""
     text = json.dumps(content, indent=1)
     text = re.sub(
         r"\[[^\[\]{}\"]*\]", lambda numbers: " ".join(numbers[0].split()), text
@@ -77,7 +80,7 @@ def _capture_json(
 
 
 def _clock(camera: RigCamera, shutter: Shutter) -> dict[str, Any]:
-    """What the camera says of its times, and what is known of its clock."""
+    """The field `clock` of a camera in capture.json: its stated frame times or its rate, and its clock's properties."""
     clock: dict[str, Any]
     if shutter.stated_times_s is not None:
         clock = {"times_s": list(shutter.stated_times_s)}
@@ -129,7 +132,7 @@ def _truth_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
 
 
 def _write_colmap(plan: Plan, cameras: dict[str, Camera], folder: Path) -> None:
-    """COLMAP's text model: one camera and one image (its first frame) each, no points."""
+    """Write COLMAP's text model: for every camera of the rig one camera and one image (its first frame); no points."""
     images = [
         (frame_file(camera.id, 0), cameras[camera.id]) for camera in plan.rig.cameras
     ]
@@ -138,5 +141,5 @@ def _write_colmap(plan: Plan, cameras: dict[str, Camera], folder: Path) -> None:
 
 
 def scratch_folder(capture: Path) -> Path:
-    """Where half-written images lie, on the same disk as the finished ones."""
+    """The folder of incomplete images. It is inside the capture, so that they can be renamed to their final paths."""
     return capture / HIDDEN_FOLDER / "partial"

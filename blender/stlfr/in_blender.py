@@ -1,8 +1,8 @@
-"""A filming process inside Blender's own program. No `bpy` here.
+"""Runs a worker process of filming in Blender's own program. Does not import `bpy`.
 
-Where `bpy` is a module, any Python films. In Blender, only its program has `bpy`, and writes notes of
-its own to stdout, which is where a filming process answers. So the process starts as a plain Python,
-keeps stdout under another number, and becomes Blender.
+If `bpy` is installed as a Python module, any Python process can film. Otherwise, only Blender's program has `bpy`. But
+this program writes its own messages to stdout, where a worker process must write its answers. So the worker starts as a
+plain Python process, duplicates stdout to another file descriptor, and then replaces itself by Blender.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NoReturn
 
 
 def become(blender: str, script: Path) -> NoReturn:
-    """Turn this process into a Blender that works as a filming process."""
+    """Replace this process by Blender's program, which runs `script` as a worker process of filming."""
     answers = os.dup(1)
     os.set_inheritable(answers, True)
     os.dup2(2, 1)
@@ -24,13 +24,13 @@ def become(blender: str, script: Path) -> NoReturn:
 
 
 def take_answers(number: str) -> None:
-    """Inside Blender: give stdout back to the answers."""
+    """In Blender: make stdout again the pipe for answers, whose file descriptor is `number`."""
     answers = int(number)
     os.dup2(answers, 1)
     os.close(answers)
 
 
 def own_arguments() -> list[str]:
-    """The script's arguments: in Blender, those after its own."""
+    """The script's arguments; in Blender, those that follow `--` on the command line."""
     arguments = sys.argv[1:]
     return arguments[arguments.index("--") + 1 :] if "--" in arguments else arguments

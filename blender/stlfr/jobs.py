@@ -1,7 +1,7 @@
-"""Long work in a process of its own: it can be ended at any time, and Blender goes on meanwhile. No `bpy` here.
+"""Long work in a child process, which can be cancelled at any time and doesn't block Blender. Does not import `bpy`.
 
-The process says in JSON lines on stdout how far it is, `{"done", "total", "what"}`, and what it found,
-`{"result"}`; an error is its last line on stderr, one sentence.
+The process writes JSON lines to stdout: progress, `{"done", "total", "what"}`, and its result, `{"result"}`. If it
+fails, the last line on stderr is the error, one sentence.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import Any
 from .errors import FailureError
 
 PATIENCE_S = 20.0
-"""How long a process may take to end its own children before it is killed. Larger, and Blender's window hangs
-longer on one that does not end; smaller, and a busy machine's are killed with their children still running."""
+"""How long a cancelled process may take to end its own children before it is killed. If larger, Blender's window blocks
+longer if the process hangs; if smaller, processes on a busy machine are killed while their children still run."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a job is. `total` 0: its steps can't be counted."""
+    """The progress of a job: `done` of `total` steps, and the current step. If `total` is 0, steps can't be counted."""
 
     done: int = 0
     total: int = 0
@@ -32,7 +32,10 @@ class Progress:
 
 
 class Job:
-    """A running process. Everything here returns at once, but `wait` and `cancel`."""
+    """A child process that runs, or has ended. All methods but `wait` and `cancel` return immediately.
+
+    `title` names the job for the user. `result` is what the process reported as its result, or None.
+    """
 
     def __init__(self, title: str, command: list[str]) -> None:
         self.title = title
@@ -64,12 +67,12 @@ class Job:
 
     @property
     def is_running(self) -> bool:
-        """Whether it still works; what it found is there when it no longer does."""
+        """Whether the process still runs, or its output isn't completely read yet. Afterwards, `result` is final."""
         return self._process.poll() is None or any(r.is_alive() for r in self._readers)
 
     @property
     def error(self) -> str | None:
-        """Why it failed, one sentence; None if it didn't, runs, or was cancelled."""
+        """Why the process failed, one sentence; None if it succeeded, still runs, or was cancelled."""
         if self.is_running or self.cancelled or self._process.returncode == 0:
             return None
         sentences = [line.strip() for line in self._errors if line.strip()]
@@ -81,7 +84,7 @@ class Job:
 
     @property
     def time_left_s(self) -> float | None:
-        """Estimated from the pace so far; None if that is unknown."""
+        """The estimated time until the process ends, from its speed so far; None if it is unknown."""
         progress = self.progress
         if self._first is None or progress.done <= self._first[1]:
             return None
@@ -90,7 +93,7 @@ class Job:
         return pace_s * max(0, progress.total - progress.done)
 
     def wait(self) -> None:
-        """Until it has ended; interrupted, it is ended."""
+        """Wait until the process has ended. If an exception such as Ctrl+C interrupts the wait, cancel the process."""
         try:
             self._process.wait()
             self._finish()
@@ -99,7 +102,7 @@ class Job:
             raise
 
     def cancel(self) -> None:
-        """End it, and what it has started."""
+        """Terminate the process, and wait until it and the processes that it has started have ended."""
         if self._process.poll() is None:
             self.cancelled = True
             self._process.send_signal(signal.SIGTERM)
@@ -143,11 +146,11 @@ class Job:
 _running: list[Job] = []
 
 ended: list[str] = []
-"""What became of work that ended badly, or whose file was closed meanwhile; the panel shows it."""
+"""Messages for the panel, about jobs that failed, or that ended after their .blend file had been closed."""
 
 
 def running() -> Job | None:
-    """The job that runs, if one does: there is one at a time."""
+    """The job that is running, or None. At most one job runs at a time."""
     for job in _running[:]:
         if job.is_running:
             return job
@@ -156,13 +159,13 @@ def running() -> Job | None:
 
 
 def must_be_free() -> None:
-    """Refuse a second job."""
+    """Raises `FailureError` if a job is running already."""
     job = running()
     if job is not None:
         raise FailureError(f"{job.title} is under way: wait for its end or cancel it")
 
 
 def end_all() -> None:
-    """Cancel whatever runs."""
+    """Cancel all running jobs."""
     for job in _running[:]:
         job.cancel()

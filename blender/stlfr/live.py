@@ -1,9 +1,9 @@
-"""What a viewport shows: rendered in a thread of its own, the latest wish first. No `bpy` here.
+"""Renders the pictures of a viewport in background threads; a new request replaces the previous one.
 
-While the view or the time changes, pictures come from the fast method, at a resolution that keeps up.
-When nothing has changed for a moment, the chosen methods render at full resolution. Such a picture is given
-up at its next step when something changes; a fast one is finished and shown, else nothing would be seen
-while changes come faster than pictures.
+While the view or the time changes, a fast method renders pictures, with a resolution adapted to the machine's speed.
+When nothing has changed for `REST_S`, the chosen methods render a picture at full resolution. If something changes
+then, this full picture is abandoned at its next step. A fast picture is always finished and shown; otherwise, nothing
+would be seen while requests change faster than pictures are rendered. Does not import `bpy`.
 """
 
 from __future__ import annotations
@@ -23,46 +23,47 @@ if TYPE_CHECKING:
     import stlfr
 
 FAST = {"preset": "draft"}
-"""The options while something changes."""
+"""The render options of the fast method, used while the view or the time changes."""
 
 REST_S = 0.15
-"""How long nothing changes before the chosen methods render. Larger, and the full picture comes late; smaller, and it is
-begun in vain between two moves of a hand."""
+"""Time without changes after which the chosen methods begin to render. If larger, the full picture is late; if smaller,
+it is often begun in vain between two movements of the mouse."""
 
 SLOW_S, QUICK_S = 1 / 12, 1 / 30
-"""A picture that takes longer than the first is rendered smaller next time; one that takes less than the second, larger.
-Further apart, and the resolution stays too low or too high for long; closer, and it flickers."""
+"""If a fast picture takes longer than `SLOW_S`, the next one has a lower resolution; if it takes less than `QUICK_S`, a
+higher one. If they are further apart, the resolution stays too low or too high; if closer, it flickers."""
 
 SMALLEST = 0.25
-"""The smallest resolution while something changes, as a fraction of the full one. Larger, and slow machines lag; smaller,
-and one can't tell what one sees."""
+"""Minimum resolution of fast pictures, as a fraction of the full resolution. If larger, slow machines lag; if smaller,
+the scene can't be recognized."""
 
 STEP = 0.7
-"""By how much the resolution changes at once. Nearer to 1, and it takes many pictures to keep up; smaller, and it jumps."""
+"""Factor of one change of the resolution. Nearer to 1, adapting takes many pictures; if smaller, the resolution
+jumps."""
 
 PATIENCE_S = 5.0
-"""How long closing waits for a step to end. Larger, and Blender's window hangs; smaller, and it may end under a running
-thread."""
+"""How long closing waits for a rendering thread to end. If larger, Blender's window may hang; if smaller, Blender may
+exit while the thread still runs."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture, and how it was made."""
+    """A rendered picture with its request."""
 
     pixels: Linear
     request: Request
     is_final: bool
-    """By the chosen methods at full resolution."""
+    """Whether the chosen methods rendered it at full resolution; if false, the fast method rendered it."""
 
 
 @dataclass
 class Pace:
-    """Which resolution keeps up."""
+    """The resolution of fast pictures, adapted to their rendering times; `factor` is its fraction of the full one."""
 
     factor: float = 1.0
 
     def took(self, seconds: float) -> None:
-        """Adapt to what a picture took."""
+        """Adapt the resolution to the rendering time of the last picture."""
         if seconds > SLOW_S:
             self.factor = max(SMALLEST, self.factor * STEP)
         elif seconds < QUICK_S:
@@ -71,23 +72,26 @@ class Pace:
 
 @dataclass
 class Counts:
-    """What has been shown, for a measurement."""
+    """Statistics of the rendered pictures, for the viewport's status line and for benchmarks.
+
+    `took` in a name marks a duration in seconds. All other times are seconds on the monotonic clock.
+    """
 
     fast: int = 0
     final: int = 0
     final_took_s: float = 0.0
     fast_took_s: float = 0.0
-    """To render all of them."""
+    """Total rendering time of the fast pictures, without those that also prepared an instant."""
     fast_drawn: int = 0
     asked_s: float = 0.0
-    """When something last changed."""
+    """When the latest new request was made."""
     final_drawn_s: float = 0.0
-    """When the full picture of it was drawn."""
+    """When a full picture was last drawn."""
     times_s: list[float] = field(default_factory=list)
-    """When each fast picture was ready, the last ones."""
+    """When each of the latest fast pictures was ready; at most 21 since the last pause."""
 
     def drawn(self, is_final: bool) -> None:
-        """Count a picture that was drawn."""
+        """Count a picture that the viewport has drawn."""
         if is_final:
             self.final_drawn_s = time.monotonic()
         else:
@@ -95,14 +99,14 @@ class Counts:
 
     @property
     def rate_hz(self) -> float:
-        """Fast pictures a second, over the last ones that followed each other closely."""
+        """Fast pictures per second since the last pause, over at most 21 pictures; 0 if there are fewer than two."""
         times = self.times_s
         if len(times) < 2 or times[-1] <= times[0]:
             return 0.0
         return (len(times) - 1) / (times[-1] - times[0])
 
     def ready(self, now_s: float) -> None:
-        """Count a fast picture; after a pause, the count starts again."""
+        """Count a fast picture that is ready at `now_s`. After a pause of a second, the rate is measured anew."""
         if self.times_s and now_s - self.times_s[-1] > 1.0:
             self.times_s.clear()
         self.times_s = [*self.times_s[-20:], now_s]
@@ -110,7 +114,7 @@ class Counts:
 
 
 class Live:
-    """One viewport's pictures. `want` and the properties return at once, from any thread."""
+    """Renders the pictures of one viewport. `want` and the properties return immediately, in any thread."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -131,7 +135,7 @@ class Live:
         self.counts = Counts()
 
     def want(self, request: Request) -> bool:
-        """Request a picture, in place of an earlier request; returns whether the request is new."""
+        """Request a picture, replacing the previous request. Returns whether the two requests differ."""
         with self._changed:
             if self._closed or request == self._wanted:
                 return False
@@ -147,7 +151,7 @@ class Live:
         return True
 
     def refuse(self) -> None:
-        """Drop the shown picture and the running request."""
+        """Drop the latest picture and the current request."""
         with self._changed:
             self._wanted = self._picture = self._error = None
             self._serial += 1
@@ -156,32 +160,32 @@ class Live:
 
     @property
     def picture(self) -> Picture | None:
-        """The latest picture; None before the first and after an error."""
+        """The latest picture; None before the first picture and after an error."""
         return self._picture
 
     @property
     def error(self) -> str | None:
-        """Why there is no picture, one sentence."""
+        """Why the last rendering failed, one sentence; None if it didn't."""
         return self._error
 
     @property
     def is_closed(self) -> bool:
-        """Whether this is closed."""
+        """Whether `close` was called."""
         return self._closed
 
     @property
     def is_busy(self) -> bool:
-        """Whether another picture may come by itself."""
+        """Whether the current request may still yield another picture."""
         return not self._closed and self._served != self._serial
 
     def take_news(self) -> bool:
-        """Whether something is to be drawn since this was last asked."""
+        """Whether there is a new picture or error to draw since the last call of this method."""
         with self._changed:
             news, self._news = self._news, False
         return news
 
     def close(self, patience_s: float = 0.0) -> None:
-        """Give up; nothing comes any more. Waits at most so long for the thread."""
+        """Stop rendering for good. Waits for each of the two threads, at most `patience_s` seconds."""
         with self._changed:
             self._closed = True
             self._serial += 1
@@ -209,8 +213,9 @@ class Live:
             self._begin_full(serial, request)
 
     def _begin_full(self, serial: int, request: Request) -> None:
-        """If nothing changes meanwhile: in a thread of its own. Its steps can be long where frames are new, and fast
-        pictures don't wait for the end of one that is given up.
+        """Start rendering the full picture in another thread, if the request doesn't change for `REST_S`.
+
+        Its steps may take long, and fast pictures must not wait until an abandoned full picture reaches its next step.
         """
         if self._rests(serial):
             self._completer = threading.Thread(
@@ -237,7 +242,7 @@ class Live:
                 self._served, self._news = serial, True
 
     def _does(self, serial: int, work: Callable[[], None]) -> bool:
-        """Run a step; returns its success, and stores its error."""
+        """Run `work`; store its error, if the request is still the current one. Returns whether it succeeded."""
         try:
             work()
         except fields.StoppedError:
@@ -252,7 +257,7 @@ class Live:
         return False
 
     def _fast(self, request: Request) -> Picture:
-        """By the fast method; from the second view of an instant on, what its views share is kept."""
+        """Render a picture by the fast method. From the second view of an instant on, shared results are cached."""
         start_s = time.monotonic()
         instant = _Instant(request.capture, request.stamp, request.time_s)
         repeated, self._last = instant == self._last, instant
@@ -277,12 +282,12 @@ class Live:
         return Picture(view.scene_linear(samples), request, False)
 
     def _rests(self, serial: int) -> bool:
-        """Whether requests have stopped changing for a moment."""
+        """Wait for `REST_S`. Returns whether the request didn't change in this time."""
         with self._changed:
             return not self._changed.wait_for(lambda: self._serial != serial, REST_S)
 
     def _show(self, serial: int, picture: Picture) -> None:
-        """A fast picture is shown though it is stale already: it is the latest there is."""
+        """Publish a picture. A fast picture is published even if the request has changed, as it is the latest one."""
         with self._changed:
             if self._closed or (picture.is_final and self._serial != serial):
                 return
@@ -298,7 +303,7 @@ class Live:
 
 @dataclass(frozen=True)
 class _Instant:
-    """Of a capture."""
+    """An instant of a capture; `stamp` changes if the capture's files change."""
 
     capture: Path
     stamp: view.Stamp

@@ -1,7 +1,7 @@
-"""Operators whose work is a job beside Blender, and the progress that the status bar shows meanwhile.
+"""Base class of operators whose work is a job in a child process, and the job's progress in the status bar.
 
-A job outlives the file that it was begun in: another file may be opened. What it found is then said, and
-nothing of the other file is changed.
+If the user opens another .blend file, a running job continues. At its end, its result is then only reported in the
+panel, and nothing in the other file is changed.
 """
 
 from __future__ import annotations
@@ -17,28 +17,32 @@ from . import jobs, words
 from .errors import BadInputError, FailureError
 
 POLL_S = 0.2
-"""The interval at which the panel shows a job's progress. Larger, and it lags; smaller, and Blender redraws its areas
-for nothing."""
+"""Interval at which the panel's progress is updated. If larger, it lags; if smaller, Blender redraws its areas too
+often.
+"""
 
 Result = set[str]
 
 
 @dataclass(frozen=True)
 class Followed:
-    """A job whose file was closed, and what is to be done after it. Its operator is gone by then."""
+    """A job whose .blend file was closed, and thus its operator deleted, with the functions to call at its end."""
 
     job: jobs.Job
     after: Callable[[jobs.Job], str]
-    """Where it found something; gives the sentence that says so."""
+    """Called if the job succeeded; returns a sentence that reports its result."""
     tidy: Callable[[], None]
-    """Where it found nothing."""
+    """Called if the job failed or was cancelled."""
 
 
 _followed: list[Followed] = []
 
 
 def reported(work: Callable[[Any, Any], Result]) -> Callable[[Any, Any], Result]:
-    """An operator's method whose errors become its report. Blender counts its arguments: operator and context."""
+    """Decorator for an operator's method: its errors are reported to the user, and the operator is cancelled.
+
+    The method must have exactly the arguments operator and context, because Blender checks their number.
+    """
 
     def method(self: Any, context: Any) -> Result:
         try:
@@ -46,7 +50,7 @@ def reported(work: Callable[[Any, Any], Result]) -> Callable[[Any, Any], Result]
         except (BadInputError, FailureError) as error:
             self.report({"ERROR"}, words.in_blender(str(error)))
         except (OSError, RuntimeError) as error:
-            # Of the disk, or of one of Blender's own operators.
+            # An error of the disk, or of one of Blender's own operators.
             self.report({"ERROR"}, " ".join(str(error).split()))
         return {"CANCELLED"}
 
@@ -54,25 +58,31 @@ def reported(work: Callable[[Any, Any], Result]) -> Callable[[Any, Any], Result]
 
 
 class LongWork:
-    """An operator whose work is a job."""
+    """Base class of an operator whose work is a job in a child process.
+
+    A script that calls the operator waits for the job. If the user presses its button, the job runs in the background.
+    """
 
     job: jobs.Job
     scene_name: str
     timer: Any = None
 
-    # The operator's own:
+    # Defined by the operator:
     report: Callable[[set[str], str], None]
     start: Callable[[Any], jobs.Job]
-    """Gives the job, for a context."""
+    """Starts the job for a Blender context, and returns it."""
     take: Callable[[Any, jobs.Job], tuple[str, str]]
-    """Takes over into a scene what a job found; gives the kind of a report, and its sentence."""
+    """Applies the result of a job to a scene; returns the kind of Blender report (such as `INFO`) and its sentence."""
 
     def tidying(self) -> Callable[[], None]:
-        """What is to be done after a job that found nothing; it doesn't need the operator."""
+        """The function to call after a job that failed or was cancelled. It must not refer to the operator."""
         return lambda: None
 
     def without_scene(self) -> Callable[[jobs.Job], str]:
-        """What is to be done after a job whose file was closed; gives the sentence that says what it found."""
+        """The function to call after a job that succeeded, if its .blend file was closed.
+
+        It must not refer to the operator. It returns the sentence that reports the result.
+        """
         return lambda job: f"{job.title} is done"
 
     @reported
@@ -107,7 +117,7 @@ class LongWork:
         return result
 
     def cancel(self, context: Any) -> None:
-        """Another file is opened, or Blender ends: the job goes on, unless Blender's end ends it."""
+        """Called when another file is opened or Blender exits. The job continues, unless Blender exits."""
         context.window_manager.event_timer_remove(self.timer)
         _followed.append(Followed(self.job, self.without_scene(), self.tidying()))
         if not bpy.app.timers.is_registered(_follow):
@@ -140,7 +150,7 @@ class LongWork:
 
 
 def _follow() -> float | None:
-    """Look after jobs whose file was closed."""
+    """Timer that follows the jobs whose .blend file was closed: shows their progress, and concludes them."""
     show_progress(bpy.context)
     for followed in _followed[:]:
         if followed.job.is_running:
@@ -155,8 +165,9 @@ def _follow() -> float | None:
 
 
 def conclude(followed: Followed) -> None:
-    """After the job's end: what is left to do, and the sentence about it for the panel. It raises nothing, so that the
-    timer goes on.
+    """Call what remains to be done after a job has ended, and add a message about the job for the panel.
+
+    Raises no exception, because it would end the timer.
     """
     job = followed.job
     try:
@@ -166,12 +177,12 @@ def conclude(followed: Followed) -> None:
             followed.tidy()
         else:
             jobs.ended.append(followed.after(job))
-    except Exception as error:  # noqa: BLE001 - the timer would end, and the status bar keep its text
+    except Exception as error:  # noqa: BLE001 - it would end the timer, and leave text in the status bar
         jobs.ended.append(f"{job.title}: {words.in_blender(str(error))}")
 
 
 def progress_text(job: jobs.Job) -> str:
-    """`3 of 72: cam1, 2 min 5 s left`."""
+    """The progress of a job as text, such as `3 of 72: cam1, 2 min 5 s left`."""
     progress = job.progress
     if not progress.total:
         return f"{job.title}…"
@@ -181,7 +192,7 @@ def progress_text(job: jobs.Job) -> str:
 
 
 def draw_progress(layout: Any, job: jobs.Job) -> None:
-    """One row: how far it is, and what ends it."""
+    """Draw a job's progress bar, and the button that cancels it, in one row."""
     row = layout.row(align=True)
     progress = job.progress
     factor = progress.done / progress.total if progress.total else 0.0
@@ -190,7 +201,7 @@ def draw_progress(layout: Any, job: jobs.Job) -> None:
 
 
 def show_progress(context: Any) -> None:
-    """Draw the job in the status bar of every window, where nothing scrolls it away, and the areas anew."""
+    """Show the running job in the status bar of every window, and redraw the areas with panels."""
     for window in context.window_manager.windows:
         window.workspace.status_text_set(_draw_status)
         for area in window.screen.areas:
@@ -199,7 +210,7 @@ def show_progress(context: Any) -> None:
 
 
 def hide_progress() -> None:
-    """Give the status bar back."""
+    """Restore the normal text of the status bar in all workspaces."""
     for workspace in bpy.data.workspaces:
         workspace.status_text_set(None)
 
@@ -216,9 +227,9 @@ def _draw_status(header: Any, _context: Any) -> None:
 
 
 def unregister() -> None:
-    """Leave nothing behind."""
+    """Stop following jobs whose .blend file was closed, and restore the status bar."""
     if bpy.app.timers.is_registered(_follow):
         bpy.app.timers.unregister(_follow)
     _followed.clear()
-    # Later: when Blender ends, it has taken its windows down already, and what touches them ends it by a crash.
+    # By a timer, because Blender crashes if windows are accessed while it exits; then the timer never runs.
     bpy.app.timers.register(hide_progress)

@@ -1,7 +1,7 @@
-"""What the compiled module `stlfr` does for filming: rig files, new rigs, COLMAP's text. No `bpy` here.
+"""Functions of the compiled module `stlfr` that filming uses, with this package's errors. Does not import `bpy`.
 
-The module is imported at the first call: a filming process inside Blender's own program has none, and
-needs none.
+The compiled module is imported at the first call, because a worker process in Blender's own program lacks it and
+doesn't need it.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Any
 from .errors import BadInputError, FailureError
 
 Content = dict[str, Any]
-"""What a JSON file holds."""
+"""The content of a JSON file that holds an object."""
 
 
 @contextlib.contextmanager
 def _own_errors() -> Iterator[None]:
-    """Turn the module's errors, and its absence, into this package's."""
+    """Turn errors of the compiled module, and its absence, into `BadInputError` and `FailureError`."""
     try:
         yield
     except ImportError as error:
@@ -29,9 +29,9 @@ def _own_errors() -> Iterator[None]:
 
 
 def read_rig(path: Path) -> Content:
-    """The content of a rig file, checked; a `BadInputError` names the file and the field.
+    """The content of a rig file, checked. It lacks fields that have their default values.
 
-    Fields that have their default values are left out.
+    Raises `BadInputError` if the rig is invalid; the message names the file and the field.
     """
     with _own_errors():
         import stlfr
@@ -40,7 +40,7 @@ def read_rig(path: Path) -> Content:
 
 
 def check_rig(content: Content) -> None:
-    """Refuse a rig that can't be filmed with: a `BadInputError` starts with the field."""
+    """Check the content of a rig file. Raises `BadInputError` if it is invalid; the message starts with the field."""
     with _own_errors():
         import stlfr
 
@@ -48,7 +48,7 @@ def check_rig(content: Content) -> None:
 
 
 def generate_rig(options: Content) -> Content:
-    """The rig that `stlfr rig` writes for the same options and seed."""
+    """The content of the rig file that `stlfr rig` writes for the same options and seed."""
     with _own_errors():
         import stlfr
 
@@ -56,7 +56,7 @@ def generate_rig(options: Content) -> Content:
 
 
 def colmap_text(images: list[tuple[str, Content]]) -> dict[str, str]:
-    """The files of COLMAP's text model by their names, from each image's name and camera."""
+    """The contents of COLMAP's text model by file name, for images given by their names and camera objects."""
     with _own_errors():
         import stlfr
 

@@ -1,7 +1,7 @@
-"""What the user presses: each checks, calls plain functions, and says what went wrong in one sentence.
+"""The extension's operators: each checks its input, calls plain functions, and reports an error as one sentence.
 
-Called from a script, long work is waited for. Pressed, it runs beside Blender and the panel shows how
-far it is.
+If a script calls an operator with long work, the call waits for its end. If the user presses its button, the work runs
+in the background, and the panel shows its progress.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from .rig_objects import shortest
 
 
 class STLFR_OT_rig_create(bpy.types.Operator):
-    """Put a new rig where the scene's camera stands, in place of the rig there is."""
+    """Create a new rig in place of the scene's rig, or else at the scene's camera."""
 
     bl_idname = "stlfr.rig_create"
     bl_label = "Create Rig"
@@ -146,7 +146,7 @@ class STLFR_OT_rig_create(bpy.types.Operator):
 
 
 class STLFR_OT_rig_load(bpy.types.Operator):
-    """Set up the cameras of a rig file, in place of the rig there is."""
+    """Create the cameras of a rig file, replacing the scene's rig."""
 
     bl_idname = "stlfr.rig_load"
     bl_label = "Load Rig"
@@ -191,7 +191,7 @@ class STLFR_OT_rig_save(bpy.types.Operator):
 
 
 class STLFR_OT_rig_show(bpy.types.Operator):
-    """Select the rig, and turn the 3D view to it."""
+    """Select the rig, and center the 3D view on it."""
 
     bl_idname = "stlfr.rig_show"
     bl_label = "Show Rig"
@@ -208,7 +208,7 @@ class STLFR_OT_rig_show(bpy.types.Operator):
 
 
 class STLFR_OT_film(LongWork, bpy.types.Operator):
-    """Film a copy of this scene with the rig's cameras into a new capture, or go on with a film that was stopped."""
+    """Film a copy of this scene with the rig's cameras into a new capture, or resume filming that was stopped."""
 
     bl_idname = "stlfr.film"
     bl_label = "Film"
@@ -248,7 +248,7 @@ class STLFR_OT_film(LongWork, bpy.types.Operator):
 
 
 class STLFR_OT_offsets(LongWork, bpy.types.Operator):
-    """Estimate how far each camera's clock is off, from the pixels alone, and save the offsets in the capture."""
+    """Estimate the temporal offset of each camera from the images alone, and save the offsets in the capture."""
 
     bl_idname = "stlfr.offsets"
     bl_label = "Estimate Offsets"
@@ -265,7 +265,7 @@ class STLFR_OT_offsets(LongWork, bpy.types.Operator):
 
 
 class STLFR_OT_picture(LongWork, bpy.types.Operator):
-    """Render the quilt or the stereo pair of this frame, or of every frame of the scene, into the file."""
+    """Render the quilt or stereo pair of this frame, or of every frame of the scene, to a file."""
 
     bl_idname = "stlfr.picture"
     bl_label = "Render Picture"
@@ -319,7 +319,7 @@ class STLFR_OT_picture(LongWork, bpy.types.Operator):
 
 
 class STLFR_OT_cancel(bpy.types.Operator):
-    """End the work that is under way; a film can be resumed."""
+    """Cancel the running work. Filming can be resumed later."""
 
     bl_idname = "stlfr.cancel"
     bl_label = "Cancel"
@@ -334,7 +334,7 @@ class STLFR_OT_cancel(bpy.types.Operator):
 
 
 class STLFR_OT_set_range(bpy.types.Operator):
-    """Let the scene start and end with the frames that the capture covers."""
+    """Set the scene's start and end to the first and last frame that the capture covers."""
 
     bl_idname = "stlfr.set_range"
     bl_label = "Set Scene Range"
@@ -357,7 +357,7 @@ class STLFR_OT_set_range(bpy.types.Operator):
 
 
 class STLFR_OT_dismiss(bpy.types.Operator):
-    """Read it, and take it away."""
+    """Remove the messages about ended work from this panel."""
 
     bl_idname = "stlfr.dismiss"
     bl_label = "Dismiss"
@@ -368,17 +368,20 @@ class STLFR_OT_dismiss(bpy.types.Operator):
 
 
 def python() -> list[str]:
-    """A Python with numpy, and with `bpy` if that is a module; without the user's own settings."""
+    """The command that runs this Python, which has numpy, isolated from the user's Python settings."""
     return [sys.executable, *(bpy.app.python_args or ("-I",))]
 
 
 def module_folder() -> Path:
-    """The folder that holds the module `stlfr`: another Python doesn't find it by itself."""
+    """The folder that contains the module `stlfr`, for child processes, which don't have it on their module path."""
     return Path(stlfr.__file__).resolve().parent.parent
 
 
 def prepare_film(scene: Any, capture: Path) -> None:
-    """Check the rig, and lay down what is filmed: copies of the rig and of the .blend as they are now."""
+    """Check the scene's rig, and write what filming needs into the folder: copies of the rig and of the .blend file.
+
+    On an error, the folder is removed again.
+    """
     settings = scene.stlfr
     if bpy.context.scene != scene:
         raise BadInputError(f"scene {scene.name} isn't the one that is shown")
@@ -395,7 +398,7 @@ def prepare_film(scene: Any, capture: Path) -> None:
     blend = filming.begin(capture, content, options)
     try:
         rig_objects.write(content, blend.with_name(filming.RIG_COPY))
-        scene[scenes.LEAD] = options.lead_s  # of the copy alone
+        scene[scenes.LEAD] = options.lead_s  # only for the copy; deleted below
         bpy.ops.wm.save_as_mainfile(
             filepath=str(blend), copy=True, check_existing=False, relative_remap=True
         )
@@ -407,7 +410,7 @@ def prepare_film(scene: Any, capture: Path) -> None:
 
 
 def show_offsets(shown: Any, found: list[dict[str, Any]]) -> tuple[str, str]:
-    """Put estimated offsets into the list; gives the kind of a report about them, and its sentence."""
+    """Fill the panel's list `shown` with estimated offsets. Returns the kind of Blender report, and its sentence."""
     shown.clear()
     for camera in found:
         item = shown.add()

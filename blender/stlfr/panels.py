@@ -1,4 +1,4 @@
-"""The sidebar of the 3D viewport, and the render tab."""
+"""The extension's panels in the sidebar of the 3D viewport and in the render properties."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from .long_work import draw_progress
 from .paths import absolute
 
 LETTER_PX = 7.0
-"""About the width of a letter, for an interface at scale 1. Larger breaks lines too early; smaller, and their ends are cut
-off."""
+"""Approximate width of a letter at interface scale 1. If larger, lines are broken too early; if smaller, their ends are
+cut off."""
 
 
 class Sidebar:
-    """Where the steps from rig to comparison stand."""
+    """Base class of the panels in the 3D viewport's sidebar, for the steps from creating a rig to the comparison."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -26,7 +26,7 @@ class Sidebar:
 
 
 class STLFR_PT_rig(Sidebar, bpy.types.Panel):
-    """The rig and its cameras."""
+    """Panel to create, load, show and save the rig, and to edit its settings."""
 
     bl_label = "Rig"
 
@@ -54,7 +54,7 @@ class STLFR_PT_rig(Sidebar, bpy.types.Panel):
 
 
 class STLFR_PT_rig_camera(Sidebar, bpy.types.Panel):
-    """The selected camera of the rig."""
+    """Panel with the settings of the selected rig camera or view."""
 
     bl_label = "Rig Camera"
     bl_parent_id = "STLFR_PT_rig"
@@ -84,7 +84,7 @@ class STLFR_PT_rig_camera(Sidebar, bpy.types.Panel):
 
 
 class STLFR_PT_film(Sidebar, bpy.types.Panel):
-    """Filming."""
+    """Panel with the options of filming, and the buttons that start and resume it."""
 
     bl_label = "Film"
 
@@ -112,7 +112,7 @@ class STLFR_PT_film(Sidebar, bpy.types.Panel):
 
 
 class STLFR_UL_offsets(bpy.types.UIList):
-    """A camera and its offset, in milliseconds."""
+    """List of cameras with their temporal offsets in milliseconds."""
 
     def draw_item(
         self,
@@ -130,7 +130,7 @@ class STLFR_UL_offsets(bpy.types.UIList):
 
 
 class STLFR_PT_offsets(Sidebar, bpy.types.Panel):
-    """The cameras' clocks."""
+    """Panel to choose a capture, and to estimate the temporal offsets of its cameras."""
 
     bl_label = "Offsets"
 
@@ -153,7 +153,7 @@ class STLFR_PT_offsets(Sidebar, bpy.types.Panel):
 
 
 class STLFR_PT_comparison(Sidebar, bpy.types.Panel):
-    """The results beside the truth."""
+    """Panel to compare results with the ground truth, and to show the comparison."""
 
     bl_label = "Comparison"
 
@@ -173,7 +173,7 @@ class STLFR_PT_comparison(Sidebar, bpy.types.Panel):
 
 
 class STLFR_PT_ended(Sidebar, bpy.types.Panel):
-    """Results of jobs that have ended."""
+    """Panel with messages about jobs that failed, or that ended after their .blend file had been closed."""
 
     bl_label = "Ended"
 
@@ -188,7 +188,7 @@ class STLFR_PT_ended(Sidebar, bpy.types.Panel):
 
 
 class RenderTab:
-    """In the render properties, while the engine is `STLFR`."""
+    """Base class of the panels in the render properties; they are shown while the render engine is `STLFR`."""
 
     bl_space_type = "PROPERTIES"
     bl_region_type = "WINDOW"
@@ -201,7 +201,7 @@ class RenderTab:
 
 
 class STLFR_PT_light_field(RenderTab, bpy.types.Panel):
-    """The capture, and its time."""
+    """Panel to choose the capture, and its time at each frame of the scene."""
 
     bl_label = "Light Field"
 
@@ -224,7 +224,7 @@ class STLFR_PT_light_field(RenderTab, bpy.types.Panel):
 
 
 def _covered(layout: Any, scene: Any, folder: Path) -> None:
-    """Which frames are covered, as soon as that is known."""
+    """Draw which frames of the scene the capture covers; while the capture is being read, draw a note instead."""
     if not spans.is_known(folder):
         layout.label(text="The capture is being read", icon="TIME")
         return
@@ -234,7 +234,7 @@ def _covered(layout: Any, scene: Any, folder: Path) -> None:
 
 
 class STLFR_PT_methods(RenderTab, bpy.types.Panel):
-    """The methods and their options."""
+    """Panel to choose the rendering methods and their options."""
 
     bl_label = "Methods"
     bl_parent_id = "STLFR_PT_light_field"
@@ -255,7 +255,7 @@ class STLFR_PT_methods(RenderTab, bpy.types.Panel):
 
 
 class STLFR_PT_trails(RenderTab, bpy.types.Panel):
-    """Temporal integration."""
+    """Panel for trails: overlays of several instants in one picture."""
 
     bl_label = "Trails"
     bl_parent_id = "STLFR_PT_light_field"
@@ -272,7 +272,7 @@ class STLFR_PT_trails(RenderTab, bpy.types.Panel):
 
 
 class STLFR_PT_picture(RenderTab, bpy.types.Panel):
-    """Quilts and stereo pairs."""
+    """Panel to render quilts for light-field displays, and stereo pairs."""
 
     bl_label = "Displays"
     bl_parent_id = "STLFR_PT_light_field"
@@ -304,7 +304,7 @@ class STLFR_PT_picture(RenderTab, bpy.types.Panel):
 
 
 def _optional(layout: Any, settings: Any, switch: str, name: str) -> None:
-    """A value that is used only where its switch is on."""
+    """Draw a switch, and a setting that is enabled only while the switch is on."""
     layout.prop(settings, switch)
     row = layout.row()
     row.enabled = getattr(settings, switch)
@@ -312,14 +312,14 @@ def _optional(layout: Any, settings: Any, switch: str, name: str) -> None:
 
 
 def offset_text(item: Any) -> str:
-    """`+12.345 ± 0.012`, milliseconds."""
+    """An offset with its standard error in milliseconds as text, such as `+12.345 ± 0.012`; or `unknown`."""
     if not item.is_known:
         return "unknown"
     return f"{1e3 * item.offset_s:+.3f} ± {1e3 * item.std_err_s:.3f}"
 
 
 def paragraph(layout: Any, context: Any, text: str, icon: str) -> None:
-    """A sentence of any length, in lines as wide as the region."""
+    """Draw a sentence of any length, broken into lines that fit the region's width."""
     scale = context.preferences.system.ui_scale or 1.0  # 0 without a window
     columns = max(12, int(context.region.width / (LETTER_PX * scale)) - 8)
     box = layout.column(align=True)
@@ -329,7 +329,7 @@ def paragraph(layout: Any, context: Any, text: str, icon: str) -> None:
 
 
 def progress_instead(layout: Any, title: str) -> bool:
-    """Draw how far work of that title is, in the row of the button that began it; whether it is under way."""
+    """Draw the progress of the running job if it has this title, in place of its button. Returns whether it has."""
     job = jobs.running()
     if job is None or job.title != title:
         return False
@@ -338,7 +338,7 @@ def progress_instead(layout: Any, title: str) -> bool:
 
 
 def capture_of(scene: Any) -> Path | None:
-    """The chosen capture's folder; None where none is."""
+    """The folder of the capture that is chosen in the scene; None if none is chosen."""
     try:
         return engine.capture_folder(scene)
     except BadInputError:

@@ -1,6 +1,6 @@
-"""Run `stlfr render` in a process of its own: `python -I picture.py FOLDER ARGUMENT…`.
+"""Run the command `stlfr render` as a child process: `python -I picture.py FOLDER ARGUMENT…`.
 
-FOLDER holds the module `stlfr`. The arguments are those of the command, so that a file has its bytes.
+FOLDER contains the module `stlfr`. The arguments are those of the command, which writes the file.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def main(module_folder: str, *arguments: str) -> int:
-    """Print progress as JSON lines; an error is one sentence on stderr."""
+    """Run `stlfr render` with these arguments, and return its exit code. Progress is printed as JSON lines."""
     sys.path.insert(0, module_folder)
     from stlfr._native import run_command
 

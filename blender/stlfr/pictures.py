@@ -1,6 +1,6 @@
-"""Which `stlfr render` gives the pictures that the render tab asks for: quilts and stereo pairs.
+"""The arguments of `stlfr render` for quilts and stereo pairs, from the settings of the render tab.
 
-F12 can't give them: Blender's own picture has the size of one view.
+F12 can't render them, because an image that Blender renders has the size of one view.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ VIDEOS = (".mp4", ".webm", ".mkv", ".gif")
 
 
 def words(scene: Any, scratch: Path, animation: bool) -> list[str]:
-    """The view or the path, and the options, which are written into a folder, as words of the command line."""
+    """The command line arguments for the view, or for the path of an animation, and for the options and the layout.
+
+    The camera or path and the options are written as files into the folder `scratch`.
+    """
     if animation:
         path = scratch / "path.json"
         path.write_text(json.dumps(camera_path.path(scene)), encoding="utf-8")
@@ -36,7 +39,7 @@ def words(scene: Any, scratch: Path, animation: bool) -> list[str]:
 
 
 def layout_words(settings: Any) -> list[str]:
-    """How the picture's views stand."""
+    """The command line arguments for the layout: a quilt or a stereo pair, and where its views are placed."""
     if settings.layout == "STEREO":
         found = ["--stereo", repr(shortest(settings.eye_distance_m))]
     else:
@@ -49,7 +52,10 @@ def layout_words(settings: Any) -> list[str]:
 
 
 def output(wanted: Path, animation: bool) -> Path:
-    """The `-o` of the command: an animation that isn't a video is a numbered sequence."""
+    """The path for `-o`, from the path that the user has set. An animation that isn't a video is a numbered sequence.
+
+    Raises `BadInputError` if the suffix is unsupported, or if it is that of a video, but there is no animation.
+    """
     suffix = wanted.suffix.lower()
     if suffix not in (*STILLS, *VIDEOS):
         raise BadInputError(
@@ -61,13 +67,16 @@ def output(wanted: Path, animation: bool) -> Path:
                 f"{wanted.name} is a video: name a {STILLS[0]} for one picture"
             )
         return wanted
-    # A % would begin a number.
+    # A % would start the placeholder of a frame number.
     stem = wanted.stem.replace("%", "_")
     return wanted.with_name(f"{stem}-%04d{suffix}" if animation else f"{stem}{suffix}")
 
 
 def written(settings: Any, given: Path, suffixes: dict[str, str]) -> Path:
-    """The file that the command writes for `-o`; the first of a sequence. `suffixes` are those of displays' quilts."""
+    """The path of the file that the command writes for `-o GIVEN`; of a sequence, the first file.
+
+    `suffixes` has the suffix of a quilt's name for each display.
+    """
     end = "" if settings.layout == "STEREO" else suffixes[settings.quilt_display]
     stem = given.stem if given.stem.endswith(end) else given.stem + end
     return given.with_name(stem.replace("%04d", "0000") + given.suffix)

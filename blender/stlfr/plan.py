@@ -1,8 +1,8 @@
-"""Which images a capture consists of, and which of them are there already. No `bpy` here.
+"""The plan of a capture: which images it consists of, and which of them exist already. Does not import `bpy`.
 
-A capture folder belongs to one plan, whose fingerprint lies in the hidden folder `.film`: rig, scene,
-options and the sources that decide the pixels. Filming goes on where it stopped if the plan is the
-same, and refuses any other folder.
+A capture folder belongs to one plan. Its hidden folder `.film` holds the plan's fingerprint: a hash of the rig, the
+scene, the options and the source files that affect the pixels. Filming resumes in a folder with the same fingerprint,
+and refuses a folder with another fingerprint or with other files.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ TRACKS_FILE = "truth/tracks/tracks.json"
 ENGINES = ("cycles", "workbench")
 
 TRUTH_SAMPLES_FACTOR = 4
-"""Truth has four times the samples, so half the noise. Larger, and truth takes as many times longer to film;
-smaller, and its noise counts as the results' error."""
+"""Samples per pixel of ground truth images, as a multiple of those of the frames; four times the samples have half the
+noise. If larger, ground truth takes longer to render; if smaller, its noise counts as an error of the results."""
 
 PIXEL_SOURCES = (
     "camera.py",
@@ -45,12 +45,16 @@ PIXEL_SOURCES = (
     "tracks.py",
     "truth.py",
 )
-"""The modules of this folder that decide what the files of a capture hold."""
+"""The modules of this folder that affect the contents of a capture's files; the fingerprint of a plan includes them."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What to film. `blend_file` or `scene_name`, not both."""
+    """What to film. Either `blend_file` or `scene_name` is set, and the other is None.
+
+    `frames` counts the reference camera's frames, `samples` are those per pixel, `instants` are those with ground
+    truth. `truth_video` is the number of frames of a slow-motion video, and `tracks` the number of points with tracks.
+    """
 
     rig_file: Path
     scene_name: str | None
@@ -64,11 +68,11 @@ class Options:
     engine: str = "cycles"
     tracks: int = 0
     instants_s: tuple[float, ...] = ()
-    """Given ones, on the reference's clock; none: `instants` of the plan's choice."""
+    """Instants with ground truth, seconds on the reference's clock. If empty, the plan chooses `instants` instants."""
 
     @property
     def title(self) -> str:
-        """The scene's name for people."""
+        """The scene's name for display: `scene_name`, or the .blend file's name without its suffix."""
         if self.scene_name is not None:
             return self.scene_name
         assert self.blend_file is not None
@@ -77,7 +81,10 @@ class Options:
 
 @dataclass(frozen=True)
 class Job:
-    """One picture to render, or one view's depth and motion. `files` are relative to the capture."""
+    """One piece of filming work: an image to render, depth and motion of one view, or the point tracks.
+
+    `files` are the output files, relative to the capture's folder. `what` describes the job in progress messages.
+    """
 
     what: str
     view_id: str
@@ -90,22 +97,22 @@ class Job:
 
     @property
     def is_geometry(self) -> bool:
-        """Whether it writes depth and motion instead of a picture."""
+        """Whether the job writes depth and motion instead of an image."""
         return self.files[0].endswith(".npy")
 
     @property
     def is_tracks(self) -> bool:
-        """Whether it writes the point tracks."""
+        """Whether the job writes the point tracks."""
         return self.files[0] == TRACKS_FILE
 
     @property
     def is_frame(self) -> bool:
-        """Whether a camera records it, with its sensor's noise; truth has none."""
+        """Whether the job renders a camera's frame, which gets sensor noise; ground truth gets none."""
         return not self.files[0].startswith("truth/")
 
     def is_finished(self, capture: Path) -> bool:
-        """Whether all its files are there and whole."""
-        if self.is_tracks:  # written last of its folder
+        """Whether all files of the job exist in the folder `capture` and are complete."""
+        if self.is_tracks:  # this file is the last one written
             return (capture / TRACKS_FILE).is_file()
         check = is_whole_npy if self.is_geometry else png.is_whole
         return all(
@@ -115,11 +122,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole capture, before anything is rendered."""
+    """All that a capture will consist of, computed before anything is rendered.
+
+    `instants_s` (the instants with ground truth) and `video_times_s` are seconds on the reference camera's clock.
+    """
 
     options: Options
     rig_content: native.Content
-    """The checked rig file's, at its own size."""
+    """The content of the checked rig file, at its original image sizes."""
     rig: Rig
     shutters: list[Shutter]
     instants_s: list[float]
@@ -129,7 +139,7 @@ class Plan:
 
 
 def _must_suit_workbench(rig: rigs.Rig) -> None:
-    """Workbench renders an instant."""
+    """Raises `BadInputError` if a camera has an exposure time: Workbench renders only instantaneous exposures."""
     for camera in rig.cameras:
         if camera.exposure_s > 0.0:
             raise BadInputError(
@@ -139,7 +149,7 @@ def _must_suit_workbench(rig: rigs.Rig) -> None:
 
 
 def make(options: Options) -> Plan:
-    """Check the options and list every image."""
+    """Check the options, and make the plan with its jobs. Raises `BadInputError` if an option or the rig is wrong."""
     rig_content = native.read_rig(options.rig_file)
     rig = rigs.from_content(rig_content)
     if options.size_px is not None:
@@ -178,12 +188,12 @@ def make(options: Options) -> Plan:
 
 
 def frame_file(camera_id: str, index: int) -> str:
-    """Where a camera's frame lies."""
+    """The path of a camera's frame, relative to the capture's folder."""
     return f"{camera_id}/{index:04d}.png"
 
 
 def truth_files(instant: int, view_id: str) -> dict[str, str]:
-    """Where an instant's truth lies, relative to truth/."""
+    """The paths of one view's ground truth at an instant (given by its index), relative to the folder `truth`."""
     stem = f"views/t{instant}-{view_id}"
     return {
         "image": f"{stem}.png",
@@ -194,7 +204,7 @@ def truth_files(instant: int, view_id: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _Shot:
-    """What is rendered: a view at a time, with this many samples a pixel."""
+    """What an image shows: a view of the rig at a world time, with this many samples per pixel."""
 
     view: rigs.RigView
     world_time_s: float
@@ -215,7 +225,7 @@ def _frame_jobs(rig: Rig, shutters: list[Shutter], samples: int) -> list[Job]:
 
 
 def _tracks_jobs(rig: Rig, options: Options) -> list[Job]:
-    """One for all points and cameras: they share the evaluated scene."""
+    """The job for the point tracks: one for all points and cameras, as they share the scene's evaluation; or none."""
     if not options.truth or options.tracks == 0:
         return []
     camera = rig.reference_camera
@@ -253,7 +263,7 @@ def _truth_jobs(
             )
     return (
         geometry + images
-    )  # passes change once only, since each change rebuilds the scene in Cycles
+    )  # in this order, Cycles rebuilds the scene for other render passes only once
 
 
 def _video_jobs(
@@ -285,7 +295,7 @@ def _job(what: str, shot: _Shot, seed: int, files: tuple[str, ...]) -> Job:
 
 
 def _seed(rig: Rig, purpose: str, view: rigs.RigView, index: int) -> int:
-    """A seed for each image; Cycles takes 31 bits."""
+    """A random seed that differs for each image; it has 31 bits, as Cycles requires."""
     digest = hashlib.sha256(f"{rig.seed}/{purpose}/{view.id}/{index}".encode()).digest()
     return int.from_bytes(digest[:4], "little") & 0x7FFFFFFF
 
@@ -317,7 +327,11 @@ def _fingerprint(options: Options, rig: Rig) -> str:
 
 
 def claim(plan: Plan, capture: Path) -> None:
-    """Make the folder this plan's, or refuse it: filming never overwrites what it didn't write."""
+    """Assign the folder `capture` to this plan by writing the plan's fingerprint into it.
+
+    Raises `BadInputError` if the folder holds files of another plan or other files, so that filming never overwrites
+    them.
+    """
     plan_file = capture / HIDDEN_FOLDER / PLAN_FILE
     if capture.exists() and not capture.is_dir():
         raise BadInputError(f"{capture} is a file, not a folder for a capture")
@@ -339,20 +353,23 @@ def claim(plan: Plan, capture: Path) -> None:
 
 
 def release(capture: Path) -> None:
-    """Give the folder back if nothing was filmed into it, so that another plan can have it."""
+    """Delete the plan's fingerprint if nothing was filmed into the folder, so that it can be used for another plan."""
     if not _has_files(capture):
         (capture / HIDDEN_FOLDER / PLAN_FILE).unlink(missing_ok=True)
 
 
 def _has_files(capture: Path) -> bool:
-    """Whether the folder holds more than the files of a plan without frames."""
+    """Whether the folder holds anything besides the hidden folder `.film`."""
     return capture.is_dir() and any(
         entry.name != HIDDEN_FOLDER for entry in capture.iterdir()
     )
 
 
 def is_whole_npy(path: Path, width_px: int, height_px: int) -> bool:
-    """Whether a file is a float32 .npy array of this size, by its header and its length."""
+    """Whether a file is a complete float32 .npy array of shape (`height_px`, `width_px`).
+
+    Only its header and its length are checked.
+    """
     try:
         with path.open("rb") as stream:
             start = stream.read(128)

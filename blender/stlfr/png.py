@@ -1,4 +1,4 @@
-"""PNG files at the level of chunks: whole or not, free of what isn't the picture, or made of one. No `bpy` here."""
+"""PNG files at the level of chunks: check completeness, remove metadata, and encode images. Does not import `bpy`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ END = b"\0\0\0\0IEND\xaeB`\x82"
 
 
 def is_whole(path: Path, width_px: int, height_px: int) -> bool:
-    """Whether a file is a PNG of this size with both its ends: cheap, and false for any cut-off file."""
+    """Whether a file is a complete PNG of this size. Only its first and last bytes are read."""
     try:
         with path.open("rb") as stream:
             start = stream.read(24)
@@ -31,7 +31,7 @@ def is_whole(path: Path, width_px: int, height_px: int) -> bool:
 
 
 def picture_only(data: bytes) -> bytes:
-    """The same picture without Blender's notes in it (render times, resolution): the same pixels, the same bytes."""
+    """Remove Blender's metadata (such as render times) from a PNG file, so that equal pixels give equal bytes."""
     chunks, offset = [SIGNATURE], len(SIGNATURE)
     while offset < len(data):
         (length,) = struct.unpack_from(">I", data, offset)
@@ -45,7 +45,7 @@ def picture_only(data: bytes) -> bytes:
 def encoded(
     pixels: npt.NDArray[np.uint8] | npt.NDArray[np.uint16],
 ) -> bytes:
-    """A picture as a PNG: 8 or 16 bits by its type, grey (H x W) or RGB (H x W x 3) by its shape."""
+    """Encode an image as PNG, with 8 or 16 bits as its type has. Its shape is (H, W) for grey or (H, W, 3) for RGB."""
     height_px, width_px = pixels.shape[:2]
     depth, color = 8 * pixels.itemsize, 0 if pixels.ndim == 2 else 2
     rows = np.frombuffer(pixels.astype(pixels.dtype.newbyteorder(">")).tobytes(), "u1")

@@ -1,6 +1,6 @@
-"""What the extension keeps in a .blend: settings of a scene, and what makes an object part of a rig.
+"""Custom properties that the extension stores in a .blend file: settings of scenes and of a rig's objects.
 
-Blender keeps numbers in single precision: times a few seconds long are good to a microsecond.
+Blender stores numbers in single precision: times of a few seconds have a precision of a microsecond.
 """
 
 from __future__ import annotations
@@ -35,11 +35,14 @@ AUTO = ("auto", "Automatic", "The cheapest method that the capture requires")
 NO_PRESET = ("none", "Custom", "The methods below")
 
 FROM_BLEND = {"PATH_SUPPORTS_BLEND_RELATIVE"}
-"""A path may begin with `//`, the folder of the .blend."""
+"""Options of a path property whose value may begin with `//`, which stands for the folder of the .blend file."""
 
 
 def _methods(stage: str, *more: tuple[str, str, str]) -> dict[str, Any]:
-    """The methods that the module has, for an `EnumProperty`."""
+    """The items and the default of an `EnumProperty` for the methods of a stage, as the module `stlfr` lists them.
+
+    `more` are items that precede the methods.
+    """
     return {
         "items": [
             *more,
@@ -57,7 +60,7 @@ def _methods(stage: str, *more: tuple[str, str, str]) -> dict[str, Any]:
 
 
 def _open_capture(settings: Any, _context: Any) -> None:
-    """Another capture's clocks, and a time offset at which its light field is there at the start frame."""
+    """Called when another capture is chosen: clears the list of offsets, and sets the time offset."""
     settings.offsets.clear()
     with contextlib.suppress(BadInputError):  # the panel says so
         if settings.capture:
@@ -66,7 +69,11 @@ def _open_capture(settings: Any, _context: Any) -> None:
 
 
 def _adopt(settings: Any, folder: Path) -> None:
-    """As it was filmed, else as soon as it is read, unless another capture or offset is chosen by then."""
+    """Set the time offset for a newly chosen capture: the one with which it was filmed, if it was filmed in Blender.
+
+    Otherwise, as soon as the capture has been read, the offset at which it begins at the start frame; unless the user
+    has chosen another capture or offset by then.
+    """
     if timing.adopt_filmed(settings, folder):
         return
     name = settings.id_data.name  # the scene itself may move in memory
@@ -83,12 +90,12 @@ def _adopt(settings: Any, folder: Path) -> None:
 
 
 def _redraw(_settings: Any, _context: Any) -> None:
-    """Redraw the viewports."""
+    """Called when a setting changes: redraws the viewports."""
     viewport.redraw()
 
 
 class StlfrOffset(bpy.types.PropertyGroup):
-    """The offset of one camera, as it was estimated."""
+    """The estimated temporal offset of one camera: an entry of the panel's list."""
 
     camera_id: StringProperty(name="Camera", description="Its name in the capture")
     is_known: BoolProperty(
@@ -110,7 +117,7 @@ class StlfrOffset(bpy.types.PropertyGroup):
 
 
 class StlfrObject(bpy.types.PropertyGroup):
-    """What makes an object part of a rig. Lens, sensor, shift and place are the camera object's own."""
+    """Settings of an object that belongs to a rig. Lens, sensor, shift and pose are the Blender camera's own."""
 
     role: EnumProperty(
         name="Role",
@@ -185,7 +192,7 @@ class StlfrObject(bpy.types.PropertyGroup):
 
 
 class StlfrScene(bpy.types.PropertyGroup):
-    """Settings of a scene."""
+    """The extension's settings of a scene: of the light field, its rendering, the rig, filming and offsets."""
 
     capture: StringProperty(
         name="Capture",
@@ -415,13 +422,13 @@ register_classes, unregister_classes = bpy.utils.register_classes_factory(
 
 
 def register() -> None:
-    """Make it known to Blender."""
+    """Register the property classes, and add the property `stlfr` to scenes and objects."""
     register_classes()
     bpy.types.Scene.stlfr = PointerProperty(type=StlfrScene)
     bpy.types.Object.stlfr = PointerProperty(type=StlfrObject)
 
 
 def unregister() -> None:
-    """Leave nothing behind."""
+    """Remove the property `stlfr` from scenes and objects, and unregister its classes."""
     del bpy.types.Object.stlfr, bpy.types.Scene.stlfr
     unregister_classes()

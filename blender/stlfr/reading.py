@@ -1,6 +1,6 @@
-"""Reading files that anybody may have written: regular files only, up to a stated size. No `bpy` here.
+"""Reads files of untrusted origin: only regular files up to a maximum size. Does not import `bpy`.
 
-The compiled module bounds what it reads itself; this is for the few files that Python reads.
+The compiled module limits the files that it reads in the same way; this module is for the few files that Python reads.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MAX_BYTES = 64 << 20
-"""Largest file that is read, as the module's. Larger: a mistake, parsed, takes gigabytes of memory.
-Smaller: captures of long recordings are refused."""
+"""Maximum size of a file, equal to that of the compiled module. If larger, parsing a wrong file may take gigabytes of
+memory; if smaller, captures of long recordings are refused."""
 
 
 def read_text(path: Path) -> str:
-    """A file's text; an `OSError` or a `ValueError` says why not. It never waits, as at a pipe."""
+    """The text of a file. Raises `OSError` or `ValueError` if it can't be read. Never waits, not even for a pipe."""
     flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     descriptor = os.open(path, os.O_RDONLY | flags)
     try:

@@ -1,8 +1,9 @@
-"""A comparison in Blender's sequence editor: each reel of review.json is a scene of strips.
+"""A comparison in Blender's video sequencer: each reel of review.json becomes a scene with strips.
 
-Truth, traditional LFR, ST-LFR and their difference stand in a 2 x 2 layout, each in a channel of its own
-with its label above it, the shot's name above all, and a marker at every shot. The difference is
-|truth - ST-LFR| times a gain, computed by the sequencer, so that the gain can be changed there.
+Four pictures form a 2 x 2 layout: ground truth, traditional light field rendering (LFR), space-time light field
+rendering (ST-LFR), and the difference. Each has its own channel and a label above it. The shot's name is above all
+pictures, and each shot has a marker. The difference is |truth - ST-LFR| times a gain; the sequencer computes it, so
+that the user can change the gain there.
 """
 
 from __future__ import annotations
@@ -20,22 +21,23 @@ from . import reading
 from .errors import BadInputError
 
 GAP_PX = 8
-"""Between two pictures side by side. Larger wastes the frame; at 0 nobody sees where one ends."""
+"""Gap between two pictures side by side. If larger, it wastes space; at 0, the border between pictures is invisible."""
 
 LABEL_PX = 28
-"""The height above a picture that its label has, and that of the line above all. Larger wastes the frame; smaller, and
-text of 18 px covers the pictures."""
+"""Height of a label above its picture, and of the shot's name above all pictures. If larger, it wastes space; if
+smaller, text of 18 px covers the pictures."""
 
 MIN_PANEL_PX = 480
-"""Narrower pictures are enlarged by whole factors, so pixels stay square. Larger, and the sequence plays and
-renders more slowly; smaller, and labels no longer fit above their pictures."""
+"""Minimum width of pictures; narrower ones are enlarged by an integer factor. If larger, the sequence plays and renders
+more slowly; if smaller, labels don't fit above their pictures."""
 
 MIN_RATE_HZ, MAX_RATE_HZ = 1e-2, 1e5
-"""Between these, Blender has a frame rate. Further apart, and a scene plays at another than its reel's; closer, and slow or
-fast videos are refused."""
+"""Minimum and maximum frame rate of a reel, within the rates that Blender supports. With wider limits, a scene may play
+at another rate than its reel; with narrower limits, slow or fast videos are refused."""
 
 MAX_FRAMES = 1_048_574
-"""Blender's last frame. Larger, and strips end where no frame is; smaller, and long videos are refused."""
+"""Blender's largest frame number. If larger, strips end beyond the last possible frame; if smaller, long videos are
+refused."""
 
 BACKGROUND_CHANNEL = 1
 QUADRANTS = {
@@ -44,7 +46,7 @@ QUADRANTS = {
     "space_time": (0, 1),
     "diff": (1, 1),
 }
-"""Column and row, from the top left."""
+"""Column and row of each picture in the 2 x 2 layout, counted from the top left."""
 
 CHANNELS = {"truth": 2, "traditional": 3, "space_time": 4, "diff": 5}
 CHANNEL_NAMES = {
@@ -54,12 +56,12 @@ CHANNEL_NAMES = {
     "diff": "Difference",
 }
 FIRST_LABEL_CHANNEL = 7
-"""Above the pictures' channels, so that labels are drawn over them."""
+"""First channel of the labels. It is above the pictures' channels, so that labels are drawn over the pictures."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Where the four pictures stand. Offsets are pixels from the middle, y up."""
+    """The 2 x 2 layout of the pictures, each of size `panel_px`. Offsets are pixels from the frame's middle, y up."""
 
     panel_px: tuple[int, int]
 
@@ -69,20 +71,20 @@ class Grid:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Even, as encoders want it."""
+        """The size of the whole frame, rounded up to even numbers, as video encoders require."""
         width, height = (2 * side + GAP_PX for side in self.cell_px)
         height += LABEL_PX
         return (width + width % 2, height + height % 2)
 
     def middle_px(self, panel: str) -> tuple[float, float]:
-        """The middle of a panel's picture."""
+        """The middle of a picture (a key of `QUADRANTS`), in pixels from the frame's middle, y up."""
         column, row = QUADRANTS[panel]
         x = (column - 0.5) * self.cell_px[0]
         y = (0.5 - row) * self.cell_px[1] - LABEL_PX
         return (x, y)
 
     def label_at(self, panel: str) -> tuple[float, float]:
-        """The left end of a panel's label, in shares of the frame."""
+        """The left end of a picture's label, in fractions of the frame's size from its bottom left."""
         x, y = self.middle_px(panel)
         left = x - self.panel_px[0] / 2
         above = y + self.panel_px[1] / 2 + LABEL_PX / 2
@@ -90,14 +92,14 @@ class Grid:
 
     @property
     def headline_at(self) -> tuple[float, float]:
-        """The left end of the line above all."""
+        """The left end of the shot's name, in fractions of the frame's size from its bottom left."""
         left, _ = self.label_at("truth")
         return (left, 1.0 - LABEL_PX / 2 / self.size_px[1])
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One picture of a shot."""
+    """One picture of a shot: its label and its image or video file."""
 
     title: str
     file: Path
@@ -105,29 +107,32 @@ class Panel:
 
 @dataclass(frozen=True)
 class Shot:
-    """Pictures of one view that stand side by side for some frames."""
+    """Up to three pictures of one view, shown together from the frame `start` on for `frames` frames."""
 
     label: str
     start: int
     frames: int
     is_movie: bool
     panels: dict[str, Panel]
-    """By quadrant, those that there are: `truth`, `traditional`, `space_time`."""
+    """The existing pictures, by name: `truth`, `traditional`, `space_time`."""
 
 
 @dataclass(frozen=True)
 class Reel:
-    """Shots that follow each other, at one rate."""
+    """A sequence of shots with one frame rate, which becomes one scene."""
 
     name: str
     rate_hz: float
     shots: list[Shot]
     gain: float
-    """What differences are multiplied by."""
+    """Factor by which differences are multiplied for display."""
 
 
 def read_shots(entries: list[dict[str, Any]], folder: Path) -> list[Shot]:
-    """The shots of a reel as review.json in `folder` lists them, one after the other from frame 1 on."""
+    """The shots of a reel, from its entries in `folder`/review.json; the first shot starts at frame 1.
+
+    Raises an error if an entry is invalid.
+    """
     shots, start = [], 1
     for entry in entries:
         panels = {}
@@ -152,7 +157,7 @@ def read_shots(entries: list[dict[str, Any]], folder: Path) -> list[Shot]:
 
 
 def _file(name: str, folder: Path) -> Path:
-    """A picture in a review's folder, never one outside of it."""
+    """The path of a picture in the review's folder. Raises `ValueError` if it is outside of this folder."""
     path = folder / name
     if not path.resolve().is_relative_to(folder):
         raise ValueError(f"{name} leads out of the folder")
@@ -160,7 +165,7 @@ def _file(name: str, folder: Path) -> Path:
 
 
 def picture_strip(strips: Any, name: str, file: Path, channel: int, shot: Shot) -> Any:
-    """A still or a movie, as long as its shot."""
+    """Add a strip with a still image or a movie, as long as its shot."""
     new = strips.new_movie if shot.is_movie else strips.new_image
     strip = new(name, str(file), channel, shot.start, fit_method="ORIGINAL")
     strip.frame_final_duration = shot.frames
@@ -169,7 +174,7 @@ def picture_strip(strips: Any, name: str, file: Path, channel: int, shot: Shot) 
 
 
 def place(strip: Any, grid: Grid, panel: str) -> None:
-    """Put a picture into its quadrant, enlarged without smoothing."""
+    """Place a picture in its quadrant, scaled to the layout's picture size without smoothing."""
     element = strip.elements[0]
     scale = min(
         grid.panel_px[0] / max(1, element.orig_width),
@@ -183,7 +188,7 @@ def place(strip: Any, grid: Grid, panel: str) -> None:
 def label(
     strips: Any, text: str, at: tuple[float, float], channel: int, shot: Shot
 ) -> None:
-    """White text, as long as its shot; `at` is the left end of its middle line."""
+    """Add a strip with white text, as long as its shot. `at` is the text's left end, vertically centred."""
     strip = strips.new_effect(
         text[:60], "TEXT", channel, shot.start, length=shot.frames
     )
@@ -196,7 +201,7 @@ def label(
 
 
 def add_shot(strips: Any, shot: Shot, grid: Grid, gain: float) -> None:
-    """One shot: up to four pictures and their labels."""
+    """Add the strips of one shot: up to three pictures, their difference, and the labels."""
     for name, panel in shot.panels.items():
         title = f"{panel.title}: {shot.label}"[:60]
         strip = picture_strip(strips, title, panel.file, CHANNELS[name], shot)
@@ -214,7 +219,10 @@ def add_shot(strips: Any, shot: Shot, grid: Grid, gain: float) -> None:
 
 
 def add_difference(strips: Any, shot: Shot, grid: Grid, gain: float) -> None:
-    """A meta strip of both pictures, the upper one blended as a difference; the gain is the meta's."""
+    """Add a meta strip that shows |truth - ST-LFR| times the gain.
+
+    It contains both pictures, the upper one with the blend mode difference. The gain is the meta strip's colour factor.
+    """
     meta = strips.new_meta(
         f"Difference: {shot.label}"[:60], CHANNELS["diff"], shot.start
     )
@@ -242,7 +250,7 @@ def add_reel(scene: Any, reel: Reel) -> None:
     configure(scene, reel.rate_hz, grid)
     editor = scene.sequence_editor_create()
     editor.use_prefetch = (
-        False  # it fills the memory with pictures that nobody asked for
+        False  # prefetching fills the memory with pictures that aren't shown
     )
     total = sum(shot.frames for shot in shots)
     ground = editor.strips.new_effect(
@@ -261,7 +269,7 @@ def add_reel(scene: Any, reel: Reel) -> None:
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image or a movie; a `BadInputError` where it is none."""
+    """Width and height of an image or a movie file. Raises `BadInputError` if the file is neither."""
     is_image = path.suffix == ".png"
     kind = bpy.data.images if is_image else bpy.data.movieclips
     try:
@@ -269,7 +277,7 @@ def picture_size(path: Path) -> tuple[int, int]:
     except RuntimeError:
         raise BadInputError(f"{path}: can't be read as a picture") from None
     size = (loaded.size[0], loaded.size[1])
-    frames = 1 if is_image else loaded.frame_duration  # what is no movie has a size
+    frames = 1 if is_image else loaded.frame_duration  # 0 for a file that is no movie
     kind.remove(loaded)
     if min(*size, frames) < 1:
         raise BadInputError(f"{path}: can't be read as a picture")
@@ -277,7 +285,7 @@ def picture_size(path: Path) -> tuple[int, int]:
 
 
 def configure(scene: Any, rate_hz: float, grid: Grid) -> None:
-    """Size, rate and colours: pixels are shown as their files hold them."""
+    """Set a scene's image size, frame rate and colour management, so that pixel values are shown unchanged."""
     render = scene.render
     render.resolution_x, render.resolution_y = grid.size_px
     render.resolution_percentage = 100
@@ -293,7 +301,7 @@ def configure(scene: Any, rate_hz: float, grid: Grid) -> None:
 
 
 def read_reels(layout_file: Path) -> list[Reel]:
-    """What review.json shows; a `BadInputError` where it is none, or shows nothing."""
+    """The reels of a review.json file. Raises `BadInputError` if the file is invalid or has no reels."""
     try:
         layout = json.loads(reading.read_text(layout_file))
     except (OSError, ValueError) as error:
@@ -328,9 +336,9 @@ def _reel(entry: dict[str, Any], layout: dict[str, Any], folder: Path) -> Reel:
 
 
 def add_all(layout_file: Path, instead_of: Sequence[Any] = ()) -> list[Any]:
-    """A scene for every reel of review.json, in place of others; gives them in its order.
+    """Add a scene for every reel of review.json, and return these scenes in the file's order.
 
-    On an error, nothing is added, and the others stay.
+    The scenes `instead_of` are removed. On an error, nothing is added or removed.
     """
     reels = read_reels(layout_file)
     added: list[Any] = []
@@ -345,5 +353,5 @@ def add_all(layout_file: Path, instead_of: Sequence[Any] = ()) -> list[Any]:
     for scene in instead_of:
         bpy.data.scenes.remove(scene)
     for scene, reel in zip(added, reels, strict=True):
-        scene.name = reel.name  # those before them had it
+        scene.name = reel.name  # a removed scene may have had this name
     return added

@@ -1,20 +1,18 @@
-"""The rig file: cameras, when their shutters open, and the virtual views that truth is rendered from.
+"""Simulated rigs as read from a rig file: cameras, their exposure times, and the virtual views of the ground truth.
 
-The rig frame has COLMAP's axes (+x right, +y down, +z forward) at the rig's centre; metres and seconds.
-World time 0 is the scene's start. The middle of the exposure of frame k, with a rolling shutter that of its middle
-row, is, on the camera's own clock and
-in world time,
+The rig's coordinate frame has COLMAP's axes (+x right, +y down, +z forward) at the rig's centre. Lengths are metres,
+times are seconds. World time 0 is the scene's start. The time of frame k is the middle of its exposure; with a rolling
+shutter, that of its middle row. On the camera's own clock it is c_k, and in world time w_k:
 
     c_k = k / rate_hz + jitter_k
-    delay_s + c_k + (c_k - c_0) drift_ppm 1e-6
+    w_k = delay_s + c_k + (c_k - c_0) drift_ppm 1e-6
 
-with k the frame's nominal number, lost frames counted. A camera that stamps its frames writes c_k
-into its times; where it doesn't, the jitter is hidden and its mean is part of the offset. A clock
-that cameras share reads world time.
+k is the frame's nominal number, which also counts lost frames. A camera with time stamps records c_k as a frame's time.
+Without time stamps, the jitter is unknown, and its mean is part of the camera's offset. A clock that several cameras
+share shows world time.
 
-The compiled module `stlfr` checks rig files (`stlfr rig --schema rig` prints their schema). What is
-here uses a checked rig: it repeats the defaults of optional fields, which a test compares, and no
-check.
+The compiled module `stlfr` checks rig files (`stlfr rig --schema rig` prints their schema). This module only reads
+checked rigs. It repeats the default values of optional fields; a test compares them with the schema.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ from .native import Content
 
 @dataclass(frozen=True)
 class RigView:
-    """A pinhole camera on the rig. Lens as Blender's, sensor fit `AUTO`, square pixels."""
+    """A pinhole camera on the rig, with Blender's lens parameters, sensor fit `AUTO` and square pixels."""
 
     id: str
     width_px: int
@@ -48,7 +46,7 @@ class RigView:
 
     @property
     def lens(self) -> BlenderLens:
-        """The lens as Blender's."""
+        """The lens parameters of a Blender camera with this projection."""
         return BlenderLens(
             width_px=self.width_px,
             height_px=self.height_px,
@@ -61,13 +59,13 @@ class RigView:
 
 @dataclass(frozen=True)
 class RigCamera(RigView):
-    """A real camera: a view with a shutter and a sensor.
+    """A simulated camera that records frames: a view with lens distortion, a clock, a shutter and a sensor.
 
-    `delay_s` is after the scene's start. `drift_ppm` is positive if the reference's clock goes by
-    faster. `exposure_s` lies around the frame's time, and so does `readout_s`, from the first row's time to the last
-    row's. `gain` multiplies light before it is encoded
-    for display; `gain_drift_per_s` is the rate of change of its logarithm for red, green and blue, from the
-    nominal time of the first frame on; `noise` is a standard deviation in display-encoded units of 0 to 1.
+    `delay_s` is the world time of the first frame, without jitter. `drift_ppm` is positive if world time passes faster
+    than the camera's clock. The exposure (`exposure_s` long) and the readout (`readout_s` from the first row's time to
+    the last row's) are centred on the frame's time. `gain` multiplies linear light. `gain_drift_per_s` is the rate of
+    change of the gain's logarithm for red, green and blue, from the nominal time of the first frame on. `noise` is a
+    standard deviation in display-encoded values from 0 to 1.
     """
 
     distortion: Distortion
@@ -90,7 +88,7 @@ class RigCamera(RigView):
 
 @dataclass(frozen=True)
 class Rig:
-    """A camera array with one reference camera, whose clock all times are on."""
+    """A camera array. `reference` is the id of the reference camera; times are given on this camera's clock."""
 
     name: str
     reference: str
@@ -100,34 +98,37 @@ class Rig:
 
     @property
     def reference_camera(self) -> RigCamera:
-        """The camera that keeps the time."""
+        """The reference camera, on whose clock times are given."""
         return next(camera for camera in self.cameras if camera.id == self.reference)
 
 
 @dataclass(frozen=True)
 class Shutter:
-    """When one camera's images were exposed: the middle of each exposure."""
+    """When one camera's recorded images were exposed, and the true properties of its clock.
+
+    The time of an image is the middle of its exposure.
+    """
 
     id: str
     world_times_s: tuple[float, ...]
-    """Since the scene's start."""
+    """Times of the images, seconds since the scene's start."""
     clock_times_s: tuple[float, ...]
-    """True times on the camera's own clock, jitter included."""
+    """True times of the images on the camera's own clock, with jitter."""
     stated_times_s: tuple[float, ...] | None
-    """What the camera says of its times; `None` if it only says its nominal rate."""
+    """Times of the images as recorded by the camera; `None` if the camera states only its nominal frame rate."""
     zero_s: float
-    """World time at which the camera's clock reads 0, as far as its images can tell."""
+    """World time at which the camera's clock shows 0. It includes the mean of a jitter that the time stamps lack."""
     rate_ppm: float
-    """How much faster than its clock the reference's goes by, from its first image on."""
+    """The clock's drift: time since the first image is longer in world time, by this factor in parts per million."""
     lost_before: tuple[int, ...]
-    """The numbers of the images before which a frame is missing, once for each frame."""
+    """The index of the image before which a frame is missing, for each lost frame before the last image."""
 
 
 def shutter(rig: Rig, camera_index: int, frame_count: int) -> Shutter:
-    """The shutter times of those of a camera's first `frame_count` frames that are recorded.
+    """The exposure times of one camera: of its first `frame_count` frames, without lost ones.
 
-    Frame k's time doesn't depend on `frame_count`. With hidden jitter, `zero_s` holds the mean of
-    true minus nominal times, which is what the offset of such a camera means.
+    The time of a frame doesn't depend on `frame_count`. If the jitter isn't in the camera's time stamps, `zero_s`
+    includes the mean difference of true and nominal times, because an estimated offset includes it too.
     """
     camera = rig.cameras[camera_index]
     generator = random.Random(f"{rig.seed}/jitter/{camera_index}")
@@ -166,9 +167,9 @@ def shutter(rig: Rig, camera_index: int, frame_count: int) -> Shutter:
 
 
 def shutters(rig: Rig, frame_count: int) -> list[Shutter]:
-    """The shutter times of every camera, in the rig's order.
+    """The exposure times of all cameras, in the rig's order.
 
-    The reference camera takes `frame_count` frames (less those it loses), the others film as long.
+    The reference camera takes `frame_count` frames, including lost ones. All other cameras film for the same duration.
     """
     per_frame = [c.rate_hz / rig.reference_camera.rate_hz for c in rig.cameras]
     return [
@@ -178,7 +179,10 @@ def shutters(rig: Rig, frame_count: int) -> list[Shutter]:
 
 
 def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
-    """The same rig at another resolution of the same aspect; lens and sensor stay, so the field of view does."""
+    """The same rig with another image size of all cameras and views. Their fields of view remain.
+
+    Raises `BadInputError` if the aspect ratio differs from that of a camera or view.
+    """
     for view in (*rig.cameras, *rig.views):
         if view.width_px * height_px != view.height_px * width_px:
             raise BadInputError(
@@ -202,7 +206,7 @@ def load(path: Path) -> Rig:
 
 
 def from_content(content: Content) -> Rig:
-    """The rig of a rig file's content, which has been checked."""
+    """The rig from the content of a rig file, which must have been checked."""
     return Rig(
         name=content["name"],
         reference=content["reference"],
@@ -240,7 +244,7 @@ def _per_channel(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _view(entry: Content) -> dict[str, Any]:
-    """The fields of a `RigView`."""
+    """The fields of a `RigView`, from a camera's or view's entry in the rig file."""
     return {
         "id": entry["id"],
         "width_px": entry["width"],
@@ -254,7 +258,7 @@ def _view(entry: Content) -> dict[str, Any]:
 
 
 def _transform(entry: Content) -> RigidTransform:
-    """A pose, its quaternion normalized: files may be off by single precision."""
+    """A pose from the rig file. Its quaternion is normalized, because the file may have single precision."""
     w, x, y, z = entry["rotation_wxyz"]
     length = (w * w + x * x + y * y + z * z) ** 0.5
     tx, ty, tz = entry["translation"]

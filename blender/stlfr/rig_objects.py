@@ -1,9 +1,9 @@
-"""A rig file as camera objects, and back.
+"""Conversion between a rig file and Blender's camera objects.
 
-The cameras and views are children of the empty `rig`, which is read as a camera: the rig looks along
-its -Z, and +Y is up. What the objects don't show (fields that only the file knows) is kept with them
-as JSON, so that a rig that is written back loses nothing; and a number that Blender, in single
-precision, still has as it came is written as it came.
+The cameras and views are children of the empty object `rig`, whose axes are those of a Blender camera: the rig looks
+along its -Z axis, with +Y up. Fields of the rig file without a counterpart in Blender are stored with the objects as
+JSON, so that saving the rig loses nothing. A number that still equals the file's number in Blender's single precision
+is written as in the file.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from .native import Content
 COLLECTION = "stlfr rig"
 
 EMPTY_SIZE_M, CAMERA_SIZE_M = 0.4, 0.12
-"""How large the rig and its cameras are drawn. Larger, and neighbours 6 cm apart hide each other; smaller, and the rig
-isn't found in a scene of ten metres."""
+"""Sizes at which the rig and its cameras are drawn. If larger, cameras 6 cm apart hide each other; if smaller, the rig
+is hard to find in a scene of ten metres."""
 
 FORMAT, VERSION = "stlfr-rig", 1
-"""What is written into a rig file's head."""
+"""The fields `format` and `version` of a rig file."""
 
 POSE_TOLERANCE = 2e-6
-"""Single precision of matrices near the rig: a pose that differs by less hasn't been moved. Larger, and a small move
-is lost on saving; smaller, and rounding rewrites poses that nobody moved."""
+"""Maximum difference of matrices, relative to their size, at which a pose counts as unchanged; Blender has single
+precision. If larger, small changes are lost on saving; if smaller, rounding errors count as changes."""
 
 SHOWN = {
     "id",
@@ -49,20 +49,21 @@ SHOWN = {
     "jitter_stamped",
     "color",
 }
-"""Fields that are properties of the objects; the others are one line of JSON."""
+"""Fields of a camera or view that are properties of its Blender object. All other fields are stored as one JSON
+text."""
 
 SHOWN_OF_RIG = {"format", "version", "name", "reference", "seed", "cameras", "views"}
 
 
 def read(path: Path) -> Content:
-    """A rig file, checked."""
+    """The content of a rig file, which is checked. Raises `BadInputError` if it is invalid."""
     native.read_rig(path)
     content: Content = json.loads(reading.read_text(path))
     return content
 
 
 def write(content: Content, path: Path) -> None:
-    """Check and write a rig file: a wrong one is never written."""
+    """Write a rig file after checking its content. Raises `BadInputError` if the content is invalid."""
     try:
         native.check_rig(content)
     except BadInputError as error:
@@ -71,9 +72,10 @@ def write(content: Content, path: Path) -> None:
 
 
 def build(scene: Any, content: Content) -> Any:
-    """Set up a rig's objects in place of those of the rig before; gives the empty `rig`.
+    """Create the objects of a rig, replacing the scene's previous rig. Returns the empty object `rig`.
 
-    The empty stays where it is. A new one stands where the scene's camera does, else at the 3D cursor.
+    An existing empty `rig` keeps its pose. A new one gets the pose of the scene's camera, or else stands at the 3D
+    cursor.
     """
     empty = _empty(scene)
     for old in members(scene):
@@ -95,7 +97,7 @@ def build(scene: Any, content: Content) -> Any:
 
 
 def members(scene: Any, role: str | None = None) -> list[Any]:
-    """The objects of the scene's rig, of one role or both, in the rig's order."""
+    """The cameras and views of the scene's rig, in the rig's order; with `role` (`CAMERA` or `VIEW`), only these."""
     found = [
         o
         for o in scene.objects
@@ -106,14 +108,14 @@ def members(scene: Any, role: str | None = None) -> list[Any]:
 
 
 def all_of(scene: Any) -> list[Any]:
-    """The empty `rig`, then what hangs on it."""
+    """The empty object `rig` if it exists, followed by the rig's cameras and views."""
     empty = scene.objects.get(scenes.RIG_OBJECT)
     return ([] if empty is None else [empty]) + members(scene)
 
 
 def select(view_layer: Any, objects: list[Any]) -> None:
-    """Select these objects alone; the first becomes the active one, by which the rig is moved."""
-    view_layer.update()  # it still lists what was removed
+    """Select only these objects, and make the first one active."""
+    view_layer.update()  # it may still list removed objects
     for other in view_layer.objects:
         other.select_set(False)
     seen = [o for o in objects if o.name in view_layer.objects]
@@ -124,7 +126,10 @@ def select(view_layer: Any, objects: list[Any]) -> None:
 
 
 def describe(scene: Any) -> Content:
-    """The rig file of the scene's objects, as they stand now."""
+    """The content of a rig file for the scene's rig, with the current poses and settings of its objects.
+
+    Raises `BadInputError` if the scene has no complete rig.
+    """
     shooting = members(scene, "CAMERA")
     for one in members(scene):
         if one.data.type != "PERSP":
@@ -155,7 +160,10 @@ def describe(scene: Any) -> Content:
 
 
 def _empty(scene: Any) -> Any:
-    """The empty that the rig hangs on."""
+    """The empty object `rig`, the parent of the rig's cameras; created if it doesn't exist.
+
+    Raises `BadInputError` if another object has this name.
+    """
     found = scene.objects.get(scenes.RIG_OBJECT)
     if found is not None:
         if found.stlfr.role != "RIG":
@@ -185,7 +193,7 @@ def _empty(scene: Any) -> Any:
 
 
 def _add(empty: Any, role: str, order: int, entry: Content) -> Any:
-    """One camera or view, with everything that its entry says."""
+    """Add the object of one camera or view, with all settings of its entry in the rig file."""
     lens = bpy.data.cameras.new(entry["id"])
     lens.sensor_fit = "AUTO"
     lens.lens, lens.sensor_width = entry["lens_mm"], entry["sensor_width_mm"]
@@ -211,7 +219,7 @@ def _add(empty: Any, role: str, order: int, entry: Content) -> Any:
 
 
 def _local(entry: Content) -> cameras.Array:
-    """A camera's matrix beside the empty, both with Blender's axes: 4x4."""
+    """The 4x4 matrix of a camera relative to the empty `rig`, both with Blender's camera axes."""
     transform = entry["cam_from_rig"]
     rotation, translation = transform["rotation_wxyz"], transform["translation"]
     cam_from_rig = cameras.RigidTransform(tuple(rotation), tuple(translation))
@@ -221,7 +229,7 @@ def _local(entry: Content) -> cameras.Array:
 
 
 def _entry(empty: Any, camera_object: Any) -> Content:
-    """A camera or view as the rig file spells it."""
+    """The rig file's entry for a camera or view object."""
     own, lens = camera_object.stlfr, camera_object.data
     came: Content = json.loads(own.entry) if own.entry else {}
     entry: Content = {
@@ -248,7 +256,7 @@ def _entry(empty: Any, camera_object: Any) -> Content:
 
 
 def _pose(empty: Any, camera_object: Any, came: Content | None) -> Content:
-    """`cam_from_rig`; as it came, if the object hasn't been moved beside the empty."""
+    """The field `cam_from_rig` of a camera object. If its pose relative to the empty is unchanged, it is `came`."""
     axes = np.diag([*np.diag(cameras.COLMAP_FROM_BLENDER_AXES), 1.0])
     world_from_rig = _rigid(empty) @ axes
     world_from_cam = _rigid(camera_object) @ axes
@@ -260,25 +268,25 @@ def _pose(empty: Any, camera_object: Any, came: Content | None) -> Content:
         )
         if np.abs(found - expected).max() < POSE_TOLERANCE * scale:
             return came
-    # `matrix_world` of a camera in the rig's COLMAP axes instead of the world's.
+    # The camera's `matrix_world`, relative to the rig's COLMAP axes instead of the world's axes.
     beside = np.linalg.inv(world_from_rig) @ _rigid(camera_object)
     return cameras.cam_from_world_of_matrix(beside).to_json()
 
 
 def _rigid(of: Any) -> cameras.Array:
-    """An object's `matrix_world` without its scale."""
+    """The `matrix_world` (4x4) of an object, without its scale."""
     matrix = np.array(of.matrix_world, dtype=np.float64)
     matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
     return matrix
 
 
 def shortest(value: float) -> float:
-    """The shortest of the numbers that Blender, in single precision, holds as the same: what was typed."""
+    """The shortest decimal number with the same value in Blender's single precision, as the user typed it."""
     return float(str(np.float32(value)))
 
 
 def _as_it_came(value: float, came: Any) -> float:
-    """The file's number, if Blender has it unchanged, else the shortest one that Blender has."""
+    """The rig file's number `came` if it equals `value` in single precision, else the shortest number for `value`."""
     if isinstance(came, (int, float)) and np.float32(came) == np.float32(value):
         return came
     return shortest(value)

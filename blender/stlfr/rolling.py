@@ -1,7 +1,7 @@
-"""Rolling shutters: when each row of a frame is exposed, and the bands of rows that are rendered at once. No `bpy` here.
+"""Rolling shutters: when each row of a frame is exposed, and which rows are rendered together. Does not import `bpy`.
 
-Rows are exposed one after the other, from the first to the last, at a constant rate. A frame's time is
-that of its middle. A band of rows is rendered as of one instant, its middle row's.
+Rows are exposed one after the other, from the first to the last, at a constant rate. The time of a frame is that of its
+middle row. The rows of a frame are rendered in bands; all rows of a band show the instant of the band's middle.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ import numpy as np
 from .camera import Array
 
 MAX_STEP_PX = 0.1
-"""How far the body of `SPEED` is from its place at most, because a band is rendered as of one instant. Larger, and bodies
-are cut into visible steps; smaller, and filming takes longer in proportion."""
+"""Maximum displacement of a body with the speed `SPEED` because all rows of a band show one instant. If larger,
+outlines of bodies have visible steps; if smaller, filming takes proportionally longer."""
 SPEED = 0.625
-"""A fast body's speed in widths of the image a second: 13 pixels a frame at 640 pixels and 30 Hz."""
+"""The speed of a fast body in image widths per second: 13 pixels per frame at a width of 640 pixels and 30 Hz."""
 
 NODE_S = 0.004
-"""The longest time between the instants of a readout between which points' paths are taken as straight. Larger, and
-fast turns are cut off: at 10 px/frame² and 30 Hz by 0.02 px; smaller, and tracks take longer in proportion."""
+"""Maximum time between two nodes (sampled instants) of a readout; points are assumed to move straight between nodes. If
+larger, curved paths are cut short: with this value, by 0.02 px for an acceleration of 10 px/frame² at 30 Hz. If
+smaller, tracks take proportionally longer."""
 
 
 @dataclass(frozen=True)
 class Band:
-    """Rows from `first` to before `end`, and their time relative to the frame's."""
+    """A band of rows, from `first` up to but excluding `end`. `offset_s` is its time relative to the frame's time."""
 
     first: int
     end: int
@@ -34,12 +35,12 @@ class Band:
 
 
 def row_offsets_s(y_px: Array, height_px: int, readout_s: float) -> Array:
-    """The times of vertical positions relative to their frame's; the first row's centre is at 0.5."""
+    """The exposure times of vertical image positions, relative to the frame's time; the first row's centre is 0.5."""
     return (y_px - height_px / 2) * (readout_s / max(1, height_px - 1))
 
 
 def bands(size_px: tuple[int, int], readout_s: float) -> list[Band]:
-    """The bands of a frame, from the top; one for a global shutter."""
+    """The bands of a frame, from the top. `size_px` is (width, height). With a global shutter, there is one band."""
     width_px, height_px = size_px
     row_s = readout_s / max(1, height_px - 1)
     band_s = 2 * MAX_STEP_PX / (SPEED * width_px)
@@ -52,22 +53,28 @@ def bands(size_px: tuple[int, int], readout_s: float) -> list[Band]:
 
 
 def nodes_s(readout_s: float) -> Array:
-    """Instants, relative to the frame's time, between which points move on straight lines during a readout."""
+    """The nodes of a readout: instants relative to the frame's time, between which points are assumed to move straight.
+
+    The first and last node are the first and last row's times. Without a readout time, there is one node, 0.
+    """
     count = math.ceil(readout_s / NODE_S)
     return np.linspace(-readout_s / 2, readout_s / 2, count + 1)
 
 
 @dataclass(frozen=True)
 class Exposed:
-    """When points were exposed: between two of the instants `nodes_s`. Arrays are over points."""
+    """The instants at which a rolling shutter exposes points, given between two of the nodes `nodes_s`.
+
+    Arrays have one entry per point.
+    """
 
     node: np.ndarray[tuple[int], np.dtype[np.int64]]
-    """The earlier of the two instants."""
+    """Index of the earlier of the two nodes around the point's exposure."""
     fraction: Array
-    """Of the way to the later one."""
+    """Position of the exposure between the earlier node (0) and the later node (1)."""
 
     def between(self, values: Array) -> Array:
-        """Values (nodes, points, n) at the points' own times."""
+        """Interpolates values (nodes, points, n) linearly to each point's exposure; the result is (points, n)."""
         points = np.arange(len(self.node))
         before = values[self.node, points]
         if len(values) == 1:
@@ -78,15 +85,15 @@ class Exposed:
 
     @property
     def nearest(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        """The instant nearest to each point's time."""
+        """Index of the node nearest to each point's exposure."""
         return self.node + (self.fraction > 0.5)
 
 
 def exposed(y_px: Array, height_px: int, readout_s: float) -> Exposed:
-    """When a rolling shutter exposes moving points: where their rows' times are the instants'.
+    """When a rolling shutter exposes moving points: at the instant when a point lies in the row that is then exposed.
 
-    `y_px` (nodes, points) is where they are at the instants `nodes_s`. Points above or below the image are taken as of
-    its first or last row's time.
+    `y_px` (nodes, points) are the points' vertical positions at the nodes `nodes_s`. Points above or below the image
+    are exposed with its first or last row.
     """
     offsets_s = nodes_s(readout_s)
     if len(offsets_s) == 1:

@@ -1,4 +1,4 @@
-"""Find a scene, build it or open a .blend, and say where the rig stands and how its time runs."""
+"""Open the scene to film, built in or from a .blend file; its rig's pose, and its frames' times."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ if TYPE_CHECKING:
 
 SCENES_FOLDER = Path(__file__).resolve().parent.parent / "scenes"
 HELPERS = ("__init__", "backdrop", "kit", "paint")
-"""What all scenes are built with; the other modules of that folder are the scenes."""
+"""The modules of the scenes folder that all scenes may use; every other module of that folder is a scene."""
 IMPORTED = re.compile(r"^from \.(\w+) import", re.MULTILINE)
-"""One scene's use of another's bodies."""
+"""A line of a scene's source that imports another module of the scenes folder."""
 PACKAGE = "stlfr_scenes"
-"""The name that the scenes folder is imported under."""
+"""The package name under which the scenes folder is imported."""
 
 RIG_OBJECT = "rig"
-"""The object that says where the rig stands; without one, the scene's active camera does."""
+"""Name of the object whose pose is the rig's pose. Without such an object, the active camera's pose is used."""
 
 LEAD = "stlfr_lead_s"
-"""A scene's property: by how many seconds filming begins before the scene's first frame. The extension sets it in the
-copy that is filmed, so that every camera has a frame before the scene's first."""
+"""Name of a scene's custom property: by how many seconds filming begins before the scene's first frame. The extension
+sets it in the copy that is filmed, so that every camera has a frame before the scene's first frame."""
 
 
 def names() -> list[str]:
-    """The scenes there are."""
+    """The names of the built-in scenes, sorted."""
     return sorted(
         file.stem for file in SCENES_FOLDER.glob("*.py") if file.stem not in HELPERS
     )
 
 
 def sources(name: str) -> list[Path]:
-    """The files that decide what a scene looks like: the helpers, its own, and those that it imports from.
+    """The source files of a built-in scene: the helper modules, its own module, and the scenes that it imports.
 
-    The error for an unknown name lists the known ones.
+    Raises `BadInputError` for an unknown name; the message lists the known names.
     """
     if name not in names():
         raise BadInputError(
             f"--scene {name}: no such scene; there are: {', '.join(names())}"
         )
     files = [SCENES_FOLDER / f"{stem}.py" for stem in (*HELPERS, name)]
-    for file in files:  # grows within
+    for file in files:  # the loop appends to the list
         for stem in IMPORTED.findall(file.read_text(encoding="utf-8")):
             if (imported := SCENES_FOLDER / f"{stem}.py") not in files:
                 files.append(imported)
@@ -55,7 +55,7 @@ def sources(name: str) -> list[Path]:
 
 
 def load(name: str) -> ModuleType:
-    """Import a scene module, which has `build()`."""
+    """Import the module of a built-in scene. Its function `build()` builds the scene."""
     sources(name)
     if PACKAGE not in sys.modules:
         spec = importlib.util.spec_from_file_location(
@@ -71,9 +71,10 @@ def load(name: str) -> ModuleType:
 
 
 def open_scene(scene_name: str | None, blend_file: Path | None) -> Any:
-    """Replace Blender's open file by a built scene or a .blend, and give its scene.
+    """Replace Blender's open file by a built-in scene or by a .blend file, and return its scene.
 
-    Only for headless use: whatever was open is gone.
+    Only for headless use: unsaved changes are lost. Raises `BadInputError` if the file can't be opened or is
+    incomplete.
     """
     import bpy
 
@@ -102,7 +103,7 @@ def open_scene(scene_name: str | None, blend_file: Path | None) -> Any:
 
 
 def _what_is_missing(bpy: Any) -> str | None:
-    """What keeps the open file from looking as its author sees it."""
+    """Why the open file would not look as its author sees it, such as a missing image; None if nothing is missing."""
     for library in bpy.data.libraries:
         if not Path(bpy.path.abspath(library.filepath)).is_file():
             return f"the library that it links, {library.filepath}, isn't there"
@@ -123,7 +124,7 @@ def _what_is_missing(bpy: Any) -> str | None:
 
 
 def frame_at(scene: Any, world_time_s: float) -> tuple[int, float]:
-    """The Blender frame and sub-frame of a world time: 0 s is the scene's first frame, or its `LEAD` before it."""
+    """The Blender frame and sub-frame at a world time. World time 0 is the first frame minus the time `LEAD`."""
     seconds = world_time_s - scene.get(LEAD, 0.0)
     frame = scene.frame_start + seconds * scene.render.fps / scene.render.fps_base
     whole = int(frame // 1)
@@ -131,9 +132,9 @@ def frame_at(scene: Any, world_time_s: float) -> tuple[int, float]:
 
 
 def world_from_rig(scene: Any) -> Array:
-    """Where the rig stands at the scene's first frame: a 4x4 matrix from the rig's COLMAP axes to the world, in metres.
+    """The rig's pose at the scene's first frame: a 4x4 matrix from the rig's COLMAP axes to the world, in metres.
 
-    The object `rig`, else the active camera, read as a camera: it looks along its -Z, +Y is up.
+    It is the pose of the object `rig`, or else of the active camera. Either looks along its -Z axis, with +Y up.
     """
     import numpy as np
 

@@ -1,11 +1,13 @@
-"""From light to a camera's pixels: lens distortion, gain, display encoding, grey, noise, bit depth. No `bpy` here.
+"""From rendered light to a camera's pixel values: lens distortion, gain, display encoding, grey, noise, bit depth.
 
-Light is scene-linear, height x width x 3, as Cycles renders it for a pinhole. A distorted lens's
-image is resampled from a pinhole's that is larger and twice as fine, with an image's pixel of four
-of its pixels and a cubic B-spline. They reproduce ramps, so that nothing shifts; have no negative
-lobes, so that no light rings; and let nothing through at one cycle a pixel, so that edges lie the
-same wherever they fall on the grid (the spline alone: up to 0.035 px off). Their blur is 0.38 px in
-standard deviation, a square pixel's being 0.29.
+Light is scene-linear (height, width, 3), as Cycles renders it for a pinhole. A distorted image is resampled from the
+larger image of a wide pinhole, with twice the resolution. The filter is the mean over 2 x 2 pixels of the wide image
+(one pixel of the final image), followed by a cubic B-spline. It reproduces linear ramps, so that nothing shifts. It has
+no negative lobes, so that there is no ringing. It removes the frequency of one cycle per pixel, so that the position of
+an edge doesn't depend on the pixel grid; with the spline alone, edges are displaced by up to 0.035 px. The filter's
+standard deviation is 0.38 px; that of a square pixel is 0.29 px.
+
+Does not import `bpy`.
 """
 
 from __future__ import annotations
@@ -27,25 +29,25 @@ Light = npt.NDArray[np.float32]
 Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 FINENESS = 2
-"""Pixels of the wide pinhole to one of the image, on each axis. Filming takes its square in time; at 1 edges lie
-up to 0.035 px off."""
+"""Resolution of the wide pinhole's image relative to the final image, on each axis. Rendering time grows with its
+square; at 1, edges are displaced by up to 0.035 px."""
 
 MARGIN_PX = 4
-"""Of the wide pinhole's image, all around: as far as the spline reaches, and some more. Larger costs pixels;
-below 3 the spline reaches beyond the image."""
+"""Margin on all sides of the wide pinhole's image, for the support of the filter. If larger, more pixels are rendered;
+below 3, the filter reaches beyond the image."""
 
 GAIN_LIMITS = (0.01, 100.0)
-"""As of a rig's `gain`."""
+"""Minimum and maximum gain after drift, equal to the limits of a rig's `gain`."""
 
 REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 SAME_SURFACE = 0.01
-"""Inverse depths of neighbours that differ by less, relative to the larger, lie on one surface. Larger mixes
-depths across edges; smaller takes the nearest pixel's depth on surfaces seen at a slant."""
+"""Neighbouring pixels count as one surface if their inverse depths differ by less than this fraction of the larger one.
+If larger, depths are mixed across edges; if smaller, slanted surfaces get the nearest pixel's depth."""
 
 
 def is_plain(camera: RigCamera) -> bool:
-    """Whether Blender's own 8-bit picture is what the camera records."""
+    """Whether the camera records exactly Blender's own 8-bit image: no distortion, gain or noise."""
     return (
         camera.distortion.is_none
         and camera.gain == 1.0
@@ -56,7 +58,7 @@ def is_plain(camera: RigCamera) -> bool:
 
 
 def encoded(light: Array) -> Array:
-    """Display-encoded (sRGB) values of 0 to 1, as Blender's `Standard` view gives them."""
+    """Display-encoded (sRGB) values from 0 to 1 of linear light, as by Blender's view transform `Standard`."""
     linear = np.clip(light, 0.0, 1.0)
     return np.where(
         linear <= 0.0031308,
@@ -66,7 +68,7 @@ def encoded(light: Array) -> Array:
 
 
 def gains(camera: RigCamera, since_first_s: float) -> Array:
-    """Factors on red, green and blue light, some seconds after the camera's first frame."""
+    """The camera's gains for red, green and blue linear light, `since_first_s` seconds after its first frame."""
     drift = np.array(camera.gain_drift_per_s) * since_first_s
     return np.clip(camera.gain * np.exp(np.clip(drift, -10.0, 10.0)), *GAIN_LIMITS)
 
@@ -77,11 +79,10 @@ def develop(
     noise_seed: int | None,
     since_first_s: float = 0.0,
 ) -> Pixels:
-    """What the camera records of the light: 8 or 16 bits, H x W x 3, or H x W if it is grey.
+    """The camera's pixel values for this light, in 8 or 16 bits: (H, W, 3), or (H, W) for a grey camera.
 
-    A grey camera records Rec. 709's luminance, encoded, as Blender's grey pictures do. The noise is
-    drawn anew for every seed; none without one. The gains are those some seconds after the camera's first
-    frame.
+    A grey camera records the encoded Rec. 709 luminance, as Blender's grey images do. `noise_seed` seeds the noise;
+    None disables it. The gains are those `since_first_s` seconds after the camera's first frame.
     """
     linear = gains(camera, since_first_s) * light.astype(np.float64)
     if camera.color == "gray":
@@ -97,26 +98,26 @@ def develop(
 
 @dataclass(frozen=True)
 class Wide:
-    """The pinhole image that a distorted one is resampled from."""
+    """Resamples images, depth and motion of a distorted lens from those of a wide pinhole camera."""
 
     lens: Pinhole
-    """Of the image, without its distortion."""
+    """The pinhole parameters of the final image, without distortion."""
     distortion: distortions.Distortion
     pinhole: Pinhole
-    """Wide enough for all that the distorted lens sees, as Blender renders it."""
+    """The parameters of the wide pinhole as Blender renders it. Its image contains all that the distorted lens sees."""
 
     def of_image(self, ideal: Array) -> Array:
-        """Pixels (N, 2) of the wide image from distortion-free ones of the image."""
+        """Converts undistorted pixel positions (N, 2) of the final image to pixel positions of the wide image."""
         scale, shift = self._wide_from_ideal()
         return ideal * scale + shift
 
     def resample(self, light: Light, rows: slice = slice(None)) -> Light:
-        """The distorted lens's light, of all rows of the image or of some, from the wide pinhole's."""
+        """The light of the distorted image, resampled from the light of the wide image; all rows, or only `rows`."""
         squares = (light[:-1] + light[1:]) / 2
         squares = (squares[:, :-1] + squares[:, 1:]) / 2
         shape = (self.lens.height_px, self.lens.width_px, 2)
         at = self._positions().reshape(shape)[rows].reshape(-1, 2)
-        at = at - 1.0  # the first square's centre is at (1, 1)
+        at = at - 1.0  # the first 2 x 2 mean is centred at (1, 1)
         left, x_weights = _spline(at[:, 0])
         top, y_weights = _spline(at[:, 1])
         result = np.zeros((len(at), light.shape[2]))
@@ -128,7 +129,7 @@ class Wide:
         return result.reshape(size).astype(np.float32)
 
     def rows_for(self, rows: slice) -> slice:
-        """The rows of the wide image that `resample` reads for these of the image."""
+        """The rows of the wide image that `resample` reads for these rows of the final image."""
         shape = (self.lens.height_px, self.lens.width_px, 2)
         y = self._positions().reshape(shape)[rows, :, 1]
         first, last = int(np.floor(y.min())) - 3, int(np.floor(y.max())) + 4
@@ -137,12 +138,12 @@ class Wide:
     def geometry(
         self, depth_m: Light, before_px: Light, after_px: Light
     ) -> tuple[Light, Light]:
-        """The distorted lens's depth and motion from the wide pinhole's.
+        """The depth and motion (H, W) of the distorted image, from those of the wide image.
 
-        The motions given are H x W x 2 in wide pixels, to where the point is a frame before and
-        after; the one returned is the larger of the two distances in pixels of the image.
-        On one surface everything is interpolated: depth, as its inverse, exactly on planes. Beside
-        edges, it is the nearest pixel's.
+        `before_px` and `after_px` (H, W, 2) are displacements in wide pixels to a point's position one frame before and
+        after. The returned motion is the larger length of the two, in pixels of the final image. On a surface, values
+        are interpolated; depth is interpolated as its inverse, which is exact on planes. At edges, the values of the
+        nearest pixel are taken.
         """
         at = self._positions()
         whole = np.floor(at - 0.5).astype(np.int64)
@@ -170,11 +171,14 @@ class Wide:
             return self._shaped(1.0 / mixed[:, 0]), self._shaped(np.maximum(*steps))
 
     def _positions(self) -> Array:
-        """Where in the wide image the centre of every pixel is, row by row."""
+        """The positions in the wide image (N, 2) of all pixel centres of the distorted image, row by row."""
         return self.of_image(_ideal_grid(self.lens, self.distortion))
 
     def _length_px(self, at: Array, way: Array) -> Array:
-        """How far the distorted image goes along ways (N, 2) of the wide one; out of the lens's sight, as without it."""
+        """The lengths (N) in the distorted image of displacements `way` (N, 2) from positions `at` in the wide image.
+
+        Where the lens model has no image, the lengths are those without distortion.
+        """
         step = self._distorted(at + way) - self._distorted(at)
         scale, _ = self._wide_from_ideal()
         step = np.where(np.isnan(step), way / scale, step)
@@ -198,7 +202,7 @@ class Wide:
 
 
 def wide_pinhole(lens: Pinhole, distortion: distortions.Distortion) -> Pinhole:
-    """The pinhole to ask Blender for: all that the distorted lens sees, and a margin."""
+    """The wide pinhole to set up in Blender: its image contains all that the distorted lens sees, and a margin."""
     ideal = _ideal_grid(lens, distortion)
     low, high = ideal.min(axis=0), ideal.max(axis=0)
     width_px, height_px = np.ceil((high - low) * FINENESS).astype(int) + 2 * MARGIN_PX
@@ -215,7 +219,10 @@ def wide_pinhole(lens: Pinhole, distortion: distortions.Distortion) -> Pinhole:
 
 @functools.lru_cache(maxsize=1)
 def _ideal_grid(lens: Pinhole, distortion: distortions.Distortion) -> Array:
-    """Where the centres of all pixels, row by row, would be without distortion. Kept for the next band of the image."""
+    """The positions (N, 2) that all pixel centres would have without distortion, row by row.
+
+    Cached, because all bands of a rolling shutter's image use it.
+    """
     x, y = np.meshgrid(np.arange(lens.width_px) + 0.5, np.arange(lens.height_px) + 0.5)
     pixels = np.stack([x.ravel(), y.ravel()], axis=1)
     ideal = distortions.ideal_from_pixels(lens, distortion, pixels)
@@ -224,7 +231,10 @@ def _ideal_grid(lens: Pinhole, distortion: distortions.Distortion) -> Array:
 
 
 def _spline(at: Array) -> tuple[npt.NDArray[np.int64], list[Array]]:
-    """The first of the four samples that a position (sample 0 is at 0) is made of, and their weights."""
+    """The cubic B-spline at positions (N): the index of the first of four samples, and their weights.
+
+    Sample k is at position k.
+    """
     whole = np.floor(at)
     f = at - whole
     weights = [

@@ -1,13 +1,14 @@
-"""Processes, on one machine or on several that share a folder, film one capture together. No `bpy` here.
+"""Lets several processes, on one machine or on several that share a folder, film one capture. Does not import `bpy`.
 
-A process claims an item of the work by creating a file, `.film/claims/ITEM.N`, which no second one can create.
-Claims stay until the capture is whole: a machine whose view of the folder is old films nothing again. N counts
-the owners: the item of an owner that is silent for too long is claimed as N + 1.
+A process claims an item of work by creating a file `.film/claims/ITEM.N`; creation fails if the file exists already.
+Claims remain until the capture is complete. So a machine that sees an outdated state of the folder films nothing twice.
+N is the number of earlier owners of the item: if the owner of claim N is silent for too long, another process takes
+over with the claim N + 1.
 
-Every process has a folder `.film/partial/NAME` for its half-written images and its heartbeat, a number that
-it counts up every second. The others measure by their own clocks how long the number has stood still; no
-clocks of two machines are compared. A process that ended on this machine is known at once: it, and the
-filming processes that it has started, held a lock on the heartbeat.
+Every process has a folder `.film/partial/NAME` for its incomplete images and its heartbeat, a number that it increments
+every second. Other processes measure, by their own clocks, how long the number hasn't changed; so clocks of different
+machines are never compared. The end of a process on the same machine is noticed immediately: the process, and the
+filming processes that it started, held a lock on the heartbeat file.
 """
 
 from __future__ import annotations
@@ -30,25 +31,27 @@ from .errors import BadInputError
 from .folder import scratch_folder
 
 BEAT_S = 1.0
-"""Between two heartbeats. Larger needs a longer silence; smaller writes more often into the shared folder."""
+"""Time between two heartbeats. If larger, `SILENCE_S` must be larger too; if smaller, more is written into the shared
+folder."""
 
 LOOK_S = 1.0
-"""Between two looks at what others do. Larger, and the end is noticed later; smaller reads more often."""
+"""Time between two looks at the claims of other processes. If larger, their end is noticed later; if smaller, the
+shared folder is read more often."""
 
 SILENCE_S = 60
-"""After so many seconds without a heartbeat others take over. Smaller, and a file system that shows changes late makes
-images be filmed twice; larger, and the items of a machine that died wait longer."""
+"""After this time without a heartbeat, other processes take over a process's work. If smaller, images are filmed twice
+on a file system that shows changes late; if larger, the work of a machine that failed waits longer."""
 
 HEARTBEAT = "heartbeat"
 
 NAME_LINE = re.compile(r"[0-9a-f]{32}\n")
-"""What a claim holds: its owner's name."""
+"""The content of a claim file: the name of the process that owns the claim."""
 
 Item = TypeVar("Item")
 
 
 class Member:
-    """This process among those that film a capture. Leaving the context leaves them."""
+    """This process, as one of the processes that film a capture. The context manager starts and ends its heartbeat."""
 
     def __init__(self, capture: Path, silence_s: float = SILENCE_S) -> None:
         self.capture = capture
@@ -76,10 +79,11 @@ class Member:
         os.close(self.lock)
         shutil.rmtree(self.scratch, ignore_errors=True)
         with contextlib.suppress(OSError):
-            self.scratch.parent.rmdir()  # if it was the last one's
+            self.scratch.parent.rmdir()  # succeeds only if no other process has a folder there
 
     def _beat(self, count: int) -> None:
-        with contextlib.suppress(OSError):  # the others take over if it lasts
+        # If writing keeps failing, other processes take over.
+        with contextlib.suppress(OSError):
             os.lseek(self.lock, 0, os.SEEK_SET)
             os.write(self.lock, f"{self._machine:<80} {count:012}\n".encode())
             os.fsync(self.lock)
@@ -91,23 +95,23 @@ class Member:
             self._beat(count)
 
     def begin(self) -> None:
-        """Say that the capture is not whole any more."""
+        """Delete capture.json, which marks a complete capture, because an image will be filmed."""
         (self.capture / plans.CAPTURE_FILE).unlink(missing_ok=True)
 
     @property
     def is_over(self) -> bool:
-        """Whether another process has made the capture whole meanwhile."""
+        """Whether another process has completed the capture."""
         whole = (self.capture / plans.CAPTURE_FILE).is_file()
         return whole and not self.claims.is_dir()
 
     def end(self) -> None:
-        """Remove all claims and half-written images: the capture is whole."""
+        """Remove all claims and incomplete images, because the capture is complete."""
         with contextlib.suppress(OSError):
-            self.claims.rename(self.scratch / "claims")  # all at once
+            self.claims.rename(self.scratch / "claims")  # removes all claims atomically
         shutil.rmtree(scratch_folder(self.capture), ignore_errors=True)
 
     def claim(self, item: str, owners: int) -> bool:
-        """Whether this process becomes the item's next owner, after so many earlier ones."""
+        """Try to claim an item of work that had `owners` earlier owners. Returns whether this process now owns it."""
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
         try:
             claim = os.open(self.claims / f"{item}.{owners}", flags, 0o666)
@@ -118,10 +122,11 @@ class Member:
         return True
 
     def may_claim(self, item: str, owners: int) -> bool:
-        """Whether the last of the item's owners films no more."""
+        """Whether the last of the item's `owners` earlier owners has ended or is silent for too long."""
         claim = self.claims / f"{item}.{owners - 1}"
         text = _text(claim) or ""
-        if not NAME_LINE.fullmatch(text):  # its owner is writing it, or died of that
+        # An incomplete claim is being written, or its owner ended while writing it.
+        if not NAME_LINE.fullmatch(text):
             return self._is_silent(claim.name, "")
         heartbeat = self.scratch.with_name(text.strip()) / HEARTBEAT
         beat = _text(heartbeat)
@@ -141,7 +146,10 @@ class Member:
 
 
 class Shared(Generic[Item]):
-    """Items of work that several processes do, each of them once."""
+    """Items of work that are shared by several processes, so that each item is done once.
+
+    `items` has the items by name. `on_done_elsewhere` is called for each item that another process has done.
+    """
 
     def __init__(
         self,
@@ -156,16 +164,19 @@ class Shared(Generic[Item]):
         self.on_done_elsewhere = on_done_elsewhere
         self._untried = deque(items)
         self._owners: dict[str, int] = {}
-        """Of the items that others have claimed and not done yet."""
+        """The number of owners so far of each item that another process has claimed and not done yet, by name."""
         self._next_look_s = 0.0
 
     @property
     def is_over(self) -> bool:
-        """Whether all items are done, but those that this process took."""
+        """Whether every item is done, or was taken by this process."""
         return not self._untried and not self._owners
 
     def take(self) -> Item | None:
-        """An item that nobody does and that is not done; None if there is none now."""
+        """Claim and return an item that isn't done and that no running process has claimed; None if there is none.
+
+        An item may become free later, if its owner stops; `is_over` tells whether this is possible.
+        """
         name = self._claimed()
         if name is None:
             return None
@@ -190,7 +201,7 @@ class Shared(Generic[Item]):
         return None
 
     def each(self) -> Iterator[Item]:
-        """The items that this process has to do, until all are done."""
+        """Yields the items that this process has claimed, until all items are done; waits for other processes."""
         while not self.is_over:
             item = self.take()
             if item is not None:
@@ -213,7 +224,7 @@ class Shared(Generic[Item]):
 
 
 def claim_folder(plan: plans.Plan, capture: Path) -> None:
-    """Make the folder this plan's, as `plan.claim` does, also where others do the same at this moment."""
+    """Assign the folder `capture` to this plan, as `plan.claim` does; other processes may do so at the same time."""
     for attempt in range(4):
         try:
             plans.claim(plan, capture)
@@ -226,7 +237,7 @@ def claim_folder(plan: plans.Plan, capture: Path) -> None:
 
 
 def _text(path: Path) -> str | None:
-    """What a file holds; None if it isn't there, and nothing if it can't be read now."""
+    """The text of a file; None if the file doesn't exist, and an empty text if it can't be read."""
     try:
         return reading.read_text(path)
     except FileNotFoundError:
@@ -236,7 +247,7 @@ def _text(path: Path) -> str | None:
 
 
 def _machine() -> str:
-    """What only processes of this machine, since it started, have in common; empty if that is unknown."""
+    """An identifier of this machine since its last boot; empty if it is unknown."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
     except OSError:
@@ -244,7 +255,7 @@ def _machine() -> str:
 
 
 def _is_free(heartbeat: Path) -> bool:
-    """Whether no process holds its lock any more."""
+    """Whether no process holds a lock on this heartbeat file."""
     try:
         with heartbeat.open("rb") as stream:
             return _locks(stream.fileno(), exclusively=False)
@@ -253,7 +264,10 @@ def _is_free(heartbeat: Path) -> bool:
 
 
 def _locks(descriptor: int, exclusively: bool) -> bool:
-    """Whether the file gets locked until it is closed, by this process and those that inherit it."""
+    """Try to lock an open file. Returns whether it succeeded.
+
+    The lock lasts until this process, and all processes that inherited the descriptor, have closed the file.
+    """
     try:
         import fcntl  # not on Windows
 

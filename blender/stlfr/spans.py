@@ -1,4 +1,7 @@
-"""What a capture covers, for Blender's main thread: it is read beside it, and panels are drawn anew when it is there."""
+"""The time span that a capture covers, for Blender's main thread, which must not wait for it.
+
+A background thread reads the span; when it has ended, the panels are redrawn.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,18 @@ import bpy
 from . import fields
 
 POLL_S = 0.1
-"""How often it is asked whether it is there. Larger, and it shows late; smaller, and Blender is woken for nothing."""
+"""Time between two checks whether a span has been read. If larger, panels show it later; if smaller, Blender is woken
+more often than needed."""
 
 _wanted: dict[Path, list[Callable[[], None]]] = {}
-"""Captures that are still to be read, and what is to be done then."""
+"""Captures whose spans are still to be read, each with the functions to call afterwards."""
 
 
 def is_known(folder: Path) -> bool:
-    """Whether `fields.span_s` returns at once; where it doesn't, it is read, and the panels are drawn anew then.
+    """Whether a capture's span is cached, so that `fields.span_s` doesn't block.
 
-    Without a window nothing is drawn anew, and a script goes on with what it asked for: it waits.
+    If not, the span is read in the background, and the panels are redrawn afterwards. Always true without a window,
+    because a script may wait.
     """
     if bpy.app.background or fields.knows_span(folder):
         return True
@@ -28,7 +33,7 @@ def is_known(folder: Path) -> bool:
 
 
 def when_known(folder: Path, work: Callable[[], None]) -> None:
-    """Do something in the main thread as soon as the span is known: now, where it is or where there is no window."""
+    """Call `work` in the main thread as soon as the capture's span is cached; at once if it is, or without a window."""
     if is_known(folder):
         work()
     else:
@@ -36,7 +41,7 @@ def when_known(folder: Path, work: Callable[[], None]) -> None:
 
 
 def forget() -> None:
-    """Another file is opened, or the extension goes: nothing that was to be done is done."""
+    """Drop all waiting calls, because another file is opened or the extension is unregistered."""
     _wanted.clear()
     if bpy.app.timers.is_registered(_poll):
         bpy.app.timers.unregister(_poll)
@@ -50,7 +55,7 @@ def _want(folder: Path) -> None:
 
 
 def _poll() -> float | None:
-    """One capture after the other."""
+    """Timer: makes the calls that waited for spans that are now cached, and starts to read the next span."""
     for folder in list(_wanted):
         if fields.knows_span(folder):
             for work in _wanted.pop(folder):
@@ -62,7 +67,7 @@ def _poll() -> float | None:
 
 
 def _redraw() -> None:
-    """The properties, which say what is covered."""
+    """Redraw the properties editors, whose panels show the covered frames."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "PROPERTIES":

@@ -1,4 +1,4 @@
-"""When a scene's frames show what a capture filmed. No `bpy` here: scenes and settings are read."""
+"""Which frames of a Blender scene show instants that a capture covers. Does not import `bpy`."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 from . import fields, filming, view, words
 
 SLACK_FRAMES = 1e-3
-"""By how much a covered frame may lie outside of the film: times are kept in single precision. Larger, and a frame is
-promised that can't be rendered; smaller, and the first frame is missed by rounding."""
+"""Tolerance for a frame outside of the covered range, in frames, as Blender stores times in single precision. If
+larger, a frame counts as covered that can't be rendered; if smaller, rounding excludes the first frame."""
 
 
 def adopt_filmed(settings: Any, capture: Path) -> bool:
-    """Give a newly chosen capture the time offset with which it was filmed; whether there is one."""
+    """Set the scene's time offset to the one with which the capture was filmed. Returns whether the capture has one."""
     offset_s = filming.time_offset_s(capture)
     if offset_s is not None:
         settings.time_offset_s = offset_s
@@ -22,27 +22,33 @@ def adopt_filmed(settings: Any, capture: Path) -> bool:
 
 
 def adopt_start(settings: Any, capture: Path) -> None:
-    """Give it the time offset with which it begins at the start frame."""
+    """Set the scene's time offset so that the start frame shows the first instant that the capture covers."""
     span_s = fields.span_s(capture)
     if span_s is not None:
         settings.time_offset_s = span_s[0]
 
 
 def covered(scene: Any, capture: Path) -> tuple[float, float] | None:
-    """The scene's frames that surely have a picture; None where there is no capture, or time stands still."""
+    """The first and last frame of the scene, with fractions, at which the capture is covered.
+
+    None if there is no capture in the folder, or if time stands still.
+    """
     span_s = fields.span_s(capture)
     return None if span_s is None else view.covered_frames(scene, span_s)
 
 
 def whole_frames(covered: tuple[float, float]) -> tuple[int, int] | None:
-    """The first and the last whole frame of those covered; None where there is none."""
+    """The first and the last whole frame in a range of covered frames; None if it contains no whole frame."""
     first = math.ceil(covered[0] - SLACK_FRAMES)
     last = math.floor(covered[1] + SLACK_FRAMES)
     return (first, last) if first <= last else None
 
 
 def scene_range(covered: tuple[float, float] | None) -> tuple[int, int] | None:
-    """The whole frames among those covered that a scene can have; None where there is none. None is before 0."""
+    """The first and last whole frame in a range of covered frames, not below 0, as scenes have no negative frames.
+
+    None if there is no such frame.
+    """
     whole = None if covered is None else whole_frames(covered)
     if whole is None or whole[1] < 0:
         return None
@@ -50,7 +56,7 @@ def scene_range(covered: tuple[float, float] | None) -> tuple[int, int] | None:
 
 
 def sentence(scene: Any, capture: Path) -> tuple[str, bool]:
-    """Which frames are covered, and whether the scene's is among them."""
+    """A sentence for the panel about the covered frames, and whether the scene's current frame is covered."""
     span_s = fields.span_s(capture)
     if span_s is None:
         return "No capture in that folder", False

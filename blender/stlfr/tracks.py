@@ -1,12 +1,11 @@
-"""Point tracks: where points of the scene's surfaces are, and which camera sees them, at every frame. The Blender side.
+"""Ground truth point tracks, computed in Blender: positions and visibility of surface points at every frame.
 
-A point is a place on a triangle of an evaluated mesh: three vertices and their weights. It keeps
-that place while the mesh moves and deforms. Points are drawn through the cameras' pixels, so they
-lie where the film shows something; half of them on what moves, as far as there is any.
+A point has fixed barycentric weights on a triangle of an evaluated mesh, and follows this triangle as the mesh moves
+and deforms. Points are sampled through random pixels of the cameras, so that they lie on visible surfaces. Half of them
+are on moving surfaces, if there are enough.
 
-What it can't follow: surfaces of instances, and meshes whose vertices or faces change in number;
-points there aren't drawn. What it doesn't know of: mirrors and glass, which it takes for solid, and
-objects that only some rays see.
+Limits: there are no points on instances, or on meshes whose number of vertices or faces changes. Mirrors and glass
+count as opaque surfaces. Objects that are visible only to some kinds of rays count as visible.
 """
 
 from __future__ import annotations
@@ -29,34 +28,37 @@ from .described import Camera, centre_of, direction_of, project
 from .folder import write_json
 
 CANDIDATES = 4
-"""Points drawn for each one written, so that enough of them move. More take time; fewer leave scenes in which
-little moves with still points only."""
+"""Number of sampled points per written point, so that enough of them move. If larger, sampling takes longer; if
+smaller, a scene with little motion may get only static points."""
 
 MOVING_M = 0.002
-"""The smallest extent of a moving point's trajectory, from end to end. Larger counts slow things as still; smaller
-counts single precision's rounding as motion."""
+"""Minimum extent of a moving point's trajectory: the diagonal of its bounding box. If larger, slow points count as
+static; if smaller, rounding errors of single precision count as motion."""
 
 SAME_DEPTH = 5e-5
-"""How much nearer than the point, relative to its distance, a ray may stop and still see it. Larger than the 0.4 mm
-between the layers of a printed sheet at 2 m, and what a layer covers counts as visible; smaller than single
-precision, and points are hidden by their own surface."""
+"""Tolerance of the visibility test: a ray to a visible point may hit a surface that is nearer by this fraction of the
+point's distance. If larger than 0.4 mm at 2 m, the distance between layers of a printed sheet, points under a layer
+count as visible; if smaller than single precision, points are occluded by their own surface."""
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """One frame of one camera. Times are in seconds: the world's, and the reference camera's clock's."""
+    """The exposure of one frame of one camera. Its time is given as world time, and on the reference camera's clock."""
 
     camera_id: str
     frame: int
     world_time_s: float
     clock_time_s: float
     readout_s: float = 0.0
-    """Of a rolling shutter; the times are those of its middle row."""
+    """The readout time of a rolling shutter, otherwise 0. The frame's time is then that of its middle row."""
 
 
 @dataclass(frozen=True)
 class SurfacePoint:
-    """A point of an object's evaluated mesh."""
+    """A point on a triangle of an object's evaluated mesh: three vertex indices with barycentric weights.
+
+    `vertex_count` is the number of vertices of this mesh; if it changes, the point can't be followed.
+    """
 
     object_name: str
     vertices: tuple[int, int, int]
@@ -66,19 +68,19 @@ class SurfacePoint:
 
 @dataclass(frozen=True)
 class CameraTracks:
-    """All points at every frame of one camera."""
+    """The tracks of all points at the frames of one camera."""
 
     camera_id: str
     times_s: list[float]
-    """Of the frames, on the reference camera's clock. With a rolling shutter, points are where they are when their
-    rows are exposed."""
+    """Times of the frames, on the reference camera's clock. With a rolling shutter, the positions of a point are those
+    when its row is exposed."""
     arrays: dict[str, npt.NDArray[Any]]
-    """By name, each over frames and points: `world` in metres, `pixels`, `visible` 0 or 1."""
+    """Arrays by name, over frames and points: `world` positions in metres, image `pixels`, and `visible` (0 or 1)."""
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """Where points were, for each camera in the studio's order."""
+    """The tracks of points: the points themselves, and their tracks for each camera, in the rig's order."""
 
     points: list[SurfacePoint]
     cameras: list[CameraTracks]
@@ -87,7 +89,7 @@ class Tracks:
 def follow(
     studio: film.Studio, exposures: list[Exposure], count: int, seed: int
 ) -> Tracks:
-    """Up to `count` points of the scene's surfaces, at all exposures."""
+    """Track up to `count` points of the scene's surfaces at all exposures."""
     evaluate_as_rendered(studio.scene)
     described = {e.camera_id: studio.describe(e.camera_id) for e in exposures}
     exposures = sorted(exposures, key=lambda e: (e.world_time_s, e.camera_id))
@@ -123,7 +125,7 @@ def follow(
 
 
 def write(tracks: Tracks, folder: Path, scratch: Path) -> None:
-    """Write `tracks.json` and its arrays into `folder`; src/capture/tracks.rs says what they hold."""
+    """Write tracks.json and its arrays into `folder`; src/capture/tracks.rs describes the format."""
     entries: list[dict[str, Any]] = []
     for camera in tracks.cameras:
         files = {name: f"{camera.camera_id}.{name}.npy" for name in camera.arrays}
@@ -148,7 +150,10 @@ def images_of(
     points: list[SurfacePoint],
     trajectories_m: Array,
 ) -> tuple[list[Array], list[npt.NDArray[np.bool_]]]:
-    """The points' pixels and visibility at each exposure."""
+    """The points' image positions (N, 2) and visibility (N) at each exposure.
+
+    `described` has the camera objects by id. `trajectories_m` (exposures, points, 3) are the points' world positions.
+    """
     pixels: list[Array] = []
     visible: list[npt.NDArray[np.bool_]] = []
     for k, exposure in enumerate(exposures):
@@ -170,7 +175,7 @@ def images_of(
 def exposed_positions(
     scene: Any, exposure: Exposure, camera: Camera, points: list[SurfacePoint]
 ) -> Array:
-    """Where the points are when the rows that show them are exposed, metres."""
+    """The points' world positions (N, 3), metres, each when the image row that shows the point is exposed."""
     places_m, when = _during(scene, exposure, camera, points)
     return when.between(places_m)
 
@@ -182,7 +187,10 @@ def exposed_unoccluded(
     points: list[SurfacePoint],
     places_m: Array,
 ) -> npt.NDArray[np.bool_]:
-    """`unoccluded` when the rows that show the points are exposed, to half of `rolling.NODE_S`."""
+    """Whether each point is unoccluded when the image row that shows it is exposed.
+
+    The time of this test is rounded to the nearest node of the readout, at most half of `rolling.NODE_S` away.
+    """
     centre = centre_of(camera)
     offsets_s = rolling.nodes_s(exposure.readout_s)
     if len(offsets_s) == 1:
@@ -200,7 +208,7 @@ def exposed_unoccluded(
 def _during(
     scene: Any, exposure: Exposure, camera: Camera, points: list[SurfacePoint]
 ) -> tuple[Array, rolling.Exposed]:
-    """Where the points are at the instants of the readout (instants, points, 3), and when each is exposed."""
+    """The points' world positions at the nodes of a readout (nodes, points, 3), and when each point is exposed."""
     places_m = np.array(
         [
             positions(evaluated_at(scene, exposure, float(offset_s)), points)
@@ -212,7 +220,7 @@ def _during(
 
 
 def exposures(rig: rigs.Rig, frame_count: int) -> list[Exposure]:
-    """Every frame of every camera."""
+    """The exposures of all frames of all cameras. The reference camera takes `frame_count` frames."""
     shutters = rigs.shutters(rig, frame_count)
     zero_s = truth.reference_zero_s(rig, shutters)
     return [
@@ -223,7 +231,7 @@ def exposures(rig: rigs.Rig, frame_count: int) -> list[Exposure]:
 
 
 def evaluate_as_rendered(scene: Any) -> None:
-    """Let the viewport's evaluation, which rays are cast into, show what a render shows."""
+    """Make the viewport show what a render shows, because ray casts use the geometry of the viewport."""
     for scene_object in scene.objects:
         scene_object.hide_viewport = scene_object.hide_render
         for modifier in scene_object.modifiers:
@@ -234,7 +242,7 @@ def evaluate_as_rendered(scene: Any) -> None:
 
 
 def evaluated_at(scene: Any, exposure: Exposure, offset_s: float = 0.0) -> Any:
-    """The scene as it is in the middle of the exposure, or some time after it."""
+    """Set the scene to the exposure's time plus `offset_s`. Returns its evaluated dependency graph."""
     frame, subframe = scenes.frame_at(scene, exposure.world_time_s + offset_s)
     scene.frame_set(frame, subframe=subframe)
     return bpy.context.evaluated_depsgraph_get()
@@ -243,7 +251,7 @@ def evaluated_at(scene: Any, exposure: Exposure, offset_s: float = 0.0) -> Any:
 def draw(
     studio: film.Studio, exposures: list[Exposure], count: int, seed: int
 ) -> list[SurfacePoint]:
-    """Up to `count` points, each behind a random pixel at one of a few of the exposures, spread over time."""
+    """Sample up to `count` surface points, each behind a random pixel, at up to 16 exposures spread over time."""
     generator = random.Random(f"{seed}/tracks")
     groups = min(16, len(exposures))
     points: list[SurfacePoint] = []
@@ -287,11 +295,11 @@ def _behind(
 
 
 def _triangles(mesh: Any, face: int) -> list[tuple[int, int, int]]:
-    """The face's triangles, as they are rendered."""
+    """The vertex indices of a face's triangles, in the triangulation that is rendered."""
     polygon = mesh.polygons[face]
     if len(polygon.vertices) == 3:
         return [tuple(polygon.vertices)]
-    # Blender stores a polygon's triangles together, in the polygons' order: two fewer than corners.
+    # Blender stores the triangles in the polygons' order; a polygon has two triangles fewer than corners.
     first = polygon.loop_start - 2 * face
     return [
         tuple(mesh.loop_triangles[i].vertices)
@@ -300,7 +308,7 @@ def _triangles(mesh: Any, face: int) -> list[tuple[int, int, int]]:
 
 
 def barycentric(place: Array, corners: Array) -> tuple[float, float, float] | None:
-    """The weights of a triangle's corners (3, 3) that give a place on it; none for a triangle without area."""
+    """The barycentric weights of a point on a triangle with these corners (3, 3); None for a triangle without area."""
     edges = (corners[1:] - corners[0]).T
     gram = edges.T @ edges
     determinant = gram[0, 0] * gram[1, 1] - gram[0, 1] ** 2
@@ -311,7 +319,10 @@ def barycentric(place: Array, corners: Array) -> tuple[float, float, float] | No
 
 
 def positions(graph: Any, points: list[SurfacePoint]) -> Array:
-    """Where the points are now, in metres (N, 3); NaN where the mesh isn't the one they were drawn on."""
+    """The points' world positions (N, 3) in an evaluated scene, metres.
+
+    NaN for points on a mesh whose number of vertices has changed.
+    """
     result = np.full((len(points), 3), np.nan)
     by_object: dict[str, list[int]] = {}
     for i, point in enumerate(points):
@@ -332,7 +343,10 @@ def positions(graph: Any, points: list[SurfacePoint]) -> Array:
 
 
 def choose(trajectories_m: Array, count: int) -> list[int]:
-    """Up to `count` of the points, half of them moving as far as there are such, in the order drawn."""
+    """Choose up to `count` points with complete trajectories, half of them moving if there are enough.
+
+    Returns their indices in increasing order. `trajectories_m` is (exposures, points, 3).
+    """
     whole = np.isfinite(trajectories_m).all(axis=(0, 2))
     reach_m = np.zeros(trajectories_m.shape[1])
     reach_m[whole] = np.linalg.norm(np.ptp(trajectories_m[:, whole], axis=0), axis=1)
@@ -346,7 +360,7 @@ def choose(trajectories_m: Array, count: int) -> list[int]:
 def unoccluded(
     scene: Any, graph: Any, centre: Array, points_m: Array
 ) -> npt.NDArray[np.bool_]:
-    """Whether nothing stands between a camera's centre and each point."""
+    """Whether each point (N, 3) is unoccluded as seen from a camera's centre."""
     origin = Vector(centre)
     result = np.zeros(len(points_m), dtype=bool)
     for i, point in enumerate(points_m):

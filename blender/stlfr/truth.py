@@ -1,6 +1,6 @@
-"""What only a simulator knows: the instants that truth is rendered at, the offsets, the shutters' times.
+"""Ground truth of a simulated capture: instants with ground truth images, true offsets, true exposure times.
 
-All times are on the reference camera's clock, in seconds. No `bpy` here.
+All times are seconds on the reference camera's clock. Does not import `bpy`.
 """
 
 from __future__ import annotations
@@ -16,24 +16,28 @@ if TYPE_CHECKING:
     from .rig import Rig, Shutter
 
 MIN_GAP_FRAMES = 0.04
-"""An instant lies in the middle of a gap between two exposures (of any cameras) at least this wide,
-in reference frames: narrower, and some camera's frame nearly is the truth; wider than an eighth,
-and eight evenly spread cameras leave no gap."""
+"""Instants with ground truth lie in the middle of gaps between the exposures of any cameras. This is the minimum length
+of such a gap, in frame intervals of the reference camera. If smaller, some camera's frame nearly equals the ground
+truth; if larger than an eighth, eight cameras with evenly spread offsets have no gap."""
 
 
 def reference_zero_s(rig: Rig, shutters: list[Shutter]) -> float:
-    """World time at which the reference camera's clock reads 0."""
+    """World time at which the reference camera's clock shows 0."""
     return next(s.zero_s for s in shutters if s.id == rig.reference)
 
 
 def offsets_s(rig: Rig, shutters: list[Shutter]) -> dict[str, float]:
-    """time on the reference's clock = time on the camera's clock + offset, for every camera."""
+    """The true offset of every camera by id: time on the reference's clock = time on the camera's clock + offset."""
     zero_s = reference_zero_s(rig, shutters)
     return {s.id: s.zero_s - zero_s for s in shutters}
 
 
 def covered_span_s(rig: Rig, shutters: list[Shutter]) -> tuple[float, float]:
-    """From where to where every camera has a frame on either side and one more beyond that."""
+    """The first and last instant of the covered span, in which all instants have enough frames for interpolation.
+
+    Every camera has at least two frames up to each of these instants, and at least two frames from it on. If a camera
+    has fewer than four frames, the span is empty: its end is before its start.
+    """
     zero_s = reference_zero_s(rig, shutters)
     if min(len(s.world_times_s) for s in shutters) < 4:
         return (0.0, -1.0)
@@ -43,7 +47,10 @@ def covered_span_s(rig: Rig, shutters: list[Shutter]) -> tuple[float, float]:
 
 
 def instants_s(rig: Rig, shutters: list[Shutter], count: int) -> list[float]:
-    """`count` instants spread over the covered span, each in the middle of a gap between exposures."""
+    """`count` instants spread over the covered span, each in the middle of a gap between exposures.
+
+    Raises `BadInputError` if there are too few gaps of at least `MIN_GAP_FRAMES`.
+    """
     if count == 0:
         return []
     start_s, end_s = covered_span_s(rig, shutters)
@@ -76,7 +83,10 @@ def instants_s(rig: Rig, shutters: list[Shutter], count: int) -> list[float]:
 def given_instants_s(
     rig: Rig, shutters: list[Shutter], times_s: Sequence[float]
 ) -> list[float]:
-    """The given instants in order; every camera must have frames at or on both sides of each."""
+    """The given instants, sorted and without duplicates.
+
+    Raises `BadInputError` if an instant is before the first frame or after the last frame of some camera.
+    """
     zero_s = reference_zero_s(rig, shutters)
     start_s = max(s.world_times_s[0] for s in shutters) - zero_s
     end_s = min(s.world_times_s[-1] for s in shutters) - zero_s
@@ -89,7 +99,10 @@ def given_instants_s(
 
 
 def video_times_s(rig: Rig, shutters: list[Shutter], count: int) -> list[float]:
-    """`count` evenly spaced times over the covered span, ends included."""
+    """`count` evenly spaced times over the covered span, including its ends.
+
+    Raises `BadInputError` if the covered span is empty.
+    """
     if count == 0:
         return []
     start_s, end_s = covered_span_s(rig, shutters)
@@ -101,7 +114,7 @@ def video_times_s(rig: Rig, shutters: list[Shutter], count: int) -> list[float]:
 
 
 def clocks_json(rig: Rig, shutters: list[Shutter]) -> dict[str, Any]:
-    """What truth.json says of each camera's clock, and when its shutter opened."""
+    """The fields of truth.json about clocks: every camera's true offset and drift, and its true exposure times."""
     zero_s = reference_zero_s(rig, shutters)
     offsets = offsets_s(rig, shutters)
     return {

@@ -1,4 +1,4 @@
-"""A camera's frames as one lossless video, FFV1 in Matroska, in place of its images. No `bpy` here."""
+"""Replaces the images of a camera's frames by one lossless video, FFV1 in Matroska. Does not import `bpy`."""
 
 from __future__ import annotations
 
@@ -17,33 +17,34 @@ if TYPE_CHECKING:
 
 
 def video_file(camera_id: str) -> str:
-    """Where a camera's video lies."""
+    """The path of a camera's video, relative to the capture's folder."""
     return f"{camera_id}.mkv"
 
 
 def frames_of(camera_id: str, capture: Path) -> str:
-    """What capture.json says of a camera's frames: the video if it is there."""
+    """The field `frames` of a camera in capture.json: the video's path if it exists, else a pattern of image paths."""
     if (capture / video_file(camera_id)).is_file():
         return video_file(camera_id)
     return f"{camera_id}/%04d.png"
 
 
 def holds(job: Job, capture: Path) -> bool:
-    """Whether a job's image went into its camera's video, which has its name only when it is whole."""
+    """Whether a job's image is a frame of its camera's video, which exists under its name only when it is complete."""
     in_camera = job.files[0].split("/")[0] == job.view_id
     return in_camera and (capture / video_file(job.view_id)).is_file()
 
 
 def is_packed(camera: RigCamera, capture: Path) -> bool:
-    """Whether the video has taken the place of the camera's images."""
+    """Whether the camera's images have been replaced by a video: the video exists, and the images are deleted."""
     is_there = (capture / video_file(camera.id)).is_file()
     return is_there and not (capture / camera.id).exists()
 
 
 def pack(camera: RigCamera, capture: Path, scratch: Path) -> None:
-    """Make a video of a camera's images, then remove them. All images must be there.
+    """Replace a camera's images, all of which must exist, by a video.
 
-    The video gets its name when it decodes to the very pixels of the images, which go after that.
+    The video is written in the folder `scratch`, and decoded to check that its pixels equal those of the images. Only
+    then it is renamed to its final path, and the images are deleted.
     """
     ffmpeg = find_ffmpeg()
     target, images = capture / video_file(camera.id), capture / camera.id
@@ -70,7 +71,10 @@ def pack(camera: RigCamera, capture: Path, scratch: Path) -> None:
 
 
 def find_ffmpeg() -> str:
-    """The system's, or the one that the environment brings."""
+    """The path of ffmpeg: the system's, or else that of the package `imageio_ffmpeg`.
+
+    Raises `FailureError` if there is none.
+    """
     system = shutil.which("ffmpeg")
     if system is not None:
         return system

@@ -1,10 +1,9 @@
-"""Which image of the light field a frame of the scene shows. No `bpy` here: scenes and objects are read.
+"""Which image of the light field a frame of a Blender scene shows. Does not import `bpy`; callers pass its objects.
 
 The capture's time, seconds on its reference camera's clock, is
-`(frame - start frame) / fps * speed + time_offset_s`. After filming, the start frame is the scene's first
-frame then, and the offset is the capture's time at it, so that the light field and Cycles show the same
-instant. With the speed at 0 and the offset animated, time goes as one likes: it stands still
-(bullet time), slows down, or runs back.
+`(frame - start frame) / fps * speed + time_offset_s`. After filming, the start frame is set to the scene's first frame,
+and the offset to the capture's time at this frame, so that the light field and Cycles show the same instant. If the
+speed is 0 and the offset is animated, time can stand still (bullet time), slow down, or run backwards.
 """
 
 from __future__ import annotations
@@ -21,27 +20,27 @@ from .described import describe_object
 from .errors import BadInputError
 
 Stamp = tuple[tuple[int, int], ...]
-"""When the files that a capture is described by were last written, and how large they are."""
+"""Modification times and sizes of the files that describe a capture."""
 
 Samples = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 Linear = npt.NDArray[np.float32]
-"""RGBA as Blender has it, (H, W, 4): scene-linear, alpha premultiplied, the bottom row first."""
+"""An RGBA image as in Blender, (H, W, 4): scene-linear, with premultiplied alpha and the bottom row first."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """An image of a light field, as the module `stlfr` takes it."""
+    """A request to render one image of a light field, with the arguments of `stlfr.Capture.render`."""
 
     capture: Path
     time_s: float
     camera: dict[str, Any]
     options: dict[str, Any]
     stamp: Stamp = ()
-    """Of the capture's files: another one asks for another image."""
+    """Modification times and sizes of the capture's files; if they change, the image must be rendered again."""
 
 
 def request(scene: Any, camera_object: Any, capture: Path) -> Request:
-    """What a scene at its current frame and sub-frame asks for, seen through a camera."""
+    """The request for the view of a Blender camera at the scene's current frame and sub-frame."""
     require_perspective(camera_object)
     return Request(
         capture=capture,
@@ -52,7 +51,7 @@ def request(scene: Any, camera_object: Any, capture: Path) -> Request:
 
 
 def require_perspective(camera_object: Any) -> None:
-    """Refuse what the light field can't be seen through."""
+    """Raises `BadInputError` if there is no camera, or if it isn't a perspective camera."""
     if camera_object is None or camera_object.type != "CAMERA":
         raise BadInputError("the scene has no camera to look through")
     if camera_object.data.type != "PERSP":
@@ -72,7 +71,10 @@ def capture_time_s(scene: Any) -> float:
 def covered_frames(
     scene: Any, span_s: tuple[float, float]
 ) -> tuple[float, float] | None:
-    """The scene's frames, fractions included, that show a span of the capture; None where time stands still."""
+    """The first and last frame, with fractions, of the scene's frames that show this time span of the capture.
+
+    None if time stands still.
+    """
     settings = scene.stlfr
     if settings.speed == 0.0:
         return None
@@ -85,7 +87,7 @@ def covered_frames(
 
 
 def options(settings: Any) -> dict[str, Any]:
-    """The render options that the render tab amounts to, as a file for `stlfr render --options` has them."""
+    """The render options for the settings of the render tab, in the format of files for `stlfr render --options`."""
     result: dict[str, Any] = (
         _methods(settings) if settings.preset == "none" else {"preset": settings.preset}
     )
@@ -99,12 +101,12 @@ def options(settings: Any) -> dict[str, Any]:
 
 
 def _methods(settings: Any) -> dict[str, Any]:
-    """The options of the methods that were chosen one by one."""
+    """The render options if no preset is chosen: the methods of synchronization and of scene shape."""
     auto = {
         stage: True for stage in ("sync", "proxy") if getattr(settings, stage) == "auto"
     }
     if "sync" in auto:
-        # The weights in time depend on how images are synchronized, and have no choice of their own here.
+        # The blending weights in time depend on the synchronization, and the panel has no choice for them.
         auto["blend"] = True
     proxy: dict[str, Any] = {} if "proxy" in auto else {"method": settings.proxy}
     if settings.proxy == "plane" and settings.use_plane_depth:
@@ -117,7 +119,7 @@ def _methods(settings: Any) -> dict[str, Any]:
 
 
 def border_px(render: Any, width_px: int, height_px: int) -> tuple[int, int, int, int]:
-    """What is rendered of the image: left, right, bottom, top, in pixels from the bottom left."""
+    """Blender's render border in pixels from the image's bottom left: left, right, bottom, top."""
     if not render.use_border:
         return 0, width_px, 0, height_px
     return (
@@ -129,7 +131,7 @@ def border_px(render: Any, width_px: int, height_px: int) -> tuple[int, int, int
 
 
 def scene_linear(samples: Samples) -> Linear:
-    """As Blender has it: samples (H, W, 1 to 4), display-encoded (sRGB), grey or RGB, with or without alpha."""
+    """Convert an image to Blender's format: from sRGB samples (H, W, 1 to 4), grey or RGB, with or without alpha."""
     top = np.iinfo(samples.dtype).max
     channels = samples.shape[2]
     result = np.ones((*samples.shape[:2], 4), dtype=np.float32)
@@ -143,7 +145,7 @@ def scene_linear(samples: Samples) -> Linear:
 
 @functools.cache
 def _decoded(top: int) -> npt.NDArray[np.float32]:
-    """The linear value of every sample."""
+    """The linear values of all sRGB sample values from 0 to `top`."""
     encoded = np.arange(top + 1) / top
     linear = np.where(
         encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4

@@ -1,7 +1,8 @@
-"""The viewport's viewpoint as a camera, and where its picture lies in the region. No `bpy` here.
+"""A viewport's viewpoint as a camera object, and the place of its picture in the viewport's region.
 
-Blender's matrices: the view matrix takes the world to the viewer's axes (+x right, +y up, -z forward), the
-window matrix takes those to clip coordinates. Regions count pixels from the bottom left.
+Blender's view matrix transforms world coordinates to view coordinates (+x right, +y up, -z forward), and its window
+matrix transforms view coordinates to clip coordinates. Pixels of a region are counted from the bottom left. Does not
+import `bpy`.
 """
 
 from __future__ import annotations
@@ -18,16 +19,18 @@ from .described import Camera, describe
 from .errors import BadInputError
 
 MIN_SIDE_PX = 8
-"""The smallest side of a picture. Smaller, and it shows nothing; larger, and thin regions are stretched."""
+"""Minimum width and height of a picture. If smaller, it shows nothing; if larger, pictures of thin regions are
+stretched."""
 
 MAX_OVERSAMPLING = 2.0
-"""How much larger than its place in the viewport a camera's picture is rendered, before it is scaled down. Larger, and
-a small viewport waits for pixels that nobody sees; at 1, it never shows the very picture that F12 makes."""
+"""Maximum ratio of the width of a camera's picture to its width in the viewport; above, it is rendered smaller. If
+larger, a small viewport waits for invisible pixels; at 1, a viewport never shows exactly the picture that F12
+renders."""
 
 
 @dataclass(frozen=True)
 class Rect:
-    """A rectangle of a region, pixels from the bottom left."""
+    """A rectangle in a viewport's region, in pixels from the bottom left."""
 
     x: float
     y: float
@@ -35,7 +38,7 @@ class Rect:
     height: float
 
     def part(self, border: tuple[float, float, float, float]) -> Rect:
-        """The part within a border: left, right, bottom, top, as fractions."""
+        """The part of the rectangle within a border, which is given as fractions: left, right, bottom, top."""
         left, right, bottom, top = border
         return Rect(
             self.x + left * self.width,
@@ -45,7 +48,10 @@ class Rect:
         )
 
     def snapped(self, width_px: int, height_px: int) -> Rect:
-        """Moved by less than a pixel to show a picture of nearly its size pixel by pixel, else as it is."""
+        """The rectangle aligned to whole pixels with the size of the picture, so that pixels are shown one to one.
+
+        If its size differs from the picture's by a pixel or more, it is returned unchanged.
+        """
         if max(abs(self.width - width_px), abs(self.height - height_px)) >= 1.0:
             return self
         return Rect(round(self.x), round(self.y), width_px, height_px)
@@ -54,7 +60,10 @@ class Rect:
 def camera_of_view(
     view_matrix: Array, window_matrix: Array, size_px: tuple[int, int]
 ) -> Camera:
-    """The pinhole camera that sees what a perspective view shows."""
+    """The pinhole camera with the same image as a perspective viewport of this size (width, height).
+
+    Raises `BadInputError` if the view is orthographic.
+    """
     if abs(window_matrix[3, 3]) > 1e-6 or window_matrix[3, 2] == 0.0:
         raise BadInputError(
             "the light field has no orthographic views: press Numpad 5 for a perspective one"
@@ -73,7 +82,10 @@ def camera_of_view(
 
 
 def frame_rect(perspective: Array, corners_m: Array, size_px: tuple[int, int]) -> Rect:
-    """Where the corners (N, 3) of a camera's frame lie in a region whose `perspective_matrix` is given."""
+    """The bounding rectangle of a camera's frame in a region with this `perspective_matrix` and size in pixels.
+
+    `corners_m` (N, 3) are the frame's corners in world coordinates.
+    """
     homogeneous = np.c_[corners_m, np.ones(len(corners_m))] @ perspective.T
     clip = homogeneous[:, :2] / homogeneous[:, 3:]
     pixels = 0.5 * (clip + 1.0) * np.array(size_px)
@@ -82,13 +94,17 @@ def frame_rect(perspective: Array, corners_m: Array, size_px: tuple[int, int]) -
 
 
 def factor_for(camera: Camera, place: Rect) -> float:
-    """By how much a camera's picture is scaled for its place: 1, unless that is far smaller."""
+    """The factor on the size of a camera's picture for display in `place`.
+
+    It is 1, unless the picture is more than `MAX_OVERSAMPLING` times wider than `place`; then it makes the widths
+    equal.
+    """
     oversampling = camera["width"] / max(1.0, place.width)
     return 1.0 if oversampling <= MAX_OVERSAMPLING else 1.0 / oversampling
 
 
 def scaled(camera: Camera, factor: float) -> Camera:
-    """The same view in a picture of another size."""
+    """The same view as a camera object with its image size multiplied by `factor`, at least `MIN_SIDE_PX`."""
     if factor == 1.0:
         return camera
     width, height = (

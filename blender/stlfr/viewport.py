@@ -1,4 +1,4 @@
-"""`Rendered` shading with the engine `STLFR`: a region's viewpoint, asked for and drawn."""
+"""Viewport shading `Rendered` with the engine `STLFR`: requests pictures for a region's viewpoint, and draws them."""
 
 from __future__ import annotations
 
@@ -22,18 +22,21 @@ from .errors import BadInputError
 from .viewpoint import Rect
 
 POLL_S = 1 / 60
-"""How often it is asked whether a picture is ready. Larger, and fewer pictures a second are seen; smaller, and Blender is
-woken for nothing."""
+"""Time between two checks for a new picture. If larger, fewer pictures per second are shown; if smaller, Blender is
+woken more often than needed."""
 
 TEXT_PX = 12
-"""The height of letters, for an interface at scale 1. Larger covers the picture; smaller can't be read."""
+"""Text size at interface scale 1. If larger, the text covers the picture; if smaller, it can't be read."""
 
 _all: weakref.WeakSet[live.Live] = weakref.WeakSet()
 
 
 @dataclass(frozen=True)
 class Wish:
-    """A picture, where it lies in the region, and which part of it is shown (left, right, bottom, top)."""
+    """The picture that a region needs, its place in the region, and the visible part of it.
+
+    `border` is the visible part as fractions of the picture: left, right, bottom, top.
+    """
 
     request: view.Request
     place: Rect
@@ -41,7 +44,7 @@ class Wish:
 
 
 class Viewport:
-    """What one region shows. Everything here is called by Blender's main thread."""
+    """The display of one viewport region. All methods are called in Blender's main thread."""
 
     def __init__(self) -> None:
         self.live = live.Live()
@@ -49,8 +52,8 @@ class Viewport:
         _all.add(self.live)
 
     def draw(self, engine: Any, context: Any, scene: Any, capture: Path) -> None:
-        """Ask for the region's view, and draw what there is."""
-        if self.live.is_closed:  # another file was to be opened, and wasn't
+        """Request a picture of the region's view, and draw the latest picture, or a message if there is none."""
+        if self.live.is_closed:  # opening another file has closed it, and then failed
             self.live = live.Live()
             _all.add(self.live)
         try:
@@ -78,19 +81,22 @@ class Viewport:
         _say(context.region, status(picture, self.live))
 
     def refuse(self, region: Any, sentence: str) -> None:
-        """Show nothing but a sentence."""
+        """Drop the picture, and draw only a message."""
         self.live.refuse()
         self._texture = None
         _say(region, sentence)
 
     def close(self) -> None:
-        """The region, the file or the engine goes."""
+        """Stop rendering, because the region, the file or the engine is closed."""
         self.live.close()
         self._texture = None
 
 
 def wish(context: Any, scene: Any, capture: Path) -> Wish:
-    """What a region asks for at the scene's frame; a `BadInputError` where there is no such picture."""
+    """The picture that a region needs at the scene's current frame, through a camera or from a free viewpoint.
+
+    Raises `BadInputError` if the light field can't show this view.
+    """
     region, space, shown = context.region, context.space_data, context.region_data
     size_px = (region.width, region.height)
     if shown.view_perspective == "CAMERA":
@@ -124,7 +130,10 @@ def wish(context: Any, scene: Any, capture: Path) -> Wish:
 
 
 def _border(of: Any, is_used: bool) -> tuple[float, float, float, float]:
-    """The render border of a camera's or of a free view."""
+    """The render border as fractions: left, right, bottom, top; the whole picture if the border isn't used.
+
+    `of` is the render settings for a camera's view, or the 3D view's settings for a free view.
+    """
     if not is_used:
         return 0.0, 1.0, 0.0, 1.0
     names = ("min_x", "max_x", "min_y", "max_y")
@@ -134,7 +143,7 @@ def _border(of: Any, is_used: bool) -> tuple[float, float, float, float]:
 
 
 def status(picture: live.Picture, by: live.Live) -> str:
-    """By which method, how large, how fast."""
+    """The status line of a picture: its methods, its size, and its rendering time or rate."""
     height, width = picture.pixels.shape[:2]
     if picture.is_final:
         took = f"{by.counts.final_took_s:.1f} s"
@@ -153,7 +162,7 @@ def _texture(pixels: view.Linear) -> Any:
 
 @contextlib.contextmanager
 def _display_space(engine: Any, scene: Any) -> Iterator[None]:
-    """Scene-linear values become what the scene's colour management says."""
+    """Within this context, scene-linear values are drawn by the scene's colour management."""
     gpu.state.blend_set("ALPHA_PREMULT")
     engine.bind_display_space_shader(scene)
     try:
@@ -164,7 +173,7 @@ def _display_space(engine: Any, scene: Any) -> Iterator[None]:
 
 
 def _draw(texture: Any, wanted: Wish) -> None:
-    """The part within the border."""
+    """Draw the part of the picture within the border, at its place in the region."""
     place = wanted.place.snapped(texture.width, texture.height)
     is_exact = place is not wanted.place
     part = place.part(wanted.border)
@@ -189,7 +198,7 @@ def _draw(texture: Any, wanted: Wish) -> None:
 
 @functools.cache
 def _exact() -> Any:
-    """A shader that shows texels as they are. Blender's own interpolates, and its pixels lie a hundredth aside."""
+    """A shader that draws texels unchanged. Blender's own shader interpolates, with an offset of 0.01 pixels."""
     info = gpu.types.GPUShaderCreateInfo()
     interface = gpu.types.GPUStageInterfaceInfo("stlfr_exact")
     interface.smooth("VEC2", "uv")
@@ -209,7 +218,7 @@ def _exact() -> Any:
 
 
 def _say(region: Any, text: str) -> None:
-    """A line or more at the region's lower left."""
+    """Draw a text at the region's lower left, broken into lines."""
     scale = bpy.context.preferences.system.ui_scale
     height = TEXT_PX * scale
     blf.size(0, height)
@@ -228,24 +237,24 @@ def _say(region: Any, text: str) -> None:
 
 
 def redraw() -> None:
-    """Draw the 3D views that show a light field anew."""
+    """Redraw all 3D views with `Rendered` shading."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D" and area.spaces.active.shading.type == "RENDERED":
-                for region in area.regions:  # the others cost as much as the view
+                for region in area.regions:  # redrawing the sidebars would be slow
                     if region.type == "WINDOW":
                         region.tag_redraw()
 
 
 def _follow() -> None:
-    """Look for pictures as long as some may come."""
+    """Start a timer that checks for new pictures, as long as any may come."""
     if not bpy.app.timers.is_registered(_poll):
         bpy.app.timers.register(_poll, first_interval=POLL_S)
 
 
 def _poll() -> float | None:
     shown = list(_all)
-    # Before the news: the last picture isn't missed.
+    # `is_busy` is read before `take_news`, so that the last picture isn't missed.
     busy = any(one.is_busy for one in shown)
     if True in {one.take_news() for one in shown}:
         redraw()
@@ -254,7 +263,7 @@ def _poll() -> float | None:
 
 @persistent
 def end_all(*_: Any) -> None:
-    """Another file is opened, or the extension goes: nothing comes any more."""
+    """Stop rendering in all viewports, and close the capture: another file is opened, or the extension is disabled."""
     for one in list(_all):
         one.close()
     spans.forget()
@@ -262,17 +271,17 @@ def end_all(*_: Any) -> None:
 
 
 def register() -> None:
-    """Make it known to Blender."""
+    """Register the handler that stops rendering before another file is opened."""
     bpy.app.handlers.load_pre.append(end_all)
 
 
 def unregister() -> None:
-    """Leave nothing behind."""
+    """Stop rendering in all viewports, and remove the handler and the timer."""
     _exact.cache_clear()
     with contextlib.suppress(ValueError):
         bpy.app.handlers.load_pre.remove(end_all)
     end_all()
     for one in list(_all):
-        one.close(live.PATIENCE_S)  # Python may end after this, with no thread running
+        one.close(live.PATIENCE_S)  # Python may exit afterwards, when no thread may run
     if bpy.app.timers.is_registered(_poll):
         bpy.app.timers.unregister(_poll)

@@ -1,4 +1,4 @@
-"""The compiled module `stlfr` has to be the one that this extension brings. No `bpy` here."""
+"""Checks that the compiled module `stlfr` has the version of this extension. Does not import `bpy`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MANIFEST = Path(__file__).resolve().parent / "blender_manifest.toml"
 
 
 def require(manifest: Path = MANIFEST) -> None:
-    """Refuse a missing module, or one of another version than the manifest's."""
+    """Raises `FailureError` if the module `stlfr` is missing, or has another version than the extension's manifest."""
     expected = manifest_version(manifest)
     try:
         import stlfr
@@ -27,6 +27,6 @@ def require(manifest: Path = MANIFEST) -> None:
 
 
 def manifest_version(manifest: Path) -> str:
-    """The version that a manifest states."""
+    """The extension's version in its manifest."""
     with manifest.open("rb") as stream:
         return str(tomllib.load(stream)["version"])

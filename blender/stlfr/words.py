@@ -1,4 +1,4 @@
-"""Sentences of the command line and the module, in the words of Blender's panels. No `bpy` here."""
+"""Translates messages of the command line into the terms of Blender's panels. Does not import `bpy`."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ MEANINGS: dict[str, str] = {
     r"`?stlfr setup`?": "the extension's installation",
     r"`?stlfr (compare|offsets|render)( \S+)?`?": r"\1",
 }
-"""What a pattern of such a sentence means here, in this order."""
+"""Regular expressions for parts of a message, and their replacements in the panels' terms; applied in this order."""
 
 
 def in_blender(sentence: str) -> str:
-    """The sentence, without options of a command line and without files that nobody sees."""
+    """The message in the terms of Blender's panels, without command line options and hidden files."""
     for pattern, meaning in MEANINGS.items():
         sentence = re.sub(pattern, meaning, sentence)
     return sentence
 
 
 def duration(seconds: float) -> str:
-    """`3 min 20 s`."""
+    """A duration as text, such as `3 min 20 s`."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
 def wrapped(text: str, columns: int) -> Iterator[str]:
-    """The text in lines of at most so many characters, broken at spaces, and at slashes where a word is longer."""
+    """Yields the text in lines of at most `columns` characters, broken at spaces, and in longer words at slashes."""
     line = ""
     for word in re.findall(r"\S+", text):
         while len(word) > columns:
@@ -70,7 +70,7 @@ def wrapped(text: str, columns: int) -> Iterator[str]:
 
 
 def frames(first: float, last: float) -> str:
-    """A range of scene frames, rounded inwards to tenths: what is said to be covered is."""
+    """A range of scene frames as text, rounded inwards to tenths, so that all frames in it are covered."""
     ten_first, ten_last = -int(-first * 10 // 1), int(last * 10 // 1)
     first, last = ten_first / 10, ten_last / 10
     return f"{first:g} to {last:g}"

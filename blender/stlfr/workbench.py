@@ -1,4 +1,4 @@
-"""What Workbench doesn't show of a scene: procedural textures. The Blender side."""
+"""Finds the procedural textures of a scene, which Workbench doesn't show."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import bpy
 
 
 def lost_textures(scene: Any) -> list[str]:
-    """One sentence with the materials whose texture Workbench leaves out, by name; none if there is none."""
+    """A list with one sentence that names the materials with procedural textures; empty if there are none."""
     materials = {
         slot.material
         for obj in scene.objects
@@ -28,7 +28,7 @@ def lost_textures(scene: Any) -> list[str]:
 
 
 def _is_procedural(material: bpy.types.Material) -> bool:
-    """Whether a material has textures, and none of them is an image."""
+    """Whether a material has textures, but no image texture."""
     if material.node_tree is None:
         return False
     kinds = {

@@ -1,10 +1,11 @@
-"""Film on several processes, each with a Blender of its own.
+"""Film in several worker processes, each with its own Blender.
 
-One single-threaded process per core films 10 to 20 % faster than one process with a thread per core
-(measured at 320x240 on two cores): animation, scene update and PNG run on one thread either way.
+One single-threaded process per core films 10 to 20 % faster than one process with a thread per core (measured at
+320x240 on two cores), because animation, scene updates and PNG encoding are single-threaded in both cases.
 
-Parent and worker talk in JSON lines over the worker's stdin and stdout: the worker gets its setting,
-answers with its cameras, then gets one job at a time and answers when the job's files are in place.
+Parent and worker exchange JSON lines over the worker's stdin and stdout. The parent first sends the settings, and the
+worker answers with the views' camera objects. Then the parent sends one job at a time, and the worker answers when the
+job's files are written.
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ NO_OPENGL = (
     "; Workbench needs OpenGL: apt-get install -y libegl1 libgl1-mesa-dri, "
     "or film with --engine cycles"
 )
-"""Blender aborts where it finds none."""
+"""Addition to the error message if a Workbench worker ends, as Blender aborts without OpenGL."""
 
 Cameras = dict[str, dict[str, Any]]
 Answer = tuple["subprocess.Popen[str]", str]
 
 
 class Crew:
-    """The worker processes, each started by `command`, with the cores shared among them.
+    """The worker processes, each started by `command`; the cores are divided among them.
 
-    Leaving the context ends them, whatever they are doing.
+    Leaving the context kills all workers, even if they have jobs.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class Crew:
                 stderr=subprocess.DEVNULL,
                 text=True,
                 start_new_session=True,  # a Ctrl-C is the parent's to handle
-                # Should the parent be killed, its images are free when this process has ended too.
+                # If the parent is killed, its claims become free only when this worker has ended too.
                 pass_fds=[self.lock] if os.name == "posix" else [],
             )
             self.processes.append(process)
@@ -100,9 +101,9 @@ class Crew:
         on_done: Callable[[Job], None],
         on_notes: Callable[[list[str]], None],
     ) -> Cameras:
-        """Do jobs until all are done, here or elsewhere; gives every view's camera as Blender has it.
+        """Do jobs until all are done, by these workers or by other processes. Returns every view's camera object by id.
 
-        The notes are the first worker's on the scene, before it films.
+        `on_notes` gets the notes on the scene that the first worker sends before it films.
         """
         busy: dict[int, Job] = {}
         idle: list[subprocess.Popen[str]] = []
@@ -131,14 +132,14 @@ class Crew:
 
 def _send(process: subprocess.Popen[str], line: str) -> None:
     assert process.stdin is not None
-    # A worker that has ended is noticed when its answer is due.
+    # If the worker has ended, `_listen` reports this.
     with contextlib.suppress(BrokenPipeError):
         process.stdin.write(line + "\n")
         process.stdin.flush()
 
 
 def _listen(process: subprocess.Popen[str], answers: queue.SimpleQueue[Answer]) -> None:
-    """Pass on what a worker says, and an empty line when it has ended."""
+    """Put the lines that a worker writes into the queue, and an empty line when it has ended."""
     assert process.stdout is not None
     for line in process.stdout:
         answers.put((process, line))
@@ -146,7 +147,7 @@ def _listen(process: subprocess.Popen[str], answers: queue.SimpleQueue[Answer]) 
 
 
 def _content(process: subprocess.Popen[str], line: str, hint: str) -> dict[str, Any]:
-    """What an answer says; a worker's error is ours."""
+    """The content of a worker's answer. Raises the error that the worker reports, or `FailureError` if it has ended."""
     if not line:
         raise FailureError(
             f"a filming process ended unexpectedly (exit status {process.wait()}){hint}"
@@ -160,9 +161,9 @@ def _content(process: subprocess.Popen[str], line: str, hint: str) -> dict[str, 
 
 
 def work() -> None:
-    """A worker process: until its stdin ends."""
+    """The main function of a worker process: does jobs from stdin until stdin ends."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # Blender's chatter goes where stderr goes, from C as from Python
+    os.dup2(2, 1)  # Blender's own messages go to stderr, those from C code too
 
     def answer(content: dict[str, Any]) -> None:
         answers.write(json.dumps(content) + "\n")

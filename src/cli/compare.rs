@@ -37,7 +37,7 @@ pub struct CompareArgs {
     #[arg(long)]
     video: bool,
     /// Only score the offsets in this file, which has the format that `stlfr offsets --json` prints.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "video", "options", "preset"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "video", "options", "preset", "set"])]
     offsets: Option<PathBuf>,
     #[command(flatten)]
     options: OptionsArgs,

@@ -27,7 +27,7 @@ pub struct PrepareArgs {
     /// The capture's folder.
     capture: PathBuf,
     /// Delete all stored results of earlier runs, whatever their options, and do nothing else.
-    #[arg(long, conflicts_with_all = ["preset", "options"])]
+    #[arg(long, conflicts_with_all = ["preset", "options", "set"])]
     delete: bool,
     #[command(flatten)]
     options: OptionsArgs,

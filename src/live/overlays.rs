@@ -128,8 +128,8 @@ pub(super) fn depth_picture(depths: &DepthMap) -> Option<(Rendered, [f32; 2])> {
     let skipped = (OUTSIDE * sorted.len() as f64) as usize;
     let (low, high) = (*sorted.get(skipped)?, *sorted.iter().rev().nth(skipped)?);
     let color = |depth: &f32| {
-        let share = (inverse(depth) - low) / (high - low).max(f32::MIN_POSITIVE);
-        if share.is_nan() { [0.0; 3] } else { depth_color(share.clamp(0.0, 1.0)) }
+        let fraction = (inverse(depth) - low) / (high - low).max(f32::MIN_POSITIVE);
+        if fraction.is_nan() { [0.0; 3] } else { depth_color(fraction.clamp(0.0, 1.0)) }
     };
     let data = depths.data().iter().flat_map(color).collect();
     let image = Image::from_data(depths.width(), depths.height(), 3, data);
@@ -139,8 +139,8 @@ pub(super) fn depth_picture(depths: &DepthMap) -> Option<(Rendered, [f32; 2])> {
 
 /// Returns the interpolated colour at a fraction, from 0 to 1, of the scale [`DEPTH_COLORS`]. The result is RGB from 0
 /// to 1.
-fn depth_color(share: f32) -> [f32; 3] {
-    let at = share * (DEPTH_COLORS.len() - 1) as f32;
+fn depth_color(fraction: f32) -> [f32; 3] {
+    let at = fraction * (DEPTH_COLORS.len() - 1) as f32;
     let first = (at as usize).min(DEPTH_COLORS.len() - 2);
     let part = at - first as f32;
     [0, 1, 2].map(|c| {

@@ -9,9 +9,9 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 /// Maximum distance of viewpoints from the cameras' bounding box, along each axis, as a fraction of the box's longest
 /// side. [`MARGIN_SPACINGS`] applies instead if it gives a longer distance.
-const MARGIN_SHARE: f64 = 0.5;
+const MARGIN_FRACTION: f64 = 0.5;
 /// Maximum distance of viewpoints from the cameras' bounding box, along each axis, as a multiple of the spacing of
-/// neighbouring cameras. [`MARGIN_SHARE`] applies instead if it gives a longer distance.
+/// neighbouring cameras. [`MARGIN_FRACTION`] applies instead if it gives a longer distance.
 const MARGIN_SPACINGS: f64 = 2.0;
 /// Maximum distance of viewpoints from the camera of a rig with a single camera, along each axis, metres.
 const LONE_MARGIN_M: f64 = 0.1;
@@ -137,7 +137,7 @@ impl RigFrame {
             }
         }
         let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
-        let margin = (MARGIN_SHARE * extent).max(MARGIN_SPACINGS * self.spacing_m);
+        let margin = (MARGIN_FRACTION * extent).max(MARGIN_SPACINGS * self.spacing_m);
         let margin = if margin > 0.0 { margin } else { LONE_MARGIN_M };
         [low.map(|v| v - margin), high.map(|v| v + margin)]
     }

@@ -34,7 +34,7 @@ const CLOSED_PX: usize = 4;
 const BEHIND: f32 = 0.05;
 /// Minimum weight of a candidate (surface element of one scene flow map) in the mean of its cluster, as a fraction of
 /// the largest weight in the cluster.
-const MIN_SHARE: f32 = 0.02;
+const MIN_FRACTION: f32 = 0.02;
 /// Distance of a colour from the mean colour of its cluster at which the colour's weight falls to a quarter. Colours
 /// are RGB from 0 to 1.
 const COLOR: f32 = 0.06;
@@ -456,7 +456,7 @@ fn mean_of(
     let most = cluster().map(|c| c.weight).fold(0.0, f32::max);
     let (mut depths, mut weights, mut moving) = (0.0, 0.0, 0.0);
     colors.clear();
-    for c in cluster().filter(|c| c.weight >= MIN_SHARE * most) {
+    for c in cluster().filter(|c| c.weight >= MIN_FRACTION * most) {
         let [x, y] = c.source;
         colors.push((sample(&c.frame.image, x, y, Sampling::Cubic), c.weight));
         depths += c.weight * c.inverse_depth;

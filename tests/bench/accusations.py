@@ -1,8 +1,8 @@
-"""How often the calibration check names the camera that is wrong, and how often another.
+"""Measures how often the calibration check reports a camera with a wrong pose, and how often a correct camera.
 
-Run as `.venv/bin/python -I tests/bench/accusations.py CAPTURE [COUNT]`. Each camera's pose in turn is
-turned by 0.2 degrees about COUNT random axes (25), and moved by 2 mm in COUNT random directions; the
-images stay as they are. Prints the residuals of the right capture, then one line a camera.
+Run as `.venv/bin/python -I tests/bench/accusations.py CAPTURE [COUNT]`. One camera's pose at a time is made wrong: it
+is rotated by 0.2 degrees about each of COUNT random axes (default 25), and moved by 2 mm in each of COUNT random
+directions. The images remain unchanged. Prints the residuals of the correct capture, then two lines per camera.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TURN_DEG, MOVE_M = 0.2, 0.002
 
 
 def perturbed(pose: Any, direction: np.ndarray[Any, Any], kind: str) -> Any:
-    """The pose turned about a direction, or moved along it."""
+    """A wrong pose: rotated about a unit vector if `kind` is `turned`, otherwise moved along it."""
     rotation, centre = pose.rotation, pose.centre_m
     if kind == "turned":
         turn = pycolmap.Rotation3d(direction * np.radians(TURN_DEG)).matrix()
@@ -42,7 +42,7 @@ def perturbed(pose: Any, direction: np.ndarray[Any, Any], kind: str) -> Any:
 
 
 def main() -> int:
-    """Print the tables."""
+    """Print the residuals of the capture, and the table of reported cameras."""
     folder = Path(sys.argv[1]).resolve()
     count = int(sys.argv[2]) if len(sys.argv) > 2 else 25
     pycolmap.logging.minloglevel = pycolmap.logging.ERROR.value

@@ -1,11 +1,12 @@
-"""What a calibration's errors do to the offsets, and whether the standard errors say so.
+"""Measures how errors of a calibration affect estimated offsets, and whether the standard errors show it.
 
 .venv/bin/python tests/bench/calibration_errors.py CAPTURE... [--seeds 3] [--program target/release/stlfr]
 
-Each capture is filmed with its truth. Its calibration is made wrong by normally distributed errors: turns of 0.1 degree
-and moves of 1 mm (root mean square length of the vector), focal lengths by 0.5 %. Rows: the true calibration; the wrong
-one, taken as exact; with its accuracy stated as `calibration_std`; refined, poses alone; refined, focal lengths too; found
-from the images alone. Figures are of all cameras but the reference, over all captures and seeds.
+Captures must have ground truth. The calibration is made wrong by normally distributed errors: rotations of 0.1 degree
+and translations of 1 mm (root mean square length of the vector), focal lengths by 0.5 %. Rows of the table: the true
+calibration; the wrong one taken as exact; the wrong one with its accuracy stated as `calibration_std`; the wrong one
+with refined poses; the wrong one with refined poses and focal lengths; and a calibration from the images alone. Values
+are those of all cameras except the reference, over all captures and seeds.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ TURN_DEG, MOVE_M, FOCAL = 0.1, 0.001, 0.005
 
 Array = np.ndarray[Any, Any]
 Outcomes = list[tuple[float, float]]
-"""Errors and standard errors, frames."""
+"""The error and the standard error of each camera's estimated offset, in frame intervals of the reference camera."""
 
 
 def rotation_of(quaternion: list[float]) -> Array:
-    """The matrix of a unit quaternion wxyz."""
+    """The rotation matrix (3, 3) of a unit quaternion wxyz."""
     w, x, y, z = quaternion
     v = np.array([x, y, z])
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -38,13 +39,13 @@ def rotation_of(quaternion: list[float]) -> Array:
 
 
 def product(p: Array, q: Array) -> Array:
-    """Of two quaternions wxyz."""
+    """The product of two quaternions wxyz."""
     vector = p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])
     return np.concatenate([[p[0] * q[0] - p[1:] @ q[1:]], vector])
 
 
 def make_wrong(camera: dict[str, Any], random: np.random.Generator) -> None:
-    """Turns and moves a camera of capture.json, and changes its focal lengths."""
+    """Adds random errors to the pose and the focal lengths of a camera object of capture.json, in place."""
     pose = camera["cam_from_world"]
     centre = -rotation_of(pose["rotation_wxyz"]).T @ np.array(pose["translation"])
     turn = np.radians(TURN_DEG) / np.sqrt(3) * random.normal(size=3)
@@ -60,7 +61,7 @@ def make_wrong(camera: dict[str, Any], random: np.random.Generator) -> None:
 
 
 def linked(capture: Path, target: Path, description: dict[str, Any]) -> Path:
-    """The capture's frames with another description, in a new folder."""
+    """Copy a capture to `target`, with hard links to its frames, and another capture.json. Returns `target`."""
     for camera in description["cameras"]:
         parent = (capture / camera["frames"]).parent
         sequence = "%" in camera["frames"]
@@ -77,19 +78,19 @@ def linked(capture: Path, target: Path, description: dict[str, Any]) -> Path:
 
 
 class Bench:
-    """Calls the program."""
+    """Runs the program `stlfr` and evaluates its results."""
 
     def __init__(self, program: str) -> None:
         self.program = program
 
     def call(self, *arguments: str | Path) -> str | None:
-        """What a command prints; None if it fails, with the reason on stderr."""
+        """The output of a command; None if it fails. The program prints the reason on stderr."""
         command = [self.program, *arguments, "--quiet"]
         ended = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
         return None if ended.returncode else ended.stdout
 
     def outcomes(self, folder: Path | None, truth: dict[str, Any]) -> Outcomes:
-        """Of a capture's offsets. An offset that is unknown has none."""
+        """The errors of a capture's estimated offsets. Cameras with unknown offsets have no entry."""
         printed = None if folder is None else self.call("offsets", folder, "--json")
         if printed is None or folder is None:
             return []
@@ -108,7 +109,7 @@ class Bench:
     def rows(
         self, capture: Path, seed: int, scratch: Path
     ) -> Iterator[tuple[str, Outcomes]]:
-        """The kinds of calibration with their outcomes."""
+        """Yields the table's rows for a capture and a seed: the kind of calibration, and its offsets' errors."""
         truth = json.loads((capture / "truth/truth.json").read_text())
         right = json.loads((capture / "capture.json").read_text())
         if seed == 0:
@@ -143,7 +144,7 @@ class Bench:
 
 
 def main() -> None:
-    """Prints a table."""
+    """Run all combinations of captures and seeds, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("captures", type=Path, nargs="+", metavar="CAPTURE")
     parser.add_argument("--seeds", type=int, default=3)
@@ -162,7 +163,7 @@ def main() -> None:
 
 
 def summary(name: str, outcomes: Outcomes) -> str:
-    """A line of the table."""
+    """A row of the table, from all errors of one kind of calibration."""
     if not outcomes:
         return f"{name:<24} unknown"
     errors, std_errs = np.abs(np.array(outcomes)).T

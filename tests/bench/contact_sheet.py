@@ -1,11 +1,12 @@
-"""One picture of every scene, laid out with names, and how fast each scene moves, as a table.
+"""Renders one picture of every scene into a contact sheet with names, and prints a table of the scenes' motion.
 
     .venv/bin/python -I tests/bench/contact_sheet.py tests/golden/scenes.png
 
-Motion is read off the truth's motion maps of the view `between` of linear8 at the four instants below:
-per pixel the larger of the distances to the frames before and after. How much motion changes is read off the
-truth's point tracks in the same view: the largest difference between a point's motions to two successive
-frames, where it is visible in all three frames. All in pixels at 640x480.
+Motion is measured on the ground truth motion maps of the view `between` of the rig linear8, at the instants
+`MEASURED_S`. The motion of a pixel is the larger one of its displacements from the previous frame and to the next
+frame. The change of motion is measured on the ground truth point tracks in the same view: it is the largest difference
+between the displacements of a point in two consecutive frame intervals, if the point is visible in all three frames.
+All values are pixels at 640x480.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ MEASURED_S = (0.05, 0.15, 0.25, 0.35)
 MOVING_PX = 0.1
 TRACKED_FRAMES = 12
 STEPS_PER_FRAME = 8
-"""Instants per frame at which tracks begin. More take time; with fewer, a bounce between two of them seems softer."""
+"""Sampled instants per frame interval at which tracks are evaluated. More take longer; with fewer, the change of motion
+at a bounce is underestimated."""
 POINTS = 800
 COLUMNS = 4
 LABEL_PX = 20
@@ -52,7 +54,7 @@ Picture = npt.NDArray[np.uint8]
 
 
 def main(target: Path) -> None:
-    """Film, measure, lay out."""
+    """Render and measure all scenes, write the contact sheet to `target`, and print the table."""
     rig = rigs.resized(rigs.load(ROOT / "rigs" / "linear8.json"), *SIZE_PX)
     tiles, rows = [], []
     with tempfile.TemporaryDirectory() as scratch:
@@ -77,7 +79,7 @@ def main(target: Path) -> None:
 
 
 def look(name: str, rig: Any, scratch: Path) -> tuple[Picture, str]:
-    """A scene's picture and its row of the table."""
+    """Render a scene: returns its picture, and its row of the table."""
     scene = scenes.open_scene(name, None)
     studio = film.Studio(
         scene, (*rig.cameras, *rig.views), len(os.sched_getaffinity(0))
@@ -106,7 +108,7 @@ def look(name: str, rig: Any, scratch: Path) -> tuple[Picture, str]:
 
 
 def use_of(name: str) -> str:
-    """What a scene, loaded before, does for parameters."""
+    """Whether parameters are tuned on a scene (`tuned`), or it is held out for evaluation (`judged`), or neither."""
     package = importlib.import_module(scenes.PACKAGE)
     if name in package.TUNED_ON:
         return "tuned"
@@ -114,7 +116,7 @@ def use_of(name: str) -> str:
 
 
 def largest_change_px(studio: Any) -> float:
-    """How much a visible point's motion changes from frame to frame at most."""
+    """The largest change of a visible point's displacement from one frame interval to the next, pixels at 640x480."""
     step_s = 1 / (30.0 * STEPS_PER_FRAME)
     exposures = [
         tracks.Exposure("between", k, k * step_s, k * step_s)
@@ -131,7 +133,7 @@ def largest_change_px(studio: Any) -> float:
 
 
 def labelled(picture: Picture, name: str) -> Picture:
-    """The picture over its name, on white, with a margin."""
+    """The picture above its name, on white, with a margin."""
     tile = np.full((picture.shape[0] + LABEL_PX, picture.shape[1], 3), 255, np.uint8)
     tile[: picture.shape[0]] = picture
     tile[:, -2:] = 255
@@ -141,7 +143,7 @@ def labelled(picture: Picture, name: str) -> Picture:
 
 
 def palette_png(bgr: Picture) -> bytes:
-    """A PNG of few colours: a third of the size of one with all."""
+    """Encode an image (blue first) as a PNG with `COLORS` colours, a third as large as with all colours."""
     height, width = bgr.shape[:2]
     pixels = bgr.reshape(-1, 3).astype(np.float32)
     cv2.setRNGSeed(1)
@@ -175,7 +177,7 @@ def palette_png(bgr: Picture) -> bytes:
 
 
 class silence:  # noqa: N801 - used as a statement
-    """Blender's chatter goes nowhere, from C as from Python."""
+    """Context that discards stdout, also that of C code, to suppress Blender's messages."""
 
     def __enter__(self) -> None:
         sys.stdout.flush()

@@ -1,9 +1,9 @@
-"""How much of the frames of ready-made paths the cameras see, as a table.
+"""Prints a table of the fraction of pixels that the cameras see, in frames of the ready-made camera paths.
 
 Run as `.venv/bin/python -I tests/bench/coverage.py [--program PROGRAM] CAPTURE... [-- OPTION...]`. Each capture is
-copied, and `stlfr render --path` renders 9 frames of each path, with the further options. A row has a capture, a
-path, and the fractions of pixels that some camera sees: in the worst frame, and in all. Exits with 1 if a frame has
-less than 99 %.
+copied, and `stlfr render --path` renders 9 frames of each path, with the options after `--`. A row has a capture, a
+path, and the fractions of pixels that at least one camera sees: in the worst frame, and in all frames. The exit code is
+1 if the fraction is below 99 % in some frame.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def seen_fraction(file: Path) -> float:
 def seen_fractions(
     program: Path, capture: Path, path: str, options: list[str]
 ) -> list[float]:
-    """Those of a path's frames."""
+    """The fraction of pixels seen by some camera, for each of the rendered frames of a ready-made camera path."""
     with tempfile.TemporaryDirectory() as scratch:
         command = [str(program), "-q", "render", str(capture), "--path", path]
         command += [*FRAMES, *options, "-o", f"{scratch}/%04d.png"]
@@ -44,7 +44,7 @@ def seen_fractions(
 
 
 def main() -> None:
-    """Copy, render, print."""
+    """Render the paths of all captures, print the table, and exit with 1 if a frame has too low a fraction."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--program", type=Path, default=ROOT / "target/release/stlfr")
     parser.add_argument("captures", type=Path, nargs="+")

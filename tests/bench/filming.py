@@ -1,9 +1,9 @@
-"""Images that are filmed in an hour, by one process and by two, as a table.
+"""Prints a table of the number of images filmed per hour, by one and by two processes.
 
-Run as `.venv/bin/python -I tests/bench/filming.py [SECONDS]`. Each row films the scene `magazine` by Cycles, 640x480 at
-16 samples, for at least so many seconds (120 if not given), and counts the images after the first one: the time until
-that is Blender's start, a column of its own. The command is bound to one core or to two, among which its processes share
-their threads.
+Run as `.venv/bin/python -I tests/bench/filming.py [SECONDS]`. For each row, the scene `magazine` is filmed by Cycles at
+640x480 with 16 samples, for at least SECONDS (120 by default). Images after the first one are counted; the time until
+the first image is mainly Blender's start, and has its own column. The command is bound to one or two cores, which are
+divided among its processes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ LOOK_S = 0.05
 def images_an_hour(
     bound: list[str], workers: str, seconds: float
 ) -> tuple[float, int, float]:
-    """Seconds until the first image, the number of images after it, and their number in an hour."""
+    """Film for some seconds, with the command prefix `bound`, which binds it to cores.
+
+    Returns the seconds until the first image, the number of images after it, and their number per hour.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "capture"
         command: list[str | Path] = [*bound, sys.executable, "-I"]
@@ -62,7 +65,7 @@ def images_an_hour(
 
 
 def main() -> None:
-    """Film, count, print."""
+    """Film with every number of processes, and print the table."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 120.0
     print("| processes | start, s | images | images an hour |")
     print("|---|---|---|---|")

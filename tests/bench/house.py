@@ -1,8 +1,8 @@
-"""How large the source is, and how much of it a reader meets before the algorithm.
+"""Prints statistics of the source code: its size, and the numbers of options, constants, types and comments.
 
-Run as `python3 tests/bench/house.py [-v] [CHECKOUT [OTHER]]`: the figures of a checkout (this one without
-an argument), or of two beside each other. `-v` lists what is counted by name. How each figure is counted
-stands at its function. The reading of Rust is a lexer's: macros that make items hide them.
+Run as `python3 tests/bench/house.py [-v] [CHECKOUT [OTHER]]`. It prints the statistics of one checkout (by default this
+one), or of two side by side. `-v` also lists the counted items by name. The docstring of each function states what it
+counts. Rust is only tokenized, not parsed, so items that macros generate are not counted.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ STORE = re.compile(r'"\.stlfr/|blake3::')
 
 @dataclass
 class Source:
-    """A file of Rust, without its tests: as code, and its doc comments."""
+    """A Rust source file: its whole text, its code without comments and tests, and its doc comments."""
 
     path: str
     text: str
-    # No comments; strings are kept in `code` and emptied in `bare`, so that braces in them don't count.
+    # Both lack comments. `bare` also has blank string literals, so that braces in strings aren't counted.
     code: str = ""
     bare: str = ""
     docs: list[str] = field(default_factory=list)
@@ -58,18 +58,18 @@ class Source:
 
 @dataclass
 class House:
-    """Everything that is counted."""
+    """All Rust sources of a checkout: those of the program, and those of tests."""
 
     root: Path
     sources: list[Source]
     test_sources: list[Source]
 
     def matches(self, pattern: re.Pattern[str]) -> list[tuple[str, re.Match[str]]]:
-        """Every match in code without comments, strings and tests, with its file."""
+        """All matches of a pattern in code without comments, strings and tests, each with the path of its file."""
         return [(s.path, m) for s in self.sources for m in pattern.finditer(s.bare)]
 
     def options(self) -> dict[str, list[tuple[str, str]]]:
-        """The public fields of each `…Options` struct, with their types."""
+        """The public fields of each `…Options` struct, with their types, by the struct's name."""
         found = {}
         for _, match in self.matches(OPTIONS):
             body = match.string[match.end() : closing(match.string, match.end() - 1)]
@@ -78,7 +78,7 @@ class House:
 
 
 def closing(bare: str, opening: int) -> int:
-    """The place of the brace that closes the one at `opening`."""
+    """The position of the brace that closes the brace at the position `opening`; the text's length if there is none."""
     depth = 0
     for match in re.compile(r"[{}]").finditer(bare, opening):
         depth += 1 if match[0] == "{" else -1
@@ -88,7 +88,7 @@ def closing(bare: str, opening: int) -> int:
 
 
 def end_of_comment(text: str, at: int) -> int:
-    """Where the block comment ends that opens at `at`; they nest."""
+    """The position after the end of the block comment that starts at `at`; block comments may be nested."""
     depth = 0
     for match in re.compile(r"/\*|\*/").finditer(text, at):
         depth += 1 if match[0] == "/*" else -1
@@ -98,7 +98,7 @@ def end_of_comment(text: str, at: int) -> int:
 
 
 def lexed(path: str, text: str) -> Source:
-    """The file with comments and tests removed. `code` and `bare` have the same length."""
+    """The source file with this text, with comments and tests removed. Its `code` and `bare` have equal lengths."""
     code, bare, docs, at = [], [], [], 0
     while match := TOKEN.search(text, at):
         between = text[at : match.start()]
@@ -125,7 +125,7 @@ def lexed(path: str, text: str) -> Source:
 
 
 def test_files(path: Path, text: str) -> list[Path]:
-    """The files that this one declares as modules of tests."""
+    """The files that the file `path` declares as test modules (`#[cfg(test)] mod …;`)."""
     folder = (
         path.parent
         if path.name in ("mod.rs", "lib.rs", "main.rs")
@@ -143,7 +143,7 @@ def test_files(path: Path, text: str) -> list[Path]:
 
 
 def read(root: Path) -> House:
-    """All of `src`."""
+    """Read all Rust files in the folder `src` of a checkout."""
     texts = {path: path.read_text() for path in sorted((root / "src").rglob("*.rs"))}
     tests = {file for path, text in texts.items() for file in test_files(path, text)}
     folders = {file.parent for file in tests if file.name == "mod.rs"}
@@ -156,12 +156,12 @@ def read(root: Path) -> House:
 
 
 def code_lines(house: House) -> int:
-    """Lines that are not blank, comments or tests. A line of a string is one of code."""
+    """The number of lines of code: without blank lines, comments and tests. Lines inside strings are counted."""
     return sum(sizes(house).values())
 
 
 def leaves(house: House) -> list[str]:
-    """The fields of an options file, `stage.name`; options structs within are opened."""
+    """The names of all fields of an options file, as `stage.name`; fields of nested options structs are included."""
     structs = house.options()
 
     def below(prefix: str, struct: str) -> list[str]:
@@ -180,7 +180,10 @@ def leaves(house: House) -> list[str]:
 
 
 def twice(house: House) -> list[str]:
-    """Names of struct, enum, union, trait and a module's type alias, each with the files that define it."""
+    """The type names that are defined twice or more, each with the files that define it.
+
+    Types are structs, enums, unions, traits, and type aliases of modules.
+    """
     names: dict[str, list[str]] = {}
     for path, match in house.matches(TYPE):
         names.setdefault(match[1] or match[2], []).append(path)
@@ -192,28 +195,28 @@ def twice(house: House) -> list[str]:
 
 
 def renders(house: House) -> list[str]:
-    """`pub`, `pub(crate)` and `pub(super)` functions with `Rendered` in the type that they return."""
+    """The public functions, including `pub(crate)` and `pub(super)`, whose return type contains `Rendered`."""
     return [f"{path}: {match[1]}" for path, match in house.matches(RENDERS)]
 
 
 def stores(house: House) -> list[str]:
-    """Files whose code names a path below `.stlfr/`, or hashes by blake3."""
+    """The files whose code contains a path below `.stlfr/`, or uses the hash function blake3."""
     return [s.path for s in house.sources if STORE.search(s.code)]
 
 
 def essays(house: House) -> int:
-    """Lines of doc comments with the words Larger, Smaller, or `larger:`, `smaller:`."""
+    """The number of lines of doc comments with the words `Larger`, `Smaller`, `larger:` or `smaller:`."""
     pattern = re.compile(r"\b(?:Larger|Smaller)\b|\b(?:larger|smaller):")
     return sum(bool(pattern.search(doc)) for s in house.sources for doc in s.docs)
 
 
 def readme_words(house: House) -> int:
-    """All words of the file, as `wc -w` counts them."""
+    """The number of words of README.md, as `wc -w` counts them."""
     return len((house.root / "README.md").read_text().split())
 
 
 def sizes(house: House) -> Counter[str]:
-    """Lines of code of each module of the first level."""
+    """The number of lines of code of each top-level module."""
     found: Counter[str] = Counter()
     for source in house.sources:
         module = source.path.split("/")[0].removesuffix(".rs")
@@ -244,7 +247,7 @@ FIGURES: list[tuple[str, Callable[[House], int | list[str]]]] = [
 
 
 def main() -> None:
-    """Print the table, and the lists."""
+    """Print the table of statistics, and with `-v` the lists of counted items."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

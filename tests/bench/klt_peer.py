@@ -1,12 +1,12 @@
-"""OpenCV as the peer of the registration benchmarks: answers commands on stdin, one per line.
+"""Runs OpenCV for comparison in the registration benchmarks: executes commands on stdin, one per line.
 
-`threads N`                              cv2.setNumThreads
-`images A B POINTS`                      two images, and points (float32 pairs, top-left centre at 0)
-`track SIDE LEVELS ITERATIONS EPSILON`   calcOpticalFlowPyrLK, pyramids included
-`tracked OUT`                            its result, as float32 x, y and 1 where tracked
-`dis`                                    DIS flow, preset medium, in both directions
+`threads N`                              calls cv2.setNumThreads
+`images A B POINTS`                      reads two images, and points (float32 pairs, top-left pixel's centre at 0)
+`track SIDE LEVELS ITERATIONS EPSILON`   calls calcOpticalFlowPyrLK, which also builds the pyramids
+`tracked OUT`                            writes the tracked points: float32 x, y, and 1 if tracked, else 0
+`dis`                                    computes DIS flow, preset medium, in both directions
 
-Each answer is a line with the milliseconds of processor time and of wall time.
+The answer to each command is a line with its processor time and its wall time, both in milliseconds.
 """
 
 import sys
@@ -19,7 +19,7 @@ import numpy as np
 
 
 def main() -> None:
-    """Serve until stdin ends."""
+    """Execute commands until stdin ends."""
     opencv: Any = cv2  # its stubs know neither None nor the presets
     first: Any = None
     second: Any = None

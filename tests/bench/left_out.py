@@ -1,17 +1,18 @@
-"""A capture without one of its cameras, whose images become the truth: what a light field shows where nobody filmed.
+"""Evaluates the light field at the viewpoint of a held-out camera.
 
     .venv/bin/python tests/bench/left_out.py rig RIG CAMERA OUT
     .venv/bin/python tests/bench/left_out.py cut CAPTURE CAMERA OUT
     .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--way NAME ...]
 
-`rig` writes the rig file OUT, in which CAMERA doesn't film but is the only view, with true depth.
+`rig` writes the rig file OUT, in which CAMERA doesn't film. CAMERA is its only new viewpoint, with true depth.
 
-`cut` writes the capture OUT, in which CAMERA doesn't film. Its true images at the instants of the truth are the views
-`left-out`, the only ones. The clocks are the true ones. Files are linked, not copied.
+`cut` writes the capture OUT, which lacks CAMERA. The ground truth images of CAMERA become ground truth of new
+viewpoints, named `left-out`; other such viewpoints are removed. The clocks are the true ones. Files are linked, not
+copied.
 
-`score` renders each such view by every way in turn with PROGRAM, in a fresh process and with an empty cache. It prints
-the PSNR of all pixels and of the moving part, processor seconds and the largest memory, and writes the pictures beside
-the truth into PICTURES.
+`score` renders each of these views with PROGRAM by each combination of methods (`--way`), in a new process with an
+empty cache. It prints the PSNR of all pixels and of the moving part, processor seconds and peak memory. It writes the
+pictures and their ground truth into PICTURES.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ WAYS = {
     "all-cameras, depth": ["--sync", "all-cameras", "--proxy", "depth"],
     "scene flow": ["--proxy", "scene-flow"],
 }
-"""What is compared: options of `stlfr render`."""
+"""The compared combinations of methods by name, as options of `stlfr render`."""
 
 
 def write_rig(rig: Path, camera: str, out: Path) -> None:
@@ -51,7 +52,7 @@ def write_rig(rig: Path, camera: str, out: Path) -> None:
 
 
 def cut(capture: Path, camera: str, out: Path) -> None:
-    """Write the capture without the camera."""
+    """Write a copy of the capture without the camera into `out`, with this camera's ground truth as new viewpoints."""
     skipped = shutil.ignore_patterns(".stlfr", "colmap", "offsets*", "review", camera)
     shutil.copytree(capture, out, copy_function=os.link, ignore=skipped)
     whole = json.loads((capture / "capture.json").read_text())
@@ -76,7 +77,7 @@ def cut(capture: Path, camera: str, out: Path) -> None:
 
 
 def run(command: list[str]) -> tuple[int, float, int]:
-    """Exit status, processor seconds and the largest memory in MiB of a program."""
+    """Run a command; returns its exit status, processor seconds and peak memory in MiB."""
     child = os.posix_spawn(command[0], command, os.environ)
     _, status, usage = os.wait4(child, 0)
     seconds = usage.ru_utime + usage.ru_stime
@@ -86,7 +87,7 @@ def run(command: list[str]) -> tuple[int, float, int]:
 def score(
     program: Path, capture: Path, pictures: Path, instants: int, ways: list[str]
 ) -> None:
-    """Print a line for each instant and way."""
+    """Render the held-out camera's views by each of `ways`, and print a line of results for each."""
     views = free_views(capture)[:instants]
     pictures.mkdir(parents=True, exist_ok=True)
     for view in views:

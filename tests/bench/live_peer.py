@@ -1,10 +1,10 @@
-"""OpenCV as the peer of the benchmark of live views: remap and blend, over maps that are computed beforehand; or
-DIS optical flow between frames.
+"""Runs OpenCV for comparison in the benchmark of live views: measures warping and blending, or optical flow.
 
-The argument is a JSON file with the cameras and their images, the views and their depths, and how many cameras
-a pixel is blended from. Lenses are taken for pinholes. Printed is the median time of a view in milliseconds,
-without the maps. Or the file has every camera's frames, and printed are the seconds of DIS, preset medium, in both
-directions between all consecutive frames, without decoding.
+The argument is a JSON file. For warping, it has the cameras and their images, the views and their depths, and the
+number of cameras from which a pixel is blended. Lenses count as pinholes. The median time of a view in milliseconds is
+printed, without the computation of the maps for `cv2.remap`. For optical flow, the file has every camera's frames. Then
+the time in seconds of DIS flow, preset medium, in both directions between all consecutive frames is printed, without
+decoding.
 """
 
 import json
@@ -21,7 +21,7 @@ Array = np.ndarray[Any, np.dtype[np.float32]]
 
 
 def center(camera: dict[str, Any]) -> Any:
-    """The camera's place in the world."""
+    """The camera's centre in world coordinates."""
     rows = np.array(camera["rows"])
     return -rows[:, :3].T @ rows[:, 3]
 
@@ -29,7 +29,7 @@ def center(camera: dict[str, Any]) -> Any:
 def maps(
     view: dict[str, Any], depths: Array, camera: dict[str, Any]
 ) -> tuple[Array, Array]:
-    """Where each pixel of the view is in a camera's image, as OpenCV counts: pixel centres are whole."""
+    """The maps for `cv2.remap`: x and y in a camera's image of each pixel of the view; pixel centres are integers."""
     width, height = view["size"]
     fx, fy, cx, cy = view["intrinsics"]
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
@@ -48,7 +48,7 @@ def maps(
 
 
 def flow_s(cameras: list[list[str]]) -> float:
-    """The seconds of DIS in both directions between all consecutive frames."""
+    """Seconds that DIS flow takes in both directions between all consecutive frames of each camera."""
     opencv: Any = cv2
     dis = opencv.DISOpticalFlow_create(opencv.DISOPTICAL_FLOW_PRESET_MEDIUM)
     seconds = 0.0
@@ -63,7 +63,7 @@ def flow_s(cameras: list[list[str]]) -> float:
 
 
 def main() -> None:
-    """Blend every view once for warming up, and once for the clock."""
+    """Blend every view twice, of which the second time is measured, and print the median time; or print flow's time."""
     request = json.loads(Path(sys.argv[1]).read_text())
     if "frames" in request:
         print(flow_s(request["frames"]))

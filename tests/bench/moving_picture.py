@@ -1,12 +1,12 @@
-"""The moving picture of README: slow motion while the camera moves, one half a method.
+"""Renders README's animation: slow motion from a moving viewpoint, with one method in each half of the picture.
 
     .venv/bin/python -I tests/bench/moving_picture.py CAPTURE tests/golden/moving.webp [VIEWS]
 
-The left half synchronizes each camera by its nearest frame, as traditional light field rendering does;
-the right half is space-time light field rendering. Everything else is equal. The viewpoint moves along the
-array, and a little towards the scene and back, while time goes through the recording. VIEWS (36) are
-rendered of each half. The file plays them to the end and back, and repeats. It needs `stlfr setup`, and a
-capture whose cameras are `PINHOLE` and oriented alike.
+In the left half, each camera shows its nearest frame, as in traditional light field rendering. The right half is
+space-time light field rendering. All else is equal. While time advances through the recording, the viewpoint moves
+along the array, and slightly towards the scene and back. VIEWS (36 by default) views are rendered for each half. The
+animation plays them forwards and backwards, and repeats. It needs `stlfr setup`, and a capture whose cameras are
+`PINHOLE` and equally oriented.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ HALVES = (
     ("stlfr: space-time light field rendering", "refined"),
 )
 RATE_HZ = 18
-"""Pictures a second. Fewer: motion looks stepped; more: a larger file."""
+"""Frame rate of the animation. If lower, motion is jerky; if higher, the file is larger."""
 QUALITY = 57
-"""Of the WebP encoder, 0 to 100. Less: text blurs; more: a larger file."""
+"""Quality of the WebP encoder, 0 to 100. If lower, text is blurred; if higher, the file is larger."""
 VIEW_PX = (416, 312)
-"""Size of a view: the middle of the cameras' images, pixel for pixel."""
+"""Size of a view: the central part of the cameras' images, at the same scale."""
 REACH = 0.5
-"""Fraction of the array's width that the viewpoint travels. Larger: things leave the picture; beyond 1, views
-lose their borders. Smaller: the viewpoint hardly moves."""
+"""Fraction of the array's width over which the viewpoint moves. If larger, objects leave the picture, and above 1,
+views lack pixels at their borders. If smaller, the viewpoint hardly moves."""
 FORWARD = 0.15
-"""How far the viewpoint goes towards the scene, fraction of the array's width. Larger: images are enlarged and
-blur. Smaller: it moves on a line."""
+"""How far the viewpoint moves towards the scene, as a fraction of the array's width. If larger, images are enlarged and
+thus blurred; if 0, the viewpoint moves along a straight line."""
 MARGIN_S = 0.002
-"""Time kept from both ends of the recording. Smaller: an offset's error puts a view outside of a camera's frames,
-which leaves that camera out."""
+"""Minimum time between a view and both ends of the recording. If smaller, an error of an offset may place a view
+outside of a camera's frames; then this camera doesn't contribute to the view."""
 BAR_PX = 26
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.5
 
@@ -49,11 +49,11 @@ Picture = npt.NDArray[np.uint8]
 
 
 def main() -> None:
-    """Render both halves, encode."""
+    """Render both halves of the animation, and encode it."""
     folder, target = Path(sys.argv[1]), Path(sys.argv[2])
     views = int(sys.argv[3]) if len(sys.argv) > 3 else 36
     capture = stlfr.open(folder)
-    # Eased like a pendulum, so that neither turn of the loop jerks.
+    # Sinusoidal easing, so that the motion reverses smoothly at both ends of the loop.
     places = (1 - np.cos(np.linspace(0, np.pi, views))) / 2
     start_s, end_s = span(capture)
     filmed = json.loads((folder / "capture.json").read_text())["cameras"]
@@ -81,11 +81,11 @@ def main() -> None:
 
 
 def span(capture: Any) -> tuple[float, float]:
-    """From when to when all cameras have frames, seconds on the reference camera's clock."""
+    """The time span in which all cameras have frames, seconds on the reference camera's clock."""
     starts, ends = [], []
     for offset in capture.offsets()["cameras"]:
         if offset["offset_s"] is None:
-            continue  # it takes no part in a view
+            continue  # a camera with an unknown offset contributes to no view
         times = capture.times(offset["id"]) + offset["offset_s"]
         starts.append(times[0])
         ends.append(times[-1])
@@ -93,7 +93,10 @@ def span(capture: Any) -> tuple[float, float]:
 
 
 def view(cameras: list[dict[str, Any]], place: float) -> dict[str, Any]:
-    """The view on the way from the first camera (0) to the last (1), oriented as the first one."""
+    """The camera object of the view at `place`, from 0 (near the first camera) to 1 (near the last camera).
+
+    Its orientation is that of the first camera.
+    """
     poses = [camera["cam_from_world"] for camera in cameras]
     rotation = rotation_of(poses[0]["rotation_wxyz"])
     first, last = (
@@ -128,7 +131,7 @@ def rotation_of(wxyz: list[float]) -> npt.NDArray[np.float64]:
 
 
 def labelled(picture: Any, label: str) -> Picture:
-    """The picture without alpha, 8 bits, under a bar with its label."""
+    """The picture in 8 bits without alpha, below a bar with its label."""
     if picture.dtype == np.uint16:
         picture = (picture // 257).astype(np.uint8)
     bar = np.full((BAR_PX, picture.shape[1], 3), 24, np.uint8)
@@ -139,7 +142,7 @@ def labelled(picture: Any, label: str) -> Picture:
 
 
 def encode(pictures: list[Picture], target: Path) -> None:
-    """One animated WebP that repeats forever."""
+    """Encode the pictures as an animated WebP file that repeats forever."""
     height, width = pictures[0].shape[:2]
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]

@@ -1,18 +1,19 @@
-"""A film of Blender's, made as real as phones' films are: what each part of the model adds.
+"""Simulates recordings by phones in Blender, and measures what each part of stlfr's camera model contributes.
 
     .venv/bin/python tests/bench/phones.py film CAPTURE [--scene NAME] [--size WxH] [--readout S]
     .venv/bin/python tests/bench/phones.py score CAPTURE [--program P] [--crf N] [--pictures DIR] [--readout S]
 
-`film` makes the rig and films it: eight cameras at 25 and 29.97 Hz by turns, that start up to 3 s apart, with distorted
-lenses, noise, different and drifting exposures, and rolling shutters of 15 ms. Each frame of a rolling shutter is
-rendered in 15 bands; `--readout 0` films without them, far sooner. The reference's exposure doesn't drift.
+`film` makes a rig and films with it. Eight cameras, alternately at 25 and 29.97 Hz, start up to 3 s apart. They have
+lens distortion, noise, different and drifting gains, and rolling shutters with a readout time of 15 ms. With rolling
+shutters, each frame is rendered in 15 bands; `--readout 0` disables them and is much faster. The reference's gain
+doesn't drift.
 
-`score` compresses each camera's frames by H.264, turns its pose by 0.1 degree and moves it by 1 mm (root mean square),
-and imports that. Rows: all that stlfr models; without refined poses; without the readout; with equal gains;
-calibrated from the images alone; and the traditional light field, of the nearest frames. Columns: errors of
-offsets in frames of the reference, how many lie within two standard errors, and the mean PSNR of the free views: as
-seen by the true cameras; after the similarity that brings the true cameras onto the calibrated ones, since no
-calibration knows where the whole rig is; and of the traditional light field.
+`score` compresses each camera's frames with H.264, rotates its pose by 0.1 degree and moves it by 1 mm (root mean
+square), and imports the result. Rows: the whole model; poses not refined; readout time unknown; equal gains; and a
+calibration from the images alone. Columns: errors of offsets in frame intervals of the reference; the number of errors
+within two standard errors; and the mean PSNR of views from new viewpoints, three times: of the true cameras; of the
+true cameras aligned to the calibrated ones by a similarity, since no calibration knows the position of the whole rig;
+and of the true cameras for the traditional light field of nearest frames.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ STARTS_S = (0.0, 1.73, 0.41, 0.0, 2.97, 1.02, 0.66, 2.31)
 READOUT_S = 0.015
 GAINS = (1.0, 1.15, 0.9, 1.0, 1.05, 0.95, 1.1, 0.85)
 GAIN_DRIFTS = (0.04, -0.05, 0.06, 0.0, 0.03, -0.06, 0.05, -0.04)
-"""By camera: how fast the logarithm of the gain changes, 1/s."""
+"""For each camera, the rate of change of the gain's logarithm, 1/s."""
 FRAMES = 125
 LAST_START_S = max(STARTS_S)
 
@@ -46,7 +47,7 @@ Similarity = tuple[float, Array, Array]
 
 
 def film(program: str, capture: Path, scene: str, size: str, readout_s: float) -> None:
-    """Write the rig, add drifts of the exposure, and film."""
+    """Write the rig file, add drifts of the gains to it, and film the capture."""
     rig = capture.with_name(f"{capture.name}-rig.json")
     listed = {
         "--size": [size],
@@ -73,7 +74,7 @@ def film(program: str, capture: Path, scene: str, size: str, readout_s: float) -
 
 
 def compress(capture: Path, camera: dict[str, Any], crf: int, video: Path) -> float:
-    """Write a camera's frames as H.264; the bits of a pixel."""
+    """Encode a camera's frames as an H.264 video. Returns the bits per pixel."""
     times = camera["clock"].get("times_s")
     rate = camera["clock"].get("rate_hz") or 1 / float(np.median(np.diff(times)))
     exact = "30000/1001" if abs(rate - 29.97) < 0.01 else f"{rate:.6g}"
@@ -87,7 +88,7 @@ def compress(capture: Path, camera: dict[str, Any], crf: int, video: Path) -> fl
 
 
 class Made:
-    """The film made real, and what is true of it."""
+    """The imported, degraded captures, and the ground truth of the original capture."""
 
     def __init__(
         self, program: str, capture: Path, scratch: Path, pictures: Path
@@ -98,7 +99,7 @@ class Made:
         self.true_s = {s["id"]: s["times_s"] for s in self.truth["shutter"]}
 
     def call(self, *arguments: str | Path) -> str:
-        """What a command of the program prints."""
+        """Run a command of the program `stlfr`; returns its output."""
         command = [self.program, *map(str, arguments), "--quiet"]
         ended = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
         return ended.stdout
@@ -110,7 +111,7 @@ class Made:
         return float(self.true_s[camera["id"]][0] - first_s)
 
     def row(self, name: str, folder: Path, *options: str) -> None:
-        """Estimate the offsets of a capture, render the free views, and print a row of the table."""
+        """Estimate a capture's offsets, render the ground truth's free viewpoints, and print a row of the table."""
         described = json.loads((folder / "capture.json").read_text())
         cameras = {camera["id"]: camera for camera in described["cameras"]}
         options = tuple(option for option in options if option)
@@ -145,9 +146,10 @@ class Made:
         where: tuple[Path, float, Similarity],
         options: tuple[str, ...],
     ) -> str:
-        """The mean PSNR of the free views, of the moving part and of all.
+        """Render the ground truth's free viewpoints from a capture, with `options` of `stlfr render`.
 
-        `where` has the capture's folder, its zero, and the similarity that takes the truth's world to the capture's.
+        `where` holds the capture's folder, the true time at which its clock shows 0, and the similarity from the true
+        world to the capture's world. Returns the mean PSNR of the moving part and of all pixels, as text.
         """
         folder, start_s, to_folder = where
         moving, whole = [], []
@@ -165,9 +167,9 @@ class Made:
         return f"{np.mean(moving):.1f} / {np.mean(whole):.1f}"
 
     def similarities(self, folder: Path) -> tuple[Similarity, Similarity]:
-        """From the truth's world to that of a capture: as the capture says, and as its cameras fit the true ones.
+        """Two similarities from the true world to a capture's: as the capture states it, and fitted to its cameras.
 
-        A capture that was calibrated without known distances has no world of its own: both are the fitted one.
+        A metric calibration states the identity. A calibration without scale states nothing: both are the fitted one.
         """
         true, found = (
             {c["id"]: c["cam_from_world"] for c in json.loads(file.read_text())["cameras"]}
@@ -177,7 +179,7 @@ class Made:
         b = np.array([centre(pose) for pose in found.values()])
         spread = [np.linalg.norm(points - points.mean(axis=0)) for points in (a, b)]
         scale = float(spread[1] / spread[0])
-        # Cameras in a line leave a turn about it free, so that rotations decide it.
+        # Cameras in a line leave the rotation about this line undetermined, so the cameras' rotations are aligned.
         sum_of = sum(
             rotation_of(found[name]["rotation_wxyz"]).T
             @ rotation_of(true[name]["rotation_wxyz"])
@@ -192,17 +194,17 @@ class Made:
 
 
 NEAREST = ("--sync", "nearest", "--proxy", "mesh", "--blend", "lumigraph")
-"""The traditional light field."""
+"""Options of `stlfr render` for a traditional light field of nearest frames."""
 
 
 def centre(pose: dict[str, Any]) -> Array:
-    """A camera's centre in the world."""
+    """A camera's centre in world coordinates, from its `cam_from_world`."""
     found: Array = -rotation_of(pose["rotation_wxyz"]).T @ np.array(pose["translation"])
     return found
 
 
 def moved(camera: dict[str, Any], similarity: Similarity) -> dict[str, Any]:
-    """A camera in a world that was scaled, turned and moved."""
+    """A camera object after a similarity of the world."""
     scale, rotation, translation = similarity
     pose = camera["cam_from_world"]
     turn = rotation_of(pose["rotation_wxyz"]) @ rotation.T
@@ -217,7 +219,7 @@ def moved(camera: dict[str, Any], similarity: Similarity) -> dict[str, Any]:
 
 
 def quaternion_of(turn: Array) -> list[float]:
-    """A rotation matrix as a unit quaternion wxyz, from its largest component."""
+    """A rotation matrix as a unit quaternion wxyz, computed from the quaternion's largest component."""
     xx, yy, zz = np.diag(turn)
     squares = np.array([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz])  # fmt: skip
     products = np.array(
@@ -237,7 +239,7 @@ def quaternion_of(turn: Array) -> list[float]:
 def score(
     program: str, capture: Path, crf: int, pictures: Path, readout_s: float
 ) -> None:
-    """Make the film real, and print the table."""
+    """Degrade the capture's recordings and calibration, import them in several ways, and print the table."""
     pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         scratch = Path(folder)

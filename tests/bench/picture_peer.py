@@ -1,13 +1,14 @@
-"""Peers of temporal interpolation for the `picture` benchmark: OpenCV's DIS flow and ffmpeg's minterpolate.
+"""Other methods of temporal interpolation for the `picture` benchmark: OpenCV's DIS flow and ffmpeg's minterpolate.
 
     .venv/bin/python -I tests/bench/picture_peer.py REQUEST.json
 
-The request is a list of jobs: `frames`, four image files of one camera, of which the instant lies between the
-second and the third; `fraction`, the instant's place between those two; `out`, the prefix of the results. Written
-are `out-dis.png` and `out-minterpolate.png`, RGB. Both peers take motion as even between the two frames.
+The request is a list of jobs. A job has `frames`, four consecutive image files of one camera. The instant to
+interpolate lies between the second and the third frame; `fraction` is its position between them, from 0 to 1. `out` is
+the prefix of the two results, `OUT-dis.png` and `OUT-minterpolate.png`, in RGB. Both methods assume constant velocity
+between the two frames.
 
-Known limits: DIS sees grey images of 8 bits; minterpolate works in 8 bits and moves blocks by whole pixels. The
-instant that ffmpeg is asked for is right to a thousandth of the interval.
+Known limits: DIS uses grey images of 8 bits. minterpolate works in 8 bits and moves blocks by whole pixels. The instant
+that ffmpeg interpolates has an error of up to a thousandth of the frame interval.
 """
 
 from __future__ import annotations
@@ -30,23 +31,25 @@ Array = npt.NDArray[np.float32]
 opencv: Any = cv2  # its stubs know neither None nor the presets
 
 CONSISTENT_PX = 1.0
-"""Scale of the forward-backward error at which a match is believed. Larger: occluded things are ghosted; smaller:
-what both frames show is taken from one."""
+"""Scale of the forward-backward error at which the weight of a match falls. If larger, occluded surfaces give ghosts;
+if smaller, pixels that both frames show are taken from one frame."""
 DOUBT = 0.1
-"""Weight of a frame in which a pixel is not visible. Larger: ghosts; smaller: where neither frame is believed, the
-choice between them is arbitrary."""
+"""Weight of a frame in which a pixel is not visible. If larger, there are ghosts; if smaller, the choice of a frame is
+arbitrary where neither frame has a consistent match."""
 PHOTO_SCALE = 0.05
-"""Scale of the difference of matched values, of 1, at which a flow yields to another that leads to the same place.
-Larger: surfaces mix; smaller: highlights decide."""
+"""Scale of the difference of matched pixel values (0 to 1) at which the weight of a splatted flow falls. It matters
+where several flow vectors lead to one pixel. If larger, surfaces are mixed; if smaller, highlights have too much
+influence."""
 HOLE_WEIGHT = 1e-3
-"""Sum of weights under which no flow leads to a pixel. Larger: holes grow; smaller: flows that are not believed fill
-them."""
+"""Sum of splatted weights below which a pixel counts as a hole. If larger, holes grow; if smaller, inconsistent flow
+fills them."""
 MAX_DENOMINATOR = 1_000_000
-"""Of the rate that ffmpeg is asked for. Smaller: the instant is missed."""
+"""Maximum denominator of the frame rate that is passed to ffmpeg. If smaller, the interpolated instant is
+inaccurate."""
 
 
 def main() -> None:
-    """Do all jobs."""
+    """Do all jobs of the request file."""
     dis = opencv.DISOpticalFlow_create(opencv.DISOPTICAL_FLOW_PRESET_MEDIUM)
     for job in json.loads(Path(sys.argv[1]).read_text()):
         frames = [read(f) for f in job["frames"]]
@@ -57,7 +60,7 @@ def main() -> None:
 
 
 def read(path: str) -> Array:
-    """An image, red first, 0..=1."""
+    """Read an image as RGB with values from 0 to 1."""
     image = opencv.imread(path, opencv.IMREAD_UNCHANGED)
     if image.ndim == 2:
         image = opencv.cvtColor(image, opencv.COLOR_GRAY2BGR)
@@ -67,19 +70,19 @@ def read(path: str) -> Array:
 
 
 def write(path: str, image: Array) -> None:
-    """Write 16 bits a channel."""
+    """Write an RGB image with 16 bits per channel."""
     levels = np.clip(image[:, :, ::-1] * 65535 + 0.5, 0, 65535).astype(np.uint16)
     if not opencv.imwrite(path, levels):
         raise OSError(path)
 
 
 def gray(image: Array) -> npt.NDArray[np.uint8]:
-    """What DIS takes."""
+    """The image as 8-bit grey, the input of DIS."""
     return opencv.cvtColor((image * 255 + 0.5).astype(np.uint8), opencv.COLOR_RGB2GRAY)
 
 
 def grid(like: Array) -> Array:
-    """Every pixel's own place."""
+    """The position (x, y) of every pixel, (H, W, 2); the top-left pixel is at 0."""
     height, width = like.shape[:2]
     return np.dstack(np.meshgrid(np.arange(width), np.arange(height))).astype(
         np.float32
@@ -87,18 +90,21 @@ def grid(like: Array) -> Array:
 
 
 def sample(field: Array, at: Array, method: int = cv2.INTER_LINEAR) -> Array:
-    """Values of an image or a flow at places."""
+    """Values of an image or a flow field at the positions `at` (H, W, 2), by interpolation."""
     return opencv.remap(field, at, None, method, borderMode=opencv.BORDER_REPLICATE)
 
 
 def consistency(there: Array, back: Array) -> Array:
-    """1 where the flow back undoes the flow there, towards 0 where it doesn't."""
+    """The forward-backward consistency of a flow `there`: 1 if the flow `back` is its inverse, else towards 0."""
     error = there + sample(back, grid(there) + there)
     return np.exp(-(error**2).sum(axis=2) / CONSISTENT_PX**2)
 
 
 def splat(to: Array, values: Array, weights: Array) -> npt.NDArray[np.float64]:
-    """Sums of weighted values, several a pixel, carried to places and shared bilinearly among four pixels."""
+    """Forward splatting: the sums of weighted values (H, W, N) that are moved to positions `to` (H, W, 2).
+
+    Each value is distributed bilinearly among the four pixels around its position.
+    """
     height, width = weights.shape
     low = np.floor(to).astype(np.int64)
     part = to - low
@@ -115,7 +121,7 @@ def splat(to: Array, values: Array, weights: Array) -> npt.NDArray[np.float64]:
 
 
 def filled(flow: Array, known: npt.NDArray[np.bool_]) -> Array:
-    """The flow with its holes filled from around them, coarse to fine."""
+    """The flow with holes (where not `known`) filled by interpolation of their surroundings, from coarse to fine."""
     if known.all() or not known.any() or min(known.shape) < 2:
         return flow
     weight = known.astype(np.float32)
@@ -132,7 +138,10 @@ def filled(flow: Array, known: npt.NDArray[np.bool_]) -> Array:
 def intermediate(
     images: list[Array], flows: list[Array], seen: list[Array], t: float
 ) -> Array:
-    """The flow from the first to the second frame, at the pixels of the instant between them."""
+    """The flow from the first to the second frame, at the pixels of the interpolated instant, whose fraction is `t`.
+
+    `flows` are the flows from each frame to the other one, `seen` their consistencies.
+    """
     sums = np.zeros((*images[0].shape[:2], 3))
     for k, (flow, share) in enumerate(zip(flows, (t, 1 - t), strict=True)):
         matched = sample(images[1 - k], grid(flow) + flow)
@@ -147,13 +156,13 @@ def intermediate(
 
 
 def by_flow(dis: Any, first: Array, second: Array, t: float) -> Array:
-    """Both frames warped by the flow at the instant, each where it is visible."""
+    """Interpolate two frames at the fraction `t`: warp both by DIS flow, and blend them by visibility and time."""
     grays = [gray(first), gray(second)]
     flows = [dis.calc(grays[0], grays[1], None), dis.calc(grays[1], grays[0], None)]
     seen = [consistency(flows[0], flows[1]), consistency(flows[1], flows[0])]
     flow = intermediate([first, second], flows, seen, t)
     at = [grid(flow) - t * flow, grid(flow) + (1 - t) * flow]
-    # What has no match in the other frame is not visible there.
+    # A pixel of one frame without a consistent match isn't visible in the other frame.
     weights = [
         (1 - t) * (sample(seen[1], at[1]) + DOUBT),
         t * (sample(seen[0], at[0]) + DOUBT),
@@ -167,9 +176,9 @@ def by_flow(dis: Any, first: Array, second: Array, t: float) -> Array:
 
 
 def by_ffmpeg(frames: list[Array], t: float) -> Array:
-    """ffmpeg's motion-compensated interpolation, at a rate whose third picture is at the instant."""
+    """Interpolate by ffmpeg's minterpolate, with an output frame rate whose third picture is at the fraction `t`."""
     height, width = frames[0].shape[:2]
-    # One frame a second, the first twice: the filter begins with the interval after the second frame.
+    # One frame per second. The first frame is repeated, because the filter starts in the interval after the second one.
     clip = [frames[0], *frames, frames[-1], frames[-1]]
     raw = b"".join((f * 255 + 0.5).astype(np.uint8).tobytes() for f in clip)
     rate = Fraction(2 / (2 + t)).limit_denominator(MAX_DENOMINATOR)

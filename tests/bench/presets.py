@@ -1,12 +1,12 @@
-"""The default beside presets and methods: decibels and processor seconds of views beside the truth.
+"""Compares the default options with presets and methods: PSNR against the ground truth, and processor seconds per view.
 
     .venv/bin/python tests/bench/presets.py [--instants N] CAPTURE...
 
-Rendered are the views of the truth that no camera has, such as `between`, at all instants of the truth. Offsets
-are those of the capture's folder. A row has the mean PSNR over the views, of the moving part and of the whole
-image, and the median of the processor seconds of a view over all threads, with everything stored that views share.
-The last line of a capture is the default's distance from the best row. What is measured is cached in the capture's
-folder, so give a copy of it. It needs `stlfr setup`.
+The rendered views are those of the ground truth whose viewpoint isn't a camera's, such as `between`, at all instants of
+the ground truth. Offsets are read from the capture's folder. A row has the mean PSNR over these views, of the moving
+part and of the whole image, and the median processor time of a view over all threads; results that views of an instant
+share are cached before. The last line of a capture states how far the default is below the best row. Results are cached
+in the capture's folder, so run this on a copy of the capture. It needs `stlfr setup`.
 """
 
 from __future__ import annotations
@@ -61,12 +61,15 @@ def main() -> None:
 def measured(
     folder: Path, views: list[dict[str, Any]], preset: str, options: dict[str, Any]
 ) -> tuple[float, float, float]:
-    """Mean PSNR of the moving part and of the whole image, and the median of a view's processor seconds."""
+    """Render views with a preset and options.
+
+    Returns the mean PSNR of the moving part, the mean PSNR of the whole image, and the median processor seconds.
+    """
     moving, whole, seconds = [], [], []
     capture = stlfr.open(folder)
     for view in views:
         truth, moves = true_picture(folder, view)
-        for _ in range(2):  # The first run stores what views of this instant share.
+        for _ in range(2):  # the first run caches results that views share
             start_s = time.process_time()
             image = capture.render(
                 view["time_s"],

@@ -1,13 +1,14 @@
-"""What import and offsets say of real arrays, whose recordings are in public repositories and not in this one.
+"""Runs `stlfr import` and `stlfr offsets` on recordings of real camera arrays from public repositories.
 
 .venv/bin/python tests/bench/real_film.py FOLDER [--program target/release/stlfr] [--keep CAPTURES]
 
-FOLDER is a checkout, or a part of one, of any of these; the layout tells which:
+FOLDER is a checkout, or a part of one, of one of these repositories; its layout decides which one:
 - perfanalytics/pose2sim, Pose2Sim/Demo_SinglePerson: Qualisys' calibration, `videos`
 - mprib/caliscope, tests/sessions/SESSION: `camera_array.toml`, and recordings with `timestamps.csv`
 - bielaltoe/4_camera_norm_tracker, commit 3048155: `config_camera`, `videos`
 
-Receive times are of one clock. Where there are some, true offsets are 0, but for what reception adds.
+`timestamps.csv` has the times at which one computer received the frames. With this file, the true offsets are 0, except
+for different delays of transmission.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pathlib import Path
 
 
 def table(camera: dict[str, object], name: str) -> str:
-    """A camera of the third repository's JSON files as a table of Calib.toml."""
+    """Convert a camera of 4_camera_norm_tracker's JSON files to a table of Pose2Sim's Calib.toml."""
     size = camera["resolution"]
     k = camera["intrinsic"]["doubles"]  # type: ignore[index]
     pose = camera["extrinsic"][0]["tf"]["doubles"]  # type: ignore[index]
@@ -34,10 +35,10 @@ def table(camera: dict[str, object], name: str) -> str:
 
 
 def recordings(folder: Path, scratch: Path) -> list[tuple[str, list[str | Path]]]:
-    """Names of recordings in a folder, with the arguments of their import."""
+    """The recordings in a folder: their names, and their arguments of `stlfr import`."""
     found: list[tuple[str, list[str | Path]]] = []
     for calibration in [*folder.glob("*.qca.txt"), *folder.glob("*/*.qca.txt")]:
-        # Two of its videos are narrower than the calibration says.
+        # Two of the videos are narrower than in the calibration.
         arguments: list[str | Path] = [calibration, "--images", folder / "videos"]
         found.append((folder.name, [*arguments, "--crop"]))
     array = folder / "camera_array.toml"

@@ -1,10 +1,10 @@
-"""The calibration check of every shipped rig, as a table.
+"""Runs the calibration check on films by all rigs of the folder `rigs`, and prints the results as a table.
 
-Run as `.venv/bin/python -I tests/bench/residuals.py FOLDER [WIDTHxHEIGHT [RIG...]]`, with `cargo build
---release` done. Each rig (all, if none is named) films 4 frames of `magazine` by Workbench into a folder of its own (what is there already
-isn't filmed again), and the truth of one instant, which `stlfr check` places the cameras from. Residuals
-and standard errors are the worst of a rig's cameras; the projection is the largest distance between
-pycolmap's pixels and stlfr's, of this rig's cameras.
+Run as `.venv/bin/python -I tests/bench/residuals.py FOLDER [WIDTHxHEIGHT [RIG...]]`, after `cargo build --release`.
+Each rig (by default, all rigs) films 4 frames of the scene `magazine` and the ground truth of one instant by Workbench,
+into its own folder in FOLDER; existing images aren't filmed again. `stlfr check` reconstructs the cameras' poses from
+the ground truth images. The residuals and standard errors in a row are the largest of the rig's cameras. The projection
+error is the largest distance between pixels of pycolmap and of stlfr for the rig's cameras.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = ROOT / "target/release/stlfr"
 SCENE = ["--scene", "magazine", "--engine", "workbench", "--samples", "8"]
 FRAMES, INSTANT_S, INSTANTS_S = "4", "0.05", {"lost-frames": "0.04"}
-"""What `lost-frames` has left of 4 frames a camera ends before the others' instant."""
+"""Options of filming. The rig `lost-frames` has an earlier instant with ground truth, because the frames that remain of
+its 4 frames per camera end before the instant of the other rigs."""
 
 
 def checked(rig: Path, folder: Path, size: str) -> dict[str, Any]:
-    """What `stlfr check` finds of a rig's film."""
+    """Film with a rig into `folder`, and return the JSON result of `stlfr check`."""
     film: list[str | Path] = [PROGRAM, "capture", rig, "-o", folder, *SCENE]
     film += ["--frames", FRAMES, "--size", size]
     film += ["--instants-s", INSTANTS_S.get(rig.stem, INSTANT_S)]
@@ -38,7 +39,7 @@ def checked(rig: Path, folder: Path, size: str) -> dict[str, Any]:
 
 
 def row(name: str, found: dict[str, Any]) -> str:
-    """A rig's line."""
+    """A rig's row of the table."""
     worst = {
         field: max(camera[field] or float("inf") for camera in found["cameras"])
         for field in found["cameras"][0]
@@ -52,7 +53,7 @@ def row(name: str, found: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Film, check, print."""
+    """Film and check with each rig, and print the table."""
     folder, size, *names = Path(sys.argv[1]), *(sys.argv[2:] or ["640x480"])
     rigs = sorted((ROOT / "rigs").glob("*.json"))
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,13 +1,13 @@
-"""Two builds of the program on the same captures: whether their results are the same bytes, and how long they take.
+"""Compares two builds of the program on the same captures: whether results are byte-identical, and how long they take.
 
     python3 tests/bench/same_results.py OLD NEW CAPTURE [CAPTURE ...] [--runs 3] [--rename old_key=new_key ...]
 
-OLD and NEW are binaries. In turns, each estimates the offsets, renders synchronized images by every method, views by
-every preset, slow motion and a trail, and compares with the truth where there is any. Captures are copied, so that no
-build sees the other's caches. A file that differs is named, and the exit code is 1.
+OLD and NEW are binaries, run alternately. Each estimates the offsets, and renders synchronized images by every method,
+views by every preset, slow motion and a trail. If the capture has ground truth, it also runs `stlfr compare`. Captures
+are copied, so that the builds don't share caches. If files differ, their names are printed, and the exit code is 1.
 
-`metrics.json` holds the names of fields besides numbers: `--rename` replaces a name in both builds' files before they
-are compared. `report.html`, `review.blend` and `timings.json` are not compared: they hold words and durations.
+`--rename` replaces a field name in the JSON files of both builds before they are compared. `report.html`,
+`review.blend` and `timings.json` are not compared, because they contain sentences and durations.
 """
 
 import argparse
@@ -27,7 +27,7 @@ WORDS_AND_DURATIONS = {"report.html", "review.blend", "timings.json"}
 
 
 def view_beside(capture: Path) -> dict[str, Any]:
-    """A view a third of the way from the second camera to the third."""
+    """The camera object of a view a third of the way from the second camera to the third camera."""
     cameras = json.loads((capture / "capture.json").read_text())["cameras"]
     first, second = (cameras[min(k, len(cameras) - 1)] for k in (1, 2))
     view = {
@@ -39,7 +39,7 @@ def view_beside(capture: Path) -> dict[str, Any]:
 
 
 def steps(capture: Path, out: Path, view: Path) -> dict[str, list[list[str]]]:
-    """The commands of each measured step, without the binary."""
+    """The commands of each measured step by its name; the arguments lack the binary."""
     clock = json.loads((capture / "capture.json").read_text())["cameras"][0]["clock"]
     times = clock.get("times_s") or [
         clock["first_s"] + k / clock["rate_hz"] for k in range(3)
@@ -73,7 +73,10 @@ def steps(capture: Path, out: Path, view: Path) -> dict[str, list[list[str]]]:
 
 
 def run(binary: str, original: Path, folder: Path) -> dict[str, float]:
-    """Every step by one binary on a fresh copy; the outputs are in `folder/out`. Seconds."""
+    """Run every step by one binary on a new copy of a capture; outputs are written into `folder/out`.
+
+    Returns the wall time of each step, seconds.
+    """
     shutil.rmtree(folder, ignore_errors=True)
     capture, out, view = folder / "capture", folder / "out", folder / "view.json"
     ignored = shutil.ignore_patterns(".stlfr", "offsets.*", "review")
@@ -95,14 +98,14 @@ def run(binary: str, original: Path, folder: Path) -> dict[str, float]:
 
 
 def renamed(value: Any, names: dict[str, str]) -> Any:
-    """JSON with other names of fields."""
+    """A JSON value with renamed fields; `names` maps old names to new names."""
     if isinstance(value, dict):
         return {names.get(k, k): renamed(v, names) for k, v in value.items()}
     return [renamed(v, names) for v in value] if isinstance(value, list) else value
 
 
 def differing(old: Path, new: Path, names: dict[str, str]) -> tuple[int, list[str]]:
-    """How many files are compared, and which differ or are there once."""
+    """The number of compared files, and the names of files that differ or exist in only one of the folders."""
     files = [
         {p.relative_to(f) for p in f.rglob("*") if p.is_file()} for f in (old, new)
     ]
@@ -128,7 +131,7 @@ def differing(old: Path, new: Path, names: dict[str, str]) -> tuple[int, list[st
 
 
 def main() -> int:
-    """The command line; the exit code."""
+    """Run both builds on all captures, and print the results. Returns the exit code: 1 if files differ."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("old")
     parser.add_argument("new")

@@ -1,4 +1,4 @@
-"""What the Python tests share."""
+"""Fixtures that several Python tests share."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def program() -> Path:
 
 @pytest.fixture(scope="session")
 def extension_zip(program: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The extension, built by the command line from this tree."""
+    """The zip file of the Blender extension, built from this checkout by the command line."""
     output = tmp_path_factory.mktemp("extension") / "stlfr.zip"
     subprocess.run([program, "-q", "setup", "--extension", output], check=True)
     return output
@@ -35,7 +35,7 @@ def extension_zip(program: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 @pytest.fixture(scope="session")
 def blender_user(extension_zip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A user's configuration with nothing but the extension in it."""
+    """The folder of a Blender user's configuration in which only the extension is installed."""
     user = tmp_path_factory.mktemp("user")
     (user / "found.json").write_text(json.dumps(step(user, "install", extension_zip)))
     return user
@@ -43,7 +43,7 @@ def blender_user(extension_zip: Path, tmp_path_factory: pytest.TempPathFactory) 
 
 @pytest.fixture(scope="session")
 def capture_dir(program: Path) -> Path:
-    """The tiny capture, filmed once for all tests, Rust's and Python's; not to be written to."""
+    """A tiny capture that is filmed once for all Rust and Python tests; tests must not write into it."""
     filmed = os.environ.get("STLFR_TEST_CAPTURE")
     if filmed:
         return Path(filmed)
@@ -69,7 +69,7 @@ def capture_dir(program: Path) -> Path:
 
 @pytest.fixture
 def own_capture(capture_dir: Path, tmp_path: Path) -> Path:
-    """A copy to write into, with its offsets known."""
+    """A copy of the tiny capture that a test may write into, with known offsets."""
     capture = Path(shutil.copytree(capture_dir, tmp_path / "own"))
     truth = json.loads((capture / "truth/truth.json").read_text())
     offset_s = {o["id"]: o["offset_s"] for o in truth["offsets"]}
@@ -86,7 +86,7 @@ def own_capture(capture_dir: Path, tmp_path: Path) -> Path:
 def wheel(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    """A release's wheel, if one is to be tried, else that of this tree's extension."""
+    """The wheel that the environment variable STLFR_TEST_WHEEL names, else the wheel in this checkout's extension."""
     released = os.environ.get("STLFR_TEST_WHEEL")
     if released:
         return Path(released)
@@ -99,7 +99,7 @@ def wheel(
 
 @pytest.fixture(scope="session")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of programs of an environment that holds the wheel, and numpy as this one has it."""
+    """The folder of executables of a new Python environment in which the wheel is installed, with numpy."""
     folder = tmp_path_factory.mktemp("empty")
     venv.create(folder, symlinks=True)
     programs = folder / "bin"
@@ -115,7 +115,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder far from the sources."""
+    """A working folder outside of the source folder."""
     monkeypatch.chdir(tmp_path)
     for name in ("PYTHONPATH", "STLFR_HOME", "VIRTUAL_ENV"):
         monkeypatch.delenv(name, raising=False)

@@ -1,7 +1,6 @@
-"""What the tests of the extension do inside a Blender: `python extension_steps.py STEP ARGUMENTS`.
+"""Steps of the extension's tests that run inside Blender: `python extension_steps.py STEP ARGUMENTS`.
 
-Each step is a process of its own, with a user configuration of its own. What it finds is its last line
-on stdout, as JSON.
+Each step runs in a separate process with its own user configuration. Its last line on stdout is its result as JSON.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from extension_tools import (
 
 
 def install(zip_file: str) -> dict[str, Any]:
-    """From the zip, by Blender's own operator."""
+    """Install the extension from its zip file by Blender's own operator."""
     bpy.ops.extensions.package_install_files(
         filepath=zip_file, repo="user_default", enable_on_install=True
     )
@@ -45,7 +44,7 @@ def install(zip_file: str) -> dict[str, Any]:
 
 
 def traces() -> dict[str, Any]:
-    """Everything that the extension may have registered."""
+    """Everything in Blender that the extension may have registered."""
     names = {name for name in dir(bpy.types) if "stlfr" in name.lower()}
     return {
         "types": sorted(names),
@@ -61,7 +60,7 @@ def traces() -> dict[str, Any]:
 
 
 def engine_items() -> list[str]:
-    """The engines that a scene can be set to."""
+    """The names of all render engines that can be chosen for a scene."""
     try:
         bpy.context.scene.render.engine = "NO SUCH ENGINE"
     except TypeError as error:
@@ -70,7 +69,7 @@ def engine_items() -> list[str]:
 
 
 def come_and_go() -> dict[str, Any]:
-    """Enabled and disabled, twice."""
+    """Enable and disable the extension twice; returns what is registered at each stage."""
     addon_utils = importlib.import_module("addon_utils")
     found = {"before": traces()}
     for _ in range(2):
@@ -82,7 +81,7 @@ def come_and_go() -> dict[str, Any]:
 
 
 def enable_only() -> dict[str, Any]:
-    """Whether it can be enabled, and what is there then."""
+    """Enable the extension; returns whether this succeeded, and what is registered then."""
     enabled = enable()
     stlfr = importlib.import_module("stlfr")
     return {
@@ -94,7 +93,7 @@ def enable_only() -> dict[str, Any]:
 
 
 def film(folder: str) -> dict[str, Any]:
-    """A rig through its operators, a film that is cancelled and resumed, offsets, a picture."""
+    """Create a rig by operators, cancel and resume filming, estimate offsets, and render a picture."""
     assert enable()
     work = Path(folder)
     scene = moving_scene()
@@ -152,7 +151,7 @@ def film(folder: str) -> dict[str, Any]:
 
 
 def shown_offset(offset: Any) -> dict[str, Any]:
-    """One entry of the panel's list."""
+    """The values of one entry in the panel's list of offsets."""
     return {
         "id": offset.camera_id,
         "known": offset.is_known,
@@ -162,12 +161,12 @@ def shown_offset(offset: Any) -> dict[str, Any]:
 
 
 def job_result(capture: Path) -> Any:
-    """What the estimation finds, in this process."""
+    """Estimate the capture's offsets in this process, for comparison with the operator's result."""
     return importlib.import_module("stlfr").open(capture).offsets()["cameras"]
 
 
 def film_again(folder: str) -> dict[str, Any]:
-    """A film in one go, of a rig that was loaded."""
+    """Film without interruption, with a rig that is loaded from a file."""
     assert enable()
     work = Path(folder)
     scene = moving_scene()
@@ -186,7 +185,7 @@ def film_again(folder: str) -> dict[str, Any]:
 
 
 def pictures(capture: str, folder: str) -> dict[str, Any]:
-    """Of a capture with many cameras: from a filming camera's place, and from where some pixels are unseen."""
+    """Render pictures from a filming camera's pose, and from a viewpoint where no camera sees some pixels."""
     assert enable()
     work, scene = Path(folder), bpy.context.scene
     scene.render.engine = "STLFR"
@@ -221,7 +220,10 @@ def pictures(capture: str, folder: str) -> dict[str, Any]:
 
 
 def displays(capture: str, folder: str) -> dict[str, Any]:
-    """A quilt, a stereo pair and an animation of quilts by the render tab; what the command line needs for the same."""
+    """Render a quilt, a stereo pair and an animation of quilts by the render tab's operator.
+
+    Returns the files, and the input with which `stlfr render` must give the same files.
+    """
     assert enable()
     work, scene, settings = Path(folder), bpy.context.scene, bpy.context.scene.stlfr
     scene.render.engine = "STLFR"
@@ -267,7 +269,7 @@ def displays(capture: str, folder: str) -> dict[str, Any]:
 
 
 def animation(capture: str, folder: str) -> dict[str, Any]:
-    """Slow motion, and bullet time: the camera moves and time stands still."""
+    """Render an animation in slow motion, and one in which the camera moves while time stands still."""
     assert enable()
     scene = bpy.context.scene
     scene.render.engine = "STLFR"
@@ -302,7 +304,7 @@ def animation(capture: str, folder: str) -> dict[str, Any]:
 
 
 def errors(capture: str, folder: str) -> dict[str, Any]:
-    """What the engine and the operators refuse, each in one sentence."""
+    """Make the engine and the operators fail with wrong input; returns their error messages."""
     assert enable()
     scene, settings = bpy.context.scene, bpy.context.scene.stlfr
     scene.render.engine = "STLFR"
@@ -340,7 +342,7 @@ def errors(capture: str, folder: str) -> dict[str, Any]:
 
 
 def stop_rendering(capture: str) -> dict[str, Any]:
-    """Escape pressed while the engine renders a long trail."""
+    """Press Escape while the engine renders a long trail."""
     assert enable()
     scene, settings = bpy.context.scene, bpy.context.scene.stlfr
     plain(scene)
@@ -368,7 +370,7 @@ def stop_rendering(capture: str) -> dict[str, Any]:
 
 
 def review(capture: str) -> dict[str, Any]:
-    """The comparison is made and its scenes are added to the file, which otherwise stays as it is; twice."""
+    """Run the comparison twice, which adds its scenes to the file and must not change anything else in it."""
     assert enable()
     before = sorted(scene.name for scene in bpy.data.scenes)
     scene = bpy.context.scene
@@ -388,7 +390,7 @@ def review(capture: str) -> dict[str, Any]:
 
 
 def rigs(rig_file: str, folder: str) -> dict[str, Any]:
-    """A rig file there and back: as it came, after the rig was moved, and after an edit."""
+    """Load a rig file and save it: unchanged, after the rig was moved, and after a camera was edited."""
     assert enable()
     scene, out = bpy.context.scene, Path(folder)
     bpy.ops.stlfr.rig_load(filepath=rig_file)
@@ -412,7 +414,7 @@ def rigs(rig_file: str, folder: str) -> dict[str, Any]:
 
 
 def new_rigs(folder: str, wanted: str) -> dict[str, Any]:
-    """Rigs by *Create Rig* with properties of its own, each saved under its name."""
+    """Create rigs with different properties by the operator *Create Rig*, and save each under its name."""
     assert enable()
     for name, properties in json.loads(wanted).items():
         bpy.ops.stlfr.rig_create(rig_name=name, **properties)
@@ -421,7 +423,7 @@ def new_rigs(folder: str, wanted: str) -> dict[str, Any]:
 
 
 def saved_again(folder: str, *rig_files: str) -> dict[str, Any]:
-    """Rig files, each loaded and saved under its own name."""
+    """Load each of these rig files, and save it under the same name into `folder`."""
     assert enable()
     for file in rig_files:
         bpy.ops.stlfr.rig_load(filepath=file)
@@ -430,7 +432,7 @@ def saved_again(folder: str, *rig_files: str) -> dict[str, Any]:
 
 
 def modal(capture: str) -> dict[str, Any]:
-    """A job as a window would drive it: events pass through, news are drawn, the end is taken over."""
+    """Run an operator's job with simulated window events, from its start to the take-over of its result."""
     assert enable()
     operators, jobs = part("operators"), part("jobs")
     scene, seen = bpy.context.scene, []

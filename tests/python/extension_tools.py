@@ -1,4 +1,4 @@
-"""What the steps use: the installed extension's parts, a scene, pictures, and a stand-in for Blender's layout."""
+"""Helpers of `extension_steps`: the extension's modules, a scene, pictures, and a fake of Blender's `UILayout`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def part(name: str) -> Any:
 
 
 def enable() -> bool:
-    """As the preferences do; whether it is enabled then."""
+    """Enable the extension as Blender's preferences do. Returns whether it is enabled then."""
     addon_utils = importlib.import_module("addon_utils")
     return addon_utils.enable(MODULE, default_set=True) is not None
 
 
 def refused(operator: Any, **properties: Any) -> str:
-    """The sentence with which an operator refuses."""
+    """Call an operator that must fail; returns its error message."""
     try:
         operator(**properties)
     except RuntimeError as error:
@@ -34,7 +34,7 @@ def refused(operator: Any, **properties: Any) -> str:
 
 
 def plain(scene: Any) -> None:
-    """The picture as it is, in a PNG with alpha."""
+    """Set a scene to save rendered pictures unchanged, as PNG with alpha."""
     scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
     scene.render.dither_intensity = 0.0
     scene.render.image_settings.file_format = "PNG"
@@ -43,7 +43,7 @@ def plain(scene: Any) -> None:
 
 
 def moving_scene() -> Any:
-    """A textured board that slides by, 1.5 m before the camera."""
+    """A scene with a textured board that slides sideways, 1.5 m from the camera."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert enable()
     scene = bpy.context.scene
@@ -73,7 +73,7 @@ def moving_scene() -> Any:
 
 
 def create_rig() -> None:
-    """Three small cameras."""
+    """Create a rig of three cameras with small images by the extension's operator."""
     bpy.ops.stlfr.rig_create(
         rig_name="three",
         columns=3,
@@ -85,7 +85,7 @@ def create_rig() -> None:
 
 
 def described(scene: Any) -> list[Any]:
-    """What filming must leave as it is."""
+    """Properties of a scene and its file that filming must not change."""
     render = scene.render
     return [
         sorted(o.name for o in bpy.data.objects),
@@ -98,7 +98,7 @@ def described(scene: Any) -> list[Any]:
 
 
 def middle_s(capture: str) -> float:
-    """A time between frames of the reference camera, in the middle of the film."""
+    """A time between two frames of the reference camera, in the middle of the recording."""
     opened = importlib.import_module("stlfr").open(capture)
     times_s = opened.times(opened.reference)
     half = len(times_s) // 2
@@ -106,7 +106,7 @@ def middle_s(capture: str) -> float:
 
 
 def place(scene: Any, filmed: dict[str, Any]) -> None:
-    """The scene's camera where a filming camera is."""
+    """Give the scene's camera the pose, lens and image size of a camera of the capture."""
     camera = part("camera")
     pinhole = camera.Pinhole(filmed["width"], filmed["height"], *filmed["params"])
     lens = camera.lens_from_pinhole(pinhole)
@@ -126,7 +126,10 @@ def place(scene: Any, filmed: dict[str, Any]) -> None:
 def picture(
     scene: Any, work: Path, time_s: float, name: str = "picture"
 ) -> dict[str, Any]:
-    """F12 at a capture's time; where the PNG lies, and what `stlfr render` needs for the same."""
+    """Render the scene by the engine (as F12 does) at a time of the capture.
+
+    Returns the PNG's path, and the input with which `stlfr render` must give the same picture.
+    """
     scene.render.engine = "STLFR"
     if name == "picture":
         plain(scene)
@@ -151,13 +154,16 @@ def picture(
 
 
 def must_be_icon(name: str) -> None:
-    """Blender has it."""
+    """Assert that Blender has an icon with this name."""
     icons = bpy.types.UILayout.bl_rna.functions["prop"].parameters["icon"].enum_items
     assert name in icons.keys(), name  # noqa: SIM118 - a collection of Blender's
 
 
 class Layout:
-    """Stands for Blender's layout, which this Blender can't show: refuses what isn't there."""
+    """A fake of Blender's `UILayout` for tests without a window, which records all drawn texts.
+
+    It fails if a panel draws a property, an operator or an icon that doesn't exist.
+    """
 
     def __init__(self) -> None:
         self.drawn: list[str] = []
@@ -204,7 +210,7 @@ class Layout:
 
 
 def drawn() -> list[str]:
-    """All that the panels show now."""
+    """All texts that the extension's panels currently draw, each after its panel's label."""
     scene = bpy.context.scene
     found: list[str] = []
     camera = next(

@@ -1,4 +1,4 @@
-"""A user's Blender with the extension, in which the steps of `extension_steps.py` run."""
+"""Runs the steps of `extension_steps.py` in Blender processes with a given user configuration."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ STEPS = Path(__file__).resolve().parent / "extension_steps.py"
 
 
 def environment(user: Path) -> dict[str, str]:
-    """Blender's folders of a user who has nothing else."""
+    """Environment variables that make Blender use only the folders of this user configuration."""
     folders = {
         f"BLENDER_USER_{name}": str(user / name.lower())
         for name in ("RESOURCES", "CONFIG", "SCRIPTS", "EXTENSIONS", "DATAFILES")
@@ -26,9 +26,9 @@ def environment(user: Path) -> dict[str, str]:
 def run_step(
     user: Path, name: str, *arguments: object
 ) -> subprocess.CompletedProcess[str]:
-    """A step in a Blender of its own, however it ends."""
+    """Run a step in a new Blender process, whether it succeeds or fails."""
     return subprocess.run(
-        # Isolated, but for its own folder, where what the steps use lies.
+        # Isolated except for the script's own folder, which holds the helper modules.
         [sys.executable, "-E", "-s", "-B", str(STEPS), name, *map(str, arguments)],
         env=environment(user),
         capture_output=True,
@@ -39,7 +39,7 @@ def run_step(
 
 
 def step(user: Path, name: str, *arguments: object) -> Any:
-    """What a step finds."""
+    """Run a step, which must succeed; returns its result."""
     ended = run_step(user, name, *arguments)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "Traceback" not in ended.stderr, ended.stderr
@@ -47,7 +47,7 @@ def step(user: Path, name: str, *arguments: object) -> Any:
 
 
 def one_sentence(text: str) -> str:
-    """The sentence of an operator's error."""
+    """The single sentence in the text of an operator's error."""
     lines = [line.removeprefix("Error: ").strip() for line in text.splitlines()]
     assert len([line for line in lines if line]) == 1, text
     assert not text.startswith("Error: Python") and "Traceback" not in text, text

@@ -1,4 +1,4 @@
-"""Rig files and filming for the tests: by the script, and in this process (one Blender, many rigs, no workers' start-up)."""
+"""Helpers of tests for rig files and filming, by the script or (faster) in this process."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_ex
 SHIPPED = sorted((ROOT / "rigs").glob("*.json"))
 
 CORPUS = json.loads((ROOT / "tests" / "golden" / "rigs.json").read_text())
-"""A rig of two cameras, and what may and may not be changed in it; the Rust tests read it too."""
+"""A valid rig of two cameras, with lists of valid and invalid changes of it; the Rust tests read this file too."""
 
 IDENTITY = {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}
 
 
 def rig_camera(camera_id: str, **changes: Any) -> dict[str, Any]:
-    """A camera of a rig file: 64x48, at the rig's centre, opening with the scene."""
+    """A camera's entry in a rig file: 64x48, at the rig's centre, starts at world time 0; `changes` replaces fields."""
     return {
         "id": camera_id,
         "width": 64,
@@ -78,7 +78,7 @@ def rig_camera(camera_id: str, **changes: Any) -> dict[str, Any]:
 
 
 def rig_content(*cameras: dict[str, Any], **changes: Any) -> dict[str, Any]:
-    """A rig file."""
+    """The content of a rig file with these cameras; `changes` replaces further fields."""
     content = {
         "format": "stlfr-rig",
         "version": 1,
@@ -90,13 +90,13 @@ def rig_content(*cameras: dict[str, Any], **changes: Any) -> dict[str, Any]:
 
 
 def write_rig(path: Path, *cameras: dict[str, Any], **changes: Any) -> Path:
-    """Save a rig file."""
+    """Write a rig file with these cameras; returns its path."""
     path.write_text(json.dumps(rig_content(*cameras, **changes)), encoding="utf-8")
     return path
 
 
 def changed(changes: dict[str, Any]) -> dict[str, Any]:
-    """The corpus's rig with fields changed; a field's path has dots."""
+    """The rig of `CORPUS` with fields changed; a key of `changes` is a field's path, with dots."""
     content: dict[str, Any] = copy.deepcopy(CORPUS["rig"])
     for path, value in changes.items():
         *parents, field = path.split(".")
@@ -108,31 +108,31 @@ def changed(changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def loaded(tmp_path: Path, changes: dict[str, Any]) -> Any:
-    """The corpus's rig with fields changed, read."""
+    """The rig of `CORPUS` with fields changed, written to a file and loaded from it."""
     path = tmp_path / "rig.json"
     path.write_text(json.dumps(changed(changes)), encoding="utf-8")
     return rig.load(path)
 
 
 def right_of_centre(x_m: float) -> dict[str, Any]:
-    """The `cam_from_rig` of a camera that stands beside the rig's centre and looks ahead."""
+    """The field `cam_from_rig` of a camera `x_m` metres to the right of the rig's centre, oriented as the rig."""
     return {**IDENTITY, "translation": [-x_m, 0, 0]}
 
 
 def by_script(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Film by the headless script, however that ends."""
+    """Film by the headless script, whether it succeeds or fails."""
     return run_script(CAPTURE_SCRIPT, *arguments)
 
 
 def filmed_by_script(*arguments: object) -> list[dict[str, Any]]:
-    """Film by the headless script, which must succeed; gives what it reports."""
+    """Film by the headless script, which must succeed; returns its progress reports."""
     ended = by_script(*arguments)
     assert ended.returncode == 0, ended.stderr
     return [json.loads(line) for line in ended.stdout.splitlines()]
 
 
 def run_script(script: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run a script of `blender/`, however it ends."""
+    """Run a script of the folder `blender`, whether it succeeds or fails."""
     return run([sys.executable, "-I", str(script), *map(str, arguments)])
 
 
@@ -144,7 +144,7 @@ def run(command: list[str]) -> subprocess.CompletedProcess[str]:
 
 
 def options(rig_file: Path, **changes: Any) -> Any:
-    """What to film: a few tiny frames, and truth without views."""
+    """Options of filming for tests: a few tiny frames, and ground truth at no instant; `changes` replaces options."""
     wanted = {
         "rig_file": rig_file,
         "scene_name": "magazine",
@@ -160,7 +160,7 @@ def options(rig_file: Path, **changes: Any) -> Any:
 
 
 def film(scene: Any, wanted: Any, capture: Path) -> Any:
-    """Film a plan into a folder as the workers do; gives the plan."""
+    """Film with these options into a folder, in this process, as worker processes do; returns the plan."""
     studios = importlib.import_module("stlfr_extension.film")
     whole = plan.make(wanted)
     views = (*whole.rig.cameras, *whole.rig.views)
@@ -175,14 +175,14 @@ def film(scene: Any, wanted: Any, capture: Path) -> Any:
 
 
 def linear(encoded: Array) -> Array:
-    """Light from display-encoded (sRGB) values of 0 to 1."""
+    """Linear light from display-encoded (sRGB) values from 0 to 1."""
     return np.where(
         encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
     )
 
 
 def read_light(path: Path) -> Array:
-    """A PNG's scene-linear light, height x width (the mean of its colours)."""
+    """The linear light of a PNG, (H, W): the mean of its colour channels."""
     import cv2
 
     picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -192,7 +192,7 @@ def read_light(path: Path) -> Array:
 
 
 def pixels(file: str | Path) -> npt.NDArray[np.int32]:
-    """RGBA samples of a PNG; grey and alpha made explicit."""
+    """The samples of a PNG as RGBA (H, W, 4), also if the file is grey or has no alpha."""
     import cv2
 
     image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
@@ -205,7 +205,7 @@ def pixels(file: str | Path) -> npt.NDArray[np.int32]:
 
 
 def black_scene(fps: int = 30) -> Any:
-    """An empty, unlit scene whose camera, where the rig stands, looks along the world's -z."""
+    """An empty scene without light; its camera, which is also the rig's pose, looks along the world's -z."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -219,7 +219,7 @@ def black_scene(fps: int = 30) -> Any:
 def add_disc(
     at_m: tuple[float, float, float], radius_m: float, light: float, vertices: int = 64
 ) -> Any:
-    """A glowing disc that faces +z."""
+    """Add a disc that emits light and faces +z."""
     import bpy
 
     bpy.ops.mesh.primitive_circle_add(
@@ -239,7 +239,7 @@ def add_disc(
 
 
 def disc_centroid(entry: dict[str, Any], at_m: Array, radius_m: float) -> Array:
-    """Where the centroid of the disc's image is in a camera of capture.json: its outline's, which knows lens and perspective."""
+    """The centroid of a disc's image in a camera of capture.json, from the projection of the disc's outline."""
     angle = 2 * np.pi * np.arange(64) / 64
     rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     here = described.project(entry, at_m + radius_m * rim)
@@ -250,7 +250,7 @@ def disc_centroid(entry: dict[str, Any], at_m: Array, radius_m: float) -> Array:
 
 
 def centroid(light: Array, near: Array, reach_px: float) -> Array:
-    """The light's centroid within a square window about a position."""
+    """The centroid of the light in a square window around the pixel position `near`."""
     y, x = np.mgrid[: light.shape[0], : light.shape[1]] + 0.5
     weight = light * (np.abs(x - near[0]) < reach_px) * (np.abs(y - near[1]) < reach_px)
     return np.array([np.sum(weight * x), np.sum(weight * y)]) / np.sum(weight)

@@ -1,4 +1,4 @@
-"""A release's wheel, in an empty environment; `.ci/release.py` runs this, since a wheel for tests isn't made portable."""
+"""Tests of a release's wheel in an empty environment, run by `.ci/release.py`; other wheels aren't portable."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from filming import ROOT
 def test_a_release_knows_no_folder_of_the_machine_that_built_it(
     wheel: Path, installed: Path, capture_dir: Path, outside: Path
 ) -> None:
-    """Nor does it need one: what is missing is told. It holds the licences of what it links."""
+    """It doesn't need such a folder: errors name what is missing. It contains the licences of linked libraries."""
     with zipfile.ZipFile(wheel) as archive:
         (notices,) = (
             n for n in archive.namelist() if n.endswith("LICENSE-THIRD-PARTY")

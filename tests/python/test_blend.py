@@ -1,4 +1,4 @@
-"""A user's own .blend: filmed as it is animated, left as it was, whatever its settings for rendering are."""
+"""Filming a user's .blend file: its animation is filmed, the file isn't changed, its render settings have no effect."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from filming import ROOT, by_script, rig_camera, write_rig
 
 @pytest.fixture(scope="module")
 def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One camera, tiny."""
+    """A rig file with one camera and tiny images."""
     folder = tmp_path_factory.mktemp("rig")
     return write_rig(folder / "rig.json", rig_camera("only", delay_s=0.01), name="one")
 
 
 def own_scene() -> Any:
-    """A keyed cube that holds a driven one, under a lamp, before a plane; the camera is 4 m away."""
+    """A scene with a keyframed cube and its driver-animated child, in front of a plane; the camera is 4 m away."""
     bpy = pytest.importorskip("bpy")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
@@ -51,14 +51,14 @@ def own_scene() -> Any:
 
 
 def saved(path: Path) -> Path:
-    """Save the open file."""
+    """Save the open .blend file at `path`; returns `path`."""
     bpy = pytest.importorskip("bpy")
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     return path
 
 
 def pictures(folder: Path) -> list[bytes]:
-    """The camera's frames."""
+    """The contents of the camera's image files, in order."""
     return [file.read_bytes() for file in sorted((folder / "only").glob("*.png"))]
 
 
@@ -89,7 +89,7 @@ def test_a_blend_is_left_as_it_was_and_its_render_settings_do_not_show(
     other = bpy.data.objects.new("other", bpy.data.cameras.new("other"))
     scene.collection.objects.link(other)
     other.location = (5.0, 5.0, 1.0)
-    # The rig stands where the active camera is when the scene begins; cuts to others don't show.
+    # The rig's pose is that of the active camera at the scene's start; later camera cuts have no effect.
     for name, frame, camera in (("begin", 11, scene.camera), ("cut", 12, other)):
         scene.timeline_markers.new(name, frame=frame).camera = camera
     scene.frame_current = 40
@@ -108,7 +108,7 @@ def test_a_blend_is_left_as_it_was_and_its_render_settings_do_not_show(
     frames = pictures(tmp_path / "hostile")
     assert len(frames) == 4 and frames == pictures(tmp_path / "plain")
 
-    # It is the animation: the cube goes by 2 m from frame 11 to frame 31, eased.
+    # The expected animation: the cube moves by 2 m from frame 11 to frame 31, with easing.
     tracks = tmp_path / "plain" / "truth" / "tracks"
     content = json.loads((tracks / "tracks.json").read_text())
     assert {"Cube", "Plane"} <= set(content["objects"])
@@ -164,7 +164,7 @@ def test_what_a_blend_lacks_is_one_sentence(
 
 
 def wallpaper(bpy: Any, name: str, seed: int) -> Any:
-    """A material with blots all over, from a picture that is packed into the file."""
+    """A material with a texture of random blots, an image that is packed into the file."""
     generator = np.random.default_rng(seed)
     y, x = np.mgrid[:256, :256]
     pixels = np.ones((256, 256, 4), dtype=np.float32)
@@ -184,15 +184,15 @@ def wallpaper(bpy: Any, name: str, seed: int) -> Any:
 
 
 def test_by_readmes_commands_alone(program: Path, tmp_path: Path) -> None:
-    """An own .blend, filmed, checked and reconstructed; at a size and by an engine that are quick."""
+    """A user's .blend file is filmed, checked and rendered; a small size and Workbench make it fast."""
     bpy = pytest.importorskip("bpy")
     cv2 = pytest.importorskip("cv2")
     own_scene()
     bpy.data.objects["camera"].location.z = 3.0
     for name, seed in (("Plane", 1), ("Cube", 2)):
         bpy.data.objects[name].data.materials.append(wallpaper(bpy, name, seed))
-    cube = bpy.data.objects["Cube"]  # slides along the rig: up and down as well, or
-    for frame, y in ((11, -0.5), (21, 0.4), (31, -0.5)):  # its cameras tell no times
+    cube = bpy.data.objects["Cube"]  # slides along the rig; it must also move up
+    for frame, y in ((11, -0.5), (21, 0.4), (31, -0.5)):  # and down, to find offsets
         cube.location.y = y
         cube.keyframe_insert("location", index=1, frame=frame)
     saved(tmp_path / "my.blend")

@@ -1,4 +1,4 @@
-"""Calibrations from what stands still: found without one, and refined."""
+"""Calibrations from the static background: `stlfr calibrate` and `stlfr refine`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ IDS = [f"cam{k}" for k in range(4)]
 
 
 class Passing:
-    """A still gradient, before which a white square passes; at the left a square flickers all the time."""
+    """A fake capture: a white square passes in front of a static gradient; at the left, a square flickers."""
 
     def times(self, _camera_id: str) -> Array:
         return np.arange(9) / 30.0
@@ -50,7 +50,7 @@ def test_the_background_is_what_stands_still() -> None:
 
 
 def synthetic(seed: int) -> Any:
-    """A reconstruction of six cameras around points, with noise of half a pixel."""
+    """A pycolmap reconstruction of six cameras around random points, with noise of half a pixel."""
     pycolmap.set_random_seed(seed)
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_frames_per_rig, options.num_points3D = 6, 1, 200
@@ -93,7 +93,7 @@ def rotations(model: Any) -> dict[str, Array]:
 
 
 def test_the_joint_covariance_is_what_noise_does() -> None:
-    """Turns between cameras, which no gauge changes; and in another world and another order of the cameras."""
+    """Checks rotations between cameras, which don't depend on the gauge; also in another world and camera order."""
     squares = []
     for seed in range(4):
         model = synthetic(seed)
@@ -127,7 +127,7 @@ def test_the_joint_covariance_is_what_noise_does() -> None:
 
 @pytest.mark.parametrize("distortion", [None, 0.1])
 def test_focal_lengths_that_are_given_stay(distortion: float | None) -> None:
-    """Whatever else of the lens is estimated."""
+    """The focal length stays exact, even if distortion is estimated."""
     model = synthetic(1)
     given = lens_params(model)
     priors = adjustment.Priors(distortion=distortion)
@@ -195,7 +195,7 @@ def test_the_scale_is_a_distances_or_said_to_be_arbitrary() -> None:
 
 
 def texture(seed: int) -> Array:
-    """Random blobs of several sizes, 1200x1200."""
+    """A texture of random blobs of several sizes, 1200x1200."""
     random = np.random.default_rng(seed)
     total: Array = np.zeros((1200, 1200))
     for cell, weight in ((6, 1.0), (15, 1.0), (50, 1.5)):
@@ -209,7 +209,7 @@ def texture(seed: int) -> Array:
 
 
 def true_pose(k: int) -> Any:
-    """Cameras 8 cm apart, turned towards a point 1.7 m away."""
+    """The true pose of camera `k`: cameras are 8 cm apart and look at a point 1.7 m away."""
     centre = np.array([0.08 * (k - 1.5), 0.01 * (k % 2), 0.0])
     forward = np.array([0.0, 0.0, 1.7]) - centre
     forward /= np.linalg.norm(forward)
@@ -220,7 +220,10 @@ def true_pose(k: int) -> Any:
 
 
 def seen(pose: Any, walls: list[tuple[Array, float, float]]) -> Array:
-    """What a pinhole sees of textured walls: each has a depth, and begins to the right of an x. Later ones are nearer."""
+    """The image of textured walls in a pinhole camera. A wall has its texture, its depth, and the x of its left edge.
+
+    Later walls are nearer.
+    """
     width, height = SIZE
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack(
@@ -241,7 +244,7 @@ def seen(pose: Any, walls: list[tuple[Array, float, float]]) -> Array:
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four cameras' folders of frames. Something passes before the walls, at another time for each."""
+    """Folders with frames of four cameras; an object passes in front of the walls, at another time in each."""
     folder = tmp_path_factory.mktemp("recordings")
     walls = [(texture(1), 2.0, -9.0), (texture(2), 1.4, 0.1)]
     for k, name in enumerate(IDS):
@@ -274,7 +277,7 @@ def cameras_of(folder: Path) -> list[dict[str, Any]]:
 
 
 def off(folder: Path) -> list[Any]:
-    """How far a capture's cameras are from the truth, after alignment."""
+    """The residuals of a capture's camera poses from the true ones, after alignment."""
     estimated = {}
     for camera in cameras_of(folder):
         pose = files.pose_of(camera, pycolmap)
@@ -289,7 +292,7 @@ def off(folder: Path) -> list[Any]:
 def calibrated(
     program: Path, recordings: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    """With the true focal length and a distance."""
+    """The capture that `stlfr calibrate` makes, given the true focal length and a distance."""
     output = tmp_path_factory.mktemp("calibrated") / "capture"
     ended = run(
         program, "calibrate", recordings, "--rate", 30, "--lens", "PINHOLE", "--focal",
@@ -325,7 +328,7 @@ def test_recordings_without_a_calibration_become_a_capture(
 def test_the_same_recordings_give_the_same_calibration(
     program: Path, calibrated: Path, recordings: Path, tmp_path: Path
 ) -> None:
-    """Also from a capture, whose own calibration is not read."""
+    """The result is also the same if the input is a capture, whose own calibration is ignored."""
     output = tmp_path / "capture"
     ended = run(
         program, "calibrate", calibrated, "--lens", "PINHOLE", "--focal", FOCAL_PX,
@@ -377,7 +380,7 @@ def test_refining_mends_a_calibration_that_is_off(
     focal = [camera["params"][0] for camera in cameras_of(output)]
     assert np.ptp(focal) < 0.003 * FOCAL_PX
     assert "Focal lengths are taken as exact" not in ended.stderr
-    # The array's place, direction and size are the given ones, as far as a few cameras tell.
+    # The array keeps its given position, orientation and size, within the errors of the few cameras.
     places = [
         [files.pose_of(c, pycolmap).centre_m for c in cameras_of(folder)]
         for folder in (wrong, output)

@@ -1,4 +1,4 @@
-"""The animated scene camera of a .blend as a path of `stlfr render`, by the program that Rust calls."""
+"""The animated scene camera of a .blend file as a camera path, by the script `blender/path.py`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def camera(name: str, x_m: float) -> Any:
 
 @pytest.fixture
 def blend(tmp_path: Path) -> Path:
-    """Five frames, 10 a second: one camera moves by 0.5 m, from frame 4 on the other is cut to."""
+    """A .blend file with five frames at 10 Hz: a moving camera, and from the fourth frame on another camera."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = 2, 6

@@ -1,4 +1,4 @@
-"""The calibration check: it agrees with a right capture, and names the one camera that is wrong."""
+"""The calibration check: it accepts a correct capture, and reports the one camera that is wrong."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Array = np.ndarray[Any, Any]
 
 
 def rotation_about(axis: int, angle_deg: float) -> Array:
-    """A turn about one axis."""
+    """The matrix of a rotation about one axis (0 to 2), in degrees."""
     vector = np.zeros(3)
     vector[axis] = np.radians(angle_deg)
     matrix: Array = pycolmap.Rotation3d(vector).matrix()
@@ -43,7 +43,7 @@ def rotation_about(axis: int, angle_deg: float) -> Array:
 
 
 def line_of_poses(count: int) -> dict[str, Any]:
-    """Cameras 60 mm apart in a line, all looking along +z."""
+    """The poses of cameras 60 mm apart in a line, which all look along +z, by id."""
     return {
         f"cam{i}": calibration.Pose(np.eye(3), np.array([-0.06 * i, 0.0, 0.0]))
         for i in range(count)
@@ -51,7 +51,7 @@ def line_of_poses(count: int) -> dict[str, Any]:
 
 
 def seen_elsewhere(poses: dict[str, Any]) -> dict[str, Any]:
-    """The same cameras in another world: turned, moved, and 3 times as large."""
+    """The same cameras' poses after a similarity of the world: rotated, moved, and 3 times as large."""
     world_turn = rotation_about(1, 40.0) @ rotation_about(0, -70.0)
     moved = {}
     for camera_id, pose in poses.items():
@@ -95,7 +95,7 @@ def test_a_moved_camera_is_named_and_no_other(camera_id: str, axis: int) -> None
 
 
 def judged(std_errs: float, points: int, **more: Any) -> tuple[str, str]:
-    """The verdict on two cameras, of which one is off by so many standard errors of 1 mm."""
+    """The check's verdict for two cameras; one is displaced by `std_errs` standard errors, each of 1 mm."""
     found = [
         residuals.Residual("cam0", 0.0, 0.1, 0.001, 0.1, 500),
         residuals.Residual("cam1", 0.0, std_errs, 0.001, 1.0, points),
@@ -155,18 +155,18 @@ def test_every_blender_camera_projects_as_blender_and_pycolmap_do() -> None:
 
 
 def off_by_half_a_pixel(camera: Any, points: Array) -> Array:
-    """Pixel centres at whole numbers."""
+    """A wrong projection that puts pixel centres at integers."""
     pixels: Array = stlfr.project(camera, points) - 0.5
     return pixels
 
 
 def never_behind(camera: Any, points: Array) -> Array:
-    """Sees what is behind it."""
+    """A wrong projection that gives pixels to points behind the camera."""
     return np.nan_to_num(stlfr.project(camera, points))
 
 
 def without_distortion(camera: Any, points: Array) -> Array:
-    """Knows the focal lengths alone."""
+    """A wrong projection that ignores distortion."""
     pinhole = {**camera, "model": "PINHOLE", "params": camera["params"][:4]}
     pixels: Array = stlfr.project(pinhole, points)
     return pixels
@@ -192,7 +192,7 @@ def test_another_convention_fails_the_model_check(wrong: Any, expected: Any) -> 
 def test_a_wrong_sensor_fit_fails_the_check_against_blender(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A conversion that takes the sensor's height for portraits, as the name `AUTO` suggests."""
+    """The wrong conversion uses the sensor's height for portrait formats, as one may expect from the fit `AUTO`."""
     pytest.importorskip("bpy")
     cameras = importlib.import_module("stlfr_extension.camera")
     right = cameras.pinhole_from_lens
@@ -259,7 +259,7 @@ def test_the_exported_colmap_model_is_the_captures(capture_dir: Path) -> None:
     ids=str,
 )
 def test_filming_projects_as_the_module(lens_error: tuple[float, ...]) -> None:
-    """Points all around the camera, past a lens's fold and behind it."""
+    """Checks points all around the camera, also behind it and beyond the radius where distortion folds back."""
     camera = {"width": 640, "height": 480, "cam_from_world": model.POSE}
     camera["model"] = "OPENCV" if lens_error else "PINHOLE"
     camera["params"] = [686.0, 680.0, 321.0, 239.0, *lens_error]
@@ -287,7 +287,7 @@ def test_pictures_come_from_truth_at_one_instant(capture_dir: Path) -> None:
 
 
 class Square:
-    """Frames of a grey gradient over which a white square moves to the right."""
+    """A fake capture whose frames show a white square that moves to the right over a grey gradient."""
 
     def frame(self, _camera_id: str, index: int) -> Array:
         image = np.tile(np.linspace(40, 90, 160, dtype=np.uint8), (120, 1))
@@ -311,7 +311,7 @@ def test_at_a_captures_end_what_moves_is_masked_too() -> None:
 
 
 def test_frames_are_taken_at_one_instant_by_the_clocks(tmp_path: Path) -> None:
-    """Cameras of 10 and 25 frames a second: the middle is frame 2 of one, frame 5 of the other."""
+    """With cameras of 10 and 25 Hz, the middle is frame 2 of the first camera and frame 5 of the second."""
 
     class Two(Square):
         def times(self, camera_id: str) -> Array:
@@ -334,7 +334,7 @@ def test_sixteen_bits_become_eight() -> None:
 def placed(
     program: Path, folder: Path, rig_file: Path
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Poses as exported and as the pixels put them, of a rig whose cameras open at once."""
+    """Film with a rig; returns the exported poses, and the poses reconstructed from the images, by camera id."""
     pytest.importorskip("bpy")
     rig = json.loads(rig_file.read_text())
     for camera in rig["cameras"]:
@@ -356,7 +356,7 @@ def placed(
 def one_instant(
     program: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Of `linear8`."""
+    """The exported and the reconstructed poses of the rig `linear8`, from images of one instant."""
     folder = tmp_path_factory.mktemp("one-instant")
     return placed(program, folder, ROOT / "rigs/linear8.json")
 
@@ -383,7 +383,7 @@ def test_distorted_cameras_are_not_accused(program: Path, tmp_path: Path) -> Non
 def test_the_pixels_name_the_camera_that_is_turned_or_moved(
     one_instant: Any, camera_id: str, axis: int, sign: int
 ) -> None:
-    """By 0.2 degrees about each axis, by 2 mm along each: it is named and no other."""
+    """A camera rotated by 0.2 degrees about an axis, or moved by 2 mm along it, is the only one reported."""
     exported, estimated = one_instant
     right = exported[camera_id]
     turned = rotation_about(axis, sign * 0.2) @ right.rotation

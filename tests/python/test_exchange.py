@@ -1,4 +1,4 @@
-"""Calibrations written for other programs, read by one of them."""
+"""Calibrations that `stlfr export` writes for other programs, read by pycolmap."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def run(program: Path, *arguments: object) -> None:
 
 
 def colmap_cameras(folder: Path) -> dict[str, tuple[Any, Any]]:
-    """Lens and 3x4 cam_from_world of each image, as pycolmap reads them."""
+    """The lens and the 3x4 matrix cam_from_world of each image, as pycolmap reads them, by image name."""
     model = pycolmap.Reconstruction(folder)
     return {
         image.name: (model.cameras[image.camera_id], image.cam_from_world().matrix())
@@ -70,7 +70,7 @@ def test_what_is_exported_imports_as_the_same_capture(
     run(program, *command, "-o", imported)
     again = json.loads((imported / "capture.json").read_text())["cameras"]
     for before, after in zip(cameras, again, strict=True):
-        if file_format != "llff":  # has no names
+        if file_format != "llff":  # this format has no camera names
             assert after["id"] == before["id"]
         assert after["params"] == pytest.approx(before["params"], rel=1e-12)
         first, second = (c["cam_from_world"] for c in (before, after))
@@ -84,7 +84,7 @@ def test_what_is_exported_imports_as_the_same_capture(
 
 
 def test_pycolmaps_own_files_are_read(program: Path, tmp_path: Path) -> None:
-    """Both of its formats, written by pycolmap, with points seen in the images."""
+    """COLMAP's text and binary models are imported, as pycolmap writes them, with points and their observations."""
     model = pycolmap.synthesize_dataset(pycolmap.SyntheticDatasetOptions())
     images = {Path(image.name).stem: image for image in model.images.values()}
     assert all(image.num_points2D() > 0 for image in images.values())
@@ -115,7 +115,7 @@ def test_pycolmaps_own_files_are_read(program: Path, tmp_path: Path) -> None:
 
 
 def film_with_true_offsets(capture_dir: Path, folder: Path) -> dict[str, float]:
-    """Copy a capture, with its true offsets as if they were estimated; returns them by camera."""
+    """Copy a capture, and write its true offsets as if they were estimated; returns the offsets by camera id."""
     shutil.copytree(capture_dir, folder)
     truth = json.loads((folder / "truth/truth.json").read_text())
     offsets = {camera["id"]: camera["offset_s"] for camera in truth["offsets"]}
@@ -159,7 +159,7 @@ def test_pycolmap_reads_synchronized_images_as_frames_of_a_rig(
 def test_filmed_frames_have_colmap4ds_times(
     program: Path, capture_dir: Path, tmp_path: Path
 ) -> None:
-    """colmap4d's specification 1.0: a count, then the number and the nanoseconds of each image."""
+    """The file follows colmap4d's specification 1.0: a count, then each image's number and its time in nanoseconds."""
     film, out = tmp_path / "film", tmp_path / "out"
     offsets = film_with_true_offsets(capture_dir, film)
     run(program, "export", film, "--frames", "--format", "colmap", "-o", out)

@@ -1,4 +1,4 @@
-"""The Blender extension: built, installed into an empty Blender, and used, headless."""
+"""The Blender extension, built, installed into an empty Blender, and used without a window."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ wheel = importlib.import_module("stlfr_extension.wheel")
 def by_command_line(
     program: Path, capture: Path, wanted: dict[str, Any], tmp_path: Path
 ) -> npt.NDArray[np.int32]:
-    """The same view at the same time, by `stlfr render`."""
+    """Render a view that a step has rendered in Blender by `stlfr render`; returns its RGBA samples."""
     camera, options, output = (
         tmp_path / name for name in ("view.json", "options.json", "by-command-line.png")
     )
@@ -43,7 +43,7 @@ def by_command_line(
 
 
 def test_the_zip_holds_what_it_needs(extension_zip: Path) -> None:
-    """Modules, the filming script, the wheel of this version, and the manifest that names it."""
+    """It holds the extension's modules, the filming script, the wheel of this version, and a manifest that lists it."""
     with zipfile.ZipFile(extension_zip) as archive:
         names = set(archive.namelist())
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
@@ -57,7 +57,7 @@ def test_the_zip_holds_what_it_needs(extension_zip: Path) -> None:
 
 
 def test_the_versions_are_the_same() -> None:
-    """Of the manifest and of the library."""
+    """The version in the extension's manifest equals that of the library."""
     with (ROOT / "Cargo.toml").open("rb") as file:
         version = tomllib.load(file)["package"]["version"]
     assert wheel.manifest_version(MANIFEST) == version
@@ -92,7 +92,7 @@ def test_an_output_that_is_no_zip_is_refused(program: Path) -> None:
 
 
 def test_it_installs_and_enables(blender_user: Path) -> None:
-    """With the module that it brings, not another one that lies about."""
+    """The extension imports the module `stlfr` that it contains, not another installed one."""
     found = json.loads((blender_user / "found.json").read_text())
     assert found["enabled"] and "STLFR" in found["engines"]
     found = step(blender_user, "enable_only")
@@ -104,7 +104,7 @@ def test_disabled_it_leaves_nothing(blender_user: Path) -> None:
     found = step(blender_user, "come_and_go")
     assert found["enabled"]["scene"] and found["enabled"]["object"]
     assert found["enabled"]["engine"] and len(found["enabled"]["types"]) > 15
-    assert found["enabled"]["panels"] > 10  # Blender's own serve the engine
+    assert found["enabled"]["panels"] > 10  # Blender's own panels suit the engine too
     assert found["before"] == found["after"]
     assert not found["after"]["types"] and not found["after"]["panels"]
 
@@ -139,7 +139,7 @@ def test_a_missing_module_is_one_sentence(
 
 
 def must_be_offsets(found: dict[str, Any]) -> None:
-    """Of three cameras, each known or with a reason."""
+    """Assert that there are offsets of three cameras, each of which is known or has a reason why not."""
     assert [o["id"] for o in found["offsets"]] == ["cam0", "cam1", "cam2"]
     for offset in found["offsets"]:
         assert offset["known"] != bool(offset["reason"])
@@ -151,7 +151,7 @@ def must_be_offsets(found: dict[str, Any]) -> None:
 
 
 def test_from_rig_to_picture(blender_user: Path, program: Path, tmp_path: Path) -> None:
-    """A rig, a film that is cancelled and resumed, offsets, and F12: what `stlfr render` writes."""
+    """Create a rig, cancel and resume filming, estimate offsets, and render: F12 gives the image of `stlfr render`."""
     found = step(blender_user, "film", tmp_path)
     capture = tmp_path / "capture"
     assert found["capture"] == "//capture"  # as it was named
@@ -174,7 +174,7 @@ def test_from_rig_to_picture(blender_user: Path, program: Path, tmp_path: Path) 
     assert not list(capture.rglob("*.blend"))
     assert not (
         tmp_path / "refused"
-    ).exists()  # nothing is left of a film that can't be
+    ).exists()  # filming that is refused leaves no folder
     cameras = found["rig"]["cameras"]
     reference = next(c for c in cameras if c["id"] == found["rig"]["reference"])
     # Filming begins before the scene's first frame, so that every camera has an image by then.
@@ -206,7 +206,7 @@ def test_from_rig_to_picture(blender_user: Path, program: Path, tmp_path: Path) 
     rendered = pixels(picture["file"])
     expected = by_command_line(program, capture, picture, tmp_path)
     assert np.abs(rendered - expected).max() <= 1
-    assert rendered[..., :3].std() > 20  # of the board, not of nothing
+    assert rendered[..., :3].std() > 20  # shows the textured board
 
 
 def test_a_film_in_one_go(blender_user: Path, tmp_path: Path) -> None:
@@ -220,7 +220,10 @@ def test_a_film_in_one_go(blender_user: Path, tmp_path: Path) -> None:
 def test_pictures_are_the_command_lines(
     blender_user: Path, own_capture: Path, program: Path, tmp_path: Path
 ) -> None:
-    """By the default methods, those of the plan, aside where some pixels are unseen, with a trail, and a part of the picture."""
+    """Pictures by the engine equal those of `stlfr render`.
+
+    They use the default methods or automatic ones, or have unseen pixels, a trail, or a render border.
+    """
     found = step(blender_user, "pictures", own_capture, tmp_path)
     rendered = {name: pixels(wanted["file"]) for name, wanted in found.items()}
     expected = {
@@ -254,7 +257,7 @@ def test_pictures_are_the_command_lines(
     )
     assert not uncropped[height // 2 :].any()
 
-    # From a filming camera's place it is that camera's image: axes, lens and time are right.
+    # From a filming camera's pose, the picture is this camera's image, so axes, lens and time are correct.
     like = tmp_path / "like-cam3.png"
     command: list[str | Path] = [program, "-q", "render", own_capture, "--like", "cam3"]
     command += ["--time", repr(found["like"]["time_s"]), "-o", like]
@@ -265,7 +268,7 @@ def test_pictures_are_the_command_lines(
 def test_animations(
     blender_user: Path, own_capture: Path, program: Path, tmp_path: Path
 ) -> None:
-    """Slow motion differs by frame, at the times that speed and offset say; so does bullet time, at one time."""
+    """In slow motion, frames differ and have the times given by speed and offset; in bullet time, all have one time."""
     found = step(blender_user, "animation", own_capture, tmp_path)
     seconds = [0.25 * frame / 24 for frame in range(3)]
     expected = [found["offset_s"] + s for s in seconds]
@@ -316,7 +319,7 @@ def test_rendering_stops_when_asked(blender_user: Path, own_capture: Path) -> No
 def test_a_comparison_is_added_to_the_file(
     blender_user: Path, own_capture: Path
 ) -> None:
-    """Without a word of the user's own scene; a second time, in place of the first."""
+    """The user's own scene doesn't change; a second comparison replaces the first one's scenes."""
     shutil.rmtree(own_capture / "review", ignore_errors=True)
     found = step(blender_user, "review", own_capture)
     assert found["added"] and found["there"] and found["shown"], found
@@ -327,7 +330,7 @@ def test_a_comparison_is_added_to_the_file(
 
 
 def test_rigs_go_there_and_back(blender_user: Path, tmp_path: Path) -> None:
-    """A rig file is written as it was read, wherever the rig stands; an edit changes what it edits."""
+    """A rig file is saved as it was loaded, wherever the rig is placed; an edit changes only the edited fields."""
     source = ROOT / "rigs/linear8.json"
     found = step(blender_user, "rigs", source, tmp_path)
     given = json.loads(source.read_text())
@@ -352,7 +355,7 @@ def test_rigs_go_there_and_back(blender_user: Path, tmp_path: Path) -> None:
 def test_a_new_rig_is_the_command_lines(
     blender_user: Path, program: Path, tmp_path: Path
 ) -> None:
-    """*Create Rig*, saved, is to the digit what `stlfr rig` writes for the same options and seed."""
+    """A rig by *Create Rig* is saved with the digits that `stlfr rig` writes for the same options and seed."""
     wanted = {
         "paper": ("line --seed 7", {}),
         "grid": (
@@ -395,7 +398,7 @@ def test_a_new_rig_is_the_command_lines(
 def test_every_shipped_rig_is_saved_as_it_was_loaded(
     blender_user: Path, tmp_path: Path
 ) -> None:
-    """Those among them whose files leave out what has its default value."""
+    """Loading and saving a rig file doesn't change it, not even if it omits fields with default values."""
     step(blender_user, "saved_again", tmp_path, *SHIPPED)
     for source in SHIPPED:
         saved = json.loads((tmp_path / source.name).read_text())

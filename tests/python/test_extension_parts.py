@@ -1,4 +1,4 @@
-"""The extension's parts that need no Blender: jobs, layouts, samples, folders that are filmed into."""
+"""Modules of the extension that don't need Blender: jobs, review layouts, pixel samples, folders for filming."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ reading = importlib.import_module("stlfr_extension.reading")
 view = importlib.import_module("stlfr_extension.view")
 
 SMALL = rig_camera("cam0", width=32, height=24)
-"""A rig's only camera."""
+"""The entry of a rig's only camera."""
 
 
 def test_only_regular_files_of_some_size_are_read(tmp_path: Path) -> None:
-    """A pipe isn't waited for, a device not read to its end."""
+    """Reading a pipe must not wait for data, and reading an endless device must not run forever."""
     pipe, large, good = (tmp_path / name for name in ("pipe", "large", "good"))
     os.mkfifo(pipe)
     for path in (pipe, tmp_path, Path("/dev/zero")):
@@ -58,7 +58,7 @@ def test_a_folder_with_a_pipe_for_options_holds_no_film(tmp_path: Path) -> None:
 
 
 def talk(*lines: str) -> list[str]:
-    """A process that says these lines of Python."""
+    """The command of a process that runs these lines of Python."""
     return [sys.executable, "-I", "-c", "import sys, time, json\n" + "\n".join(lines)]
 
 
@@ -107,7 +107,7 @@ def test_a_cancelled_job_ends() -> None:
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_samples_become_scene_linear(channels: int, kind: Any) -> None:
-    """Decoded, premultiplied, bottom row first; grey and opaque where there is no more."""
+    """Samples become linear, premultiplied and bottom row first; grey becomes RGB, and missing alpha becomes 1."""
     top = np.iinfo(kind).max
     samples = np.full((2, 3, channels), top // 2, dtype=kind)
     samples[0] = top
@@ -124,7 +124,7 @@ def test_samples_become_scene_linear(channels: int, kind: Any) -> None:
 
 
 def test_filming_in_blenders_own_program(tmp_path: Path) -> None:
-    """With a stand-in that has `bpy` and no module `stlfr`, chatters on stdout as Blender does, and runs the script that is named."""
+    """A fake Blender runs the worker script: it has `bpy`, lacks the module `stlfr`, and prints messages to stdout."""
     program = tmp_path / "blender"
     program.write_text(
         f"#!{sys.executable} -I\n"
@@ -157,7 +157,7 @@ def test_filming_in_blenders_own_program(tmp_path: Path) -> None:
 
 
 def test_filming_asks_the_module_that_is_named(tmp_path: Path) -> None:
-    """With `--module`, the one in that folder, whatever else is installed."""
+    """With `--module`, filming uses the module `stlfr` in the given folder, even if another one is installed."""
     (tmp_path / "stlfr.py").write_text(
         "def read_rig(path):\n    raise ValueError(f'{path}: asked here')\n"
     )
@@ -177,7 +177,7 @@ def test_filming_without_the_module_is_one_sentence(tmp_path: Path) -> None:
 
 
 def test_filming_begins_in_an_empty_folder(tmp_path: Path) -> None:
-    """And never over anything; what was begun and not filmed is undone."""
+    """Filming refuses a folder with files; preparations are undone if nothing was filmed."""
     options = folders.Options("mine", 1, 1, False, 0, 1)
     content = rig_content(SMALL)
     folder = tmp_path / "film"

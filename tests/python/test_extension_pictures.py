@@ -1,4 +1,4 @@
-"""Quilts and stereo pairs from Blender's render tab: the files of `stlfr render`, byte for byte."""
+"""Quilts and stereo pairs from Blender's render tab are byte-identical to the files of `stlfr render`."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_quilts_and_pairs_are_the_command_lines(
         assert expected.read_bytes() == (tmp_path / file).read_bytes(), file
         expected.unlink()
 
-    # Time and camera stand still: every frame of the animation is the still.
+    # Time and camera don't change, so every frame of the animation equals the still picture.
     frames = sorted(path.name for path in tmp_path.glob("a-*.png"))
     assert frames == [f"a-{k:04}_qs8x6a0.75.png" for k in (0, 1)]
     still = (tmp_path / "a_qs8x6a0.75.png").read_bytes()

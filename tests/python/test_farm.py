@@ -1,4 +1,4 @@
-"""`stlfr farm`: what the engines make of its description."""
+"""`stlfr farm`: its job files, run by Open Job Description's reference engine and by a fake of Flamenco."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def farm(program: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def job(program: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A job with all steps, in folders with names that quoting must keep."""
+    """A job with all steps, in folders whose names need quoting."""
     folder = tmp_path_factory.mktemp("farm")
     capture, job = folder / "it's a capture", folder / "a job"
     chunks = ["--film-parts", "5", "--film-chunk", "3", "--preset", "draft"]
@@ -52,7 +52,7 @@ def test_the_template_is_an_open_job_description(job: Path) -> None:
 
 
 def test_the_whole_template_runs_and_may_run_again(job: Path, program: Path) -> None:
-    """By the reference engine: twice the same files, and those of one command."""
+    """The reference engine runs the job twice. Both runs write the same files as single commands."""
     capture = job.parent / "it's a capture"
     filmed = []
     for step, more in (
@@ -92,11 +92,11 @@ compileJob({settings, addTask: (task) => tasks.push(task)});
 document.title = "";
 document.body.textContent = encodeURIComponent(JSON.stringify({label: JOB_TYPE.label, tasks}));
 """
-"""What Flamenco's manager does with a job type."""
+"""JavaScript that simulates how Flamenco's manager compiles a job type."""
 
 
 def flamenco(job: Path, tmp_path: Path) -> dict[str, Any]:
-    """The job's label, and its tasks with their commands."""
+    """The job type's label, and its compiled tasks with their commands."""
     page = tmp_path / "page.html"
     script = (job / "stlfr.js").read_text()
     page.write_text(f"<body><script>{script}{STUB}</script></body>")
@@ -164,7 +164,7 @@ def run_flamenco(job: Path, tmp_path: Path) -> None:
 def path_job(
     program: Path, capture_dir: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    """A job beside the frames that one command renders along the same path."""
+    """A job that renders along a path, and in the same folder the frames that a single command renders."""
     folder = tmp_path_factory.mktemp("path")
     capture, whole = folder / "capture", folder / "whole" / "%06d.png"
     shutil.copytree(capture_dir, capture)
@@ -255,7 +255,7 @@ def test_several_captures_have_steps_of_their_own(
 def test_the_camera_of_a_blend_is_rendered_in_chunks(
     program: Path, capture_dir: Path, tmp_path: Path
 ) -> None:
-    """A frame of the scene is an image of the job, which has the bytes of one command."""
+    """Each frame of the scene becomes an image, byte-identical to that of a single command."""
     own = Path(shutil.copytree(capture_dir, tmp_path / "own"))
     filmed = json.loads((own / "capture.json").read_text())["cameras"][3]
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -1,4 +1,4 @@
-"""The capture that is open: it is opened beside Blender's main thread, which doesn't wait for it."""
+"""The extension's open capture: it is opened in a background thread, for which Blender's main thread doesn't wait."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import filming  # noqa: F401 - loads what is tested here
+import filming  # noqa: F401 - loads the modules under test
 import pytest
 
 fields = importlib.import_module("stlfr_extension.fields")
@@ -20,7 +20,7 @@ timing = importlib.import_module("stlfr_extension.timing")
 
 
 class Module:
-    """Stands for the module: opens when it is told to."""
+    """A fake of the module `stlfr`, whose `open` returns only when the test allows it."""
 
     def __init__(self) -> None:
         self.opened: list[Path] = []
@@ -55,7 +55,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def redrawn(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What is drawn anew, in a Blender with a window whose timers are turned by hand."""
+    """The names of redrawn areas, in a fake Blender with a window, whose timers the test calls."""
     drawn: list[str] = []
     areas = [
         SimpleNamespace(type=kind, tag_redraw=lambda kind=kind: drawn.append(kind))
@@ -92,7 +92,7 @@ def test_it_is_opened_once_until_it_changes(module: Module, folder: Path) -> Non
 def test_closing_doesnt_wait_for_what_is_being_opened(
     module: Module, folder: Path
 ) -> None:
-    """And it isn't kept then."""
+    """A capture whose opening ends after `close` isn't cached."""
     module.go_on.clear()
     fields.read_span(folder)
     until(lambda: bool(module.opened))
@@ -129,7 +129,7 @@ def test_what_cant_be_opened_isnt_tried_again(
 def test_panels_wait_for_nothing_and_are_drawn_anew(
     module: Module, folder: Path, redrawn: list[str]
 ) -> None:
-    """And the time offset of a newly chosen capture comes then."""
+    """A newly chosen capture's time offset is set when the capture has been read."""
     module.go_on.clear()
     settings = SimpleNamespace(time_offset_s=0.0)
     start_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""Filming: pictures, depth and motion against where things must be."""
+"""Filming: pictures, depth and motion agree with the known positions of objects."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DISC_SPEED_M_S = (0.9, 0.5)  # right and up, at 2 m: 0.96 and 0.53 pixels a fram
 
 @pytest.fixture(scope="module")
 def moving_disc(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A .blend: a white disc on black, 2 m before the scene's camera, at the centre at 0.1 s and in uniform motion."""
+    """A .blend file with a white disc on black, 2 m from the camera, in uniform motion, at the centre at 0.1 s."""
     bpy = pytest.importorskip("bpy")
     black_scene().frame_start = 5
     disc = add_disc((0.0, 0.0, -2.0), DISC_RADIUS_M, 1.0, vertices=96)
@@ -46,7 +46,7 @@ def moving_disc(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read_picture(path: Path) -> np.ndarray[Any, Any]:
-    """A PNG's grey values, height x width, 0 to 1."""
+    """The grey values of a PNG (H, W), from 0 to 1."""
     cv2 = pytest.importorskip("cv2")
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     return np.asarray(picture, dtype=np.float64) / 255
@@ -91,7 +91,7 @@ def test_a_moving_disc_is_where_the_shutter_times_say(
     for index, entry in enumerate(content["cameras"]):
         true_s = truth_content["shutter"][index]["times_s"]
         for k in range(6):
-            world_s = true_s[k] + 0.004  # the reference's clock reads 0 at its delay
+            world_s = true_s[k] + 0.004  # the reference's clock shows 0 at its delay
             assert world_s == pytest.approx(shutters[index].world_times_s[k], abs=1e-12)
             x_m, y_m = (speed * (world_s - 0.1) for speed in DISC_SPEED_M_S)
             if index == 1:
@@ -109,7 +109,7 @@ def test_a_moving_disc_is_where_the_shutter_times_say(
 
 
 def assert_discs_depth_and_motion(capture: Path, views: list[dict[str, Any]]) -> None:
-    """The disc is 2 m away, as large as it is, and moves in uniform motion; there is nothing else."""
+    """Assert that depth and motion maps show the disc at 2 m with its true size and motion, and nothing else."""
     for view in views:
         depth = np.load(capture / "truth" / view["depth"])
         motion = np.load(capture / "truth" / view["motion"])
@@ -128,14 +128,14 @@ def assert_discs_depth_and_motion(capture: Path, views: list[dict[str, Any]]) ->
 
 
 def matrices_at(scene: Any, time_s: float) -> dict[str, Any]:
-    """Every object's `matrix_world`; leaves the scene at that time."""
+    """Every object's `matrix_world` at a time, by name; the scene remains at this time."""
     whole, subframe = scenes.frame_at(scene, time_s)
     scene.frame_set(whole, subframe=subframe)
     return {o.name: np.array(o.matrix_world) for o in scene.objects}
 
 
 def ray_of(pinhole: Any, lens_error: Any, pixel: tuple[float, float]) -> Any:
-    """Where a pixel looks, in the camera's axes, at depth 1."""
+    """The ray of a pixel in camera coordinates, scaled to depth 1."""
     ((x, y),) = distortion.ideal_from_pixels(pinhole, lens_error, np.array([pixel]))
     return np.array(
         [(x - pinhole.cx_px) / pinhole.fx_px, (y - pinhole.cy_px) / pinhole.fy_px, 1.0]
@@ -148,7 +148,7 @@ def ray_of(pinhole: Any, lens_error: Any, pixel: tuple[float, float]) -> Any:
 def test_depth_and_motion_of_a_waved_magazine_match_its_matrices(
     tmp_path: Path, lens_error: tuple[float, ...]
 ) -> None:
-    """Each pixel's point, carried by its object's matrices one frame back and on, moves as far as the truth says."""
+    """The surface point of a pixel is moved by its object's matrices one frame back and forth, as in the motion map."""
     pytest.importorskip("bpy")
     from mathutils import Vector
 
@@ -188,7 +188,7 @@ def test_depth_and_motion_of_a_waved_magazine_match_its_matrices(
             np.array(point) - world_from_cam[:3, 3]
         ) / np.linalg.norm(ray)
         if abs(depth_m - depth[row, column]) > 1e-3:
-            continue  # the sample lies 0.01 px off the centre, so it can fall beside an edge
+            continue  # the sample is 0.01 px off the centre, maybe beyond an edge
         assert depth_m == pytest.approx(depth[row, column], abs=1e-3)
         local = np.linalg.inv(now[hit_object.name]) @ np.array([*point, 1.0])
         pixels = camera.project(
@@ -200,6 +200,6 @@ def test_depth_and_motion_of_a_waved_magazine_match_its_matrices(
         steps = np.linalg.norm(pixels[[0, 2]] - pixels[1], axis=1)
         assert motion[row, column] == pytest.approx(steps.max(), abs=2e-3)
         moved.append(steps.max())
-    # A distorted lens's sample lies up to 0.35 px off: more pixels have an edge that near.
+    # With a distorted lens, the sample is up to 0.35 px off, so edges affect more pixels.
     assert len(moved) > (0.94 if any(lens_error) else 0.98) * 24 * 32
     assert np.mean(np.array(moved) > 0.5) > 0.1

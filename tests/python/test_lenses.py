@@ -1,4 +1,4 @@
-"""Lenses and sensors: Blender's cameras in closed form, and what films show of distortion and faults."""
+"""Lenses and sensors: Blender's cameras against closed form, and distortion and sensor faults in filmed images."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from filming import CORPUS, camera, described, distortion, loaded, rig, sensor
 
 @pytest.fixture
 def empty_blender() -> Any:
-    """An empty Blender file with one camera, 2 m behind the origin and turned a little."""
+    """An empty Blender file with one camera, 2 m behind the origin and slightly rotated."""
     bpy = pytest.importorskip("bpy")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
@@ -49,7 +49,7 @@ LENSES = [
                 (0.05, 0.3),
                 (2.0, 1.0),
                 25,
-            ),  # whole pixels: world_to_camera_view knows no rounding
+            ),  # integers, as world_to_camera_view doesn't round
         ],
     )
 ]
@@ -217,7 +217,7 @@ def test_the_logarithm_of_the_gain_drifts_from_the_first_frame_on(
     steady = sensor_of(tmp_path, gain=1.5, bit_depth=16)
     first = sensor.develop(light, drifting, None)
     assert (first == sensor.develop(light, steady, None, 9.0)).all()
-    # However long it films, the gains are those that a rig may have.
+    # After any duration, the gains stay within the limits of a rig's gain.
     assert sensor.gains(drifting, 1e6) == pytest.approx([100.0, 1.5, 0.01])
 
 
@@ -225,7 +225,7 @@ def test_the_logarithm_of_the_gain_drifts_from_the_first_frame_on(
 def test_the_lens_is_distorted_as_told(
     tmp_path: Path, engine: str, samples: int
 ) -> None:
-    """Discs all over the image lie where COLMAP's model says, to 0.05 px, and nowhere near without it."""
+    """Discs all over the image are at the positions of COLMAP's model to 0.05 px, far from those without distortion."""
     pytest.importorskip("bpy")
     scene = filming.black_scene()
     bent = {"k1": -0.3, "k2": 0.1, "p1": 0.005, "p2": -0.004}
@@ -274,7 +274,7 @@ def test_the_lens_is_distorted_as_told(
 def test_a_sensor_without_faults_records_blenders_picture(
     tmp_path: Path, engine: str
 ) -> None:
-    """8 bits by Blender and 16 by us, in colour and grey, differ by an 8-bit step at most."""
+    """Blender's 8-bit image and our 16-bit image, in colour and grey, differ by at most one 8-bit level."""
     pytest.importorskip("bpy")
     scene = filming.scenes.open_scene("magazine", None)
     base = {**CORPUS["rig"]["cameras"][0], "width": 80, "height": 60}

@@ -1,4 +1,4 @@
-"""The live viewport without a window: its camera, its place, and that the latest wish wins."""
+"""The live viewport without a window: its camera, the picture's place, and that the latest request is rendered."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RANDOM = np.random.default_rng(3)
 
 
 def window_matrix(focal: float, aspect: float, shift: tuple[float, float]) -> Any:
-    """As Blender's of a perspective view: clip coordinates of a point before the viewer."""
+    """A window matrix as Blender's for a perspective view, from view coordinates to clip coordinates."""
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[1, 1] = focal, focal * aspect
     matrix[0, 2], matrix[1, 2] = shift
@@ -33,7 +33,7 @@ def window_matrix(focal: float, aspect: float, shift: tuple[float, float]) -> An
 
 
 def view_matrix() -> Any:
-    """Of a viewer anywhere, looking anywhere."""
+    """A view matrix with an arbitrary position and orientation."""
     rotation = cameras.rotation_from_quaternion(tuple(RANDOM.normal(size=4)))
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, RANDOM.normal(size=3)
@@ -41,7 +41,7 @@ def view_matrix() -> Any:
 
 
 def test_a_views_camera_projects_as_its_matrices_do() -> None:
-    """Points before the viewer land on the same pixels, from the top left, as Blender's own projection puts them."""
+    """Points in front of the viewer are projected to the same pixels as by Blender's matrices."""
     size = (900, 500)
     for _ in range(20):
         seen_from = view_matrix()
@@ -96,7 +96,7 @@ def test_a_cameras_picture_is_f12s_unless_it_is_far_larger() -> None:
 
 
 class Module:
-    """Stands for the module: notes what is asked for, and waits where it is told to."""
+    """A fake of the module `stlfr`, which records requests, and waits where the test wants it to."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, float, dict[str, Any]]] = []
@@ -176,9 +176,9 @@ def test_at_once_by_the_fast_method_then_by_the_chosen_one(
 
 
 def test_the_latest_wish_wins(viewer: Any, module: Module) -> None:
-    """What is asked for while a fast picture is being made is made next, but for all in between.
+    """Of several requests during the rendering of a fast picture, only the last one is rendered next.
 
-    The fast picture itself is shown: it is the latest there is.
+    The fast picture itself is shown, because it is the latest one.
     """
     module.go_on.clear()
     viewer.want(request(1.0))
@@ -193,7 +193,7 @@ def test_the_latest_wish_wins(viewer: Any, module: Module) -> None:
 
 
 def test_pictures_come_while_changes_come_faster(viewer: Any, module: Module) -> None:
-    """Scrubbing: something changes during every picture, and pictures are seen all the same."""
+    """Pictures are shown although the request changes during the rendering of each one, as when the user scrubs."""
     for time_s in range(1, 40):
         viewer.want(request(float(time_s)))
         time.sleep(0.01)
@@ -225,7 +225,7 @@ def test_views_of_one_instant_share_their_work(viewer: Any, module: Module) -> N
 def test_a_capture_that_is_written_anew_is_shown_anew(
     viewer: Any, module: Module
 ) -> None:
-    """Filmed again, or with other offsets: neither the picture nor what views share is the old one."""
+    """After filming again or new offsets, neither the old picture nor cached results of the instant are used."""
     for x_px in (7.0, 8.0):
         viewer.want(request(1.0, x_px))
         until(lambda: not viewer.is_busy)

@@ -1,4 +1,4 @@
-"""Work whose file was closed: what is done after it without its operator. In this process's Blender."""
+"""Jobs whose .blend file was closed: what happens at their end without their operator, tested in this process."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def ended_job(code: str) -> Any:
 
 
 def begun(folder: Path) -> Path:
-    """A film of which nothing is filmed yet."""
+    """A folder in which filming was prepared, but nothing was filmed yet."""
     options = folders.Options("mine", 1, 1, False, 0, 1)
     blend = folders.begin(folder, rig_content(rig_camera("cam0")), options)
     blend.write_bytes(b"")
@@ -44,7 +44,7 @@ def never() -> None:
 
 
 def test_a_film_that_is_refused_leaves_no_folder(tmp_path: Path) -> None:
-    """So that another can begin there."""
+    """The folder is removed, so that filming can begin there again."""
     film = begun(tmp_path / "film")
     followed = long_work.Followed(
         ended_job("raise SystemExit('the rig has no views')"),
@@ -74,7 +74,7 @@ def test_a_film_that_is_cancelled_leaves_no_folder(tmp_path: Path) -> None:
 def test_an_error_after_the_end_is_said_and_the_timer_ends_in_order(
     error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whichever it is: the status bar gets its own text back, and the next job is looked after."""
+    """After any error, the status bar's text is restored, and the next job is followed."""
     hidden: list[bool] = []
     monkeypatch.setattr(long_work, "hide_progress", lambda: hidden.append(True))
 

@@ -1,4 +1,4 @@
-"""The module `stlfr`: what it gives, what it refuses, and that it lives beside Blender."""
+"""The Python module `stlfr`: its results, its errors, and that it runs in one process with Blender."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from filming import ROOT
 
 
 def described(capture_dir: Path) -> list[dict[str, Any]]:
-    """The cameras as capture.json has them."""
+    """The camera entries of capture.json."""
     cameras: list[dict[str, Any]] = json.loads(
         (capture_dir / "capture.json").read_text()
     )["cameras"]
@@ -29,7 +29,7 @@ def described(capture_dir: Path) -> list[dict[str, Any]]:
 
 
 def places(capture_dir: Path) -> list[dict[str, Any]]:
-    """Where the cameras are, as a view is asked for."""
+    """The cameras as camera objects, in the form in which a view is requested."""
     fields = ("width", "height", "model", "params", "cam_from_world")
     return [{name: c[name] for name in fields} for c in described(capture_dir)]
 
@@ -37,7 +37,7 @@ def places(capture_dir: Path) -> list[dict[str, Any]]:
 def project_by_hand(
     camera: dict[str, Any], points: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    """The pinhole formula, with the quaternion written out."""
+    """Project points by the pinhole formula, with the quaternion's rotation written out."""
     w, x, y, z = np.array(camera["cam_from_world"]["rotation_wxyz"])
     rotation = np.array(
         [
@@ -54,14 +54,14 @@ def project_by_hand(
 
 
 def test_it_is_this_trees_version() -> None:
-    """The module is built from this tree."""
+    """The installed module is built from this checkout."""
     with (ROOT / "Cargo.toml").open("rb") as file:
         assert stlfr.__version__ == tomllib.load(file)["package"]["version"]
     assert Path(stlfr.__file__).is_relative_to(sys.prefix)  # not blender/stlfr
 
 
 def test_a_capture_is_what_its_file_says(capture_dir: Path) -> None:
-    """Names, ids and times."""
+    """Its name, camera ids and frame times equal those of capture.json."""
     capture = stlfr.open(capture_dir)
     cameras = described(capture_dir)
     assert capture.camera_ids == [c["id"] for c in cameras]
@@ -85,14 +85,14 @@ def test_points_are_projected_as_by_hand(capture_dir: Path) -> None:
         pixels = capture.project(camera["id"], points)
         assert pixels.shape == (1000, 2)
         np.testing.assert_array_equal(np.isnan(pixels), np.isnan(expected))
-        # Quaternions in files are normalized to 1e-16, and points near the camera's plane land far out.
+        # Quaternions in files are normalized to 1e-16, and points near the camera's plane have large pixel coordinates.
         np.testing.assert_allclose(pixels, expected, rtol=1e-9, atol=1e-7)
         seen += int(np.sum(~np.isnan(pixels[:, 0])))
     assert 1000 < seen < 7000
 
 
 def test_what_is_like_an_array_is_taken(capture_dir: Path) -> None:
-    """Lists, single precision, strided views and no points at all."""
+    """`project` accepts lists, single precision, strided views, and arrays without points."""
     capture = stlfr.open(capture_dir)
     points = np.array([[0.1, 2.0, 0.2], [0.3, 3.0, -0.1]])
     expected = capture.project("cam0", points)
@@ -141,7 +141,7 @@ def test_a_missing_folder_is_not_found_and_help_is_the_stubs(tmp_path: Path) -> 
 
 
 def test_bad_input_is_a_value_error(capture_dir: Path) -> None:
-    """One sentence each."""
+    """Each error message is one sentence."""
     capture = stlfr.open(capture_dir)
     for shape in [(3,), (4, 2), (2, 3, 3)]:
         with pytest.raises(ValueError, match=r"points: .*must be \(N, 3\)"):
@@ -153,7 +153,7 @@ def test_bad_input_is_a_value_error(capture_dir: Path) -> None:
 
 
 def test_errors_are_the_command_lines(tmp_path: Path, program: Path) -> None:
-    """The same sentence from both."""
+    """The module and the command line give the same error message."""
     for text in [
         None,
         "{",
@@ -171,7 +171,7 @@ def test_errors_are_the_command_lines(tmp_path: Path, program: Path) -> None:
 
 
 def test_it_runs_beside_blender(capture_dir: Path) -> None:
-    """Both in one process, arrays to and from both."""
+    """Blender and the module exchange arrays in one process."""
     script = (
         "import sys, bpy, numpy as np, stlfr\n"
         "mesh = bpy.data.meshes.new('points')\n"
@@ -191,7 +191,7 @@ def test_it_runs_beside_blender(capture_dir: Path) -> None:
 
 
 def test_threads_run_while_it_works(capture_dir: Path) -> None:
-    """A long projection releases the GIL: another thread counts on meanwhile."""
+    """A long projection releases the GIL, so that another thread continues to count."""
     capture = stlfr.open(capture_dir)
     points = np.random.default_rng(1).uniform(-4, 4, (3_000_000, 3))
     ended = threading.Event()
@@ -202,7 +202,7 @@ def test_threads_run_while_it_works(capture_dir: Path) -> None:
 
     worker = threading.Thread(target=work)
     interval_s = sys.getswitchinterval()
-    sys.setswitchinterval(10)  # so that Python itself hands the GIL over to no one
+    sys.setswitchinterval(10)  # so that Python itself doesn't switch threads
     try:
         worker.start()
         count = 0
@@ -216,14 +216,14 @@ def test_threads_run_while_it_works(capture_dir: Path) -> None:
 
 @pytest.fixture(scope="module")
 def own_capture(capture_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy to write offsets.json into."""
+    """A copy of the tiny capture into which offsets.json may be written."""
     return Path(
         shutil.copytree(capture_dir, tmp_path_factory.mktemp("captures") / "own")
     )
 
 
 def test_offsets_are_the_command_lines(own_capture: Path, program: Path) -> None:
-    """Estimated here, and printed there from a copy without them: the same numbers."""
+    """Offsets estimated by the module equal those that the command prints for a copy without saved offsets."""
     offsets = stlfr.open(own_capture).offsets()
     assert offsets["reference"] == "cam3"
     (own_capture / "offsets.json").unlink()
@@ -238,7 +238,7 @@ def test_offsets_are_the_command_lines(own_capture: Path, program: Path) -> None
 def test_images_are_the_command_lines(
     own_capture: Path, program: Path, tmp_path: Path
 ) -> None:
-    """A view, one that is partly seen, and a synchronized image: the same samples."""
+    """A view, a view with unseen pixels, and a synchronized image equal those of `stlfr render`."""
     capture = stlfr.open(own_capture)
     time_s = float(np.mean(capture.times("cam3")))
     view = {
@@ -279,7 +279,7 @@ def test_images_are_the_command_lines(
 def test_what_cannot_be_rendered_is_a_value_error(
     own_capture: Path, program: Path, tmp_path: Path
 ) -> None:
-    """With the command line's sentence."""
+    """The error message is that of the command line."""
     capture = stlfr.open(own_capture)
     with pytest.raises(ValueError, match="either camera or like"):
         capture.render(0.0)
@@ -304,7 +304,7 @@ def test_what_cannot_be_rendered_is_a_value_error(
 
 
 def test_the_options_are_those_that_render_takes(capture_dir: Path) -> None:
-    """Every option has help and its default, which `render` takes by its path."""
+    """Every option has a help text and a default, and `render` accepts this default under the option's path."""
     capture = stlfr.open(capture_dir)
     options = {option["name"]: option for option in stlfr.options()}
     assert options["trail.instants"]["unit"] == "instants"
@@ -319,7 +319,7 @@ def test_the_options_are_those_that_render_takes(capture_dir: Path) -> None:
 
 
 def test_the_methods_are_those_that_render_takes(capture_dir: Path) -> None:
-    """Every method of the options, and no other."""
+    """`methods` lists exactly the methods that `render` accepts."""
     capture = stlfr.open(capture_dir)
     stages = stlfr.methods()
     assert set(stages) == {"sync", "proxy", "trail", "preset"}
@@ -356,7 +356,7 @@ def test_the_methods_are_those_that_render_takes(capture_dir: Path) -> None:
 def test_auto_renders_by_the_plan(
     own_capture: Path, program: Path, tmp_path: Path
 ) -> None:
-    """As with the options that `stlfr plan` writes."""
+    """With automatic methods, the image equals that with the options that `stlfr plan` writes."""
     planned = tmp_path / "planned.json"
     subprocess.run([program, "-q", "plan", own_capture, "-o", planned], check=True)
     capture = stlfr.open(own_capture)
@@ -368,7 +368,7 @@ def test_auto_renders_by_the_plan(
 
 
 def test_a_trail_can_be_stopped(own_capture: Path) -> None:
-    """Before any of its instants; what the caller's function raises is raised."""
+    """Rendering stops before any instant of the trail; an exception of the caller's function is raised."""
     capture = stlfr.open(own_capture)
     time_s = float(np.mean(capture.times("cam3")))
     options = {"sync": "nearest", "trail": {"duration_s": 0.01, "instants": 3}}
@@ -393,7 +393,7 @@ def test_a_trail_can_be_stopped(own_capture: Path) -> None:
 
 
 def test_a_view_is_stopped_between_its_steps(own_capture: Path) -> None:
-    """Not only before it begins."""
+    """Rendering can be stopped between the steps of a view, not only before it begins."""
     capture, (camera, *_) = stlfr.open(own_capture), places(own_capture)
     time_s = float(np.mean(capture.times("cam3")))
     asked: list[tuple[int, int]] = []
@@ -408,7 +408,7 @@ def test_a_view_is_stopped_between_its_steps(own_capture: Path) -> None:
 
 
 def test_a_moments_views_are_those_of_render(own_capture: Path) -> None:
-    """Also from places where some pixels are unseen, and after other options were used in between."""
+    """This also holds for viewpoints with unseen pixels, and after rendering with other options."""
     capture, cameras = stlfr.open(own_capture), places(own_capture)
     time_s = float(np.mean(capture.times("cam3")))
     options = {"preset": "draft"}
@@ -428,7 +428,7 @@ def test_a_moments_views_are_those_of_render(own_capture: Path) -> None:
 
 
 def test_comparing_is_the_command_lines(own_capture: Path, program: Path) -> None:
-    """The same numbers; progress goes to standard output where it is asked for."""
+    """The results equal those of `stlfr compare`; with `lines`, progress is printed to standard output."""
     script = "import sys, stlfr; print(stlfr.compare(sys.argv[1], options={'preset': 'draft'}, lines=True)['report'])"
     command = [sys.executable, "-I", "-c", script, str(own_capture)]
     ended = subprocess.run(command, capture_output=True, text=True, check=True)

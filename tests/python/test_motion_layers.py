@@ -1,4 +1,4 @@
-"""The layers of motion that `stlfr render -o x.exr` writes, as Blender's compositor reads them."""
+"""The motion channels that `stlfr render -o x.exr` writes, as Blender's compositor reads them."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Array = npt.NDArray[np.float64]
 WIDTH, HEIGHT, FOCAL_PX = 128, 96, 150.0
 DEPTH_M = 2.0
 SPEED_PX = np.array([3.2, -1.6])
-"""Of the wall, pixels to the right and down in a frame."""
+"""The wall's motion, pixels to the right and down per frame."""
 RATE_HZ, FRAMES = 25.0, 5
 SPACING_M = 0.06
 
 BORDER = 12
-"""Pixels at the border whose motion isn't judged: there, what a frame shows isn't in all others."""
+"""Width of the border whose motion isn't checked, because its surfaces aren't visible in all frames."""
 TOLERANCE_PX = 0.05
 MAX_ERROR_PX = 0.1
 
 
 def wall(center_m: float, frame: float) -> npt.NDArray[np.uint16]:
-    """The image of a camera at a time: waves in many directions, the shortest of 8 pixels."""
+    """The image of the wall in a camera at `center_m`: waves in many directions, with wavelengths from 8 pixels."""
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     x += FOCAL_PX * center_m / DEPTH_M - SPEED_PX[0] * frame
     y -= SPEED_PX[1] * frame
@@ -51,7 +51,7 @@ def wall(center_m: float, frame: float) -> npt.NDArray[np.uint16]:
 
 
 def lens(center_m: float) -> dict[str, Any]:
-    """A camera that looks at the wall."""
+    """The camera object of a camera at `center_m` that looks at the wall."""
     return {
         "width": WIDTH,
         "height": HEIGHT,
@@ -63,7 +63,7 @@ def lens(center_m: float) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five cameras at known times before a wall that moves evenly."""
+    """A capture by five cameras with known frame times, in front of a wall that moves uniformly."""
     folder = tmp_path_factory.mktemp("wall")
     cameras = []
     for c, late in enumerate((0.0, 0.5, 0.25, 0.75, 0.4)):
@@ -82,7 +82,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read_by_blender(file: Path) -> dict[str, npt.NDArray[np.float32]]:
-    """The passes that the compositor offers of a file, by their names, saved again without compression."""
+    """The passes of a file in Blender's compositor, by name; they are saved without compression and read."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = WIDTH, HEIGHT
@@ -110,7 +110,7 @@ def read_by_blender(file: Path) -> dict[str, npt.NDArray[np.float32]]:
 
 
 def render(program: Path, capture: Path, output: Path, *arguments: object) -> str:
-    """Its notes."""
+    """Run `stlfr render`, and return its notes."""
     command = [program, "render", capture, "-o", output, *arguments]
     ended = run([*map(str, command)])
     assert ended.returncode == 0, ended.stderr
@@ -129,14 +129,14 @@ PLANE = [
 
 
 def vector(channels: dict[str, npt.NDArray[np.float32]], name: str) -> Array:
-    """A layer's vectors, pixels to the right and up, without the border."""
+    """The vectors of a layer, pixels to the right and up, without the border."""
     both = np.stack([channels[f"{name}.{axis}"] for axis in "XY"], axis=2)
     inner = both[BORDER:-BORDER, BORDER:-BORDER]
     return np.asarray(inner, dtype=np.float64)
 
 
 def must_be(found: Array, right_down_px: Array) -> None:
-    """Half of the pixels to the tolerance, and everywhere to the error of scene flow in so small an image."""
+    """Assert the motion of all pixels: its median to a small tolerance, and all pixels to scene flow's error."""
     wanted = right_down_px * [1.0, -1.0]
     error_px = np.abs(found - wanted).max(axis=2)
     assert np.median(error_px) <= TOLERANCE_PX, (np.median(error_px), wanted)
@@ -151,7 +151,7 @@ def test_a_still_has_the_motion_of_a_frame_of_the_recording(
     found = read_by_blender(file)
     must_be(vector(found, "forward"), SPEED_PX)
     must_be(vector(found, "backward"), -SPEED_PX)
-    # Blender's own pass of the same motion, as Cycles has it: where a point comes from, and minus where it goes.
+    # Blender's pass of the same motion, in Cycles' convention: the backward motion, and minus the forward motion.
     np.testing.assert_array_equal(vector(found, "Vector"), vector(found, "backward"))
     np.testing.assert_allclose(
         -found["Vector.Z"], found["forward.X"], rtol=0, atol=1e-6
@@ -163,7 +163,7 @@ def test_a_still_has_the_motion_of_a_frame_of_the_recording(
 def test_a_sequence_has_the_motion_to_its_neighbours(
     program: Path, capture: Path, tmp_path: Path
 ) -> None:
-    """Slow motion: half a frame from one picture to the next."""
+    """The sequence is in slow motion, with half a frame interval from one picture to the next."""
     start, step = 2.0 / RATE_HZ, 0.5 / RATE_HZ
     times = f"{start}:{start + 2 * step}:3"
     view = tmp_path / "view.json"
@@ -177,7 +177,7 @@ def test_a_sequence_has_the_motion_to_its_neighbours(
 
 
 def path(tmp_path: Path, times_s: tuple[float, float]) -> Path:
-    """In a second of four pictures, the view moves 3 cm to the right."""
+    """A path of one second with four pictures, in which the view moves 3 cm to the right."""
     keys = [
         {"at_s": at_s, "time_s": time_s, "camera": lens(center_m)}
         for at_s, time_s, center_m in (
@@ -192,13 +192,13 @@ def path(tmp_path: Path, times_s: tuple[float, float]) -> Path:
 
 
 SHIFT_PX = np.array([-FOCAL_PX * 0.0075 / DEPTH_M, 0.0])
-"""By which the wall shifts from one picture of the path to the next."""
+"""The wall's displacement from one picture of the path to the next, because the view moves; pixels."""
 
 
 def test_in_a_frozen_instant_the_view_alone_moves(
     program: Path, capture: Path, tmp_path: Path
 ) -> None:
-    """Known from the depths, whatever method gives them."""
+    """The motion follows from the depths, with any method."""
     frozen = path(tmp_path, (0.09, 0.09))
     notes = render(program, capture, tmp_path / "%d.exr", "--path", frozen, *PLANE)
     assert "no motion" not in notes

@@ -1,4 +1,4 @@
-"""Camera paths of the module `stlfr` beside those of `stlfr render --path`."""
+"""Camera paths of the module `stlfr` are those of `stlfr render --path`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import stlfr
 def test_a_paths_frames_are_the_command_lines(
     own_capture: Path, program: Path, tmp_path: Path
 ) -> None:
-    """A ready-made path, with time that runs and with time that stands still."""
+    """Tests a ready-made path with running time and with stopped time."""
     capture = stlfr.open(own_capture)
     time_s = float(np.mean(capture.times("cam3")))
     stopped: list[tuple[str, float | None]] = [("runs", None), ("stops", time_s)]
@@ -41,7 +41,7 @@ def test_a_paths_frames_are_the_command_lines(
 
 
 def test_a_path_is_given_by_its_keys(own_capture: Path, tmp_path: Path) -> None:
-    """As a dict and as a file; what isn't a path is a ValueError."""
+    """A path may be given as a dict or as a file; anything else raises a ValueError."""
     capture = stlfr.open(own_capture)
     keys = [
         {"at_s": at_s, "time_s": 0.05 + at_s / 10, "camera": capture.camera(name)}

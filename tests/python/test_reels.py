@@ -1,4 +1,4 @@
-"""A comparison's scenes in a file that has others: added together or not at all. In this process's Blender."""
+"""Adding a comparison's scenes to a .blend file: all scenes are added, or none. Runs Blender in this process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Change = Callable[[Any], object]
 
 
 def layout() -> dict[str, Any]:
-    """Of two reels, each of one still."""
+    """The content of a review.json with two reels, each with one still picture."""
     shot = {
         "label": "first",
         "frames": 24,
@@ -44,7 +44,7 @@ def layout() -> dict[str, Any]:
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    """review.json with its pictures; an empty file is open in Blender."""
+    """The path of a review.json with its pictures; an empty file is open in Blender."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     for name in ("truth", "ours"):
         cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((12, 16, 3), np.uint8))
@@ -68,7 +68,7 @@ def test_scenes_take_the_place_and_the_names_of_those_before(file: Path) -> None
 
 
 def test_the_users_copy_of_a_scene_stays(file: Path) -> None:
-    """And one that was renamed, another review's, and the scene that the window shows."""
+    """A renamed scene, a scene of another review, and the window's active scene remain too."""
     show(file)
     bpy.data.scenes["Views"].copy()
     bpy.data.scenes["Cameras"].name = "mine"

@@ -1,4 +1,4 @@
-"""Filming that is stopped, goes on, is done already, or is refused."""
+"""Filming that is stopped and resumed, that is complete already, or that is refused."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def small_film(folder: Path, rig_file: Path, *more: object) -> list[str]:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every visible file."""
+    """The contents of all files of a folder that aren't hidden, by path."""
     files = (path for path in sorted(folder.rglob("*")) if path.is_file())
     return {
         str(path.relative_to(folder)): path.read_bytes()
@@ -56,7 +56,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def small_rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two cameras 6 cm apart, 0.37 frame apart in time."""
+    """A rig file with two cameras, 6 cm apart, with an offset of 0.37 frame intervals."""
     return write_rig(
         tmp_path_factory.mktemp("rig") / "rig.json",
         rig_camera("left", delay_s=0.003),
@@ -68,7 +68,7 @@ def small_rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def uninterrupted(small_rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The film of `small_rig`, made in one go."""
+    """The capture filmed with `small_rig` without interruption."""
     folder = tmp_path_factory.mktemp("whole") / "capture"
     result = run(small_film(folder, small_rig))
     assert result.returncode == 0, result.stderr
@@ -104,7 +104,7 @@ def test_an_interrupted_film_goes_on_where_it_was(
         assert (
             complaint == "filming was stopped; the same command goes on where it was\n"
         )
-    time.sleep(1.0)  # an orphaned worker finishes its image and ends
+    time.sleep(1.0)  # a worker without its parent finishes its image and ends
     assert not (folder / "capture.json").exists()
     finished = {
         path: path.stat().st_mtime_ns
@@ -130,7 +130,7 @@ def test_filming_again_does_nothing_and_at_once(
     result = run(small_film(uninterrupted, small_rig))
     end = os.times()
     worked_s = end.children_user - start.children_user
-    assert worked_s < 1.5  # a Blender started takes more, this takes 0.2
+    assert worked_s < 1.5  # starting Blender would take longer; without, it takes 0.2 s
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout) == {
         "done": 12,
@@ -178,7 +178,7 @@ def test_another_plan_and_foreign_folders_are_refused(
 def test_a_scene_that_is_refused_gives_its_folder_back(
     small_rig: Path, tmp_path: Path
 ) -> None:
-    """A .blend without a camera, then with one, into the same folder."""
+    """A .blend file without a camera is refused; then one with a camera is filmed into the same folder."""
     blend, folder = tmp_path / "mine.blend", tmp_path / "capture"
 
     def film() -> subprocess.CompletedProcess[str]:

@@ -1,4 +1,4 @@
-"""review.blend: what is in it, and that a frame of it holds the very pixels of the pictures."""
+"""review.blend: its scenes and strips, and that a rendered frame has exactly the pixels of the pictures."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def review(layout: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A review's folder with two shots of noise, one of them without a traditional LFR."""
+    """A review's folder with two shots of noise pictures; one shot lacks traditional light field rendering."""
     folder = tmp_path_factory.mktemp("review")
     random = np.random.default_rng(1)
     for name in ("truth", "nearest", "ours"):
@@ -107,7 +107,7 @@ def test_strips_are_aligned_and_pixels_are_the_files(
     )
     assert scene["markers"] == [["first", 1], ["second", 25]]
     images = [strip for strip in scene["strips"] if strip[0] == "IMAGE"]
-    # Truth and ours twice, once in the difference, and the other method in the first shot only.
+    # Truth and our result appear twice, once in the difference. The other method is only in the first shot.
     assert sorted(strip[2] for strip in images) == [1] * 5 + [25] * 4
     assert all(end - start == 24 for _, _, start, end, _ in images)
     assert all(directory == "//" for *_, directory in images), "paths are relative"

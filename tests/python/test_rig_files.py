@@ -1,4 +1,4 @@
-"""Rig files and new rigs: the module `stlfr` checks and makes them as the command line does."""
+"""Rig files and new rigs: the module `stlfr` checks and generates them as the command line does."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from filming import (
 
 
 def refusal(path: Path, content: Any) -> str | None:
-    """What is said of a rig file when it is read to film with, if it is refused."""
+    """The error message when a rig file with this content is read for filming; None if it is accepted."""
     path.write_text(json.dumps(content), encoding="utf-8")
     try:
         rig.load(path)
@@ -37,7 +37,7 @@ def refusal(path: Path, content: Any) -> str | None:
 
 
 def by_command_line(program: Path, path: Path) -> str | None:
-    """What the command line says of a rig file, if it refuses it."""
+    """The command line's error message for a rig file; None if it accepts the file."""
     checked = run([str(program), "rig", "--check", str(path)])
     assert checked.returncode in (0, 2), checked
     return checked.stderr.removesuffix("\n") if checked.returncode else None
@@ -63,7 +63,7 @@ def test_a_bad_rig_is_refused(
 
 
 def violations(schema: dict[str, Any], root: dict[str, Any]) -> Iterator[Any]:
-    """Values that a schema of one field refuses."""
+    """Yields values that violate the JSON schema of one field; `root` is the whole schema."""
     if "$ref" in schema:
         schema = {**root["$defs"][schema["$ref"].rsplit("/")[-1]], **schema}
     kind = schema.get("type")
@@ -91,7 +91,7 @@ def violations(schema: dict[str, Any], root: dict[str, Any]) -> Iterator[Any]:
 
 
 def broken_rigs(schema: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Rigs that the schema refuses, one wrong field each."""
+    """Yields the names and contents of rigs that violate the schema, each in one field."""
     camera_schema, view_schema = (
         schema["$defs"][name] for name in ("RigCamera", "RigView")
     )
@@ -112,7 +112,7 @@ def broken_rigs(schema: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 @pytest.fixture(scope="module")
 def schema(program: Path) -> Any:
-    """The rig file's, as the program prints it."""
+    """The JSON schema of rig files, as the program prints it."""
     printed = subprocess.run(
         [program, "rig", "--schema", "rig"], check=True, capture_output=True
     )
@@ -148,7 +148,7 @@ def test_what_the_schema_refuses_is_refused_as_by_the_command_line(
 
 
 def test_filmings_defaults_are_the_formats(schema: Any, tmp_path: Path) -> None:
-    """A field that is written with the value that filming takes without it is left out by the module."""
+    """If a field has filming's default value, the module omits it, so both have the same default."""
     path = tmp_path / "rig.json"
     content = changed({})
     path.write_text(json.dumps(content))
@@ -300,7 +300,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
 def test_a_generated_rig_is_the_command_lines(
     program: Path, tmp_path: Path, arguments: str, options: dict[str, Any]
 ) -> None:
-    """The same options and seed give the same JSON, in the same order, to the digit."""
+    """The same options and seed give exactly the same JSON, with the same order and digits."""
     seed = 2**53 if "--seed" in arguments else 7
     more = [] if "--seed" in arguments else ["--seed", "7"]
     path = tmp_path / "mine.json"
@@ -364,7 +364,10 @@ def test_wrong_options_of_a_rig_are_named() -> None:
 
 
 def test_colmaps_text_is_written_as_python_spells_numbers() -> None:
-    """The shortest digits that read back as the same double. (From 1e10 on, the two may round a tie differently.)"""
+    """Numbers have the fewest digits that give the same double.
+
+    From 1e10 on, Rust and Python may round ties differently.
+    """
     random = np.random.default_rng(6)
     for _ in range(200):
         values = (random.normal(size=9) * 10.0 ** random.integers(-300, 6, 9)).tolist()

@@ -1,4 +1,4 @@
-"""Every shipped rig: what its pictures show of shutter times, and its way through the program."""
+"""The rigs of the folder `rigs`: exposure times measured in their pictures, and a run of the program on their films."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from filming import CORPUS, SHIPPED
 
 VELOCITY_M_S = np.array([4.0, 2.0, 0.0])
 CENTRAL_S = 0.09
-"""World time at which the disc is before the rig's centre."""
+"""World time at which the disc is in front of the rig's centre."""
 DISTANCE_M = 1.8
 RADIUS_M = 0.08
 
 
 @pytest.fixture(scope="module")
 def moving_disc() -> Any:
-    """A disc in uniform motion, right and up: at 80x60, some 7 px a frame of 30 Hz."""
+    """A scene with a disc in uniform motion to the right and up, about 7 px per frame at 80x60 and 30 Hz."""
     pytest.importorskip("bpy")
     scene = filming.black_scene()
     disc = filming.add_disc((0.0, 0.0, -DISTANCE_M), RADIUS_M, 0.5)
@@ -34,7 +34,7 @@ def moving_disc() -> Any:
 
 
 def time_errors_frames(capture: Path, zero_s: float) -> dict[str, list[float]]:
-    """By how much every frame's picture is off its exported time, in its camera's frames."""
+    """The errors of all exported frame times, measured by the disc's position, in frame intervals; by camera id."""
     content = json.loads((capture / "capture.json").read_text())
     truth = json.loads((capture / "truth" / "truth.json").read_text())
     errors_frames: dict[str, list[float]] = {}
@@ -57,7 +57,7 @@ def time_errors_frames(capture: Path, zero_s: float) -> dict[str, list[float]]:
 
 
 def reference_zero_s(filmed: Any) -> float:
-    """World time at which the reference's clock reads 0: the only thing that no file says."""
+    """World time at which the reference's clock shows 0, which isn't written in any file of the capture."""
     zero: float = next(
         s.zero_s for s in filmed.shutters if s.id == filmed.rig.reference
     )
@@ -83,7 +83,11 @@ def test_every_frame_was_taken_when_its_stamp_says(
 def test_hard_shutters_are_told_to_the_frame_too(
     moving_disc: Any, tmp_path: Path
 ) -> None:
-    """A clock that is off by a thousandth, lost frames, long exposures, noise, gain, 16 bits, distortion, hidden jitter and mixed sizes."""
+    """Frame times are also exact for a rig with many imperfections.
+
+    It has a clock with a drift of 1000 ppm, lost frames, long exposures, noise, gain, 16 bits, distortion, jitter
+    without time stamps, and different image sizes.
+    """
     rig_file = tmp_path / "hard.json"
     base = CORPUS["rig"]["cameras"][1]
     bent = {"k1": -0.3, "k2": 0.1, "p1": 0.005, "p2": -0.004}
@@ -103,7 +107,7 @@ def test_hard_shutters_are_told_to_the_frame_too(
     found = time_errors_frames(tmp_path / "capture", reference_zero_s(filmed))
     assert [len(found[c["id"]]) for c in cameras] == [5, 10, 5, 3, 5, 5, 5]
     assert max(abs(e) for errors in found.values() for e in errors) < 0.01
-    # The pictures drift too: without it the errors would grow by 0.001 frame a frame.
+    # The pictures show the drift: if it were ignored, errors would grow by 0.001 frame intervals per frame.
     growth = np.polyfit(range(10), found["drift"], 1)[0]
     assert abs(growth) < 0.0005
     times_s = next(s for s in filmed.shutters if s.id == "drift").world_times_s
@@ -122,7 +126,7 @@ def test_hard_shutters_are_told_to_the_frame_too(
     offsets = {entry["id"]: entry for entry in truth["offsets"]}
     assert offsets["drift"]["rate_ppm"] == 1000.0
     assert offsets["lost"]["lost_before"] == [1, 2]
-    # The blurred disc is longer than the sharp one, by its way while the shutter is open.
+    # The blurred disc is longer than the sharp one, by its displacement during the exposure.
     lights = [
         filming.read_light(tmp_path / "capture" / name / "0002.png")
         for name in ("blur", "drift")
@@ -132,12 +136,12 @@ def test_hard_shutters_are_told_to_the_frame_too(
     assert lengths_px[0] - lengths_px[1] == pytest.approx(way_px, abs=1.5)
 
 
-# Every shipped rig's film goes all the way
+# Filming, estimation of offsets and rendering with every rig
 
 
 @pytest.fixture(scope="module")
 def magazine() -> Any:
-    """The demo's scene."""
+    """The scene `magazine`, which `stlfr demo` films."""
     pytest.importorskip("bpy")
     return filming.scenes.open_scene("magazine", None)
 
@@ -162,13 +166,13 @@ def test_every_shipped_rig_is_filmed_and_reconstructed(
     known = [
         (found["offset_s"] - true["offset_s"]) / frame_s
         for found, true in zip(offsets["cameras"], truth["offsets"], strict=True)
-        # What is lost without a trace is another matter than the offset.
+        # Undetected lost frames shift a camera's times, so such cameras are excluded.
         if found["offset_s"] is not None and not true["lost_before"]
     ]
-    # So few and small frames give no good offsets, but no wrong ones.
+    # With so few and small frames, offsets are imprecise, but not wrong.
     assert max(map(abs, known)) < 0.1
     assert len(known) > 1 or path.stem == "lost-frames"
-    # The reference is always there; the middle of its film is a time that it has.
+    # The offset of the reference is always known, so a view in the middle of its recording can be rendered.
     content = json.loads((capture / "capture.json").read_text())
     reference = next(c for c in content["cameras"] if c["id"] == content["reference"])
     times_s = reference["clock"].get("times_s") or [

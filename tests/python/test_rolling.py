@@ -64,7 +64,7 @@ def test_a_point_is_exposed_when_its_row_is() -> None:
 
 
 def bars_edge_px(light: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Where each row's light ends, if it begins at the left border."""
+    """The x at which each row's light ends, if it begins at the left border."""
     return np.asarray(light.sum(axis=1) / light.max())
 
 
@@ -73,7 +73,7 @@ def test_a_moving_edge_is_slanted_in_frames_and_upright_in_truth(
 ) -> None:
     bpy = pytest.importorskip("bpy")
     scene = black_scene()
-    # A square whose right edge passes through the image; it reaches far beyond the other borders.
+    # The right edge of a large square passes through the image; its other edges are far outside.
     square = add_disc((0.0, 0.0, -2.0), 20.0, 1.0, vertices=4)
     square.rotation_euler[2] = np.pi / 4
     bpy.context.view_layer.update()
@@ -97,11 +97,11 @@ def test_a_moving_edge_is_slanted_in_frames_and_upright_in_truth(
     upright, slanted = edges("global/0001.png"), edges("rolling/0001.png")
     assert upright == pytest.approx(upright.mean(), abs=0.1)
     expected = upright.mean() + speed_px_s * rows_s
-    # Bands: rows are as of an instant at most 2.5 ms away.
+    # Because of bands, a row shows an instant at most 2.5 ms from its own.
     assert slanted == pytest.approx(expected, abs=0.2 + 0.0025 * speed_px_s)
     slope = np.polyfit(np.arange(48), slanted, 1)[0]
     assert slope == pytest.approx(speed_px_s * READOUT_S / 47, rel=0.05)
-    # The middle of the image has little distortion; rows are those of the distorted image.
+    # The middle of the image has little distortion; exposure times follow the rows of the distorted image.
     bent = edges("bent/0001.png")
     assert bent[16:32] == pytest.approx(expected[16:32], abs=0.35 + 0.0025 * speed_px_s)
     truth = edges("truth/views/t0-rolling.png")

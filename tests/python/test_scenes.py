@@ -1,4 +1,4 @@
-"""The scenes: each one films with linear8, moves as it says, and is the same every time."""
+"""The scenes: each can be filmed with the rig linear8, has the motion that it states, and is deterministic."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from filming import ROOT, rig, scenes
 
 WIDTH_PX, HEIGHT_PX = 80, 60
 
-# Pixels a frame at 640x480: from and to what the faster tenth of what moves goes, at the instants below.
+# The range of the 90th percentile of moving pixels' motion, pixels per frame at 640x480, at the instants below.
 SPEEDS_PX = {
     "along": (14, 22),
     "ball": (10, 26),
@@ -39,7 +39,7 @@ INSTANTS_S = (0.1, 0.3)
 
 
 def studio_of(name: str) -> Any:
-    """The scene with linear8 in it, tiny."""
+    """A scene with the cameras of the rig linear8, at a tiny image size."""
     pytest.importorskip("bpy")
     film = importlib.import_module("stlfr_extension.film")
     whole = rig.load(ROOT / "rigs" / "linear8.json")
@@ -48,7 +48,7 @@ def studio_of(name: str) -> Any:
 
 
 def picture(studio: Any, view_id: str, time_s: float, folder: Path) -> Any:
-    """The view at a time, as BGR levels."""
+    """Render a view at a time; returns the image (H, W, 3) in BGR."""
     cv2 = pytest.importorskip("cv2")
     film = importlib.import_module("stlfr_extension.film")
     target = folder / "picture.png"
@@ -59,7 +59,7 @@ def picture(studio: Any, view_id: str, time_s: float, folder: Path) -> Any:
 def motion(
     studio: Any, view_id: str, time_s: float, folder: Path
 ) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """Depth in metres, and motion in pixels a frame at 640x480."""
+    """Render a view's depth in metres, and its motion in pixels per frame at 640x480."""
     film = importlib.import_module("stlfr_extension.film")
     files = folder / "depth.npy", folder / "motion.npy"
     image = film.Image(view_id, time_s, 1, 1)
@@ -94,11 +94,11 @@ def test_a_scene_films_and_moves_as_it_should(name: str, tmp_path: Path) -> None
     )
     for shown in (first, later):
         assert shown.std() > 12
-        # Nearly nothing is burnt out; black are the gaps between books, at so few samples.
+        # Almost no pixel is overexposed. With so few samples, gaps between books are black.
         assert (shown.min(axis=2) >= 255).mean() < 0.05
         assert (shown.max(axis=2) <= 2).mean() < 0.12
     depth, speed = (np.array([entry[k] for entry in geometry]) for k in (0, 1))
-    assert np.isfinite(depth).all()  # no camera looks past the wall
+    assert np.isfinite(depth).all()  # the wall covers the whole image
     assert depth.max() > 1.2 * depth.min() and depth.min() > 0.5
     moving = speed[speed > 0.05]
     assert 0.005 < moving.size / speed.size < 0.5
@@ -107,7 +107,7 @@ def test_a_scene_films_and_moves_as_it_should(name: str, tmp_path: Path) -> None
 
 
 def displacement(name: str, from_s: float, to_s: float) -> np.ndarray[Any, Any]:
-    """How far points of each body move between two instants, metres."""
+    """The displacements of the bodies' vertices between two instants, metres."""
     bpy = pytest.importorskip("bpy")
     scene = scenes.open_scene(name, None)
 
@@ -124,14 +124,14 @@ def displacement(name: str, from_s: float, to_s: float) -> np.ndarray[Any, Any]:
 
 
 def test_sideways_motion_is_along_the_epipolar_lines() -> None:
-    """In `along`, no vertex changes its height or its depth."""
+    """In the scene `along`, no vertex changes its height or its depth."""
     moved = displacement("along", 0.12, 0.31)
     assert np.abs(moved[:, 1:]).max() == 0.0
     assert np.abs(moved[:, 0]).max() > 0.05
 
 
 def test_turning_motion_is_along_the_epipolar_lines_at_one_instant() -> None:
-    """In `turning`, all moves sideways about 0.26 s, by 16 pixels a frame, and not before or after."""
+    """In the scene `turning`, all motion is sideways at 0.26 s, by 16 pixels per frame, but not before or after."""
     before, at_top, after = (
         displacement("turning", time_s - 1 / 60, time_s + 1 / 60)
         for time_s in (0.16, 0.26, 0.36)

@@ -1,4 +1,4 @@
-"""Several processes, on one machine or many, film one capture together."""
+"""Filming one capture by several processes, on one machine or on several."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ sharing = importlib.import_module("stlfr_extension.sharing")
 SMALL = ["--scene", "magazine", "--engine", "workbench", "--frames", "24"]
 SMALL += ["--samples", "1", "--instants", "1"]
 FILES = 54
-"""Two cameras' frames, and the truth of one instant: image, depth and motion each."""
+"""Number of files of the capture: two cameras' frames, and ground truth images, depths and motions of one instant."""
 
 
 @pytest.fixture(scope="module")
 def small_rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two cameras 6 cm apart, 0.37 frame apart in time."""
+    """A rig file with two cameras, 6 cm apart, with an offset of 0.37 frame intervals."""
     return write_rig(
         tmp_path_factory.mktemp("rig") / "rig.json",
         rig_camera("left"),
@@ -40,7 +40,7 @@ def small_rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def by_one(small_rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The film of one process."""
+    """The capture filmed by a single process."""
     folder = tmp_path_factory.mktemp("one") / "capture"
     result = by_script(small_rig, *SMALL, "--workers", 1, "-o", folder)
     assert result.returncode == 0, result.stderr
@@ -48,7 +48,7 @@ def by_one(small_rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file but the plan's."""
+    """The contents of all files of a folder except those of the plan, by path."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
@@ -68,7 +68,7 @@ def start(rig_file: Path, folder: Path, *more: object) -> subprocess.Popen[str]:
 
 
 class Watched:
-    """Notes every version of every image of a folder while it is being filmed into."""
+    """Records every version of every image in a folder while it is being filmed into, to find images filmed twice."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -83,7 +83,7 @@ class Watched:
 
     def look(self) -> None:
         for pattern in ("left/*", "right/*", "truth/views/*"):
-            # Images that went into a video vanish at any moment.
+            # Images may vanish at any time, when they are packed into a video.
             with contextlib.suppress(FileNotFoundError):
                 for path in self.folder.glob(pattern):
                     status = path.stat()
@@ -149,7 +149,7 @@ def test_four_processes_do_each_image_once_and_pack_each_video_once(
 def test_a_silent_process_is_replaced_after_the_silence(
     by_one: Path, small_rig: Path, tmp_path: Path
 ) -> None:
-    """One has claimed an image and its heart stands still; its lock is held, as on a machine that is out of reach."""
+    """The silent process has claimed an image, has no heartbeat, and holds its lock, as on an unreachable machine."""
     folder = tmp_path / "capture"
     result = by_script(small_rig, *SMALL, "--part", "1/52", "-o", folder)
     assert result.returncode == 0, result.stderr
@@ -202,7 +202,7 @@ def test_parts_make_a_whole(by_one: Path, small_rig: Path, tmp_path: Path) -> No
 
 @pytest.fixture
 def members(tmp_path: Path) -> Iterator[Any]:
-    """Two processes' members, as on two machines, and the time that has passed for the second one."""
+    """The `Member` objects of two processes, as on two machines, and a clock of the second one that the test sets."""
     with (
         sharing.Member(tmp_path, 60.0) as first,
         sharing.Member(tmp_path, 60.0) as second,
@@ -213,7 +213,7 @@ def members(tmp_path: Path) -> Iterator[Any]:
 def test_wrong_clocks_do_not_matter(
     members: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first machine's clock is an hour late, then an hour early; only the heartbeats' changes count."""
+    """The first machine's clock is an hour late, then an hour early; only changes of the heartbeat matter."""
     first, second = members
     assert first.claim("image", 0) and not second.claim("image", 0)
     now_s = time.monotonic()
@@ -223,11 +223,11 @@ def test_wrong_clocks_do_not_matter(
             os.utime(path, (time.time() + 3600 * hours,) * 2)
         monkeypatch.setattr(time, "monotonic", lambda s=passed_s: now_s + s)
         assert not second.may_claim("image", 1)
-        time.sleep(1.5 * sharing.BEAT_S)  # the first one's heart beats
+        time.sleep(1.5 * sharing.BEAT_S)  # the first process writes a heartbeat
 
 
 def test_only_one_inherits(members: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A claim whose owner left is free at once, and one that was never finished after the silence."""
+    """A claim whose owner has ended is free immediately; an incomplete claim is free after the silence."""
     first, second = members
     with sharing.Member(first.capture) as third:
         assert third.claim("image", 0)

@@ -1,4 +1,4 @@
-"""Shutter times and truth in closed form."""
+"""Exposure times of simulated cameras, and instants and offsets of the ground truth, against closed form."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Python code stays readable: short functions with few arguments, in short files."""
+"""Limits of the size of Python code: arguments per function, lines per function, lines per file."""
 
 from __future__ import annotations
 
@@ -10,25 +10,26 @@ import pytest
 from filming import ROOT
 
 MAX_ARGUMENTS = 5
-"""Besides `self` or `cls`. Larger, and calls are lists of values that nobody can read; smaller, and functions
-need a class each for what they are given."""
+"""Maximum number of a function's arguments, without `self` or `cls`. If larger, calls are unreadable lists of values;
+if smaller, many functions need a class for their arguments."""
 
 MAX_FUNCTION_LINES = 60
-"""With its signature and its documentation. Larger, and a function no longer fits a screen; smaller, and what is one
-step is cut in two."""
+"""Maximum number of lines of a function, with its signature and documentation. If larger, a function doesn't fit on a
+screen; if smaller, single steps must be split."""
 
 MAX_FILE_LINES = 500
-"""Larger, and a file holds several subjects; smaller, and one subject takes several files."""
+"""Maximum number of lines of a file. If larger, a file has several subjects; if smaller, one subject needs several
+files."""
 
 SIGNATURES_OF_BLENDER = {"draw_item", "template_list"}
-"""`UIList.draw_item` is called by Blender with its seven arguments. `template_list` stands in for the method of
-Blender's `UILayout` that the panels call."""
+"""Methods that may have more arguments, because Blender defines them. Blender calls `UIList.draw_item` with seven
+arguments. `template_list` is a fake of the method of Blender's `UILayout`."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def problems_of(source: str) -> list[str]:
-    """What in a file breaks the rules, each with its line."""
+    """The violations of the limits in a file's source, each with its line number."""
     lines = len(source.splitlines())
     found = []
     if lines > MAX_FILE_LINES:
@@ -46,14 +47,14 @@ def problems_of(source: str) -> list[str]:
 
 
 def functions_of(source: str) -> Iterator[Function]:
-    """All of a file, those within classes and functions too."""
+    """All functions in a file's source, including methods and nested functions."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, Function):
             yield node
 
 
 def argument_count(function: Function) -> int:
-    """All that a caller can give; `*rest` and `**named` count as one each."""
+    """The number of a function's arguments without `self` or `cls`; `*rest` and `**named` count as one each."""
     given = function.args
     positional = [argument.arg for argument in (*given.posonlyargs, *given.args)]
     if positional[:1] in (["self"], ["cls"]):
@@ -63,7 +64,7 @@ def argument_count(function: Function) -> int:
 
 
 def python_files() -> list[Path]:
-    """Of the extension, the scenes, the scripts and the tests."""
+    """The Python files of the extension, the scenes, the scripts and the tests."""
     files = [
         file for top in ("blender", "tests") for file in (ROOT / top).rglob("*.py")
     ]

@@ -30,7 +30,7 @@ Array = np.ndarray[Any, Any]
 
 @pytest.fixture(scope="module")
 def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two cameras, 10 cm and 0.37 frame apart."""
+    """A rig file with two cameras, 10 cm apart, with an offset of 0.37 frame intervals."""
     return write_rig(
         tmp_path_factory.mktemp("rig") / "rig.json",
         rig_camera("ref", delay_s=0.003),
@@ -41,12 +41,12 @@ def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 PLACES_M = {"ref": 0.0, "late": 0.1, "bent": -0.08}
-"""How far right of the rig's centre each camera stands."""
+"""The distance of each camera to the right of the rig's centre, metres."""
 
 
 @pytest.fixture(scope="module")
 def rig_with_a_bent_lens(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The two, and one whose picture's corners are off by 2 px."""
+    """A rig file with two cameras as in `rig_file`, and one whose distortion displaces the image's corners by 2 px."""
     lens_error = {"k1": -0.25, "k2": 0.05, "p1": 0.004, "p2": -0.003}
     cameras = [
         rig_camera(
@@ -61,7 +61,7 @@ def rig_with_a_bent_lens(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def wave_m(x: Array, time_s: float) -> Array:
-    """How far the bending sheet of the test scene comes towards the camera."""
+    """The displacement towards the camera of the test scene's bending sheet, at horizontal positions `x`."""
     fraction = 0.5 + 0.5 * math.sin(9.0 * time_s)
     return fraction * 0.3 * x * x
 
@@ -70,7 +70,7 @@ def wave_m(x: Array, time_s: float) -> Array:
 def tracked(
     rig_with_a_bent_lens: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
-    """The film of a bending sheet 2 m away, with a smaller plate that slides before it at 1.5 m."""
+    """A capture with tracks of a bending sheet 2 m away, and of a smaller plate that slides in front of it at 1.5 m."""
     bpy = pytest.importorskip("bpy")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
@@ -101,14 +101,14 @@ def tracked(
     scene.collection.objects.link(plate)
     plate.location.z = -1.5
     plate.driver_add("location", 0).driver.expression = f"2.0*{seconds} - 0.2"
-    # What isn't rendered hides nothing.
+    # An object that isn't rendered occludes nothing.
     hidden = bpy.data.objects.new("hidden", mesh)
     scene.collection.objects.link(hidden)
     hidden.location.z, hidden.hide_render = -0.5, True
     folder = tmp_path_factory.mktemp("tracks")
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "sheet.blend"))
     options = ["--frames", FRAMES, "--samples", 1, "--tracks", POINTS]
-    # At the reference's second frame.
+    # The instant of the reference's second frame.
     options += ["--instants-s", 1 / 30]
     filmed_by_script(
         rig_with_a_bent_lens,
@@ -119,7 +119,7 @@ def tracked(
 
 
 def read_tracks(capture: Path) -> tuple[dict[str, Any], dict[str, dict[str, Array]]]:
-    """tracks.json and each camera's arrays."""
+    """The content of tracks.json, and the arrays of each camera by name."""
     content = json.loads((capture / "truth/tracks/tracks.json").read_text())
     arrays = {
         camera["id"]: {
@@ -150,7 +150,7 @@ def test_tracks_follow_what_moves_and_bends(tracked: Path) -> None:
         by_module = opened.project(camera["id"], world.reshape(-1, 3))
         assert pixels.reshape(-1, 2) == pytest.approx(by_module, abs=1e-9, nan_ok=True)
         for k, clock_s in enumerate(camera["times_s"]):
-            time_s = clock_s + 0.003  # the reference's clock reads 0 at its delay
+            time_s = clock_s + 0.003  # the reference's clock shows 0 at its delay
             plate, sheet = world[k][~on_sheet], world[k][on_sheet]
             assert plate[:, 2] == pytest.approx(-1.5, abs=1e-6)
             slid = plate[:, 0] - 2.0 * time_s
@@ -158,7 +158,7 @@ def test_tracks_follow_what_moves_and_bends(tracked: Path) -> None:
                 world[0][~on_sheet][:, 0] - 2.0 * (camera["times_s"][0] + 0.003),
                 abs=2e-6,
             )
-            # Between the sheet's 40 columns the chord lies up to 0.3 * 0.0375^2 before the curve.
+            # Between the sheet's 40 columns, the chord is up to 0.3 * 0.0375^2 in front of the curve.
             assert sheet[:, 2] + 2.0 == pytest.approx(
                 wave_m(sheet[:, 0], time_s), abs=0.3 * 0.0375**2 + 1e-6
             )
@@ -176,7 +176,7 @@ def test_visibility_is_what_stands_before_a_point(tracked: Path) -> None:
         centre = np.array([PLACES_M[camera["id"]], 0.0, 0.0])
         inside = ((pixels >= 0) & (pixels <= (64, 48))).all(axis=-1)
         for k, clock_s in enumerate(camera["times_s"]):
-            # Where the way to the point passes the plate's plane.
+            # The intersection of the ray to the point with the plate's plane.
             fraction = (-1.5 - centre[2]) / (world[k][:, 2] - centre[2])
             crossing = centre + fraction[:, None] * (world[k] - centre)
             left = crossing[:, 0] - (2.0 * (clock_s + 0.003) - 0.2)
@@ -194,7 +194,7 @@ def test_visibility_is_what_stands_before_a_point(tracked: Path) -> None:
 
 
 def test_tracks_agree_with_the_rendered_depth_and_motion(tracked: Path) -> None:
-    """At an instant that is a frame of the reference: its depth map at the points, and how far they move."""
+    """At the instant of a reference frame, the depth map at the points and their motion agree with the tracks."""
     content, arrays = read_tracks(tracked)
     truth = json.loads((tracked / "truth/truth.json").read_text())
     view = next(v for v in truth["views"] if v["like"] == "ref")
@@ -210,8 +210,8 @@ def test_tracks_agree_with_the_rendered_depth_and_motion(tracked: Path) -> None:
         np.floor(pixels[:, i]).clip(0, side - 1).astype(int)
         for i, side in ((0, 64), (1, 48))
     )
-    z_m = -ref["world"][1][:, 2]  # the camera stands at the origin and looks along -Z
-    # Away from the plate's edges a pixel's depth and motion are those of all its points.
+    z_m = -ref["world"][1][:, 2]  # the camera is at the origin and looks along -Z
+    # Away from the plate's edges, all points in a pixel have the pixel's depth and motion.
     window = np.stack(
         [
             depth[(row + dy).clip(0, 47), (column + dx).clip(0, 63)]
@@ -233,7 +233,7 @@ def test_tracks_agree_with_the_rendered_depth_and_motion(tracked: Path) -> None:
 def test_workbench_sees_the_same_geometry_as_cycles(
     rig_file: Path, tmp_path: Path
 ) -> None:
-    """A black disc on white that moves: its centroid is in the same place, and where it must be."""
+    """The centroid of a moving black disc on white is at the same, correct position with both engines."""
     bpy = pytest.importorskip("bpy")
     cv2 = pytest.importorskip("cv2")
     black_scene()

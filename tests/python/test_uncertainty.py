@@ -1,4 +1,4 @@
-"""The calibration check's standard errors, against how far bundle adjustments with known noise go astray."""
+"""The standard errors of the calibration check, against actual errors of bundle adjustments with known noise."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SEEDS, NOISE_PX = 12, 0.5
 
 
 def poses(model: Any) -> dict[str, Any]:
-    """By image, with the standard errors that the model gives."""
+    """The estimated poses of a reconstruction's images with their standard errors, by image name."""
     errors = uncertainty.standard_errors(model)
     matrices = {i.name: i.cam_from_world().matrix() for i in model.images.values()}
     return {
@@ -35,7 +35,7 @@ def poses(model: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def found() -> list[Any]:
-    """Residuals of cameras that were adjusted to noisy pixels of themselves."""
+    """The residuals of cameras after bundle adjustment to noisy projections of points in these cameras."""
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_frames_per_rig, options.num_points3D = 6, 1, 80
     noise = pycolmap.SyntheticNoiseOptions()
@@ -64,7 +64,7 @@ def found() -> list[Any]:
     ],
 )
 def test_standard_errors_are_what_noise_does(found: Any, of: str, by: str) -> None:
-    """A length whose worst axis has deviation s is s to s sqrt(3) in the mean square."""
+    """A vector with the standard deviation s along its worst axis has a root mean square length of s to s sqrt(3)."""
     ratios = np.array([getattr(r, of) / getattr(r, by) for r in found])
     print(f"{of}: {np.sqrt(np.mean(ratios**2)):.2f} standard errors, rms")
     assert 0.9 < np.sqrt(np.mean(ratios**2)) < 1.8

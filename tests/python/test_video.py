@@ -18,7 +18,7 @@ FRAMES = 3
 
 
 def film(rig: Path, folder: Path, *more: str) -> list[dict[str, Any]]:
-    """What the filming script reports."""
+    """Film into `folder` with the filming script; returns its progress reports."""
     options = ["--scene", "magazine", "--frames", str(FRAMES), "--samples", "1"]
     options += ["--no-truth", "--workers", "1", *more]
     return filmed_by_script(rig, "-o", folder, *options)
@@ -26,7 +26,7 @@ def film(rig: Path, folder: Path, *more: str) -> list[dict[str, Any]]:
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A colour camera and a grey one."""
+    """A rig file with a colour camera and a grey camera."""
     return write_rig(
         tmp_path_factory.mktemp("rig") / "two.json",
         rig_camera("a"),
@@ -36,14 +36,14 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def images(rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The film as images."""
+    """A capture whose frames are images, for comparison."""
     folder = tmp_path_factory.mktemp("film") / "images"
     film(rig, folder)
     return folder
 
 
 def decoded(video: Path) -> np.ndarray[Any, Any]:
-    """All frames, blue first as OpenCV has them."""
+    """All frames of a video, in OpenCV's channel order BGR."""
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", str(video)]
     command += ["-f", "rawvideo", "-pix_fmt", "bgr24", "-"]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
@@ -81,8 +81,8 @@ def test_packing_goes_on_where_it_was(rig: Path, images: Path, tmp_path: Path) -
     shutil.copytree(images, folder)
     film(rig, folder, "--video")
     before = (folder / "a.mkv").read_bytes()
-    # As if stopped after the first video had its name: an image is left over, `b` isn't packed,
-    # and a half-written video of it lies in the scratch folder.
+    # The state if filming is stopped after the first video was renamed: an image remains, camera `b` isn't packed,
+    # and an incomplete video of it is in the temporary folder.
     (folder / "a").mkdir()
     shutil.copy(images / "a/0001.png", folder / "a/0001.png")
     (folder / "b.mkv").unlink()

@@ -1,4 +1,4 @@
-"""What the panels say: times, ranges, and sentences without a command line's words."""
+"""Texts in the panels: times, frame ranges, and messages without terms of the command line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ words = importlib.import_module("stlfr_extension.words")
 
 
 def scene(**settings: Any) -> Any:
-    """As much of a scene as times need."""
+    """A fake of a Blender scene with the settings that decide times; `settings` replaces values."""
     given = {"speed": 1.0, "time_offset_s": 0.0, "start_frame": 1, **settings}
     render = SimpleNamespace(fps=24, fps_base=1.0)
     return SimpleNamespace(
@@ -56,7 +56,7 @@ def test_sentences_are_the_panels(said: str, meant: str | None) -> None:
 
 
 def test_no_flag_of_the_filming_script_is_left() -> None:
-    """Of all sentences of the modules that film for the panels."""
+    """Messages of all modules that film for the panels contain no command line option after translation."""
     flag = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
     for name in ("plan", "truth", "rig", "workers"):
         text = (ROOT / f"blender/stlfr/{name}.py").read_text()
@@ -124,7 +124,7 @@ def test_folders_without_a_capture_say_what_they_hold(tmp_path: Path) -> None:
 
 
 def test_a_film_begins_before_the_scene(tmp_path: Path) -> None:
-    """By as much as its last camera is late; the time offset says so."""
+    """Filming begins earlier by the delay of the last camera; the time offset contains this lead."""
     content = rig_content(
         rig_camera("cam0", delay_s=0.004), rig_camera("cam1", delay_s=0.021)
     )
@@ -139,7 +139,7 @@ def test_a_film_begins_before_the_scene(tmp_path: Path) -> None:
 
 
 def test_options_of_films_that_were_begun_before_are_read(tmp_path: Path) -> None:
-    """Without a lead."""
+    """An options file without a lead, as earlier versions wrote it, is read with a lead of 0."""
     (tmp_path / ".film").mkdir()
     old = {"title": "a", "frames": 9, "samples": 1, "truth": True, "instants": 3}
     (tmp_path / ".film/options.json").write_text(json.dumps({**old, "workers": 0}))

@@ -1,4 +1,4 @@
-"""What Workbench leaves out of a scene is said once, with all of its materials."""
+"""The note about textures that Workbench doesn't show: one sentence with all affected materials."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 @pytest.fixture
 def scene() -> Any:
-    """Four cubes: of a noise and a wave, of an image, and of one colour; a fifth, of bricks, is not filmed."""
+    """A scene with cubes: two with procedural textures, one with an image, one plain, and a hidden one with bricks."""
     bpy = pytest.importorskip("bpy")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     kinds = ("TexNoise", "TexWave", "TexImage", None, "TexBrick")
@@ -27,7 +27,7 @@ def scene() -> Any:
 
 
 def test_lost_textures_are_one_sentence(scene: Any) -> None:
-    """Materials in the order of their names; without procedural textures nothing is said."""
+    """Materials are listed in the order of their names; without procedural textures, there is no note."""
     workbench = importlib.import_module(f"{filming.rig.__package__}.workbench")
     [sentence] = workbench.lost_textures(scene)
     assert sentence.startswith("Workbench films TexNoise, TexWave in a plain colour: ")

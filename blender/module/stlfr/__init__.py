@@ -6,7 +6,7 @@
     first_s, last_s = capture.covered_s("cam3")
     image = capture.render((first_s + last_s) / 2, like="cam3", preset="balanced")
 
-`Capture` renders views and has the cameras, frames and offsets. `Moment` renders many views of one instant.
+`Capture` renders views, and gives access to cameras, frames and offsets. `Moment` renders many views of one instant.
 """
 
 from ._native import (

@@ -1,4 +1,4 @@
-"""The command `stlfr` of an installed wheel: the command line of the compiled module."""
+"""The command `stlfr` of an installed wheel: runs the command line that is part of the compiled module."""
 
 import sys
 from pathlib import Path
@@ -7,5 +7,5 @@ from ._native import run_command
 
 
 def main() -> None:
-    """Run the process's arguments, and end with the command's exit code."""
+    """Run the command line with the arguments of this process, and exit with its exit code."""
     sys.exit(run_command(Path(sys.argv[0]).absolute(), sys.argv[1:]))
