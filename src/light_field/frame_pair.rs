@@ -1,4 +1,4 @@
-//! Change and feature tracks between two successive frames of a camera (§4).
+//! Computes how much two successive frames of a camera differ, and the feature tracks between them (§4 of the paper).
 
 use super::RenderError;
 use super::graph::{LightField, Stage, StoredStage};

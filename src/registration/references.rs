@@ -23,8 +23,8 @@ pub struct Reference {
     pub between: Option<[f64; 2]>,
 }
 
-/// The references for the epipolar test of a camera's tracks between two of its frames. Both lists are sorted by
-/// ascending weight of eq. (4), which is small for near cameras and near times.
+/// The frames of other cameras that test a camera's tracks between two of its frames by the epipolar constraint.
+/// `first` and `further` are sorted by the paper's eq. (4): a weighted distance in space and time, nearest first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct References {
     /// At most two references. The directions of their baselines to the tested camera differ by at least 45°. Each
