@@ -27,7 +27,7 @@ FRAMES = ["--duration", "4", "--fps", "2"]
 REQUIRED = 0.99
 
 
-class Refused(Exception):
+class RefusedError(Exception):
     """The program renders no such path from this capture; the message is the program's."""
 
 
@@ -58,7 +58,7 @@ def seen_fractions(
         command += [*FRAMES, *options, "-o", f"{scratch}/%04d.png"]
         ended = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
         if ended.returncode != 0:
-            raise Refused(ended.stderr.strip())
+            raise RefusedError(ended.stderr.strip())
         return [seen_fraction(file) for file in sorted(Path(scratch).glob("*.png"))]
 
 
@@ -82,7 +82,7 @@ def main() -> None:
             for path in PATHS:
                 try:
                     seen = seen_fractions(arguments.program, capture, path, options)
-                except Refused as why:
+                except RefusedError as why:
                     worst = 0.0
                     print(f"| `{original.name}` | {path} | {why} | |", flush=True)
                     continue
