@@ -21,9 +21,10 @@ def lost_textures(scene: Any) -> list[str]:
     )
     if not lost:
         return []
+    noun = "material" if len(lost) == 1 else "materials"
     return [
-        f"Workbench films {', '.join(lost)} in a plain colour: procedural textures need --engine "
-        "cycles. Clocks stay unknown where too little is textured."
+        f"Workbench films the {noun} {', '.join(lost)} in a plain colour: procedural textures need "
+        "--engine cycles. Clocks stay unknown where too little is textured."
     ]
 
 

@@ -46,9 +46,9 @@ pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
 
 /// Words in serde's error messages that name Rust's number types, and the plain words that replace them.
 const NUMBERS: [(&str, &str); 5] = [
-    ("expected usize", "expected a whole number"),
-    ("expected u64", "expected a whole number"),
-    ("expected u32", "expected a whole number"),
+    ("expected usize", "expected a whole number of 0 or more"),
+    ("expected u64", "expected a whole number of 0 or more"),
+    ("expected u32", "expected a whole number of 0 or more"),
     ("expected f64", "expected a number"),
     ("expected f32", "expected a number"),
 ];

@@ -30,7 +30,9 @@ def test_lost_textures_are_one_sentence(scene: Any) -> None:
     """Materials are listed in the order of their names; without procedural textures, there is no note."""
     workbench = importlib.import_module(f"{filming.rig.__package__}.workbench")
     [sentence] = workbench.lost_textures(scene)
-    assert sentence.startswith("Workbench films TexNoise, TexWave in a plain colour: ")
+    assert sentence.startswith(
+        "Workbench films the materials TexNoise, TexWave in a plain colour: "
+    )
     for obj in list(scene.objects):
         obj.hide_render = obj.hide_render or "Image" not in obj.data.materials[0].name
     assert workbench.lost_textures(scene) == []
