@@ -12,7 +12,8 @@ const LEVELS = [
   { cameras: 3, hasCells: true, scale: 0.4, isCubic: false },
 ].map((level) => ({ ...level, anyTrust: true }));
 const AT_REST = { cameras: MAX_SOURCES, hasCells: false, scale: 1, isCubic: true, anyTrust: false };
-// Index of the quality level that is used first.
+// Index of the quality level of the very first picture, and of the pictures after it.
+const FIRST_PICTURE_LEVEL = 4;
 const FIRST_LEVEL = 2;
 // Thresholds of the interval between pictures, milliseconds. Above SLOW_MS, the next lower quality level is used. Below
 // FAST_MS for PATIENCE pictures, the next better level is used.
@@ -151,8 +152,9 @@ class Viewer {
     if (this.drewMoving && moved) this.adapt(interval);
     this.drewMoving = false;
     if (this.asked || !(moved || this.isDirty || (isResting && !this.isExact))) return;
-    // The first picture has a fast quality level, so that it appears soon.
-    const quality = isResting && this.isShown ? AT_REST : LEVELS[this.level];
+    // The first picture has few frames and pixels, so that it appears soon.
+    const moving = LEVELS[this.isShown ? this.level : FIRST_PICTURE_LEVEL];
+    const quality = isResting && this.isShown ? AT_REST : moving;
     const size = this.pixelSize;
     const whole = this.rig.view(motion.place, size);
     const scale = quality.scale * Math.min(1, MAX_ENLARGEMENT / whole.scale);

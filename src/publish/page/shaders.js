@@ -241,6 +241,8 @@ vec2 sources[MAX_SOURCES];
 float depths[MAX_SOURCES];
 // 0 where a frame has no candidate.
 float weights[MAX_SOURCES];
+// Weight of the cluster around each candidate; 0 where a frame has no candidate.
+float supports[MAX_SOURCES];
 float clustered[MAX_SOURCES];
 vec3 colors[MAX_SOURCES];
 
@@ -262,11 +264,10 @@ ${each("if (abs(depths[k] - q) < reach) sum += weights[k];")}
   return sum;
 }
 
-// Depth and weight of the heaviest cluster between two depths.
+// Depth and weight of the heaviest cluster between two depths, of the supports.
 vec2 heaviest(float from, float to) {
   vec2 best = vec2(0.0);
-  float sum;
-${each("if (weights[k] > 0.0 && depths[k] > from && depths[k] < to) { sum = support(depths[k]); if (sum > best.y) best = vec2(depths[k], sum); }")}
+${each("if (depths[k] > from && depths[k] < to && supports[k] > best.y) best = vec2(depths[k], supports[k]);")}
   return best;
 }
 
@@ -309,19 +310,28 @@ ${each("if (weights[k] > 0.0) { nearest = max(nearest, depths[k]); farthest = mi
   float behind = 0.0;
   float opacity = 1.0;
   if (nearest - farthest >= reach) {
+${each("supports[k] = weights[k] > 0.0 ? support(depths[k]) : 0.0;")}
     vec2 best = heaviest(-1e8, 1e8);
     float front = best.x;
-${each("if (weights[k] > 0.0 && depths[k] > front && support(depths[k]) > FRONT * total) front = depths[k];")}
+${each("if (depths[k] > front && supports[k] > FRONT * total) front = depths[k];")}
     if (front > best.x) best = heaviest(front - reach, front + reach);
     shown = best.x;
     vec2 back = heaviest(-1e8, shown - 2.0 * reach);
     if (back.y > BEHIND * total) opacity = clamp((best.y / total - FRONT) / (OPAQUE - FRONT), 0.0, 1.0);
     behind = back.x;
   }
-  vec4 found = mean_of(shown);
-  color = vec4(found.rgb, 1.0);
-  depth = uint(clamp(found.w * 65535.0 + 0.5, 1.0, 65535.0));
-  if (opacity < 1.0) color.rgb = mix(mean_of(behind).rgb, color.rgb, opacity);
+  // A loop over the cluster in front and the one behind it, so that mean_of is compiled once. Without a graphics card,
+  // compilation takes most of the time to the first picture.
+  for (int layer = 0; layer < 2; layer++) {
+    vec4 found = mean_of(layer == 0 ? shown : behind);
+    if (layer == 1) {
+      color.rgb = mix(found.rgb, color.rgb, opacity);
+      return;
+    }
+    color = vec4(found.rgb, 1.0);
+    depth = uint(clamp(found.w * 65535.0 + 0.5, 1.0, 65535.0));
+    if (opacity >= 1.0) return;
+  }
 }`;
 
 // Fills holes, which are pixels without candidates. A hole gets the depth of the farthest surface at its border, and
