@@ -95,8 +95,14 @@ class Member:
             self._beat(count)
 
     def begin(self) -> None:
-        """Delete capture.json, which marks a complete capture, because an image will be filmed."""
-        (self.capture / plans.CAPTURE_FILE).unlink(missing_ok=True)
+        """Remove capture.json, which marks a complete capture, because an image will be filmed.
+
+        Does nothing if another process has completed the capture meanwhile, as `end` removes this process's folder.
+        """
+        with contextlib.suppress(FileNotFoundError):
+            (self.capture / plans.CAPTURE_FILE).replace(
+                self.scratch / plans.CAPTURE_FILE
+            )
 
     @property
     def is_over(self) -> bool:

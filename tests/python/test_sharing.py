@@ -188,6 +188,31 @@ def test_a_frozen_process_that_wakes_up_after_the_end_changes_nothing(
     assert contents(folder) == contents(by_one)
 
 
+def test_a_process_that_slept_after_its_claim_keeps_the_complete_capture(
+    tmp_path: Path,
+) -> None:
+    whole = tmp_path / "capture.json"
+    with sharing.Member(tmp_path) as asleep, sharing.Member(tmp_path) as other:
+        assert asleep.claim("left+0001.png", 0)
+        whole.write_text("{}")
+        other.end()
+        asleep.begin()
+        assert whole.is_file()
+        assert asleep.is_over
+
+
+def test_an_image_that_is_filmed_again_makes_the_capture_incomplete(
+    tmp_path: Path,
+) -> None:
+    whole = tmp_path / "capture.json"
+    whole.write_text("{}")
+    with sharing.Member(tmp_path) as member:
+        assert member.claim("left+0001.png", 0)
+        member.begin()
+        assert not whole.exists()
+        member.begin()
+
+
 def test_parts_make_a_whole(by_one: Path, small_rig: Path, tmp_path: Path) -> None:
     folder = tmp_path / "capture"
     for part, files in (("4/4", 15), ("1-2/4", 41)):
