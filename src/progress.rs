@@ -184,6 +184,16 @@ pub fn in_words(seconds: f64) -> String {
     HumanDuration(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)).to_string()
 }
 
+/// Converts an elapsed time to words, with seconds beside minutes, such as `2:30 minutes`. Successive lines of a log
+/// thus differ.
+fn elapsed_words(seconds: f64) -> String {
+    if seconds < 60.0 {
+        return in_words(seconds);
+    }
+    let whole = seconds as u64;
+    format!("{}:{:02} minutes", whole / 60, whole % 60)
+}
+
 /// An estimate of the time left, and the progress at which it was made.
 #[derive(Clone, Copy, Default)]
 struct TimeLeft {
@@ -199,7 +209,7 @@ struct TimeLeft {
 fn state(bar: &ProgressBar, resumed: u64, estimate: &mut TimeLeft) -> String {
     let (label, done, elapsed_s) = (bar.message(), bar.position(), bar.elapsed().as_secs_f64());
     let Some(total) = bar.length() else {
-        return format!("{label}: {} so far", in_words(elapsed_s));
+        return format!("{label}: {} so far", elapsed_words(elapsed_s));
     };
     if done <= resumed {
         return format!("{label}: {done} of {total}");
@@ -243,5 +253,7 @@ mod tests {
         assert_eq!(later, left.map(|left| format!("filming: 2 of 8, {left} left")));
         let spinner = ProgressBar::new_spinner().with_message("check");
         assert!(first(&spinner, 0).contains("check: 0 seconds so far"));
+        let words = [30.0, 60.0, 150.9].map(elapsed_words);
+        assert_eq!(words, ["30 seconds", "1:00 minutes", "2:30 minutes"]);
     }
 }

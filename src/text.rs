@@ -44,6 +44,33 @@ pub fn check_name(name: &str) -> Result<(), String> {
     Err(format!("must be a line of at most {MAX_NAME_LENGTH} printable characters"))
 }
 
+/// Returns the most similar of some names to a misspelt name; `None` if each differs from it by more than a third of its
+/// letters.
+pub(crate) fn most_similar<'a>(
+    wrong: &str,
+    names: impl Iterator<Item = &'a str>,
+) -> Option<&'a str> {
+    let distances = names.map(|name| (edit_distance(wrong, name), name));
+    let (distance, name) = distances.min()?;
+    (3 * distance <= wrong.chars().count()).then_some(name)
+}
+
+/// Returns the Levenshtein distance of two texts: the smallest number of characters that are inserted, deleted or
+/// replaced to get one from the other.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (above, from) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], above + 1);
+        for (k, to) in b.iter().enumerate() {
+            let replaced = diagonal + usize::from(from != *to);
+            diagonal = row[k + 1];
+            row[k + 1] = replaced.min(diagonal + 1).min(row[k] + 1);
+        }
+    }
+    row[b.len()]
+}
+
 /// Formats a number for a message. If it would have more than [`MAX_NUMBER_LENGTH`] characters, it is written with
 /// an exponent.
 pub(crate) fn number(value: impl std::fmt::Display) -> String {
@@ -88,6 +115,26 @@ fn is_printable(c: char) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_edit_distance_counts_changed_characters() {
+        for (a, b, distance) in [
+            ("", "", 0),
+            ("", "ab", 2),
+            ("kitten", "sitting", 3),
+            ("flaw", "lawn", 2),
+            ("é", "e", 1),
+        ] {
+            assert_eq!((edit_distance(a, b), edit_distance(b, a)), (distance, distance));
+        }
+        let names = ["cameras", "images"];
+        let similar = |wrong| most_similar(wrong, names.into_iter());
+        assert_eq!(
+            (similar("camera"), similar("cmars"), similar("fog")),
+            (Some("cameras"), None, None)
+        );
+        assert_eq!(most_similar("x", [].into_iter()), None);
+    }
 
     #[test]
     fn ids_are_names() {

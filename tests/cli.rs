@@ -62,7 +62,7 @@ fn options_are_listed_and_set_by_name() {
     assert_refused(
         &run(&["options", "--set", "blend.camera=4"]),
         2,
-        "blend.camera: no such option",
+        "blend.camera: no such option (similar: blend.cameras)",
     );
     let output = run(&["options", "--set", "proxy.method=depht"]);
     assert_refused(&output, 2, "proxy.method: unknown variant `depht`");
@@ -83,6 +83,8 @@ fn a_wrong_command_line_is_one_sentence() {
     assert_refused(&capture(&[]), 2, "--scene");
     assert_refused(&capture(&["--scene", "a", "--blend", "b"]), 2, "--blend");
     assert_refused(&capture(&["--scene", "magazine", "--size", "320"]), 2, "320x240");
+    assert_refused(&capture(&["--scene", "magazine", "--size", "300x300"]), 2, "another aspect");
+    assert_refused(&capture(&["--blend", "README.md"]), 2, "README.md: is not a file of Blender");
     assert_refused(&capture(&["--scene", "magazine", "--frames", "0"]), 2, "--frames");
     assert_refused(&capture(&["--scene", "magazine", "--samples", "-3"]), 2, "-3");
 }

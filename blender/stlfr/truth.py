@@ -69,8 +69,8 @@ def instants_s(rig: Rig, shutters: list[Shutter], count: int) -> list[float]:
     ]
     if len(middles_s) < count:
         raise BadInputError(
-            f"--instants {count}: {len(shutters[0].world_times_s)} frames a camera leave room for "
-            f"{len(middles_s)} between frames of all cameras; film more --frames"
+            f"--instants {count}: there is room for {len(middles_s)} between the frames of all cameras; "
+            "film more --frames"
         )
     chosen: list[float] = []
     for i in range(count):

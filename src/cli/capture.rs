@@ -5,9 +5,11 @@ use super::files::{CommandOutput, must_be_a_file};
 use super::print::Page;
 use super::values::{Parts, image_size};
 use crate::capture::MAX_FRAMES;
+use crate::host::open_file;
 use crate::progress::Reporter;
 use crate::rig::Rig;
 use crate::toolchain::{FilmOptions, FilmedScene, ensure_environment, film, project_root};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Film a scene in Blender with a simulated camera rig. After an interruption, the same command continues.
@@ -122,6 +124,33 @@ fn must_be_a_scene(name: &str, root: &Path) -> Result<(), CliError> {
     Err(CliError::BadInput(format!("--scene {name}: no such scene; there are: {names}")))
 }
 
+/// Returns an error unless a file starts like a `.blend`: with the word BLENDER, or compressed by Zstandard or gzip.
+fn must_be_a_blend(file: &Path) -> Result<(), CliError> {
+    let mut start = Vec::new();
+    let read = open_file(file).and_then(|opened| opened.take(7).read_to_end(&mut start));
+    read.map_err(|e| CliError::BadInput(format!("--blend {}: {e}", file.display())))?;
+    let starts: [&[u8]; 3] = [b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b"];
+    if starts.iter().any(|known| start.starts_with(known)) {
+        return Ok(());
+    }
+    Err(CliError::BadInput(format!("--blend {}: is not a file of Blender", file.display())))
+}
+
+/// Returns an error unless all cameras and views of a rig have the aspect ratio of `--size`.
+fn must_have_the_aspect((width, height): (u32, u32), rig: &Rig) -> Result<(), CliError> {
+    let cameras = rig.cameras.iter().map(|c| (&c.id, c.width, c.height));
+    let views = rig.views.iter().map(|v| (&v.id, v.width, v.height));
+    let is_other =
+        |w: u32, h: u32| u64::from(w) * u64::from(height) != u64::from(h) * u64::from(width);
+    let Some((id, w, h)) = cameras.chain(views).find(|&(_, w, h)| is_other(w, h)) else {
+        return Ok(());
+    };
+    let name = &rig.name;
+    Err(CliError::BadInput(format!(
+        "--size {width}x{height} has another aspect than {id} of rig {name} ({w}x{h})"
+    )))
+}
+
 impl SceneArgs {
     /// Returns whether ground truth is rendered.
     pub fn has_truth(&self) -> bool {
@@ -134,7 +163,13 @@ impl SceneArgs {
         for file in std::iter::once(rig).chain(self.blend.as_deref()) {
             must_be_a_file(file)?;
         }
-        Rig::read(rig)?;
+        if let Some(file) = &self.blend {
+            must_be_a_blend(file)?;
+        }
+        let read = Rig::read(rig)?;
+        if let Some(size_px) = self.size {
+            must_have_the_aspect(size_px, &read)?;
+        }
         CommandOutput::Capture(capture).check(None)?;
         Ok(FilmOptions {
             rig: rig.to_owned(),

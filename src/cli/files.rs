@@ -11,6 +11,7 @@ use crate::method::Method;
 use crate::options::{Preset, RenderOptions};
 use crate::path::{CameraPath, PathFormat};
 use crate::progress::Reporter;
+use crate::text::printable;
 use crate::toolchain::{Environment, blend_path, find_ffmpeg, project_root};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -105,9 +106,22 @@ impl OptionsArgs {
 
 /// Reads the camera of a view from a JSON file.
 pub fn read_view(path: &Path) -> Result<Camera, CliError> {
-    let format: ViewFormat =
-        json::read_within(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
-    format.camera().map_err(|error| wrong(path, error))
+    let text = read_text(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
+    let Named { format } = json::parse(&text).unwrap_or_default();
+    if let Some(format) = format {
+        let format = printable(&format);
+        let error = format!("has the format {format}; a view is a camera, as in a capture.json");
+        return Err(wrong(path, error));
+    }
+    let view: ViewFormat = json::parse(&text).map_err(|error| wrong(path, error))?;
+    view.camera().map_err(|error| wrong(path, error))
+}
+
+/// The field `format` of a file of stlfr, such as a rig or a capture. A view has no such field.
+#[derive(Default, serde::Deserialize)]
+struct Named {
+    #[serde(default)]
+    format: Option<String>,
 }
 
 /// Reads a camera path from a JSON file.

@@ -2,6 +2,7 @@
 
 use super::{Preset, RenderOptions};
 use crate::json;
+use crate::text::most_similar;
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -47,8 +48,13 @@ impl RenderOptions {
         let pointer = |name: &str| format!("/{}", name.replace('.', "/"));
         let is_group = options.pointer(&pointer(&method)).is_some();
         let name = if is_group { method.as_str() } else { name };
+        let names = option_names(&options);
         let option = options.pointer_mut(&pointer(name)).filter(|option| !option.is_object());
-        let unknown = || format!("{name}: no such option; stlfr options lists all");
+        let unknown = || {
+            let similar = most_similar(name, names.iter().map(String::as_str));
+            let similar = similar.map(|s| format!(" (similar: {s})")).unwrap_or_default();
+            format!("{name}: no such option{similar}; stlfr options lists all")
+        };
         let option = option.ok_or_else(unknown)?;
         *option = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
         let chosen = CHOSEN.iter().find(|(method, _)| method[1..].replace('/', ".") == name);
@@ -69,6 +75,18 @@ impl RenderOptions {
 /// automatic choice of this method.
 const CHOSEN: [(&str, &str); 3] =
     [("/sync", "/auto/sync"), ("/proxy/method", "/auto/proxy"), ("/blend/method", "/auto/blend")];
+
+/// Returns the paths of all options in a JSON object of options, such as `blend.cameras`.
+fn option_names(options: &Value) -> Vec<String> {
+    let Value::Object(fields) = options else { return Vec::new() };
+    let names = fields.iter().flat_map(|(name, value)| match value {
+        Value::Object(_) => {
+            option_names(value).iter().map(|inner| format!("{name}.{inner}")).collect()
+        }
+        _ => vec![name.clone()],
+    });
+    names.collect()
+}
 
 /// The field `preset` of an options file, as a JSON object with this field alone.
 #[derive(Deserialize)]
@@ -160,5 +178,9 @@ mod tests {
             assert!(!error.contains("column"), "{error}");
             assert_eq!(options, before);
         }
+        let error = options.set("blend.camera", "7").unwrap_err();
+        assert!(error.contains("no such option (similar: blend.cameras);"), "{error}");
+        let error = options.set("fog", "7").unwrap_err();
+        assert!(error.contains("no such option; stlfr"), "{error}");
     }
 }

@@ -36,8 +36,8 @@ def scene(**settings: Any) -> Any:
     ("said", "meant"),
     [
         (
-            "--instants 3: 2 frames a camera leave room for 0 between frames of all cameras; film more --frames",
-            "Instants is 3: 2 frames a camera leave room for 0 between frames of all cameras; set Frames higher",
+            "--instants 3: there is room for 0 between the frames of all cameras; film more --frames",
+            "Instants is 3: there is room for 0 between the frames of all cameras; set Frames higher",
         ),
         (
             "no point before this view could be triangulated; the plane proxy with proxy.plane_depth_m focuses by hand",

@@ -131,6 +131,7 @@ fn lock(project_root: &Path, reporter: &Reporter) -> Result<File, ToolchainError
     let path = project_root.join(".venv.lock");
     let file = File::create(&path).map_err(|e| file_error(&path, e))?;
     if file.try_lock().is_err() {
+        reporter.note("Another command sets up Python in this folder; this one waits for it.");
         let _phase = reporter.phase("waiting for another set-up");
         file.lock().map_err(|e| file_error(&path, e))?;
     }
