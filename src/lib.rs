@@ -270,7 +270,9 @@
 //! - Changes by automatic exposure and white balance are corrected only if the camera sees still, textured surfaces,
 //!   and if the changes differ between cameras. A sudden change is corrected as one of half a second or more. If all
 //!   cameras change alike, it is assumed that the light in the scene changes.
-//! - A rolling shutter's readout time (`readout_s` of a camera's clock) has to be given; it is not estimated. The time
+//! - A rolling shutter's readout time (`readout_s` of a camera's clock) has to be given. If it is given with a standard
+//!   error (`readout_std_s`), it is estimated together with the offsets. The images show how readout times differ
+//!   between cameras, but hardly their common part if all cameras stand upright at one height. The time
 //!   of a pixel follows from its row in the camera's own, distorted image; with `--proxy scene-flow`, from its row in
 //!   the undistorted image. Cameras must not move. The following assume that all rows of a frame are exposed at the
 //!   same time: `--sync nearest` and `crossfade`, traditional light field rendering, the rough alignment of recordings,

@@ -212,7 +212,7 @@ fn edited_offsets_are_validated_field_by_field() {
     succeed(&["-q", "offsets", text(root)]);
     let file = root.join("offsets.json");
     let whole = read_json(&file);
-    let cases: [(Edit, &str); 24] = [
+    let cases: [(Edit, &str); 26] = [
         (|o| o["reference"] = json!("cam0"), "reference: is 'cam0', the capture's is 'cam1'"),
         (|o| o["cameras"][0]["id"] = json!("cam9"), "cameras[0].id: no camera of the capture"),
         (|o| o["cameras"][1]["id"] = json!("cam0"), "cameras[1].id: 'cam0' is there twice"),
@@ -236,6 +236,8 @@ fn edited_offsets_are_validated_field_by_field() {
             },
             "(cam2).rate_ppm: must be 0: the capture",
         ),
+        (|o| o["cameras"][0]["readout_s"] = json!(0.01), "(cam0).readout_s: must be absent: the"),
+        (|o| o["cameras"][2]["readout_std_err_s"] = json!(0.01), "is there without a readout_s"),
         (|o| o["cameras"][0]["lost_before"] = json!([2]), "(cam0).lost_before: must be empty: the"),
         (|o| o["cameras"][2]["lost_before"] = json!([3, 2]), "lost_before: must ascend"),
         (|o| o["cameras"][2]["lost_before"] = json!([6]), "lost_before: has image 6, and the"),

@@ -67,6 +67,54 @@ fn offsets_of_rolling_shutters_are_those_of_the_middle_rows() {
     assert!(ignored > 2.0 * known, "{ignored} {known}");
 }
 
+/// The readouts of all cameras are guessed alike, with a standard error. Their differences and the offsets come out, and
+/// views use them.
+#[test]
+fn readouts_are_estimated_with_the_offsets() {
+    let scene = rolling();
+    let folder = scene.film();
+    let capture = open(&folder);
+    let mut guessed = (*capture).clone();
+    for camera in &mut guessed.cameras {
+        camera.clock.readout_s = 0.3 * FRAME_S;
+        camera.clock.readout_std_s = 0.3 * FRAME_S;
+    }
+    let guessed = Arc::new(guessed);
+    let offsets = estimate(&guessed);
+    let ignored = error_frames(&scene, &estimate(&without_readouts(&capture)));
+    let estimated = error_frames(&scene, &offsets);
+    println!("offset error, frames: readout estimated {estimated:.4}, ignored {ignored:.4}");
+    assert!(estimated < 0.01 && ignored > 2.0 * estimated, "{estimated} {ignored}");
+    let found: Vec<[f64; 2]> = offsets
+        .cameras
+        .iter()
+        .map(|c| [c.readout_s, c.readout_std_err_s].map(|s| s.unwrap() / FRAME_S))
+        .collect();
+    println!("readouts and standard errors, frames: {found:?}");
+    for (c, [readout, std_err]) in found.iter().enumerate() {
+        let truth = READOUTS_S.map(|s| s / FRAME_S);
+        assert!((readout - truth[c]).abs() < 2.0 * std_err && *std_err < 0.301, "{c}: {found:?}");
+        let difference = (readout - found[1][0]) - (truth[c] - truth[1]);
+        assert!(difference.abs() < 0.03, "{c}: {found:?}");
+    }
+    let saved = serde_json::to_value(&offsets).unwrap();
+    let read: Offsets = serde_json::from_value(saved).unwrap();
+    assert_eq!(read, offsets);
+    let place = [-0.03, 0.0, 0.0];
+    let target = view(&scene.camera(place));
+    let instant_s = 2.4 * FRAME_S;
+    let truth = scene.image(place, instant_s);
+    let mut exact = offsets.clone();
+    exact.cameras.iter_mut().for_each(|c| c.readout_s = None);
+    let db = [(guessed, offsets), (without_readouts(&capture), exact)].map(|(capture, offsets)| {
+        let field = LightField::new(capture, offsets);
+        let seen = field.view(&target, instant_s, &by_proxy(ProxyMethod::Depth)).unwrap();
+        psnr_db(&seen.image.to_gray(), &truth)
+    });
+    println!("view: readout estimated {:.1} dB, ignored {:.1} dB", db[0], db[1]);
+    assert!(db[0] > db[1] + 3.0, "{db:?}");
+}
+
 /// At instants between frames, at a frame's time, and where the last rows are before the instant.
 #[test]
 fn a_camera_s_image_at_an_instant_has_all_rows_at_that_instant() {

@@ -34,6 +34,9 @@ pub struct Clock {
     /// Time from the exposure of a frame's first row to the exposure of its last row, seconds. 0 for a global shutter.
     /// [`RowTimes`] gives the time of each row.
     pub readout_s: f64,
+    /// Standard error of `readout_s`, seconds; 0 if the readout time is exact. If it isn't, the readout time is
+    /// estimated together with the temporal offsets.
+    pub readout_std_s: f64,
 }
 
 /// Exposure times of an image's rows, relative to the frame's time. A rolling shutter exposes the rows one after
@@ -86,14 +89,16 @@ impl Clock {
         }
     }
 
-    /// Returns an error unless the readout time is from 0 to [`MAX_READOUT_S`] and at most the median time between
-    /// frames. The caller adds the file's name to the error message.
+    /// Returns an error unless the readout time and its standard error are from 0 to [`MAX_READOUT_S`], and the readout
+    /// time is at most the median time between frames. The caller adds the file's name to the error message.
     pub(super) fn readout_fits(&self) -> Result<(), String> {
         let readout_s = self.readout_s;
-        if !(0.0..=MAX_READOUT_S).contains(&readout_s) {
-            return Err(format!(
-                "readout_s is {readout_s:?}, must be from 0 to {MAX_READOUT_S:?} s"
-            ));
+        for (field, value_s) in [("readout_s", readout_s), ("readout_std_s", self.readout_std_s)] {
+            if !(0.0..=MAX_READOUT_S).contains(&value_s) {
+                return Err(format!(
+                    "{field} is {value_s:?}, must be from 0 to {MAX_READOUT_S:?} s"
+                ));
+            }
         }
         let frame_s = self.frame_s();
         // The readout time may equal a frame interval that is a rounded fraction such as 1 / 30 s.
@@ -234,7 +239,14 @@ mod tests {
 
     fn clock() -> Clock {
         let times_s = vec![0.0, 1.0, 2.5, 3.5];
-        Clock { times_s, shared: false, drift: false, lost: false, readout_s: 0.0 }
+        Clock {
+            times_s,
+            shared: false,
+            drift: false,
+            lost: false,
+            readout_s: 0.0,
+            readout_std_s: 0.0,
+        }
     }
 
     #[test]

@@ -101,6 +101,11 @@ pub struct ClockFormat {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0))]
     pub readout_s: Option<f64>,
+    /// Standard error of `readout_s`, seconds. If it is positive, the readout time is estimated together with the
+    /// temporal offsets, as far as the images show it. 0 or absent for an exact readout time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0))]
+    pub readout_std_s: Option<f64>,
 }
 
 impl CaptureFormat {
@@ -212,7 +217,8 @@ impl ClockFormat {
         }
         let (shared, drift, lost) = (self.shared, self.drift, self.lost);
         let readout_s = self.readout_s.unwrap_or_default();
-        let clock = Clock { times_s, shared, drift, lost, readout_s };
+        let readout_std_s = self.readout_std_s.unwrap_or_default();
+        let clock = Clock { times_s, shared, drift, lost, readout_s, readout_std_s };
         clock.ascends()?;
         clock.readout_fits()?;
         Ok(clock)

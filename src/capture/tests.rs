@@ -97,6 +97,7 @@ fn every_wrong_field_is_named() {
         (|j| j["cameras"][1]["clock"]["readout_s"] = json!(0.034), "(b).clock: readout_s is 0.034"),
         (|j| j["cameras"][1]["clock"]["readout_s"] = json!(1e300), "(b).clock: readout_s"),
         (|j| j["cameras"][1]["clock"]["readout_s"] = json!("x"), "cameras[1].clock.readout_s"),
+        (|j| j["cameras"][1]["clock"]["readout_std_s"] = json!(-1), "readout_std_s is -1.0, must"),
         (
             |j| j["cameras"][1]["clock"]["first_s"] = json!(1e300),
             "(b).clock: the times must be within",

@@ -63,6 +63,10 @@ pub struct ClockArgs {
     /// is the time of its middle row.
     #[arg(long, value_name = "SECONDS")]
     pub readout: Option<f64>,
+    /// Standard error of the readout time, in seconds. If it is given, each camera's readout time is estimated together
+    /// with the offsets, as far as the images show it.
+    #[arg(long, value_name = "SECONDS", requires = "readout")]
+    pub readout_std: Option<f64>,
 }
 
 impl ClockArgs {
@@ -79,16 +83,18 @@ impl ClockArgs {
             return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
         }
         let is_readout = |readout_s: f64| readout_s.is_finite() && readout_s >= 0.0;
-        if !self.readout.is_none_or(is_readout) {
-            return Err(CliError::BadInput(
-                "--readout must be a number of seconds from 0 on".into(),
-            ));
+        for (flag, value_s) in [("--readout", self.readout), ("--readout-std", self.readout_std)] {
+            if !value_s.is_none_or(is_readout) {
+                let reason = format!("{flag} must be a number of seconds from 0 on");
+                return Err(CliError::BadInput(reason));
+            }
         }
         Ok(ImportClock {
             rate_hz: self.rate,
             first_s: self.first,
             shared: self.shared,
             readout_s: self.readout,
+            readout_std_s: self.readout_std,
         })
     }
 }

@@ -12,7 +12,8 @@ use std::path::PathBuf;
 /// images alone.
 ///
 /// Time on the reference camera's clock = time on the camera's clock + offset. If capture.json declares that a clock
-/// drifts, its rate is estimated too. If capture.json declares that a camera may lose frames, its lost frames are
+/// drifts, its rate is estimated too. If it declares that the readout time of a rolling shutter has a standard error,
+/// the readout time is estimated too. If capture.json declares that a camera may lose frames, its lost frames are
 /// estimated too. The result is saved in the capture's folder as offsets.json, and a plot of the data behind it as
 /// offsets.svg.
 ///
@@ -48,11 +49,15 @@ pub fn run(args: &OffsetsArgs, page: &mut Page, reporter: &Reporter) -> Result<(
 
 fn print_table(offsets: &Offsets, frame_s: f64, page: &mut Page) {
     let drifts = offsets.cameras.iter().any(|c| c.rate_ppm.is_some());
+    let has_readouts = offsets.cameras.iter().any(|c| c.readout_s.is_some());
     let loses = offsets.cameras.iter().any(|c| c.lost_before.is_some());
     let mut header =
         format!("{:<12} {:>12} {:>12} {:>10}", "camera", "offset", "std. error", "frames");
     if drifts {
         header += &format!(" {:>20}", "rate");
+    }
+    if has_readouts {
+        header += &format!(" {:>20}", "readout");
     }
     if loses {
         header += "  lost before";
@@ -79,6 +84,14 @@ fn print_table(offsets: &Offsets, frame_s: f64, page: &mut Page) {
             let text = rate.map(|(rate, error)| format!("{rate:.1} ± {error:.1} ppm"));
             line += &format!(" {:>20}", text.unwrap_or_default());
         }
+        if has_readouts {
+            let readout = camera.readout_s.zip(camera.readout_std_err_s);
+            let text = readout.map(|(s, error_s)| {
+                let digits = decimals(Some(1e3 * error_s));
+                format!("{:.digits$} ± {:.digits$} ms", 1e3 * s, 1e3 * error_s)
+            });
+            line += &format!(" {:>20}", text.unwrap_or_default());
+        }
         if loses {
             let lost = camera.lost_before.as_deref().unwrap_or_default();
             let images: Vec<String> = lost.iter().map(usize::to_string).collect();
@@ -90,5 +103,8 @@ fn print_table(offsets: &Offsets, frame_s: f64, page: &mut Page) {
     page.line(format_args!("Time on {reference}'s clock = time on the camera's clock + offset."));
     if drifts {
         page.line("Offsets are those at each camera's first frame.");
+    }
+    if has_readouts {
+        page.line("The differences between readouts are better known than the readouts themselves.");
     }
 }

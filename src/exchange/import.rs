@@ -210,7 +210,7 @@ fn clocks(
     has_one_clock: bool,
     notes: &mut Vec<String>,
 ) -> Result<Vec<ClockFormat>, ExchangeError> {
-    let ImportClock { rate_hz, first_s, shared, readout_s } = request.clock;
+    let ImportClock { rate_hz, first_s, shared, readout_s, readout_std_s } = request.clock;
     let shared = shared || has_one_clock;
     let all_ns = footage.iter().filter_map(|f| f.times_ns.as_ref()).flatten().copied();
     let from_ns = all_ns.min().filter(|first| first.saturating_abs() > MAX_PLAIN_NS);
@@ -227,12 +227,14 @@ fn clocks(
             first_s: Some(first_s),
             shared,
             readout_s,
+            readout_std_s,
             ..ClockFormat::default()
         };
         let stamped = |times_s| ClockFormat {
             times_s: Some(times_s),
             shared,
             readout_s,
+            readout_std_s,
             ..ClockFormat::default()
         };
         clocks.push(match (rate_hz, &one.times_ns, &one.frames) {

@@ -14,6 +14,8 @@ pub struct ImportClock {
     pub shared: bool,
     /// Readout time of the cameras' rolling shutters, in seconds; `None` if it is unknown or the shutters are global.
     pub readout_s: Option<f64>,
+    /// Standard error of the readout time, in seconds; `None` if the readout time is exact.
+    pub readout_std_s: Option<f64>,
 }
 
 /// The recordings to import, and the options of the import.

@@ -276,8 +276,13 @@ fn import_by(
     import(cameras, &request, target, &crate::capture::Opening { ffmpeg: None, reporter })
 }
 
-const CLOCK: ImportClock =
-    ImportClock { rate_hz: Some(25.0), first_s: 0.0, shared: false, readout_s: None };
+const CLOCK: ImportClock = ImportClock {
+    rate_hz: Some(25.0),
+    first_s: 0.0,
+    shared: false,
+    readout_s: None,
+    readout_std_s: None,
+};
 
 #[test]
 fn every_frame_counts_in_an_import() {

@@ -52,11 +52,15 @@ impl LightField {
 
     /// Creates the light field of a frame store's capture. The light field shares the store's cached frames.
     pub fn with_frames(frames: &FrameStore, offsets: Offsets) -> Self {
-        let capture = frames.capture().clone();
+        let capture = offsets.with_readouts(frames.capture());
         let all_times_s = offsets.common_times_s(&capture);
+        let readouts_s: Vec<Option<f64>> = offsets.cameras.iter().map(|c| c.readout_s).collect();
         let mut hasher = blake3::Hasher::new();
         // This can't fail: a hasher accepts all bytes, and lists of numbers can be serialized.
-        let written = serde_json::to_writer(&mut hasher, &all_times_s);
+        let mut written = serde_json::to_writer(&mut hasher, &all_times_s);
+        if readouts_s.iter().any(Option::is_some) {
+            written = written.and_then(|()| serde_json::to_writer(&mut hasher, &readouts_s));
+        }
         debug_assert!(written.is_ok());
         let times_hash = hasher.finalize().to_hex().to_string();
         Self { capture, offsets, all_times_s, times_hash, memo: frames.memo.clone() }

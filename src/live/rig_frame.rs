@@ -242,8 +242,14 @@ mod tests {
     use crate::raster::BitDepth;
 
     fn rig(cameras: Vec<Camera>) -> RigFrame {
-        let clock =
-            Clock { times_s: vec![0.0], shared: true, drift: false, lost: false, readout_s: 0.0 };
+        let clock = Clock {
+            times_s: vec![0.0],
+            shared: true,
+            drift: false,
+            lost: false,
+            readout_s: 0.0,
+            readout_std_s: 0.0,
+        };
         let filmed = |(k, camera): (usize, Camera)| FilmedCamera {
             id: format!("cam{k}"),
             camera,

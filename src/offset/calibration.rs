@@ -8,12 +8,13 @@
 //! the offsets includes J C Jᵀ, reduced by what the candidates reveal about the errors.
 //!
 //! The offset candidates are linearized in the errors. The derivatives are central differences at the given
-//! calibration. After each solution, the estimated errors are subtracted from the candidates, and the weights of the
+//! calibration. The error of a rolling shutter's readout time is such an unknown too: it changes a feature's time in
+//! proportion to the distance of its image row from the middle of the image. After each solution, the estimated errors are subtracted from the candidates, and the weights of the
 //! candidates are fitted again.
 
 use super::recording::Sample;
 use crate::camera::{Camera, CameraParameter, EpipolarGeometry};
-use crate::capture::CalibrationErrors;
+use crate::capture::{CalibrationErrors, RowTimes};
 use nalgebra::{DMatrix, DVector, Point2};
 
 /// The minimum eigenvalue that is used of the calibration errors' correlation matrix, as a fraction of the largest
@@ -24,56 +25,124 @@ const MIN_EIGENVALUE: f64 = 1e-9;
 /// principal point (pixels), and distortion parameter.
 const STEPS: [f64; 5] = [1e-5, 1e-4, 1e-5, 1e-2, 1e-5];
 
-/// The calibration errors of a capture, as unknowns of the joint solution for all clocks.
+/// The calibration errors of a capture and the errors of its cameras' readout times, as unknowns of the joint solution
+/// for all clocks.
 pub struct CalibrationUnknowns<'a> {
-    errors: &'a CalibrationErrors,
+    /// Each error, as (index of the camera, parameter that has the error).
+    parameters: Vec<(usize, Parameter)>,
     /// The cameras with the calibration that the capture states.
     cameras: Vec<&'a Camera>,
-    /// The matrix L, where L Lᵀ is the covariance of the calibration errors. The errors are L y, where y are
-    /// independent unknowns of variance 1. L has a row for each error, and a column for each entry of y.
+    /// The matrix L, where L Lᵀ is the covariance of the errors. The errors are L y, where y are independent unknowns of
+    /// variance 1. L has a row for each error, and a column for each entry of y.
     pub factor: DMatrix<f64>,
 }
 
+/// A parameter that has an error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Parameter {
+    Calibration(CameraParameter),
+    /// The readout time of a rolling shutter. Its error is the true value minus the given value, seconds.
+    Readout,
+}
+
 impl<'a> CalibrationUnknowns<'a> {
-    pub fn new(errors: &'a CalibrationErrors, cameras: Vec<&'a Camera>) -> Self {
-        let std = errors.covariance.diagonal().map(|v| v.max(0.0).sqrt());
-        let scale = std.map(|s| if s > 0.0 { s.recip() } else { 0.0 });
-        let scaled =
-            DMatrix::from_diagonal(&scale) * &errors.covariance * DMatrix::from_diagonal(&scale);
-        if scaled.is_empty() {
-            return Self { errors, cameras, factor: scaled };
+    /// Makes the unknowns. `errors` are the calibration errors, `None` if the calibration is exact. `readout_std_s` holds
+    /// the standard error of each camera's readout time, seconds; a readout time without an error is no unknown.
+    pub fn new(
+        errors: Option<&CalibrationErrors>,
+        cameras: Vec<&'a Camera>,
+        readout_std_s: &[f64],
+    ) -> Self {
+        let of_calibration = errors.map(|e| factor(&e.covariance));
+        let (rows, columns) = of_calibration.as_ref().map_or((0, 0), DMatrix::shape);
+        let mut parameters: Vec<(usize, Parameter)> = errors
+            .iter()
+            .flat_map(|e| &e.parameters)
+            .map(|&(camera, parameter)| (camera, Parameter::Calibration(parameter)))
+            .collect();
+        let uncertain: Vec<usize> =
+            (0..readout_std_s.len()).filter(|&c| readout_std_s[c] > 0.0).collect();
+        let mut factor = DMatrix::zeros(rows + uncertain.len(), columns + uncertain.len());
+        if let Some(of_calibration) = of_calibration {
+            factor.view_mut((0, 0), (rows, columns)).copy_from(&of_calibration);
         }
-        let eigen = scaled.symmetric_eigen();
-        let largest = eigen.eigenvalues.iter().copied().fold(0.0, f64::max);
-        let count = eigen.eigenvalues.len();
-        let kept: Vec<usize> =
-            (0..count).filter(|&k| eigen.eigenvalues[k] > MIN_EIGENVALUE * largest).collect();
-        let factor = DMatrix::from_fn(count, kept.len(), |row, column| {
-            let k = kept[column];
-            std[row] * eigen.eigenvectors[(row, k)] * eigen.eigenvalues[k].sqrt()
-        });
-        Self { errors, cameras, factor }
+        for (k, &camera) in uncertain.iter().enumerate() {
+            factor[(rows + k, columns + k)] = readout_std_s[camera];
+            parameters.push((camera, Parameter::Readout));
+        }
+        Self { parameters, cameras, factor }
     }
 
-    /// Returns the derivatives of the offsets of a pair's samples (offset candidates) by the calibration errors of the
-    /// pair's two cameras. `samples` holds each sample with its weight, which is not used. A derivative that can't be
+    /// Returns the index of the error of a camera's readout time; `None` if the readout time is exact.
+    pub fn readout(&self, camera: usize) -> Option<usize> {
+        self.parameters.iter().position(|p| *p == (camera, Parameter::Readout))
+    }
+
+    /// Returns the derivatives of the offsets of a pair's samples (offset candidates) by the errors of the pair's two
+    /// cameras. `samples` holds each sample with its weight, which is not used. A derivative that can't be
     /// computed is 0.
     pub fn slopes(&self, cameras: [usize; 2], samples: &[(Sample, f64)]) -> SampleSlopes {
-        let parameters = self.errors.parameters.iter().enumerate();
-        let of_pair: Vec<(usize, usize, CameraParameter)> = parameters
+        let parameters = self.parameters.iter().enumerate();
+        let of_pair: Vec<(usize, usize, Parameter)> = parameters
             .filter(|(_, (camera, _))| cameras.contains(camera))
             .map(|(column, (camera, parameter))| (column, *camera, *parameter))
             .collect();
+        let calibration = |&(column, camera, parameter): &(usize, usize, Parameter)| {
+            let Parameter::Calibration(parameter) = parameter else { return None };
+            Some((column, camera, parameter))
+        };
+        let of_calibration: Vec<_> = of_pair.iter().filter_map(calibration).collect();
+        let readouts: Vec<usize> =
+            of_pair.iter().filter(|p| p.2 == Parameter::Readout).map(|p| p.1).collect();
         let [i, j] = cameras;
         let directions =
-            [[i, j], [j, i]].map(|direction| ChangedPair::all(self, direction, &of_pair));
+            [[i, j], [j, i]].map(|direction| ChangedPair::all(self, direction, &of_calibration));
         let mut values = Vec::with_capacity(samples.len() * of_pair.len());
         for (sample, _) in samples {
             let changed = &directions[usize::from(sample.cameras != cameras)];
             values.extend(changed.iter().map(|c| c.slope(self, sample).unwrap_or(0.0)));
+            values.extend(readouts.iter().map(|&camera| self.readout_slope(sample, camera)));
         }
+        // The errors of readout times follow all others.
         SampleSlopes { columns: of_pair.iter().map(|p| p.0).collect(), values }
     }
+
+    /// Returns the derivative of a sample's offset by the error of a camera's readout time, seconds per second: the time
+    /// of the feature's image row after the middle of the frame, in readout times. It is from −0.5 to 0.5 inside the
+    /// image, and 0 if the row is unknown.
+    fn readout_slope(&self, sample: &Sample, camera: usize) -> f64 {
+        let [a, _] = sample.cameras;
+        let own = self.cameras[camera];
+        let rows = RowTimes::new(1.0, own.height);
+        if camera != a {
+            return rows.offset_s(sample.sight.in_b.y);
+        }
+        let (fx, fy, cx, cy) = own.model.intrinsics();
+        let ideal = &sample.sight.ideal_a;
+        let at = Point2::new((ideal.x - cx) / fx, (ideal.y - cy) / fy);
+        let slope = -rows.offset_s(own.model.pixel_from_normalized(&at).y);
+        if slope.is_finite() { slope } else { 0.0 }
+    }
+}
+
+/// Returns the matrix L of a covariance L Lᵀ. L has a row for each row of the covariance, and a column for each
+/// eigenvalue that isn't a rounding error.
+fn factor(covariance: &DMatrix<f64>) -> DMatrix<f64> {
+    let std = covariance.diagonal().map(|v| v.max(0.0).sqrt());
+    let scale = std.map(|s| if s > 0.0 { s.recip() } else { 0.0 });
+    let scaled = DMatrix::from_diagonal(&scale) * covariance * DMatrix::from_diagonal(&scale);
+    if scaled.is_empty() {
+        return scaled;
+    }
+    let eigen = scaled.symmetric_eigen();
+    let largest = eigen.eigenvalues.iter().copied().fold(0.0, f64::max);
+    let count = eigen.eigenvalues.len();
+    let kept: Vec<usize> =
+        (0..count).filter(|&k| eigen.eigenvalues[k] > MIN_EIGENVALUE * largest).collect();
+    DMatrix::from_fn(count, kept.len(), |row, column| {
+        let k = kept[column];
+        std[row] * eigen.eigenvectors[(row, k)] * eigen.eigenvalues[k].sqrt()
+    })
 }
 
 /// Derivatives of the offsets of a pair's samples ([`Sample::offset_s`]) by the calibration errors, seconds per unit

@@ -156,6 +156,7 @@ mod tests {
                 drift: false,
                 lost: true,
                 readout_s: 0.0,
+                readout_std_s: 0.0,
             };
             let frame_s = clock.frame_s();
             let nominal = NominalClock { times_s, frame_s, may_lose_frames: true, drifts: false };

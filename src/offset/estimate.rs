@@ -3,7 +3,7 @@
 use super::alignment::align;
 use super::calibration::CalibrationUnknowns;
 use super::clock::{ClockEstimate, clocks, with_lost_frames};
-use super::joint::{ClockLayout, solve_clocks};
+use super::joint::{ClockLayout, SolvedClocks, solve_clocks};
 use super::lost_frames::{FittedClock, detect_lost_frames};
 use super::pair::{
     MAX_STD_ERR_FRAMES, MIN_AGREEMENT, PairEstimate, PairFailure, PairRounds, estimate_pairs,
@@ -11,7 +11,7 @@ use super::pair::{
 };
 use super::recording::{Recording, TrackCache};
 use super::{CameraOffset, ONE_FRAME, OffsetMethod, OffsetOptions, Offsets};
-use crate::capture::{CalibrationErrors, Capture, CaptureError};
+use crate::capture::{Capture, CaptureError};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use rayon::prelude::*;
@@ -89,28 +89,25 @@ pub fn estimate(
 /// subtracted from their offset candidates.
 const CALIBRATION_ROUNDS: usize = 3;
 
-/// Solves for all clocks together with the calibration errors. Returns the estimate of each clock, `None` for a clock
-/// that no chain of pairs connects to the reference camera's clock. Adds the effect of the calibration errors to the
-/// standard errors of `pairs`.
+/// Solves for all clocks together with the calibration errors and the errors of readout times. Adds the effect of these
+/// errors to the standard errors of `pairs`.
 ///
-/// For [`OffsetMethod::Pairwise`], the calibration errors are not unknowns. They only increase the standard errors of
-/// the pairs, from which the standard errors of the clocks follow.
+/// For [`OffsetMethod::Pairwise`], the errors are not unknowns. They only increase the standard errors of the pairs,
+/// from which the standard errors of the clocks follow.
 fn solve_with_calibration(
     capture: &Capture,
-    errors: &CalibrationErrors,
+    unknowns: &CalibrationUnknowns,
     pairs: &mut [PairEstimate],
     layout: &ClockLayout,
     method: OffsetMethod,
-) -> Vec<Option<ClockEstimate>> {
-    let cameras = capture.cameras.iter().map(|c| &c.camera).collect();
-    let unknowns = CalibrationUnknowns::new(errors, cameras);
+) -> SolvedClocks {
     pairs.par_iter_mut().for_each(|pair| {
         pair.slopes = Arc::new(unknowns.slopes(pair.cameras, &pair.samples));
     });
     let mut refitted = pairs.to_vec();
     pairs.iter_mut().for_each(|pair| pair.add_calibration(&unknowns.factor));
     if method == OffsetMethod::Pairwise {
-        return solve_clocks(pairs, layout, None).by_clock;
+        return solve_clocks(pairs, layout, None);
     }
     let mut solution = solve_clocks(&refitted, layout, Some(&unknowns.factor));
     for _ in 0..CALIBRATION_ROUNDS {
@@ -124,7 +121,33 @@ fn solve_with_calibration(
         });
         solution = solve_clocks(&refitted, layout, Some(&unknowns.factor));
     }
-    solution.by_clock
+    solution
+}
+
+/// Readout time of a rolling shutter that was estimated together with the offsets, seconds.
+#[derive(Clone, Copy, Debug)]
+struct Readout {
+    readout_s: f64,
+    std_err_s: f64,
+}
+
+impl Readout {
+    /// Returns the readout time of a camera, from 0 to the time between frames; `None` if the camera's readout time is
+    /// exact or isn't among the unknowns.
+    fn of(
+        capture: &Capture,
+        camera: usize,
+        unknowns: &CalibrationUnknowns,
+        solved: &SolvedClocks,
+    ) -> Option<Self> {
+        let index = unknowns.readout(camera)?;
+        let clock = &capture.cameras[camera].clock;
+        let frame_s = clock.frame_s();
+        let longest_s = if frame_s > 0.0 { frame_s } else { clock.readout_s };
+        let estimated_s = clock.readout_s + solved.errors.get(index)?;
+        let std_err_s = *solved.error_std_errs.get(index)?;
+        Some(Self { readout_s: estimated_s.clamp(0.0, longest_s), std_err_s })
+    }
 }
 
 /// Result of one pair: the indices of its two cameras, with the pair's estimate or the reason why there is none.
@@ -144,6 +167,8 @@ struct JointSolution<'a> {
     /// The estimate of each clock, by clock. `None` if no chain of pairs connects the clock to the reference camera's
     /// clock, or if the standard error of its offset exceeds [`MAX_STD_ERR_FRAMES`].
     solved: Vec<Option<ClockEstimate>>,
+    /// The estimated readout time of each camera, by camera.
+    readouts: Vec<Option<Readout>>,
 }
 
 impl<'a> JointSolution<'a> {
@@ -173,13 +198,20 @@ impl<'a> JointSolution<'a> {
             .cloned()
             .collect();
         let errors = capture.calibration_errors.as_deref().filter(|e| !e.parameters.is_empty());
-        let by_clock = match errors {
-            Some(errors) => solve_with_calibration(capture, errors, &mut used, &layout, method),
-            None => solve_clocks(&used, &layout, None).by_clock,
+        let readout_std_s: Vec<f64> =
+            capture.cameras.iter().map(|c| c.clock.readout_std_s).collect();
+        let cameras = capture.cameras.iter().map(|c| &c.camera).collect();
+        let unknowns = CalibrationUnknowns::new(errors, cameras, &readout_std_s);
+        let solution = if unknowns.factor.is_empty() {
+            solve_clocks(&used, &layout, None)
+        } else {
+            solve_with_calibration(capture, &unknowns, &mut used, &layout, method)
         };
+        let readout = |c| Readout::of(capture, c, &unknowns, &solution);
+        let readouts = (0..capture.cameras.len()).map(readout).collect();
         let is_known = |s: &ClockEstimate| s.std_err_s <= max_std_err_s;
-        let solved = by_clock.into_iter().map(|clock| clock.filter(is_known)).collect();
-        Self { capture, results, clock: layout.of_camera, lost, used, solved }
+        let solved = solution.by_clock.into_iter().map(|clock| clock.filter(is_known)).collect();
+        Self { capture, results, clock: layout.of_camera, lost, used, solved, readouts }
     }
 
     fn into_estimate(self) -> Estimate {
@@ -202,6 +234,8 @@ impl<'a> JointSolution<'a> {
             std_err_s: solved.map(|s| s.std_err_s),
             rate_ppm: drifting.map(|s| 1e6 * s.clock.rate),
             rate_std_err_ppm: drifting.map(|s| 1e6 * s.rate_std_err),
+            readout_s: self.readouts[c].map(|r| r.readout_s),
+            readout_std_err_s: self.readouts[c].map(|r| r.std_err_s),
             lost_before: camera.clock.lost.then(|| self.lost[c].clock.lost_before.clone()),
             reason: solved.is_none().then(|| self.reason(c)),
         }

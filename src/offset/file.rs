@@ -28,6 +28,8 @@
 //! | `std_err_s` | null if `offset_s` is null; otherwise from 0 to [`Capture::reach_s`]; 0 for the reference |
 //! | `rate_ppm` | from −1000 to 1000, only if `offset_s` is a number; 0 or absent for a clock without drift |
 //! | `rate_std_err_ppm` | from 0 to 1000; present if and only if `rate_ppm` is |
+//! | `readout_s` | from 0 to the time between frames, only for a clock with `readout_std_s` |
+//! | `readout_std_err_s` | from 0 to 1 s; present if and only if `readout_s` is |
 //! | `lost_before` | image indices, ascending, at most as many as there are images; absent or empty for none |
 //! | `reason` | one line of text; present if and only if `offset_s` is null |
 
@@ -194,6 +196,7 @@ fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, CaptureError>
         let filmed = &capture.cameras[index];
         fields.offset(capture.reach_s(), capture.has_reference_clock(index))?;
         fields.rate(filmed.clock.drift && index != capture.reference)?;
+        fields.readout(filmed)?;
         fields.lost_before(filmed)?;
         fields.reason()?;
         indices.push(k);
@@ -252,6 +255,23 @@ impl CameraFields<'_> {
         let error = error.unwrap_or_default();
         let reason = format!("is {error:?}, must be from 0 to {MAX}");
         self.require((0.0..=MAX).contains(&error), "rate_std_err_ppm", reason)
+    }
+
+    fn readout(&self, filmed: &FilmedCamera) -> FieldResult {
+        let (readout_s, error_s) = (self.camera.readout_s, self.camera.readout_std_err_s);
+        let Some(readout_s) = readout_s else {
+            let reason = "is there without a readout_s";
+            return self.require(error_s.is_none(), "readout_std_err_s", reason);
+        };
+        let reason = "must be absent: the capture states the readout time as exact";
+        self.require(filmed.clock.readout_std_s > 0.0, "readout_s", reason)?;
+        let longest_s = filmed.clock.frame_s();
+        let reason = format!("is {readout_s:?}, must be from 0 to {longest_s:?} s");
+        self.require((0.0..=longest_s).contains(&readout_s), "readout_s", reason)?;
+        self.require(error_s.is_some(), "readout_std_err_s", "is missing")?;
+        let error_s = error_s.unwrap_or_default();
+        let reason = format!("is {error_s:?}, must be from 0 to 1 s");
+        self.require((0.0..=1.0).contains(&error_s), "readout_std_err_s", reason)
     }
 
     fn lost_before(&self, filmed: &FilmedCamera) -> FieldResult {

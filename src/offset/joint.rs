@@ -76,7 +76,8 @@ pub fn solve_clocks(
     let mut by_clock = vec![None; clocks.drifts.len()];
     by_clock[0] = Some(ClockEstimate::default());
     let errors = DVector::zeros(factor.map_or(0, DMatrix::nrows));
-    let mut solved = SolvedClocks { by_clock, errors };
+    let error_std_errs = errors.clone();
+    let mut solved = SolvedClocks { by_clock, errors, error_std_errs };
     let unknowns = Unknowns::new(clocks, &connected, factor);
     if used.is_empty() {
         return solved;
@@ -89,6 +90,8 @@ pub fn solve_clocks(
     let Some(solution) = solve_robustly(&systems, &unknowns) else { return solved };
     let variances = solution.variances(&used, &systems, &unknowns);
     solved.errors = solution.x.rows_range(unknowns.clock_count..).into_owned();
+    let of_errors = variances[unknowns.clock_count..].iter().map(|v| v.sqrt());
+    solved.error_std_errs = DVector::from_iterator(solved.errors.len(), of_errors);
     for (clock, solved) in solved.by_clock.iter_mut().enumerate().skip(1) {
         let Some(offset) = unknowns.offset[clock] else { continue };
         let rate = unknowns.rate[clock];
@@ -116,6 +119,8 @@ pub struct SolvedClocks {
     /// The estimated calibration errors, in the order of the rows of their covariance; empty if calibration errors are
     /// not among the unknowns.
     pub errors: DVector<f64>,
+    /// The standard error of each of `errors`; 0 if no pair is used.
+    pub error_std_errs: DVector<f64>,
 }
 
 /// Columns of the unknowns in the normal matrix of the joint solution: first the offsets and rates of the clocks, then
@@ -386,9 +391,9 @@ impl PairSystem {
 }
 
 impl RobustSolution {
-    /// Returns the variance of each offset and rate. It is the larger one of two variances: the cluster-robust
+    /// Returns the variance of each unknown. It is the larger one of two variances: the cluster-robust
     /// variance, with clusters by time and by place over all pairs, and the variance that the pairs' disagreement
-    /// implies.
+    /// implies. The variance of an unknown with a prior is at most the prior's.
     fn variances(
         &self,
         used: &[&PairEstimate],
@@ -418,10 +423,14 @@ impl RobustSolution {
             sandwich = sandwich.with_prior(transform, unknowns.prior(transform.ncols()));
         }
         let clustered = sandwich.variances();
-        (0..unknowns.clock_count)
+        let of_prior = |c: usize| match &unknowns.from_independent {
+            Some(transform) if c >= unknowns.clock_count => transform.row(c).norm_squared(),
+            _ => f64::INFINITY,
+        };
+        (0..n)
             .map(|c| {
                 let independent = self.inverse[(c, c)].max(0.0) * self.scale * self.scale;
-                clustered.as_ref().map_or(independent, |v| v[c].max(independent))
+                clustered.as_ref().map_or(independent, |v| v[c].max(independent)).min(of_prior(c))
             })
             .collect()
     }

@@ -3,6 +3,7 @@
 use super::clock::{ClockModel, NominalClock};
 use crate::capture::{Capture, are_frame_times};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Temporal offsets of all cameras of a capture, relative to the reference camera's clock.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,6 +39,13 @@ pub struct CameraOffset {
     /// The standard error of the clock's rate, parts per million. `None` if there is no rate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_std_err_ppm: Option<f64>,
+    /// The readout time of the camera's rolling shutter, seconds, estimated together with the offsets. It replaces the
+    /// capture's. `None` if the capture states the readout time as exact.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub readout_s: Option<f64>,
+    /// The standard error of `readout_s`, seconds. `None` if there is no `readout_s`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub readout_std_err_s: Option<f64>,
     /// The indices of the images directly before which a frame is missing, ascending; an index occurs once for each
     /// missing frame. `None` if the capture states that the camera loses no frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -109,6 +117,19 @@ impl Offsets {
             Some(clock.own_times_s(&nominal).into_iter().map(|t| clock.apply(t)).collect())
         };
         self.clocks(capture).into_iter().enumerate().map(times_s).collect()
+    }
+
+    /// Returns a capture whose cameras have the readout times that were estimated together with the offsets, in place of
+    /// their own. Returns `capture` itself if no readout time was estimated.
+    pub fn with_readouts(&self, capture: &Arc<Capture>) -> Arc<Capture> {
+        if self.cameras.iter().all(|camera| camera.readout_s.is_none()) {
+            return capture.clone();
+        }
+        let mut with_readouts = Capture::clone(capture);
+        for (filmed, estimated) in with_readouts.cameras.iter_mut().zip(&self.cameras) {
+            filmed.clock.readout_s = estimated.readout_s.unwrap_or(filmed.clock.readout_s);
+        }
+        Arc::new(with_readouts)
     }
 
     /// Returns whether these offsets belong to the capture's cameras, in the capture's order, and give every camera's

@@ -89,7 +89,7 @@ fn slopes_are_how_crossings_move() {
     let parameters: Vec<_> = all.flat_map(|p| [(0, p), (1, p)]).collect();
     let covariance = DMatrix::identity(parameters.len(), parameters.len());
     let errors = CalibrationErrors { parameters, covariance };
-    let unknowns = CalibrationUnknowns::new(&errors, vec![&a, &b]);
+    let unknowns = CalibrationUnknowns::new(Some(&errors), vec![&a, &b], &[0.0, 0.0]);
     let point = nalgebra::Point3::new(0.3, 0.2, 2.0);
     let in_b = b.project(&point).unwrap();
     let middle = a.project(&point).unwrap();
@@ -118,6 +118,32 @@ fn slopes_are_how_crossings_move() {
             (slope - expected).abs() < tolerance,
             "{changed} {parameter:?}: {slope} {expected}"
         );
+    }
+}
+
+/// Checks that the error of a readout time shifts a feature's time in proportion to its image row.
+#[test]
+fn slopes_of_readouts_are_rows() {
+    let radial = CameraModel::Radial { f: 600.0, cx: 320.0, cy: 240.0, k: [-0.1, 0.02] };
+    let pinhole = CameraModel::Pinhole { fx: 600.0, fy: 610.0, cx: 322.0, cy: 238.0 };
+    let cameras = [camera(0.0, radial), camera(0.15, pinhole)];
+    let unknowns = CalibrationUnknowns::new(None, cameras.iter().collect(), &[0.01, 0.02]);
+    assert_eq!((unknowns.readout(0), unknowns.readout(1)), (Some(0), Some(1)));
+    assert_eq!(unknowns.factor, DMatrix::from_row_slice(2, 2, &[0.01, 0.0, 0.0, 0.02]));
+    // The pixels are at the middles of the first row and of the last row.
+    let pixels = [Point2::new(100.0, 0.5), Point2::new(90.0, 479.5)];
+    for (a, b) in [(0, 1), (1, 0)] {
+        let ideal_a = cameras[a].model.ideal_from_pixel(&pixels[a]).unwrap();
+        let sight = Sight { ideal_a, in_b: pixels[b], across_px_s: 1.0 };
+        let (time_a_s, time_b_s, across_px_s, cell, window) = (0.0, 0.0, 1.0, 0, 0);
+        let sample =
+            Sample { cameras: [a, b], time_a_s, time_b_s, across_px_s, cell, window, sight };
+        let slopes = unknowns.slopes([0, 1], &[(sample, 1.0)]);
+        let found: Vec<(usize, f64)> = slopes.of(0).collect();
+        let sign = if a == 0 { 1.0 } else { -1.0 };
+        for (k, slope) in found {
+            assert!((slope - sign * 0.5).abs() < 1e-3, "{a} {k}: {slope}");
+        }
     }
 }
 

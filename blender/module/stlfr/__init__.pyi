@@ -14,8 +14,8 @@ class CameraOffset(TypedDict, total=False):
     """A camera's clock: time on the reference's clock = time on the camera's clock + offset_s.
 
     An offset that is unknown is None, and `reason` says why. A clock that drifts has `rate_ppm` with its
-    standard error. A camera that may have lost frames has `lost_before`: the indices of the images before
-    which a frame is missing.
+    standard error. A readout time that was estimated with the offsets is `readout_s`. A camera that may have
+    lost frames has `lost_before`: the indices of the images before which a frame is missing.
     """
 
     id: str
@@ -23,6 +23,8 @@ class CameraOffset(TypedDict, total=False):
     std_err_s: float | None
     rate_ppm: float
     rate_std_err_ppm: float
+    readout_s: float
+    readout_std_err_s: float
     lost_before: list[int]
     reason: str
 

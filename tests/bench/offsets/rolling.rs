@@ -1,4 +1,5 @@
-//! Rolling shutters: errors of offsets, and views beside the truth, by readout, with and without the readout known.
+//! Rolling shutters: errors of offsets, and views beside the truth, by readout: with the readout known, estimated with
+//! the offsets from a guess, and ignored.
 //!
 //! Without captures, two synthetic scenes are recorded by four cameras in a row: once with the same readout in all of
 //! them, once with it in every second one, the others having global shutters. Captures are those of `stlfr rig
@@ -42,24 +43,32 @@ struct TrueView {
     image: Image,
 }
 
-/// Figures with the readout known, or without.
+/// The guessed readout and its standard error, if it is estimated.
+const GUESS_MS: [f64; 2] = [15.0, 10.0];
+const LABELS: [&str; 3] = ["known", "estimated", "ignored"];
+
+/// Figures with the readout known, estimated or ignored.
 struct Figures {
     median_frames: f64,
     worst_frames: f64,
+    /// Offsets within two standard errors, of those that are known.
+    within: [usize; 2],
     unknown: usize,
+    /// Median error of the readout's differences from the reference camera's, milliseconds; NaN unless estimated.
+    readout_error_ms: f64,
     /// Mean over the views, dB: blended by depth per pixel, and by scene flow.
     psnr_db: [f64; 2],
 }
 
 pub fn run(captures: &[String], output: &Path) -> Result<(), Failure> {
     println!(
-        "| recording | readout, ms | | offset error, frames: median, worst | unknown | depth, dB | scene flow, dB |"
+        "| recording | readout, ms | | offset error, frames: median, worst | within 2 std. errors | unknown | readout difference off by, ms | depth, dB | scene flow, dB |"
     );
-    println!("|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|");
     for folder in captures {
         let case = filmed(folder.as_ref())?;
         let readout_ms = case.capture.cameras.iter().map(|c| 1e3 * c.clock.readout_s);
-        both(folder, readout_ms.fold(0.0, f64::max), &case)?;
+        all(folder, readout_ms.fold(0.0, f64::max), &case)?;
     }
     if !captures.is_empty() {
         return Ok(());
@@ -75,31 +84,30 @@ pub fn run(captures: &[String], output: &Path) -> Result<(), Failure> {
     save(output, "rolling", &charts)
 }
 
-/// The figures by readout, each with and without the readout known.
-fn sweep(name: &str, boards: &[Board], step: usize) -> Result<Vec<(f64, [Figures; 2])>, Failure> {
+/// The figures by readout.
+fn sweep(name: &str, boards: &[Board], step: usize) -> Result<Vec<(f64, [Figures; 3])>, Failure> {
     let mut lines = Vec::new();
     for readout_ms in READOUTS_MS {
         let mut synthetic = SyntheticCapture::new(boards.to_vec(), &DELAYS, FRAMES);
         synthetic.readouts_s.iter_mut().step_by(step).for_each(|s| *s = 1e-3 * readout_ms);
         let folder = tempfile::tempdir()?;
         let case = synthesized(&synthetic, folder.path())?;
-        lines.push((readout_ms, both(name, readout_ms, &case)?));
+        lines.push((readout_ms, all(name, readout_ms, &case)?));
     }
     Ok(lines)
 }
 
 /// The charts of offsets' errors and of views.
-fn drawn(title: &str, lines: Vec<(f64, [Figures; 2])>) -> [Chart; 2] {
-    let series = |labels: [&str; 2], value: &dyn Fn(&Figures) -> f64| {
-        [0, 1].map(|known| Series {
-            label: labels[known].into(),
-            points: lines.iter().map(|(ms, both)| (*ms, value(&both[known])).into()).collect(),
+fn drawn(title: &str, lines: Vec<(f64, [Figures; 3])>) -> [Chart; 2] {
+    let series = |of: &str, value: &dyn Fn(&Figures) -> f64| {
+        [0, 1, 2].map(|k| Series {
+            label: format!("{of}readout {}", LABELS[k]),
+            points: lines.iter().map(|(ms, all)| (*ms, value(&all[k])).into()).collect(),
             line: true,
             dots: true,
             ..Series::default()
         })
     };
-    let labels = ["readout known", "readout unknown"];
     let chart = |what: &str, y_label: &str, series: Vec<Series>, log_y: bool| Chart {
         title: format!("{title}: {what}"),
         x_label: "readout, ms".into(),
@@ -108,27 +116,37 @@ fn drawn(title: &str, lines: Vec<(f64, [Figures; 2])>) -> [Chart; 2] {
         series,
         ..Chart::default()
     };
-    let errors = series(labels, &|f| f.worst_frames);
-    let depth = series(["depth, readout known", "depth, unknown"], &|f| f.psnr_db[0]);
-    let flow = series(["scene flow, readout known", "scene flow, unknown"], &|f| f.psnr_db[1]);
+    let errors = series("", &|f| f.worst_frames);
+    let flow = series("", &|f| f.psnr_db[1]);
     [
         chart("worst offset error", "frames", errors.into(), true),
-        chart("views", "PSNR, dB", depth.into_iter().chain(flow).collect(), false),
+        chart("views, scene flow", "PSNR, dB", flow.into(), false),
     ]
 }
 
-/// Measures a capture with its readout, then without, and prints both.
-fn both(name: &str, readout_ms: f64, case: &Case) -> Result<[Figures; 2], Failure> {
-    let mut global = (*case.capture).clone();
-    global.cameras.iter_mut().for_each(|c| c.clock.readout_s = 0.0);
-    let figures = [figures(case, case.capture.clone())?, figures(case, Arc::new(global))?];
-    for (known, f) in ["known", "unknown"].iter().zip(&figures) {
-        let Figures { median_frames, worst_frames, unknown, psnr_db: [depth, flow] } = f;
+/// Measures a capture with its readouts, with guessed ones, and without, and prints all.
+fn all(name: &str, readout_ms: f64, case: &Case) -> Result<[Figures; 3], Failure> {
+    let with = |readout_ms: f64, std_ms: f64| {
+        let mut changed = (*case.capture).clone();
+        for camera in &mut changed.cameras {
+            camera.clock.readout_s = 1e-3 * readout_ms;
+            camera.clock.readout_std_s = 1e-3 * std_ms;
+        }
+        Arc::new(changed)
+    };
+    let captures = [case.capture.clone(), with(GUESS_MS[0], GUESS_MS[1]), with(0.0, 0.0)];
+    let mut all = Vec::new();
+    for (label, capture) in LABELS.iter().zip(captures) {
+        let f = figures(case, capture)?;
+        let Figures { median_frames, worst_frames, unknown, psnr_db: [depth, flow], .. } = &f;
+        let ([within, of], off_ms) = (f.within, f.readout_error_ms);
+        let off = if off_ms.is_nan() { String::new() } else { format!("{off_ms:.2}") };
         println!(
-            "| {name} | {readout_ms:.0} | {known} | {median_frames:.4}, {worst_frames:.4} | {unknown} | {depth:.2} | {flow:.2} |"
+            "| {name} | {readout_ms:.0} | {label} | {median_frames:.4}, {worst_frames:.4} | {within} of {of} | {unknown} | {off} | {depth:.2} | {flow:.2} |"
         );
+        all.push(f);
     }
-    Ok(figures)
+    all.try_into().map_err(|_| "three figures".into())
 }
 
 fn figures(case: &Case, capture: Arc<Capture>) -> Result<Figures, Failure> {
@@ -137,6 +155,15 @@ fn figures(case: &Case, capture: Arc<Capture>) -> Result<Figures, Failure> {
     let truth_s = |id: &str| case.offsets_s[capture.camera_index(id)?];
     let (outcomes, unknown) = outcomes(&found.offsets, capture.frame_s(), truth_s);
     let errors: Vec<f64> = outcomes.iter().map(|o| o.error_frames.abs()).collect();
+    let within = outcomes.iter().filter(|o| o.z().abs() <= 2.0).count();
+    let estimated = found.offsets.cameras.iter().map(|c| c.readout_s);
+    let true_s = case.capture.cameras.iter().map(|c| c.clock.readout_s);
+    let off: Vec<Option<f64>> =
+        estimated.zip(true_s).map(|(s, true_s)| Some(1e3 * (s? - true_s))).collect();
+    let differences = off.iter().enumerate().filter(|(c, _)| *c != capture.reference);
+    let differences: Vec<f64> =
+        differences.filter_map(|(_, d)| Some(((*d)? - off[capture.reference]?).abs())).collect();
+    let readout_error_ms = if differences.is_empty() { f64::NAN } else { median(&differences) };
     let field = LightField::with_frames(&frames, found.offsets);
     let mut psnr_db = [0.0; 2];
     for (db, method) in psnr_db.iter_mut().zip([ProxyMethod::Depth, ProxyMethod::SceneFlow]) {
@@ -148,7 +175,8 @@ fn figures(case: &Case, capture: Arc<Capture>) -> Result<Figures, Failure> {
         }
     }
     let worst_frames = errors.iter().copied().fold(0.0, f64::max);
-    Ok(Figures { median_frames: median(&errors), worst_frames, unknown, psnr_db })
+    let (median_frames, within) = (median(&errors), [within, errors.len()]);
+    Ok(Figures { median_frames, worst_frames, within, unknown, readout_error_ms, psnr_db })
 }
 
 /// Without a border, where fewer cameras see the scene.
