@@ -172,6 +172,7 @@
 //! from the video files. `--rate` overrides them. The cameras' clocks may differ: `stlfr offsets` estimates their
 //! offsets, unless `--shared` declares that all cameras have one clock. `--readout` gives the readout time of rolling
 //! shutters, from the first row's exposure to the last row's. The time of a frame is then the time of its middle row.
+//! `--readout-std` says how uncertain the readout time is; each camera's is then estimated together with the offsets.
 //!
 //! Videos may have variable frame rates, rotation flags, limited range or 10 bits. The cameras may differ in frame rate
 //! and image size, and may start and end at different times. Interlaced and damaged videos are refused. If images have
@@ -270,9 +271,9 @@
 //! - Changes by automatic exposure and white balance are corrected only if the camera sees still, textured surfaces,
 //!   and if the changes differ between cameras. A sudden change is corrected as one of half a second or more. If all
 //!   cameras change alike, it is assumed that the light in the scene changes.
-//! - A rolling shutter's readout time (`readout_s` of a camera's clock) has to be given. If it is given with a standard
-//!   error (`readout_std_s`), it is estimated together with the offsets. The images show how readout times differ
-//!   between cameras, but hardly their common part if all cameras stand upright at one height. The time
+//! - A guess of a rolling shutter's readout time (`readout_s` of a camera's clock) has to be given. If it has a standard
+//!   error (`readout_std_s`), it is estimated together with the offsets. If all cameras stand upright at one height, the
+//!   images show only how readout times differ between cameras, not an error that all of them share. The time
 //!   of a pixel follows from its row in the camera's own, distorted image; with `--proxy scene-flow`, from its row in
 //!   the undistorted image. Cameras must not move. The following assume that all rows of a frame are exposed at the
 //!   same time: `--sync nearest` and `crossfade`, traditional light field rendering, the rough alignment of recordings,

@@ -93,7 +93,7 @@ fn readouts_are_estimated_with_the_offsets() {
     println!("readouts and standard errors, frames: {found:?}");
     for (c, [readout, std_err]) in found.iter().enumerate() {
         let truth = READOUTS_S.map(|s| s / FRAME_S);
-        assert!((readout - truth[c]).abs() < 2.0 * std_err && *std_err < 0.301, "{c}: {found:?}");
+        assert!((readout - truth[c]).abs() < 2.0 * std_err && *std_err < 0.2, "{c}: {found:?}");
         let difference = (readout - found[1][0]) - (truth[c] - truth[1]);
         assert!(difference.abs() < 0.03, "{c}: {found:?}");
     }

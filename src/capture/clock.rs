@@ -35,7 +35,8 @@ pub struct Clock {
     /// [`RowTimes`] gives the time of each row.
     pub readout_s: f64,
     /// Standard error of `readout_s`, seconds; 0 if the readout time is exact. If it isn't, the readout time is
-    /// estimated together with the temporal offsets.
+    /// estimated together with the temporal offsets. Where no offsets are estimated, as between cameras that share one
+    /// clock, `readout_s` is used as given.
     pub readout_std_s: f64,
 }
 
@@ -108,6 +109,12 @@ impl Clock {
             ));
         }
         Ok(())
+    }
+
+    /// Returns the longest readout time that an estimate may have, seconds: the median time between frames. `None` for a
+    /// single frame.
+    pub fn longest_readout_s(&self) -> Option<f64> {
+        Some(self.frame_s()).filter(|frame_s| *frame_s > 0.0)
     }
 
     /// Returns the median time between frames, seconds. 0 for a single frame.

@@ -102,7 +102,8 @@ pub struct ClockFormat {
     #[schemars(range(min = 0.0))]
     pub readout_s: Option<f64>,
     /// Standard error of `readout_s`, seconds. If it is positive, the readout time is estimated together with the
-    /// temporal offsets, as far as the images show it. 0 or absent for an exact readout time.
+    /// temporal offsets, as far as the images show it. Where no offsets are estimated, as between cameras that share one
+    /// clock, `readout_s` is used as given. 0 or absent for an exact readout time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0))]
     pub readout_std_s: Option<f64>,

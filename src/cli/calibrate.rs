@@ -85,7 +85,7 @@ pub fn run(args: &CalibrateArgs, page: &mut Page, reporter: &Reporter) -> Result
         CalibrationRequest::New { lens: args.lens.clone(), focal_px: args.focal, distance_m };
     if args.recordings.join(CAPTURE_FILE).exists() {
         if args.clocks.are_given() {
-            let reason = "--rate, --first, --times and --shared are of recordings, and a capture has its clocks";
+            let reason = "--rate, --first, --times, --shared and --readout are of recordings, and a capture has its clocks";
             return Err(CliError::BadInput(reason.into()));
         }
         return calibrated(&args.recordings, &request, &args.output, page, reporter);

@@ -64,7 +64,7 @@ pub struct ClockArgs {
     #[arg(long, value_name = "SECONDS")]
     pub readout: Option<f64>,
     /// Standard error of the readout time, in seconds. If it is given, each camera's readout time is estimated together
-    /// with the offsets, as far as the images show it.
+    /// with the offsets, as far as the images show it. Cameras that share one clock have no offsets to estimate.
     #[arg(long, value_name = "SECONDS", requires = "readout")]
     pub readout_std: Option<f64>,
 }

@@ -49,7 +49,8 @@ pub fn run(args: &OffsetsArgs, page: &mut Page, reporter: &Reporter) -> Result<(
 
 fn print_table(offsets: &Offsets, frame_s: f64, page: &mut Page) {
     let drifts = offsets.cameras.iter().any(|c| c.rate_ppm.is_some());
-    let has_readouts = offsets.cameras.iter().any(|c| c.readout_s.is_some());
+    let readouts = offsets.cameras.iter().filter(|c| c.readout_s.is_some()).count();
+    let has_readouts = readouts > 0;
     let loses = offsets.cameras.iter().any(|c| c.lost_before.is_some());
     let mut header =
         format!("{:<12} {:>12} {:>12} {:>10}", "camera", "offset", "std. error", "frames");
@@ -104,7 +105,10 @@ fn print_table(offsets: &Offsets, frame_s: f64, page: &mut Page) {
     if drifts {
         page.line("Offsets are those at each camera's first frame.");
     }
-    if has_readouts {
-        page.line("The differences between readouts are better known than the readouts themselves.");
+    if readouts > 1 {
+        page.line(
+            "The error of a readout includes what all readouts have in common; \
+             their differences may be better known.",
+        );
     }
 }

@@ -8,9 +8,11 @@
 //! the offsets includes J C Jᵀ, reduced by what the candidates reveal about the errors.
 //!
 //! The offset candidates are linearized in the errors. The derivatives are central differences at the given
-//! calibration. The error of a rolling shutter's readout time is such an unknown too: it changes a feature's time in
-//! proportion to the distance of its image row from the middle of the image. After each solution, the estimated errors are subtracted from the candidates, and the weights of the
+//! calibration. After each solution, the estimated errors are subtracted from the candidates, and the weights of the
 //! candidates are fitted again.
+//!
+//! The error of a rolling shutter's readout time is such an unknown too. It changes a feature's time in proportion to
+//! the distance of the feature's image row from the middle of the image.
 
 use super::recording::Sample;
 use crate::camera::{Camera, CameraParameter, EpipolarGeometry};
@@ -107,9 +109,9 @@ impl<'a> CalibrationUnknowns<'a> {
         SampleSlopes { columns: of_pair.iter().map(|p| p.0).collect(), values }
     }
 
-    /// Returns the derivative of a sample's offset by the error of a camera's readout time, seconds per second: the time
-    /// of the feature's image row after the middle of the frame, in readout times. It is from −0.5 to 0.5 inside the
-    /// image, and 0 if the row is unknown.
+    /// Returns the derivative of a sample's offset by the error of a camera's readout time, seconds per second. For
+    /// camera b, it is the time of the feature's image row after the middle of the frame, in readout times; for camera
+    /// a, it is minus this time. It is from −0.5 to 0.5 inside the image, and 0 if the row in camera a is unknown.
     fn readout_slope(&self, sample: &Sample, camera: usize) -> f64 {
         let [a, _] = sample.cameras;
         let own = self.cameras[camera];
@@ -149,8 +151,7 @@ fn factor(covariance: &DMatrix<f64>) -> DMatrix<f64> {
 /// of the error.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SampleSlopes {
-    /// Indices of the rows (and columns) of the covariance that belong to the calibration parameters of the pair's two
-    /// cameras.
+    /// Indices of the rows (and columns) of the covariance that belong to the parameters of the pair's two cameras.
     columns: Vec<usize>,
     /// The derivatives, sample by sample. Each sample has one derivative for each entry of `columns`.
     values: Vec<f64>,

@@ -133,7 +133,10 @@ struct Readout {
 
 impl Readout {
     /// Returns the readout time of a camera, from 0 to the time between frames; `None` if the camera's readout time is
-    /// exact or isn't among the unknowns.
+    /// exact, if it isn't among the unknowns, or if the camera has one frame.
+    ///
+    /// Known limit: a readout time that is moved into this range no longer fits the offsets exactly, which were solved
+    /// with the one outside.
     fn of(
         capture: &Capture,
         camera: usize,
@@ -142,8 +145,7 @@ impl Readout {
     ) -> Option<Self> {
         let index = unknowns.readout(camera)?;
         let clock = &capture.cameras[camera].clock;
-        let frame_s = clock.frame_s();
-        let longest_s = if frame_s > 0.0 { frame_s } else { clock.readout_s };
+        let longest_s = clock.longest_readout_s()?;
         let estimated_s = clock.readout_s + solved.errors.get(index)?;
         let std_err_s = *solved.error_std_errs.get(index)?;
         Some(Self { readout_s: estimated_s.clamp(0.0, longest_s), std_err_s })

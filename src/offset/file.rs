@@ -28,7 +28,7 @@
 //! | `std_err_s` | null if `offset_s` is null; otherwise from 0 to [`Capture::reach_s`]; 0 for the reference |
 //! | `rate_ppm` | from −1000 to 1000, only if `offset_s` is a number; 0 or absent for a clock without drift |
 //! | `rate_std_err_ppm` | from 0 to 1000; present if and only if `rate_ppm` is |
-//! | `readout_s` | from 0 to the time between frames, only for a clock with `readout_std_s` |
+//! | `readout_s` | from 0 to the time between frames, only for a clock with `readout_std_s`; absent: the capture's |
 //! | `readout_std_err_s` | from 0 to 1 s; present if and only if `readout_s` is |
 //! | `lost_before` | image indices, ascending, at most as many as there are images; absent or empty for none |
 //! | `reason` | one line of text; present if and only if `offset_s` is null |
@@ -265,7 +265,7 @@ impl CameraFields<'_> {
         };
         let reason = "must be absent: the capture states the readout time as exact";
         self.require(filmed.clock.readout_std_s > 0.0, "readout_s", reason)?;
-        let longest_s = filmed.clock.frame_s();
+        let longest_s = filmed.clock.longest_readout_s().unwrap_or_default();
         let reason = format!("is {readout_s:?}, must be from 0 to {longest_s:?} s");
         self.require((0.0..=longest_s).contains(&readout_s), "readout_s", reason)?;
         self.require(error_s.is_some(), "readout_std_err_s", "is missing")?;

@@ -76,7 +76,8 @@ pub fn solve_clocks(
     let mut by_clock = vec![None; clocks.drifts.len()];
     by_clock[0] = Some(ClockEstimate::default());
     let errors = DVector::zeros(factor.map_or(0, DMatrix::nrows));
-    let error_std_errs = errors.clone();
+    let of_prior = |k, _| factor.map_or(0.0, |f| f.row(k).norm());
+    let error_std_errs = DVector::from_fn(errors.len(), of_prior);
     let mut solved = SolvedClocks { by_clock, errors, error_std_errs };
     let unknowns = Unknowns::new(clocks, &connected, factor);
     if used.is_empty() {
@@ -116,10 +117,10 @@ pub struct SolvedClocks {
     /// The estimate of each clock, by clock. `None` for a clock that no chain of pairs connects to the reference
     /// camera's clock.
     pub by_clock: Vec<Option<ClockEstimate>>,
-    /// The estimated calibration errors, in the order of the rows of their covariance; empty if calibration errors are
-    /// not among the unknowns.
+    /// The estimated errors of the calibration and of readout times, in the order of the rows of their covariance; empty
+    /// if they are not among the unknowns.
     pub errors: DVector<f64>,
-    /// The standard error of each of `errors`; 0 if no pair is used.
+    /// The standard error of each of `errors`; that of its prior if no pair is used.
     pub error_std_errs: DVector<f64>,
 }
 

@@ -116,6 +116,12 @@ fn resolve(
     use_edited: bool,
 ) -> Result<Offsets, CaptureError> {
     let capture = frames.capture();
+    let is_guessed = capture.cameras.iter().any(|c| c.clock.readout_std_s > 0.0);
+    if is_guessed && (clocks(capture).1 == 1 || options.method == OffsetMethod::Pairwise) {
+        reporter.note(
+            "Readout times are used as given: they are estimated only together with the offsets.",
+        );
+    }
     if clocks(capture).1 == 1 {
         reporter.note("The cameras share one clock: no offsets to estimate.");
         return Ok(Offsets::known(capture));

@@ -40,7 +40,8 @@ pub struct CameraOffset {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_std_err_ppm: Option<f64>,
     /// The readout time of the camera's rolling shutter, seconds, estimated together with the offsets. It replaces the
-    /// capture's. `None` if the capture states the readout time as exact.
+    /// capture's. `None` if it was not estimated, because the capture states the readout time as exact or because no
+    /// offsets are estimated; the capture's readout time then holds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub readout_s: Option<f64>,
     /// The standard error of `readout_s`, seconds. `None` if there is no `readout_s`.

@@ -199,7 +199,7 @@ fn calibration_errors_are_in_the_standard_errors() {
     };
     let std = [0.5, 0.2];
     let factor = DMatrix::from_diagonal(&DVector::from_fn(8, |k, _| std[k % 2]));
-    let (mut with, mut without, mut errors_s) = (0.0, 0.0, [0.0; 2]);
+    let (mut with, mut without, mut errors_s, mut of_errors) = (0.0, 0.0, [0.0; 2], 0.0);
     let arrays = 200;
     for _ in 0..arrays {
         let truth_s = [0.0, 0.01, -0.02, 0.005];
@@ -211,7 +211,10 @@ fn calibration_errors_are_in_the_standard_errors() {
             .collect();
         let exact = solve_clocks(&pairs, &layout, None).by_clock;
         let solved = solve_clocks(&pairs, &layout, Some(&factor));
-        assert_eq!(solved.errors.len(), 8);
+        assert_eq!((solved.errors.len(), solved.error_std_errs.len()), (8, 8));
+        for k in 0..8 {
+            of_errors += ((solved.errors[k] - error[k]) / solved.error_std_errs[k]).powi(2);
+        }
         for c in 1..4 {
             let (s, e) = (solved.by_clock[c].as_ref().unwrap(), exact[c].as_ref().unwrap());
             let off = [s, e].map(|x| x.clock.offset_s - truth_s[c]);
@@ -225,6 +228,30 @@ fn calibration_errors_are_in_the_standard_errors() {
     let [z, z_without] = [with, without].map(|sum| (sum / n).sqrt());
     assert!((0.7..1.25).contains(&z) && z_without > 2.0, "{z} {z_without}");
     assert!(errors_s[0] < 0.5 * errors_s[1], "{errors_s:?}");
+    let z = (of_errors / f64::from(8 * arrays)).sqrt();
+    assert!((0.6..1.1).contains(&z), "errors of the calibration: {z}");
+}
+
+/// Checks a covariance of lower rank than its size, as of a calibration whose gauge is fixed: two errors that are always
+/// equal. Without pairs, the standard errors are those of the prior.
+#[test]
+fn a_covariance_may_lack_rank() {
+    let random = &mut Random::new(9);
+    let layout = ClockLayout {
+        of_camera: vec![0, 1],
+        first_s: vec![0.0; 2],
+        drifts: vec![false; 2],
+        frame_s: 0.04,
+    };
+    let factor = DMatrix::from_row_slice(4, 2, &[0.5, 0.0, 0.0, 0.2, 0.5, 0.0, 0.0, 0.1]);
+    let error = &factor * DVector::from_vec(vec![1.0, -0.5]);
+    let pairs = [pair([0, 1], [0.0, 0.01], &error, random)];
+    let solved = solve_clocks(&pairs, &layout, Some(&factor));
+    let clock = solved.by_clock[1].as_ref().unwrap();
+    assert!((clock.clock.offset_s - 0.01).abs() < 2.0 * clock.std_err_s, "{clock:?}");
+    assert!((solved.errors[0] - solved.errors[2]).abs() < 1e-9, "{}", solved.errors);
+    let unseen = solve_clocks(&[], &layout, Some(&factor));
+    assert_eq!(unseen.error_std_errs, DVector::from_vec(vec![0.5, 0.2, 0.5, 0.1]));
 }
 
 #[test]

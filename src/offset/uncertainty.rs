@@ -29,9 +29,16 @@ pub struct Sandwich {
     independent: DMatrix<f64>,
     by_time: BTreeMap<i64, DVector<f64>>,
     by_place: BTreeMap<usize, DVector<f64>>,
-    /// The information matrix (inverse covariance) of a prior on the unknowns, if there is a prior. The prior's error
-    /// is independent of the errors of all equations.
-    prior: Option<DMatrix<f64>>,
+    /// The prior on the unknowns, if there is one.
+    prior: Option<Prior>,
+}
+
+/// Prior on the unknowns of a least-squares problem. Its error is independent of the errors of all equations.
+struct Prior {
+    /// The information matrix (inverse covariance) of the prior.
+    information: DMatrix<f64>,
+    /// The matrix that computes the unknowns of the equations from the unknowns that have the prior.
+    transform: DMatrix<f64>,
 }
 
 impl Sandwich {
@@ -47,17 +54,17 @@ impl Sandwich {
         }
     }
 
-    /// Replaces the unknowns x by new unknowns y, where x = `transform` · y. `prior` is the information matrix
-    /// (inverse covariance) of a prior on y.
-    pub fn with_prior(self, transform: &DMatrix<f64>, prior: DMatrix<f64>) -> Self {
+    /// Expresses the unknowns x by other unknowns y, where x = `transform` · y. `information` is the information matrix
+    /// (inverse covariance) of a prior on y. Variances are still those of x.
+    pub fn with_prior(self, transform: &DMatrix<f64>, information: DMatrix<f64>) -> Self {
         let both = |m: DMatrix<f64>| transform.tr_mul(&(m * transform));
         Self {
             unknowns: transform.ncols(),
-            normal: both(self.normal) + &prior,
+            normal: both(self.normal) + &information,
             independent: both(self.independent),
             by_time: self.by_time.into_iter().map(|(k, v)| (k, transform.tr_mul(&v))).collect(),
             by_place: self.by_place.into_iter().map(|(k, v)| (k, transform.tr_mul(&v))).collect(),
-            prior: Some(prior),
+            prior: Some(Prior { information, transform: transform.clone() }),
         }
     }
 
@@ -105,13 +112,17 @@ impl Sandwich {
             return None;
         }
         let inverse = self.inverse()?;
-        let sandwich = |middle: &DMatrix<f64>| (&inverse * middle * &inverse).diagonal();
+        let left = match &self.prior {
+            Some(prior) => &prior.transform * inverse,
+            None => inverse,
+        };
+        let sandwich = |middle: &DMatrix<f64>| (&left * middle * left.transpose()).diagonal();
         let independent = sandwich(&self.independent);
         let time = sandwich(&clustered(self.by_time.values(), self.unknowns));
         let place = sandwich(&clustered(self.by_place.values(), self.unknowns));
-        let prior = self.prior.as_ref().map(sandwich);
+        let prior = self.prior.as_ref().map(|prior| sandwich(&prior.information));
         Some(
-            (0..self.unknowns)
+            (0..left.nrows())
                 .map(|k| {
                     let both = time[k] + place[k] - independent[k];
                     let scatter = both.max(time[k]).max(place[k]).max(independent[k]);

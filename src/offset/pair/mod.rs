@@ -48,8 +48,8 @@ pub struct PairEstimate {
     pub(super) std_err_inflation: f64,
     /// All offset candidates, each with its weight in the mixture model, 1 / px².
     pub(super) samples: Arc<[(Sample, f64)]>,
-    /// The derivatives of the offset candidates by the calibration errors; empty if the capture states no calibration
-    /// errors.
+    /// The derivatives of the offset candidates by the errors of the calibration and of readout times; empty if the
+    /// capture states no such errors.
     pub(super) slopes: Arc<SampleSlopes>,
 }
 
