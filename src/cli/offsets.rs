@@ -3,7 +3,7 @@
 use super::CliError;
 use super::files::{OptionsArgs, open_capture};
 use super::print::{Page, decimals};
-use crate::offset::{Offsets, offsets_from_images};
+use crate::offset::{CameraOffset, Offsets, offsets_from_images};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::path::PathBuf;
@@ -86,12 +86,7 @@ fn print_table(offsets: &Offsets, frame_s: f64, page: &mut Page) {
             line += &format!(" {:>20}", text.unwrap_or_default());
         }
         if has_readouts {
-            let readout = camera.readout_s.zip(camera.readout_std_err_s);
-            let text = readout.map(|(s, error_s)| {
-                let digits = decimals(Some(1e3 * error_s));
-                format!("{:.digits$} ± {:.digits$} ms", 1e3 * s, 1e3 * error_s)
-            });
-            line += &format!(" {:>20}", text.unwrap_or_default());
+            line += &format!(" {:>20}", readout(camera));
         }
         if loses {
             let lost = camera.lost_before.as_deref().unwrap_or_default();
@@ -111,4 +106,13 @@ fn print_table(offsets: &Offsets, frame_s: f64, page: &mut Page) {
              their differences may be better known.",
         );
     }
+}
+
+/// Returns a camera's estimated readout time with its standard error, as text; empty if it was not estimated.
+fn readout(camera: &CameraOffset) -> String {
+    let Some((s, error_s)) = camera.readout_s.zip(camera.readout_std_err_s) else {
+        return String::new();
+    };
+    let digits = decimals(Some(1e3 * error_s));
+    format!("{:.digits$} ± {:.digits$} ms", 1e3 * s, 1e3 * error_s)
 }
