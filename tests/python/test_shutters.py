@@ -83,7 +83,8 @@ def test_instants_lie_between_frames_of_all_cameras_with_another_frame_beyond() 
 def test_too_short_a_film_for_truth_is_refused() -> None:
     linear8 = rig.load(ROOT / "rigs" / "linear8.json")
     with pytest.raises(
-        errors.BadInputError, match=r"--instants 3: 2 frames .* film more --frames"
+        errors.BadInputError,
+        match=r"--instants 3: there is room for 0 .* film more --frames",
     ):
         truth.instants_s(linear8, rig.shutters(linear8, 2), 3)
 
