@@ -20,7 +20,7 @@ const READOUT_ROUNDING: f64 = 1e-6;
 pub const MAX_DRIFT_PPM: f64 = 1000.0;
 
 /// Times of a camera's frames on its own clock, and how this clock may differ from the reference camera's clock.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Clock {
     /// Time of each frame, seconds on the camera's own clock, strictly ascending. It is the middle of the exposure of
     /// the frame's middle row. [`Capture::time_origin_s`] is subtracted.
@@ -246,14 +246,7 @@ mod tests {
 
     fn clock() -> Clock {
         let times_s = vec![0.0, 1.0, 2.5, 3.5];
-        Clock {
-            times_s,
-            shared: false,
-            drift: false,
-            lost: false,
-            readout_s: 0.0,
-            readout_std_s: 0.0,
-        }
+        Clock { times_s, ..Clock::default() }
     }
 
     #[test]

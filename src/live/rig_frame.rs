@@ -242,14 +242,7 @@ mod tests {
     use crate::raster::BitDepth;
 
     fn rig(cameras: Vec<Camera>) -> RigFrame {
-        let clock = Clock {
-            times_s: vec![0.0],
-            shared: true,
-            drift: false,
-            lost: false,
-            readout_s: 0.0,
-            readout_std_s: 0.0,
-        };
+        let clock = Clock { times_s: vec![0.0], shared: true, ..Clock::default() };
         let filmed = |(k, camera): (usize, Camera)| FilmedCamera {
             id: format!("cam{k}"),
             camera,

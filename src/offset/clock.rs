@@ -150,14 +150,7 @@ mod tests {
     #[test]
     fn lost_frames_delay_all_later_images() {
         let own_times_s = |times_s: &[f64], lost_before: &[usize]| {
-            let clock = Clock {
-                times_s: times_s.into(),
-                shared: false,
-                drift: false,
-                lost: true,
-                readout_s: 0.0,
-                readout_std_s: 0.0,
-            };
+            let clock = Clock { times_s: times_s.into(), lost: true, ..Clock::default() };
             let frame_s = clock.frame_s();
             let nominal = NominalClock { times_s, frame_s, may_lose_frames: true, drifts: false };
             let lost_before = lost_before.into();

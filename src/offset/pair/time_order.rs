@@ -77,14 +77,7 @@ mod tests {
     use super::*;
 
     fn clocks(times_s: Vec<Vec<f64>>) -> Vec<Clock> {
-        let clock = |times_s| Clock {
-            times_s,
-            shared: false,
-            drift: false,
-            lost: false,
-            readout_s: 0.0,
-            readout_std_s: 0.0,
-        };
+        let clock = |times_s| Clock { times_s, ..Clock::default() };
         times_s.into_iter().map(clock).collect()
     }
 
