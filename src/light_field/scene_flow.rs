@@ -113,7 +113,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 4 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 5 };
 }
 
 impl Stage for FlowConfidences<'_> {

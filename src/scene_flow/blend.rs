@@ -1,10 +1,10 @@
 //! Blends the scene flow maps of several frames, splatted into a view, to the view's image.
 
-use super::frame::FlowFrame;
+use super::composite::{ColorCandidate, Pixel, pixel_of, shows_motion};
 use super::geometry::{Projection, undistorted};
 use super::map::MappedFrame;
 use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
-use super::splat::Splat;
+use super::splat::{Area, QUARTERS, Splat};
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::{Image, Sampling, sample};
@@ -14,47 +14,21 @@ use std::ops::Range;
 /// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates (surface elements of
 /// different scene flow maps) for the same surface at a pixel of the view.
 const CLUSTER_PX: f32 = 1.5;
-/// Weight above which a cluster occludes a cluster of larger weight behind it, as a fraction of the weight of all
-/// surface elements at the pixel.
-const FRONT: f32 = 0.12;
-/// Weight from which a cluster is opaque, as a fraction of the weight of all surface elements at the pixel. The
-/// opacity rises linearly with the weight, from 0 at [`FRONT`] to 1 at this weight.
-const OPAQUE: f32 = 0.25;
-/// Factor on the thresholds [`FRONT`] and [`OPAQUE`] for a cluster that is known to move. A smaller weight suffices for
-/// such a cluster, since its source pixels are known not to show static background.
-const MOVING: f32 = 0.25;
 /// Minimum number, of a pixel's eight neighbours, that must show a nearer moving body for the pixel to count as a hole
 /// in the body.
 const CLOSING: usize = 5;
 /// Maximum distance from the border of a hole in a moving body at which the hole's pixels are closed, pixels. Pixels
 /// farther inside stay unchanged.
 const CLOSED_PX: usize = 4;
-/// Weight above which a cluster is visible through a transparent cluster in front of it, as a fraction of the weight
-/// of all surface elements at the pixel.
-const BEHIND: f32 = 0.05;
-/// Minimum weight of a candidate (surface element of one scene flow map) in the mean of its cluster, as a fraction of
-/// the largest weight in the cluster.
-const MIN_FRACTION: f32 = 0.02;
-/// Distance of a colour from the mean colour of its cluster at which the colour's weight falls to a quarter. Colours
-/// are RGB from 0 to 1.
-const COLOR: f32 = 0.06;
-
 /// Maximum number of a view's pixels that are blended at once. With eight scene flow maps, blending them takes about
 /// 60 MB.
 const BAND_PIXELS: usize = 5 << 16;
 /// Minimum number of pixels of a large view. To save memory, a large view is blended in bands of half of
 /// [`BAND_PIXELS`].
 const LARGE_PIXELS: usize = 1 << 23;
-
-/// Colour and depth of the surface that a pixel of the view shows.
-#[derive(Clone, Copy)]
-struct Pixel {
-    color: [f32; 3],
-    /// Inverse depth of the surface, 1/m.
-    inverse_depth: f32,
-    /// Whether the surface is known to move.
-    is_moving: bool,
-}
+/// Maximum number of pixels at outlines whose quarters are blended at once. With eight scene flow maps, blending them
+/// takes about 50 MB.
+const QUARTERED_PIXELS: usize = 1 << 16;
 
 /// Kind of content that the scene flow maps show at a pixel of the view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -171,24 +145,6 @@ impl Pixels {
     }
 }
 
-/// Surface element that one scene flow map shows at a pixel of the view, with the source of its colour.
-struct ColorCandidate<'a> {
-    frame: &'a FlowFrame,
-    inverse_depth: f32,
-    source: [f32; 2],
-    weight: f32,
-    /// Whether the source pixel is known to show a moving body.
-    is_moving: bool,
-}
-
-impl ColorCandidate<'_> {
-    /// Returns the factor on the weight threshold [`FRONT`] for this candidate: [`MOVING`] if it shows a moving body,
-    /// else 1.
-    fn front_factor(&self) -> f32 {
-        if self.is_moving { MOVING } else { 1.0 }
-    }
-}
-
 /// Rendered view with its depth map, and with the motion of its surfaces if requested.
 pub struct FlowView {
     pub rendered: Rendered,
@@ -196,60 +152,123 @@ pub struct FlowView {
     pub motions: Option<MotionMap>,
 }
 
+/// The scene flow maps of the frames from which a view is blended, with their confidences.
+#[derive(Clone, Copy)]
+struct Sources<'a> {
+    mapped: &'a [MappedFrame<'a>],
+    confidences: &'a [Vec<u8>],
+    /// Instant of the view, in frame periods of the reference camera since the capture's start.
+    time: f64,
+    /// Half-width of a cluster in inverse depth, 1/m.
+    reach: f32,
+}
+
+/// The scene flow maps, splatted into one area of a view.
+struct Splats<'a>(Vec<(&'a MappedFrame<'a>, Splat)>);
+
+impl<'a> Sources<'a> {
+    fn splats(&self, area: &Area) -> Splats<'a> {
+        let maps = self.mapped.par_iter().zip(self.confidences);
+        let splat =
+            |(m, c): (&'a MappedFrame, &Vec<u8>)| Some((m, Splat::new(*m, c, area, self.time)?));
+        Splats(maps.filter_map(splat).collect())
+    }
+}
+
+impl<'a> Splats<'a> {
+    /// Fills `candidates` with the surface elements that the maps show at pixel or quarter `k` of the area.
+    fn collect(&self, k: usize, candidates: &mut Vec<ColorCandidate<'a>>) {
+        candidates.clear();
+        for (mapped, splat) in self.0.iter().filter(|(_, splat)| splat.weights[k] > 0.0) {
+            let source = splat.sources[k];
+            candidates.push(ColorCandidate {
+                frame: mapped.frame,
+                inverse_depth: splat.inverse_depths[k],
+                source,
+                weight: splat.weights[k],
+                is_moving: shows_motion(mapped.frame, source),
+            });
+        }
+    }
+}
+
 /// One row of the view: colours, inverse depths, and what each pixel shows.
 type BlendedRow<'a> = (&'a mut [[f32; 3]], &'a mut [f32], &'a mut [Shown]);
 
-/// Blends the rows `rows` of a view at `time` into `pixels`, as [`blend`] describes.
-fn blend_rows(
-    mapped: &[MappedFrame],
-    confidences: &[Vec<u8>],
-    (view, rows): (&Camera, Range<usize>),
-    time: f64,
-    pixels: &mut Pixels,
-) {
-    let splats: Vec<(&MappedFrame, Splat)> = mapped
-        .par_iter()
-        .zip(confidences)
-        .filter_map(|(m, c)| Some((m, Splat::new(*m, c, (view, rows.clone()), time)?)))
-        .collect();
-    let reach = CLUSTER_PX / disparity_px(mapped).max(f32::MIN_POSITIVE);
-    let width = view.width;
+/// Blends the rows `rows` of a view into `pixels`, as [`blend`] describes.
+fn blend_rows(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut Pixels) {
+    let splats = sources.splats(&Area::of_rows(view, rows.clone()));
+    let (width, reach) = (view.width, sources.reach);
     let band = rows.start * width..rows.end * width;
     let colors = pixels.colors[band.clone()].par_chunks_mut(width);
     let depths = pixels.inverse_depths[band.clone()].par_chunks_mut(width);
-    let shown = pixels.shown[band].par_chunks_mut(width);
+    let shown = pixels.shown[band.clone()].par_chunks_mut(width);
     let motions = pixels.motions.as_ref();
     let row = |(y, (color, depth, shown)): (usize, BlendedRow)| {
-        let mut candidates = Vec::with_capacity(splats.len());
-        let mut room = Vec::with_capacity(splats.len());
+        let mut candidates = Vec::with_capacity(splats.0.len());
+        let mut room = Vec::with_capacity(splats.0.len());
         let mut row = vec![QuantizedMotion::default(); motions.map_or(0, |_| width)];
         for x in 0..width {
-            candidates.clear();
             let k = y * width + x;
-            for (mapped, splat) in splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0) {
-                let source = splat.sources[k];
-                candidates.push(ColorCandidate {
-                    frame: mapped.frame,
-                    inverse_depth: splat.inverse_depths[k],
-                    source,
-                    weight: splat.weights[k],
-                    is_moving: shows_motion(mapped.frame, source),
-                });
-            }
+            splats.collect(k, &mut candidates);
             if let Some(found) = pixel_of(&candidates, reach, &mut room) {
                 (color[x], depth[x]) = (found.color, found.inverse_depth);
                 shown[x] = if found.is_moving { Shown::Moving } else { Shown::Something };
                 if let Some(motions) = motions {
-                    let of = splats.iter().filter(|(_, splat)| splat.weights[k] > 0.0);
+                    let of = splats.0.iter().filter(|(_, splat)| splat.weights[k] > 0.0);
                     row[x] = motions.quantized(motion_of(of, k, (found.inverse_depth, reach)));
                 }
             }
         }
         row
     };
-    let rows: Vec<Vec<QuantizedMotion>> =
+    let motions: Vec<Vec<QuantizedMotion>> =
         (colors, depths, shown).into_par_iter().enumerate().map(row).collect();
-    pixels.motions.iter_mut().for_each(|motions| motions.extend(rows.iter().flatten().copied()));
+    pixels.motions.iter_mut().for_each(|m| m.extend(motions.iter().flatten().copied()));
+    drop(splats);
+    let outline = outline(&pixels.inverse_depths[band.clone()], width, reach);
+    for outline in outline.chunks(QUARTERED_PIXELS) {
+        let area = Area::of_quarters(view, rows.clone(), outline);
+        let splats = sources.splats(&area);
+        let color = |i: usize| mean_of_quarters(&splats, i, reach);
+        let colors: Vec<_> = (0..outline.len()).into_par_iter().map(color).collect();
+        for (&k, color) in outline.iter().zip(colors) {
+            let color_of = &mut pixels.colors[band.start + k as usize];
+            *color_of = color.unwrap_or(*color_of);
+        }
+    }
+}
+
+/// Returns the indices of the pixels at outlines: those with another inverse depth than one of their four neighbours.
+/// `inverse_depths` are those of some rows of a view, 0 where they are unknown.
+fn outline(inverse_depths: &[f32], width: usize, reach: f32) -> Vec<u32> {
+    let is_outline = |&k: &u32| {
+        let k = k as usize;
+        let own = inverse_depths[k];
+        let x = k % width;
+        let left = if x > 0 { inverse_depths[k - 1] } else { own };
+        let right = if x + 1 < width { inverse_depths[k + 1] } else { own };
+        let above = if k >= width { inverse_depths[k - width] } else { own };
+        let below = inverse_depths.get(k + width).copied().unwrap_or(own);
+        let differs = |other: f32| other > 0.0 && (other - own).abs() > reach;
+        own > 0.0 && [left, right, above, below].into_iter().any(differs)
+    };
+    // A band has less than 2³² pixels.
+    (0..inverse_depths.len() as u32).into_par_iter().filter(is_outline).collect()
+}
+
+/// Returns the mean colour of the quarters of the `i`-th pixel of an area. `None` if no map covers them.
+fn mean_of_quarters(splats: &Splats, i: usize, reach: f32) -> Option<[f32; 3]> {
+    let (mut candidates, mut room) = (Vec::new(), Vec::new());
+    let (mut sum, mut count) = ([0.0; 3], 0.0);
+    for k in QUARTERS * i..QUARTERS * (i + 1) {
+        splats.collect(k, &mut candidates);
+        if let Some(found) = pixel_of(&candidates, reach, &mut room) {
+            (0..3).for_each(|c| sum[c] += found.color[c]);
+            count += 1.0;
+        }
+    }
+    (count > 0.0).then(|| sum.map(|v| v / count))
 }
 
 /// Returns the disparity of a point at a depth of 1 m, pixels, at the maps' baseline of twice the distance between
@@ -281,13 +300,6 @@ fn motion_of<'a>(
     }
 }
 
-/// Returns whether a position in a frame, pixels, is known to show a moving body.
-fn shows_motion(frame: &FlowFrame, [x, y]: [f32; 2]) -> bool {
-    let (width, height) = (frame.view.width, frame.view.height);
-    let inside = |at: f32, size: usize| (at as usize).min(size - 1); // saturates at 0
-    frame.is_moving(inside(y, height) * width + inside(x, width))
-}
-
 /// Renders the view at `time`, in frame periods of the reference camera since the capture's start. `confidences` are
 /// the confidences of the scene flow maps, as [`confidences`](super::confidences) returns them.
 ///
@@ -306,9 +318,11 @@ pub fn blend(
     // The pixels of a large view need much memory, so its bands are smaller.
     let band_pixels = if width * height < LARGE_PIXELS { BAND_PIXELS } else { BAND_PIXELS / 2 };
     let rows_at_once = (band_pixels / width.max(1)).max(1);
+    let reach = CLUSTER_PX / disparity_px(mapped).max(f32::MIN_POSITIVE);
+    let sources = Sources { mapped, confidences, time, reach };
     for first in (0..height).step_by(rows_at_once) {
         let rows = first..(first + rows_at_once).min(height);
-        blend_rows(mapped, confidences, (view, rows), time, &mut pixels);
+        blend_rows(sources, view, rows, &mut pixels);
     }
     if mapped.iter().any(|m| m.frame.still.is_some()) {
         pixels.close(width);
@@ -387,107 +401,4 @@ impl<'a> Behind<'a> {
         }
         is_filmed.then_some(pixel)
     }
-}
-
-/// Colours of a cluster's candidates, RGB from 0 to 1, with their weights.
-type WeightedColors = Vec<([f32; 3], f32)>;
-
-/// Returns colour and depth of a pixel: the means of the frontmost cluster of candidates with a sufficient weight
-/// ([`FRONT`]), or else of the cluster with the largest weight. If this cluster isn't opaque ([`OPAQUE`]), its colour
-/// is composited over the colour of the cluster behind it. `reach` is the half-width of a cluster in inverse depth,
-/// 1/m. `colors` is a reusable buffer. `None` without candidates.
-fn pixel_of(
-    candidates: &[ColorCandidate],
-    reach: f32,
-    colors: &mut WeightedColors,
-) -> Option<Pixel> {
-    let depths = || candidates.iter().map(|c| c.inverse_depth);
-    let nearest = depths().fold(f32::NEG_INFINITY, f32::max);
-    if nearest - depths().fold(f32::INFINITY, f32::min) < reach {
-        return mean_of(candidates, nearest, reach, colors);
-    }
-    let total: f32 = candidates.iter().map(|c| c.weight).sum();
-    let support = |q: f32| -> f32 {
-        let near = candidates.iter().filter(|c| (c.inverse_depth - q).abs() < reach);
-        near.map(|c| c.weight).sum()
-    };
-    let heaviest = |min: f32, max: f32| {
-        let supports = depths().filter(|q| *q > min && *q < max).map(|q| (q, support(q)));
-        supports.fold((0.0, 0.0), |best, new| if new.1 > best.1 { new } else { best })
-    };
-    let (mut q, mut weight) = heaviest(f32::NEG_INFINITY, f32::INFINITY);
-    let is_front = |c: &&ColorCandidate| {
-        c.inverse_depth > q && support(c.inverse_depth) > c.front_factor() * FRONT * total
-    };
-    let front = candidates.iter().filter(is_front).map(|c| c.inverse_depth).fold(q, f32::max);
-    if front > q {
-        (q, weight) = heaviest(front - reach, front + reach);
-    }
-    let mut pixel = mean_of(candidates, q, reach, colors)?;
-    let (behind, weight_behind) = heaviest(f32::NEG_INFINITY, q - 2.0 * reach);
-    if weight_behind > BEHIND * total {
-        let factor = if pixel.is_moving { MOVING } else { 1.0 };
-        let [transparent, opaque] = [factor * FRONT, factor * OPAQUE];
-        let opacity = ((weight / total - transparent) / (opaque - transparent)).clamp(0.0, 1.0);
-        if opacity < 1.0
-            && let Some(back) = mean_of(candidates, behind, reach, colors)
-        {
-            for (color, back) in pixel.color.iter_mut().zip(back.color) {
-                *color = opacity * *color + (1.0 - opacity) * back;
-            }
-        }
-    }
-    Some(pixel)
-}
-
-/// Returns the mean colour and inverse depth of the candidates whose inverse depths differ from `q` by less than
-/// `reach`, both in 1/m. Two reweighting steps reduce the weight of outlying colours. `colors` is a reusable buffer.
-/// `None` if there are no such candidates.
-fn mean_of(
-    candidates: &[ColorCandidate],
-    q: f32,
-    reach: f32,
-    colors: &mut WeightedColors,
-) -> Option<Pixel> {
-    let cluster = || candidates.iter().filter(|c| (c.inverse_depth - q).abs() < reach);
-    // Grey cameras are left out if a colour camera contributes.
-    let has_color = cluster().any(|c| c.frame.is_color);
-    let cluster = || cluster().filter(|c| c.frame.is_color == has_color);
-    let most = cluster().map(|c| c.weight).fold(0.0, f32::max);
-    let (mut depths, mut weights, mut moving) = (0.0, 0.0, 0.0);
-    colors.clear();
-    for c in cluster().filter(|c| c.weight >= MIN_FRACTION * most) {
-        let [x, y] = c.source;
-        colors.push((sample(&c.frame.image, x, y, Sampling::Cubic), c.weight));
-        depths += c.weight * c.inverse_depth;
-        weights += c.weight;
-        moving += if c.is_moving { c.weight } else { 0.0 };
-    }
-    if colors.is_empty() {
-        return None;
-    }
-    let mut color = weighted_mean(colors, |_| 1.0);
-    for _ in 0..2 {
-        color = weighted_mean(colors, |c| {
-            let difference: f32 = (0..3).map(|k| (c[k] - color[k]) * (c[k] - color[k])).sum();
-            let kept = 1.0 / (1.0 + difference / (COLOR * COLOR));
-            kept * kept
-        });
-    }
-    let color = color.map(|c| c.clamp(0.0, 1.0));
-    Some(Pixel { color, inverse_depth: depths / weights, is_moving: 2.0 * moving > weights })
-}
-
-/// Returns the weighted mean of the colours. The weight of a colour is its own weight times `factor(colour)`. Both the
-/// weight and the factor must be positive.
-#[inline(always)]
-fn weighted_mean(colors: &WeightedColors, factor: impl Fn(&[f32; 3]) -> f32) -> [f32; 3] {
-    let (mut sum, mut weights) = ([0.0f32; 3], 0.0f32);
-    for (color, weight) in colors {
-        let weight = weight * factor(color);
-        (0..3).for_each(|c| sum[c] += weight * color[c]);
-        weights += weight;
-    }
-    let inverse = 1.0 / weights;
-    sum.map(|v| v * inverse)
 }

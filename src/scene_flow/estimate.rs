@@ -19,6 +19,8 @@ const CHANCES: [usize; 4] = [1, 2, 10, 50];
 /// Coarsest pyramid level at which the scene flow maps of different frames are compared with each other
 /// ([`OtherMaps`]); level 0 is the finest. The comparison is part of the last pass at a level.
 const COARSEST_COMPARED: usize = 1;
+/// Finest pyramid level at which the scene flow maps are smoothed, before the last pass.
+const FINEST_SMOOTHED: usize = 1;
 
 /// Joint estimation of the scene flow maps of several frames. Surface elements of one map are proposed for the other
 /// maps.
@@ -63,6 +65,9 @@ impl Estimation<'_> {
                     |(f, (map, proposals))| {
                         let disparity_px = disparities_px[f];
                         let matcher = self.matcher(f, level, &observations[f]);
+                        if is_last && level >= FINEST_SMOOTHED {
+                            matcher.smooth(map);
+                        }
                         let others = || OtherMaps::new(&frames, &snapshots, f, disparity_px);
                         matcher.pass(
                             map,

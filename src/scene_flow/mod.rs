@@ -11,7 +11,7 @@
 //! Asynchronous Cameras* (VMV 2010); Bleyer, Rhemann, Rother, *PatchMatch Stereo* (BMVC 2011); Taniai et al., *Fast
 //! Multi-frame Stereo Scene Flow* (CVPR 2017).
 //!
-//! Known limits: outlines are off by one or two pixels. The disparity of image edges parallel to the line of cameras
+//! Known limits: outlines are off by about a pixel. The disparity of image edges parallel to the line of cameras
 //! can't be measured, so their depth is found only where they move.
 //!
 //! | file | content |
@@ -23,17 +23,19 @@
 //! | `element.rs` | a surface element: the depth, path and slant of the surface at a pixel |
 //! | `patch.rs`, `matching.rs` | the matching cost of an element over all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
+//! | `smoothing.rs` | interpolation over plain surfaces |
 //! | `sweep.rs` | one pass of PatchMatch over a map |
 //! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of differing from these maps |
 //! | `estimate.rs` | the order of these steps, for several frames together |
 //! | `uncertainty.rs` | standard errors of depth and velocity |
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
 //! | `confidence.rs` | the fraction of the other maps that agree with an element |
-//! | `splat.rs`, `blend.rs` | rendering of a view from several maps |
+//! | `splat.rs`, `composite.rs`, `blend.rs` | rendering of a view from several maps |
 //! | `motion.rs` | the motion of the surfaces in a view |
 
 mod affine_fit;
 mod blend;
+mod composite;
 mod confidence;
 mod consistency;
 mod element;
@@ -46,6 +48,7 @@ mod matching;
 mod motion;
 mod packed;
 mod patch;
+mod smoothing;
 mod splat;
 mod still;
 mod sweep;

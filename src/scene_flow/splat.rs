@@ -6,6 +6,7 @@ use super::motion::SurfaceMotion;
 use super::timing::until;
 use crate::camera::Camera;
 use crate::simd::multiversion;
+use std::borrow::Cow;
 use std::ops::Range;
 
 /// Half-width of a splat, pixels of the frame. Splats of neighbouring pixels overlap slightly.
@@ -35,7 +36,64 @@ const ERROR_BY_CURVATURE: f32 = 0.1;
 /// view at a camera's own position and a frame's own time thus shows this frame.
 const EXACT_PX: f32 = 0.01;
 
-/// Scene flow map rendered into some rows of a view. Its public fields have one value per pixel, row by row.
+/// Pixels of a view into which scene flow maps are splatted: all pixels of some rows, or the quarters of some pixels.
+pub struct Area<'a> {
+    /// Camera of the view. For quarters, it has twice the width and height.
+    view: Cow<'a, Camera>,
+    rows: Range<usize>,
+    /// For every pixel of the rows, the index of its first quarter, or [`NO_QUARTERS`]. `None` if whole pixels are
+    /// splatted.
+    quarters: Option<Vec<u32>>,
+    count: usize,
+}
+
+/// Index of a pixel whose quarters are not splatted.
+const NO_QUARTERS: u32 = u32::MAX;
+/// Number of quarters of a pixel.
+pub const QUARTERS: usize = 4;
+
+impl<'a> Area<'a> {
+    /// Returns the area of whole pixels: those of the rows `rows` of a view.
+    pub fn of_rows(view: &'a Camera, rows: Range<usize>) -> Self {
+        let count = view.width * rows.len();
+        Self { view: Cow::Borrowed(view), rows, quarters: None, count }
+    }
+
+    /// Returns the area of the quarters of single pixels. `pixels` are their indices in the rows `rows` of a view. The
+    /// quarters of the pixel `pixels[i]` have the indices from `4 i` to `4 i + 3`.
+    pub fn of_quarters(view: &Camera, rows: Range<usize>, pixels: &[u32]) -> Self {
+        let mut quarters = vec![NO_QUARTERS; view.width * rows.len()];
+        for (i, &k) in pixels.iter().enumerate() {
+            // An image has less than 2³⁰ pixels.
+            quarters[k as usize] = (QUARTERS * i) as u32;
+        }
+        let view = Camera {
+            width: 2 * view.width,
+            height: 2 * view.height,
+            model: view.model.scaled(2.0),
+            ..view.clone()
+        };
+        let rows = 2 * rows.start..2 * rows.end;
+        let count = QUARTERS * pixels.len();
+        Self { view: Cow::Owned(view), rows, quarters: Some(quarters), count }
+    }
+
+    /// Returns the index of the pixel or quarter in column `u` and row `v`, which must be one of the rows. `None` if it
+    /// is not splatted.
+    #[inline(always)]
+    fn index(&self, u: usize, v: usize) -> Option<usize> {
+        let (v, width) = (v - self.rows.start, self.view.width);
+        match &self.quarters {
+            None => Some(v * width + u),
+            Some(quarters) => {
+                let first = quarters[(v / 2) * (width / 2) + u / 2];
+                (first != NO_QUARTERS).then(|| first as usize + 2 * (v % 2) + u % 2)
+            }
+        }
+    }
+}
+
+/// Scene flow map rendered into an [`Area`] of a view. Its public fields have one value per pixel or quarter.
 pub struct Splat {
     /// Inverse depth of each pixel in the view, 1/m.
     pub inverse_depths: Vec<f32>,
@@ -49,8 +107,6 @@ pub struct Splat {
     /// For each row of the scene flow map, the time from the row to the view's instant, in frame periods of the
     /// reference camera.
     row_dt: Vec<f32>,
-    width: usize,
-    rows: Range<usize>,
     /// Minimum difference in inverse depth for a nearer surface element to occlude a farther one, 1/m.
     hiding: f32,
 }
@@ -148,16 +204,12 @@ multiversion! {
 }
 
 impl Splat {
-    /// Splats a scene flow map into the rows `rows` of a view at `time`, in frame periods of the reference camera
-    /// since the capture's start. `confidences` are the confidences of the map's pixels. `None` if the intrinsic
-    /// matrix of the frame's camera is singular.
-    pub fn new(
-        mapped: MappedFrame,
-        confidences: &[u8],
-        (view, rows): (&Camera, Range<usize>),
-        time: f64,
-    ) -> Option<Self> {
+    /// Splats a scene flow map into an area of a view at `time`, in frame periods of the reference camera since the
+    /// capture's start. `confidences` are the confidences of the map's pixels. `None` if the intrinsic matrix of the
+    /// frame's camera is singular.
+    pub fn new(mapped: MappedFrame, confidences: &[u8], area: &Area, time: f64) -> Option<Self> {
         let MappedFrame { frame, map } = mapped;
+        let view = &*area.view;
         let baseline_m = (frame.view.center() - view.center()).norm() as f32;
         let to_view = ToView {
             projection: Projection::new(&frame.view, view)?,
@@ -165,7 +217,7 @@ impl Splat {
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
             place_error: ERROR_BY_BASELINE * view.focal_px() as f32 * baseline_m,
         };
-        let pixels = view.width * rows.len();
+        let pixels = area.count;
         let mut splat = Self {
             inverse_depths: vec![0.0; pixels],
             sources: vec![[0.0; 2]; pixels],
@@ -173,8 +225,6 @@ impl Splat {
             distances: vec![0.0; pixels],
             projection: to_view.projection,
             row_dt: (0..map.height).map(|y| until(frame, time, y as f32 + 0.5)).collect(),
-            width: view.width,
-            rows,
             hiding: HIDING_PX / map.disparity_px,
         };
         let mut row = Row::new(map.width);
@@ -190,7 +240,7 @@ impl Splat {
             if !is_pinhole {
                 distort(&mut row, view);
             }
-            splat.add_row(&row, &map.pixels()[pixels], y);
+            splat.add_row(&row, &map.pixels()[pixels], y, area);
         }
         Some(splat)
     }
@@ -207,34 +257,34 @@ impl Splat {
         SurfaceMotion { velocity: there.velocity, inverse_depth_rate: there.inverse_depth_rate }
     }
 
-    fn add_row(&mut self, row: &Row, pixels: &[FlowPixel], y: usize) {
-        let width = self.width as f32;
-        let (first, end) = (self.rows.start as f32, self.rows.end as f32);
+    fn add_row(&mut self, row: &Row, pixels: &[FlowPixel], y: usize, area: &Area) {
+        let width = area.view.width as f32;
+        let (first, end) = (area.rows.start as f32, area.rows.end as f32);
         for (x, pixel) in pixels.iter().enumerate() {
             let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);
             let is_near =
                 cx > -scale && cx < width + scale && cy > first - scale && cy < end + scale;
             if is_near && row.weight[x] > 0.0 {
-                self.add(row, x, y, pixel);
+                self.add(row, (x, y), pixel, area);
             }
         }
     }
 
-    /// Adds the splat of surface element `x` of row `y`. Parts outside the view are clipped.
+    /// Adds the splat of surface element `x` of row `y`. Parts outside the area are clipped.
     #[inline(always)]
-    fn add(&mut self, row: &Row, x: usize, y: usize, pixel: &FlowPixel) {
+    fn add(&mut self, row: &Row, (x, y): (usize, usize), pixel: &FlowPixel, area: &Area) {
         let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);
         let half =
             |side: usize| scale * if pixel.is_edge(side) { HALF_WIDTH_AT_EDGE } else { HALF_WIDTH };
-        let columns = pixels_between(cx - half(0), cx + half(1), 0..self.width);
-        let rows = pixels_between(cy - half(2), cy + half(3), self.rows.clone());
+        let columns = pixels_between(cx - half(0), cx + half(1), 0..area.view.width);
+        let rows = pixels_between(cy - half(2), cy + half(3), area.rows.clone());
         let (inverse_depth, inverse_scale) = (row.inverse_depth[x], 1.0 / scale);
         let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
         for v in rows {
             for u in columns.clone() {
+                let Some(k) = area.index(u, v) else { continue };
                 let (dx, dy) = (u as f32 + 0.5 - cx, v as f32 + 0.5 - cy);
                 let distance = dx.abs().max(dy.abs());
-                let k = (v - self.rows.start) * self.width + u;
                 let old = self.inverse_depths[k];
                 let is_same = inverse_depth > old - self.hiding && distance < self.distances[k];
                 if self.weights[k] == 0.0 || inverse_depth > old + self.hiding || is_same {

@@ -35,12 +35,15 @@ impl PatchMatcher<'_> {
         (0..map.height).into_par_iter().flat_map_iter(row).collect()
     }
 
-    fn errors_at(
+    /// Returns the information matrix (inverse covariance) of a surface element's disparity and velocity at a pixel of
+    /// the pyramid level, from image gradients and residuals. Units are pixels of the full-resolution image. `patch` is
+    /// a reusable buffer.
+    pub fn information(
         &self,
         map: &ElementMap,
         (x, y): (usize, usize),
         patch: &mut Patch,
-    ) -> ElementErrors {
+    ) -> Matrix3<f64> {
         self.fill_patch(x, y, patch);
         let [xx, xy, yy] = patch.structure().map(f64::from);
         let k = y * map.width + x;
@@ -70,7 +73,18 @@ impl PatchMatcher<'_> {
             }
         }
         let residual = MIN_RESIDUAL + RESIDUAL_BY_COST * f64::from(map.costs[k]);
-        let mut information = information * (VISIBLE_FRACTION / (residual * residual));
+        information * (VISIBLE_FRACTION / (residual * residual))
+    }
+
+    fn errors_at(
+        &self,
+        map: &ElementMap,
+        (x, y): (usize, usize),
+        patch: &mut Patch,
+    ) -> ElementErrors {
+        let k = y * map.width + x;
+        let element = &map.elements[k];
+        let mut information = self.information(map, (x, y), patch);
         let [disparity, velocity] = PRIOR_PX.map(|e| 1.0 / (e * e));
         // The prior makes the matrix positive definite.
         information += Matrix3::from_diagonal(&Vector3::new(disparity, velocity, velocity));

@@ -1,0 +1,195 @@
+//! Smooths a scene flow map where the images say little. A plain surface matches with many depths and motions. If a
+//! region of it has a wrong element, PatchMatch can't correct this pixel by pixel: inside the region, each pixel agrees
+//! with its neighbours. Here, the elements of all pixels change together. The smooth map minimizes
+//!
+//! ```text
+//! Σ (v_i − e_i)ᵀ I_i (v_i − e_i) + Σ w_ij |v_i − v_j|²
+//! ```
+//!
+//! over the disparities and velocities `v` of all pixels `i` and of neighbours `i`, `j`. `e` are the present values,
+//! `I` their information matrices, and `w` weights that decrease with the difference in colour. Textured pixels
+//! thus keep their values, and those of plain pixels are interpolated between them.
+
+use super::element::Element;
+use super::map::ElementMap;
+use super::matching::{MAX_OBSERVATIONS, PatchMatcher};
+use super::patch::{Patch, color_difference};
+use nalgebra::{Matrix3, Vector3};
+
+/// Standard deviation of the difference between two neighbouring pixels of one colour, pixels of the pyramid level: of
+/// the disparity, and of each component of the velocity.
+const DIFFERENCE_PX: f64 = 0.5;
+/// Colour difference of two neighbouring pixels at which their weight falls to 1/e.
+const COLOR: f32 = 0.04;
+/// Number of Gauss–Seidel iterations. Regions that are too wide for them are smoothed at a coarser pyramid level.
+const ITERATIONS: usize = 30;
+/// Minimum information about each unknown, 1/px². It makes the information matrices positive definite.
+const MIN_INFORMATION: f64 = 1e-6;
+/// Minimum distance ([`PatchMatcher::distance`]) between a pixel's element and the smooth one for a replacement, pixels
+/// of the pyramid level.
+const MIN_CHANGE_PX: f32 = 0.5;
+/// Maximum increase of the matching cost in a replacement.
+const TOLERANCE: f32 = 0.004;
+
+/// Unknowns of a pixel, in pixels and pixels per frame. `motion` is the disparity and the velocity. `rates` are their
+/// rates of change.
+#[derive(Clone, Copy)]
+struct Unknowns {
+    motion: Vector3<f64>,
+    rates: Vector3<f64>,
+}
+
+impl Unknowns {
+    fn of(e: &Element, disparity_px: f32) -> Self {
+        let vector = |by_depth: f32, [x, y]: [f32; 2]| {
+            Vector3::new(by_depth * disparity_px, x, y).map(f64::from)
+        };
+        Self {
+            motion: vector(e.inverse_depth, e.velocity),
+            rates: vector(e.inverse_depth_rate, e.acceleration),
+        }
+    }
+
+    /// Returns the surface element with these values and without gradients.
+    fn element(&self, disparity_px: f32) -> Element {
+        let Self { motion, rates } = self;
+        let [motion, rates] = [motion, rates].map(|v| v.map(|value| value as f32));
+        Element {
+            inverse_depth: motion.x / disparity_px,
+            velocity: [motion.y, motion.z],
+            inverse_depth_rate: rates.x / disparity_px,
+            acceleration: [rates.y, rates.z],
+            ..Element::default()
+        }
+    }
+}
+
+/// What is known about a pixel before smoothing.
+struct Known {
+    present: Unknowns,
+    information: Matrix3<f64>,
+    /// Weights of the differences from the neighbours to the right and below, 1/px²; 0 where there is none.
+    weights: [f64; 2],
+}
+
+impl PatchMatcher<'_> {
+    /// Replaces surface elements of a scene flow map by those of the smooth map, where these match as well.
+    pub fn smooth(&self, map: &mut ElementMap) {
+        let known = self.known(map);
+        let mut patch = Patch::empty();
+        let mut costs = [0.0; MAX_OBSERVATIONS];
+        for (k, smooth) in smoothed(&known, map.width).into_iter().enumerate() {
+            let element = smooth.element(self.disparity_px);
+            if self.distance(&element, &map.elements[k]) < MIN_CHANGE_PX {
+                continue;
+            }
+            let pixel = (k % map.width, k / map.width);
+            self.fill_patch(pixel.0, pixel.1, &mut patch);
+            let limit = map.costs[k] + TOLERANCE;
+            let cost = self.cost(&element, pixel, &patch, limit, &mut costs);
+            if cost <= limit {
+                (map.elements[k], map.costs[k]) = (element, cost);
+            }
+        }
+    }
+
+    fn known(&self, map: &ElementMap) -> Vec<Known> {
+        let mut patch = Patch::empty();
+        let mut known = |k: usize| {
+            let pixel @ (x, y) = (k % map.width, k / map.width);
+            Known {
+                present: Unknowns::of(&map.elements[k], self.disparity_px),
+                information: self.information(map, pixel, &mut patch)
+                    + Matrix3::from_diagonal_element(MIN_INFORMATION),
+                weights: [(x + 1, y), (x, y + 1)].map(|beside| self.smoothness(pixel, beside)),
+            }
+        };
+        (0..map.elements.len()).map(&mut known).collect()
+    }
+
+    /// Returns the weight of the difference between two neighbouring pixels, 1/px²: 0 if the second is outside the map,
+    /// or if only one of them shows static background.
+    fn smoothness(&self, (x, y): (usize, usize), (u, v): (usize, usize)) -> f64 {
+        let is_inside = u < self.own.width && v < self.own.height;
+        if !is_inside || self.own.is_still(x, y) != self.own.is_still(u, v) {
+            return 0.0;
+        }
+        let difference = color_difference(&self.own.pixel(x, y), &self.own.pixel(u, v));
+        let deviation = DIFFERENCE_PX * f64::from(self.scale);
+        f64::from((-difference / COLOR).exp()) / (deviation * deviation)
+    }
+}
+
+/// Returns the smooth map's unknowns, by Gauss–Seidel iterations in alternating directions.
+fn smoothed(known: &[Known], width: usize) -> Vec<Unknowns> {
+    let mut values: Vec<Unknowns> = known.iter().map(|k| k.present).collect();
+    for turn in 0..ITERATIONS {
+        for k in 0..values.len() {
+            let k = if turn % 2 == 1 { values.len() - 1 - k } else { k };
+            values[k] = relaxed(known, &values, k, width);
+        }
+    }
+    values
+}
+
+/// Returns the unknowns of pixel `k` that minimize the sum while all other pixels keep theirs.
+fn relaxed(known: &[Known], values: &[Unknowns], k: usize, width: usize) -> Unknowns {
+    let Known { present, information, weights: [right, below] } = &known[k];
+    let diagonal = information.diagonal();
+    let (mut motion, mut rates) =
+        (information * present.motion, diagonal.component_mul(&present.rates));
+    let mut sum = 0.0;
+    let mut add = |neighbor: usize, weight: f64| {
+        motion += weight * values[neighbor].motion;
+        rates += weight * values[neighbor].rates;
+        sum += weight;
+    };
+    let x = k % width;
+    if x > 0 {
+        add(k - 1, known[k - 1].weights[0]);
+    }
+    if k >= width {
+        add(k - width, known[k - width].weights[1]);
+    }
+    if x + 1 < width {
+        add(k + 1, *right);
+    }
+    if k + width < values.len() {
+        add(k + width, *below);
+    }
+    let normal = information + Matrix3::from_diagonal_element(sum);
+    // The diagonal is at least `MIN_INFORMATION`. The matrix is singular only by rounding errors.
+    let rates = rates.component_div(&diagonal.add_scalar(sum));
+    normal.try_inverse().map_or(*present, |inverse| Unknowns { motion: inverse * motion, rates })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn known(values: &[f64], information: &[f64]) -> Vec<Known> {
+        let pixel = |k: usize| Known {
+            present: Unknowns { motion: Vector3::repeat(values[k]), rates: Vector3::zeros() },
+            information: Matrix3::from_diagonal_element(information[k]),
+            weights: [if k + 1 < values.len() { 1.0 } else { 0.0 }, 0.0],
+        };
+        (0..values.len()).map(pixel).collect()
+    }
+
+    #[test]
+    fn values_without_information_are_interpolated_between_their_surroundings() {
+        let smooth = smoothed(&known(&[0.0, 50.0, 50.0, 4.5], &[1e6, 0.0, 0.0, 1e6]), 4);
+        for (k, expected) in [0.0, 1.5, 3.0, 4.5].into_iter().enumerate() {
+            let motion = smooth[k].motion;
+            assert!((motion - Vector3::repeat(expected)).amax() < 1e-4, "{k}: {motion}");
+        }
+    }
+
+    #[test]
+    fn a_weight_of_zero_separates_two_surfaces() {
+        let mut known = known(&[1.0, 1.0, 8.0, 8.0], &[1e6, 0.0, 0.0, 1e6]);
+        known[1].weights[0] = 0.0;
+        let smooth = smoothed(&known, 4);
+        assert!((smooth[1].motion.x - 1.0).abs() < 1e-4 && (smooth[2].motion.x - 8.0).abs() < 1e-4);
+    }
+}
