@@ -178,7 +178,6 @@ fn a_plain_surface_moves_as_its_textured_border() {
             }
         }
         let wrong = errors.iter().filter(|e| **e > 1.0).count();
-        println!("{wrong} of {}", errors.len());
         assert!(20 * wrong < errors.len(), "{wrong} of {}", errors.len());
     }
 }
@@ -289,7 +288,6 @@ fn outlines_are_antialiased() {
         }
     }
     let rms = (error / count).sqrt();
-    println!("{rms}");
     assert!(rms < 0.1, "{rms}");
 }
 
