@@ -1,9 +1,12 @@
 //! Video files, read and written by ffmpeg as a child process, without a shell. File names are passed in a form that
 //! ffmpeg can't mistake for an option.
 
+mod intact;
+mod packets;
 mod reader;
 mod writer;
 
+pub use intact::{DamagedVideo, decode_intact, find_intact};
 pub(crate) use reader::frame_name;
 pub use reader::{VideoFacts, VideoLimits, decode, inspect};
 pub use writer::{Codec, VideoFormat, VideoWriter};
@@ -21,9 +24,12 @@ pub enum VideoError {
         "{ffmpeg}: has no encoder {encoder}, which .{suffix} needs; install an ffmpeg with it, or write .mkv"
     )]
     NoEncoder { ffmpeg: PathBuf, encoder: &'static str, suffix: &'static str },
-    /// A video can't be decoded. `reason` is like "has no frames". The caller puts the video's name before it.
+    /// A video can't be used. `reason` is like "has no frames". The caller puts the video's name before it.
     #[error("{reason}")]
     Decode { reason: String },
+    /// A video can't be decoded without an error. The caller puts the video's name before `reason`.
+    #[error("{reason}")]
+    Damaged { reason: String },
     /// A file can't be read or written, or ffmpeg can't be started.
     #[error("{path}: {source}")]
     File { path: PathBuf, source: std::io::Error },
