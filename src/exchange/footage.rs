@@ -9,7 +9,7 @@ use super::{ExchangeError, NamedCamera, content};
 use crate::capture::{MAX_FRAMES, Opening};
 use crate::host::open_file;
 use crate::raster::read_header;
-use crate::video::{VideoError, VideoFacts, inspect};
+use crate::video::{DamagedVideo, VideoError, VideoFacts, find_intact, inspect};
 use std::path::{Path, PathBuf};
 
 /// A camera with its frames: the image files or the video, and the times.
@@ -26,13 +26,47 @@ pub(super) enum FootageFrames {
     /// Image files, in the order of the frames.
     Images(Vec<PathBuf>),
     Video(PathBuf, VideoFacts),
+    /// A video of which only the intact frames are imported.
+    Damaged(PathBuf, DamagedVideo),
 }
 
 impl FootageFrames {
+    /// Returns the number of imported frames.
     pub fn len(&self) -> usize {
         match self {
+            Self::Damaged(_, video) => video.intact.len(),
+            _ => self.recorded(),
+        }
+    }
+
+    /// Returns the number of recorded frames, with the damaged ones.
+    fn recorded(&self) -> usize {
+        match self {
             Self::Images(files) => files.len(),
-            Self::Video(_, facts) => facts.times_s.len(),
+            Self::Video(_, facts) | Self::Damaged(_, DamagedVideo { facts, .. }) => {
+                facts.times_s.len()
+            }
+        }
+    }
+
+    /// Returns the values of the imported frames, from the values of all recorded frames.
+    pub fn imported<T: Copy>(&self, recorded: Vec<T>) -> Vec<T> {
+        match self {
+            Self::Damaged(_, video) => video.intact.iter().map(|k| recorded[*k]).collect(),
+            _ => recorded,
+        }
+    }
+
+    /// Returns the indices of the imported frames among the recorded ones.
+    pub fn indices(&self) -> Vec<usize> {
+        self.imported((0..self.recorded()).collect())
+    }
+
+    /// Returns the image size and the time stamps of all recorded frames. `None` for images.
+    pub fn facts(&self) -> Option<&VideoFacts> {
+        match self {
+            Self::Images(_) => None,
+            Self::Video(_, facts) | Self::Damaged(_, DamagedVideo { facts, .. }) => Some(facts),
         }
     }
 
@@ -40,7 +74,7 @@ impl FootageFrames {
     pub fn path(&self) -> &Path {
         match self {
             Self::Images(files) => &files[0],
-            Self::Video(path, _) => path,
+            Self::Video(path, _) | Self::Damaged(path, _) => path,
         }
     }
 }
@@ -76,10 +110,15 @@ pub(super) fn find(
         let frames = if path.is_dir() {
             FootageFrames::Images(sequence(&path)?)
         } else {
-            FootageFrames::Video(path.clone(), facts(&path, opening, scratch)?)
+            let (frames, note) = video(&path, opening, scratch)?;
+            notes.extend(note);
+            frames
         };
         let times_ns = match &times {
-            Some((file, times)) => Some(checked_times(file, times, &camera.name, frames.len())?),
+            Some((file, times)) => {
+                let times_ns = checked_times(file, times, &camera.name, frames.recorded())?;
+                Some(frames.imported(times_ns))
+            }
             None => None,
         };
         footage.push(Footage { id: camera.name.clone(), camera, frames, times_ns });
@@ -124,8 +163,13 @@ fn checked_times(
     Err(content(file, format!("has {} times of {id} for {frames} frames", times.len())))
 }
 
-/// Reads the image size and the time stamps of a video with ffmpeg. `scratch` is a folder for temporary files.
-fn facts(path: &Path, opening: &Opening, scratch: &Path) -> Result<VideoFacts, ExchangeError> {
+/// Reads the image size and the time stamps of a video with ffmpeg. If the video is damaged, finds the intact frames,
+/// and returns a sentence for the user about them. `scratch` is a folder for temporary files.
+fn video(
+    path: &Path,
+    opening: &Opening,
+    scratch: &Path,
+) -> Result<(FootageFrames, Option<String>), ExchangeError> {
     let unread = |source| ExchangeError::Read { path: path.to_owned(), source };
     let Some(ffmpeg) = opening.ffmpeg else {
         return Err(ExchangeError::NoFfmpeg { path: path.to_owned() });
@@ -133,25 +177,43 @@ fn facts(path: &Path, opening: &Opening, scratch: &Path) -> Result<VideoFacts, E
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let _phase = opening.reporter.phase(&format!("reading {name}"));
     let file = open_file(path).map_err(unread)?;
-    inspect(ffmpeg, &file, scratch, MAX_FRAMES).map_err(|error| match error {
+    let reason = match inspect(ffmpeg, &file, scratch, MAX_FRAMES) {
+        Ok(facts) => return Ok((FootageFrames::Video(path.to_owned(), facts), None)),
+        Err(VideoError::Damaged { reason }) => reason,
+        Err(error) => return Err(of_video(path, error)),
+    };
+    let found = find_intact(ffmpeg, &file, scratch, MAX_FRAMES);
+    let video =
+        found.map_err(|error| of_video(path, error))?.ok_or_else(|| content(path, reason))?;
+    let frames = video.facts.times_s.len();
+    let note = match frames - video.intact.len() {
+        0 => format!("{name}: the file is damaged, but none of its {frames} frames is."),
+        1 => format!("{name}: 1 of {frames} frames is damaged and left out."),
+        damaged => format!("{name}: {damaged} of {frames} frames are damaged and left out."),
+    };
+    Ok((FootageFrames::Damaged(path.to_owned(), video), Some(note)))
+}
+
+/// Converts an error about the video at `path`.
+pub(super) fn of_video(path: &Path, error: VideoError) -> ExchangeError {
+    match error {
         VideoError::File { path, source } => ExchangeError::Write { path, source },
         error => content(path, error),
-    })
+    }
 }
 
 /// Returns the width and the height of a camera's images, in pixels.
 pub(super) fn image_size(frames: &FootageFrames) -> Result<[usize; 2], ExchangeError> {
-    match frames {
-        FootageFrames::Video(_, facts) => Ok(facts.size),
-        FootageFrames::Images(files) => {
-            let header = read_header(&files[0]).map_err(|error| {
-                let message = error.to_string();
-                let path = format!("{}: ", files[0].display());
-                content(&files[0], message.strip_prefix(&path).unwrap_or(&message))
-            })?;
-            Ok([header.width as usize, header.height as usize])
-        }
+    if let Some(facts) = frames.facts() {
+        return Ok(facts.size);
     }
+    let path = frames.path();
+    let header = read_header(path).map_err(|error| {
+        let message = error.to_string();
+        let prefix = format!("{}: ", path.display());
+        content(path, message.strip_prefix(&prefix).unwrap_or(&message))
+    })?;
+    Ok([header.width as usize, header.height as usize])
 }
 
 /// Returns the image files of a folder, sorted by the last number in each name. Numbers that are not consecutive are an

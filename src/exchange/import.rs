@@ -1,6 +1,6 @@
 //! Import of a calibration with videos or image sequences as a capture.
 
-use super::footage::{Footage, FootageFrames, FoundFootage, find, image_size};
+use super::footage::{Footage, FootageFrames, FoundFootage, find, image_size, of_video};
 use super::pairing::{all_entries, extension};
 use super::request::{ImportClock, ImportRequest};
 use super::{ExchangeError, NamedCamera, content};
@@ -11,6 +11,7 @@ use crate::capture::{
 use crate::host::temporary::Temporary;
 use crate::host::{open_file, write_json};
 use crate::text::number;
+use crate::video::{DamagedVideo, decode_intact};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -20,8 +21,8 @@ const WHOLE: &str = "capture";
 const SCRATCH: &str = "scratch";
 
 /// Imports a calibration and recordings as the new capture `target`. Images are copied. Videos are hard-linked, or
-/// copied where the file system can't link them. The folder `target` appears only when the capture is complete and can
-/// be opened.
+/// copied where the file system can't link them. The intact frames of a damaged video become PNG images; its other
+/// frames are left out. The folder `target` appears only when the capture is complete and can be opened.
 ///
 /// The id of a camera is the first folder in the name of its images, or else this name without extension. The recording
 /// of a camera is the sub-folder or video with this id in the request's folder. If no camera has a recording of its
@@ -32,11 +33,14 @@ const SCRATCH: &str = "scratch";
 /// The times of the frames come from the first of these sources that exists: the given rate, the given table,
 /// `timestamps.csv` beside the recordings, the calibration, the video.
 ///
-/// Returns sentences for the user. They say which recordings were found, and how they are interpreted.
+/// A table of times has a time for each frame of a damaged video, including the frames that are left out.
+///
+/// Returns sentences for the user. They say which recordings were found, how they are interpreted, and how many frames
+/// are damaged.
 ///
 /// Errors: a target that is not empty, a moving camera, recordings whose pairing is ambiguous, a sequence of mixed
 /// image types or with a gap, frames without times, images whose aspect ratio differs from the calibrated image, a
-/// video that is damaged or interlaced, a capture that can't be opened.
+/// video that is interlaced or has fewer than two intact frames, a capture that can't be opened.
 pub fn import(
     cameras: &[NamedCamera],
     request: &ImportRequest,
@@ -59,7 +63,17 @@ pub fn import(
     let clocks = clocks(&footage, request, has_one_clock, &mut notes)?;
     let mut filmed = Vec::new();
     for (one, clock) in footage.iter().zip(clocks) {
-        let frames = place(one, &whole, target)?;
+        let frames = match &one.frames {
+            FootageFrames::Images(files) => {
+                place_images(&one.id, files, copy_file, &whole, target)?
+            }
+            FootageFrames::Video(path, _) => place_video(&one.id, path, &whole, target)?,
+            FootageFrames::Damaged(path, video) => {
+                let images = intact_images(path, video, &scratch, opening)?;
+                let moved = |from: &Path, to: &Path| std::fs::rename(from, to);
+                place_images(&one.id, &images, moved, &whole, target)?
+            }
+        };
         filmed.push(described(one, frames, clock));
     }
     notes.push(summary(&filmed, &footage));
@@ -218,43 +232,33 @@ fn clocks(
     if from_ns != 0 {
         notes.push(format!("Times count from {} s of the file's.", from_ns / 1_000_000_000));
     }
+    let clock = ClockFormat { shared, readout_s, readout_std_s, ..ClockFormat::default() };
+    let steady =
+        |one: &Footage, rate_hz, first_s| steady(&clock, &one.frames.indices(), rate_hz, first_s);
+    let stamped = |times_s| ClockFormat { times_s: Some(times_s), ..clock.clone() };
     let mut clocks = Vec::new();
     let mut uneven = Vec::new();
     let mut rates = Vec::new();
     for one in footage {
-        let steady = |rate_hz, first_s| ClockFormat {
-            rate_hz: Some(rate_hz),
-            first_s: Some(first_s),
-            shared,
-            readout_s,
-            readout_std_s,
-            ..ClockFormat::default()
-        };
-        let stamped = |times_s| ClockFormat {
-            times_s: Some(times_s),
-            shared,
-            readout_s,
-            readout_std_s,
-            ..ClockFormat::default()
-        };
-        clocks.push(match (rate_hz, &one.times_ns, &one.frames) {
-            (Some(rate_hz), ..) => steady(rate_hz, first_s),
+        clocks.push(match (rate_hz, &one.times_ns, one.frames.facts()) {
+            (Some(rate_hz), ..) => steady(one, rate_hz, first_s),
             (None, Some(times_ns), _) => {
                 stamped(times_ns.iter().map(|t| (t - from_ns) as f64 / 1e9).collect())
             }
-            (None, None, FootageFrames::Video(_, facts)) => match steady_rate_hz(&facts.times_s) {
+            (None, None, Some(facts)) => match steady_rate_hz(&facts.times_s) {
                 Some(rate_hz) => {
                     rates.push(rate_hz);
-                    steady(rate_hz, first_s + facts.times_s[0])
+                    steady(one, rate_hz, first_s + facts.times_s[0])
                 }
                 None => {
                     uneven.push(one.id.as_str());
-                    stamped(facts.times_s.iter().map(|t| first_s + t).collect())
+                    let times_s = facts.times_s.iter().map(|t| first_s + t).collect();
+                    stamped(one.frames.imported(times_s))
                 }
             },
-            (None, None, FootageFrames::Images(files)) => {
+            (None, None, None) => {
                 let reason = "is an image, which has no time: give --rate or --times";
-                return Err(content(&files[0], reason));
+                return Err(content(one.frames.path(), reason));
             }
         });
     }
@@ -271,6 +275,19 @@ fn clocks(
     Ok(clocks)
 }
 
+/// Returns a clock with the times of frames that were recorded at a constant rate, in hertz. Frame k of the recording
+/// has the time `first_s` + k / `rate_hz`, in seconds. `indices` are the ascending values of k of the imported frames.
+/// Everything else is as in `clock`.
+fn steady(clock: &ClockFormat, indices: &[usize], rate_hz: f64, first_s: f64) -> ClockFormat {
+    let time_s = |k: usize| first_s + k as f64 / rate_hz;
+    if indices.windows(2).all(|pair| pair[0] + 1 == pair[1]) {
+        let first_s = indices.first().map_or(first_s, |k| time_s(*k));
+        return ClockFormat { rate_hz: Some(rate_hz), first_s: Some(first_s), ..clock.clone() };
+    }
+    let times_s = indices.iter().map(|k| time_s(*k)).collect();
+    ClockFormat { times_s: Some(times_s), ..clock.clone() }
+}
+
 /// Returns a sentence for the user with the numbers of cameras and frames.
 fn summary(filmed: &[FilmedCameraFormat], footage: &[Footage]) -> String {
     let frames = || footage.iter().map(|one| one.frames.len());
@@ -284,24 +301,36 @@ fn summary(filmed: &[FilmedCameraFormat], footage: &[Footage]) -> String {
     format!("{} cameras with {frames} frames, {unshared}.", filmed.len())
 }
 
-/// Copies or links a camera's frames into the temporary folder `whole` of the capture, which will be moved to `target`.
-/// Returns the file name of the video, or the pattern of the images' file names.
-fn place(footage: &Footage, whole: &Path, target: &Path) -> Result<String, ExchangeError> {
-    let id = &footage.id;
-    match &footage.frames {
-        FootageFrames::Images(files) => {
-            copy(files, &whole.join(id), target)?;
-            let extension = extension(&files[0]).unwrap_or_default();
-            Ok(format!("{id}/%04d.{extension}"))
-        }
-        FootageFrames::Video(path, _) => {
-            let name = format!("{id}.{}", extension(path).unwrap_or_default());
-            let linked = link(path, &whole.join(&name));
-            let (path, to) = (path.clone(), target.to_owned());
-            linked.map_err(|source| ExchangeError::Copy { path, to, source })?;
-            Ok(name)
-        }
-    }
+/// Links or copies a camera's video into the temporary folder `whole` of the capture, which will be moved to `target`.
+/// Returns the file name of the video.
+fn place_video(
+    id: &str,
+    path: &Path,
+    whole: &Path,
+    target: &Path,
+) -> Result<String, ExchangeError> {
+    let name = format!("{id}.{}", extension(path).unwrap_or_default());
+    let linked = link(path, &whole.join(&name));
+    let (path, to) = (path.to_owned(), target.to_owned());
+    linked.map_err(|source| ExchangeError::Copy { path, to, source })?;
+    Ok(name)
+}
+
+/// Decodes the intact frames of a damaged video into the folder `scratch` of temporary files. Returns the image files.
+fn intact_images(
+    path: &Path,
+    video: &DamagedVideo,
+    scratch: &Path,
+    opening: &Opening,
+) -> Result<Vec<PathBuf>, ExchangeError> {
+    let Some(ffmpeg) = opening.ffmpeg else {
+        return Err(ExchangeError::NoFfmpeg { path: path.to_owned() });
+    };
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let _phase = opening.reporter.phase(&format!("decoding {name}"));
+    let unread = |source| ExchangeError::Read { path: path.to_owned(), source };
+    let file = open_file(path).map_err(unread)?;
+    decode_intact(ffmpeg, &file, scratch, video).map_err(|error| of_video(path, error))
 }
 
 /// Creates a hard link to a file, or copies the file where the file system can't link it.
@@ -316,17 +345,24 @@ fn copy_file(from: &Path, to: &Path) -> std::io::Result<()> {
     to.sync_all()
 }
 
-/// Copies the images of a sequence into a new folder, and numbers them from 0. `folder` is in the temporary folder.
-/// Error messages name the capture's final path `target` instead.
-fn copy(files: &[PathBuf], folder: &Path, target: &Path) -> Result<(), ExchangeError> {
+/// Places a camera's images in the temporary folder `whole` of the capture, which will be moved to `target`. The images
+/// are numbered from 0. `place` copies or moves a file. Returns the pattern of the images' file names.
+fn place_images(
+    id: &str,
+    files: &[PathBuf],
+    place: fn(&Path, &Path) -> std::io::Result<()>,
+    whole: &Path,
+    target: &Path,
+) -> Result<String, ExchangeError> {
     let extension = extension(&files[0]).unwrap_or_default();
+    let folder = whole.join(id);
     for (k, path) in files.iter().enumerate() {
-        let copied = std::fs::create_dir_all(folder)
-            .and_then(|()| copy_file(path, &folder.join(format!("{k:04}.{extension}"))));
+        let placed = std::fs::create_dir_all(&folder)
+            .and_then(|()| place(path, &folder.join(format!("{k:04}.{extension}"))));
         let to = target.to_owned();
-        copied.map_err(|source| ExchangeError::Copy { path: path.clone(), to, source })?;
+        placed.map_err(|source| ExchangeError::Copy { path: path.clone(), to, source })?;
     }
-    Ok(())
+    Ok(format!("{id}/%04d.{extension}"))
 }
 
 fn described(footage: &Footage, frames: String, clock: ClockFormat) -> FilmedCameraFormat {

@@ -4,6 +4,7 @@
 mod common;
 
 mod calibrations;
+mod damage;
 mod datasets;
 mod films;
 
