@@ -175,9 +175,11 @@
 //! `--readout-std` says how uncertain the readout time is; each camera's is then estimated together with the offsets.
 //!
 //! Videos may have variable frame rates, rotation flags, limited range or 10 bits. The cameras may differ in frame rate
-//! and image size, and may start and end at different times. Interlaced and damaged videos are refused. If images have
-//! another resolution than the calibration but its aspect ratio, the calibration is scaled. Images with another aspect
-//! ratio are refused, unless `--crop` declares that each image is the top left part of the calibrated one.
+//! and image size, and may start and end at different times. Interlaced videos are refused. If a video is damaged, its
+//! intact frames are stored as images with their times; a note says how many frames are left out. Damage that decodes
+//! without an error is not found. If images have another resolution than the calibration but its aspect ratio, the
+//! calibration is scaled. Images with another aspect ratio are refused, unless `--crop` declares that each image is the
+//! top left part of the calibrated one.
 //!
 //! `stlfr export CAPTURE --synchronized` renders the images of all cameras at common instants, for programs that need
 //! synchronized cameras. `--frames` instead writes the frames as filmed, with their estimated times. `--undistort`

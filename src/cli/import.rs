@@ -13,7 +13,8 @@ use std::path::PathBuf;
 /// The calibration is a folder with a COLMAP model, or a file: transforms.json, poses_bounds.npy, Calib.toml of Anipose
 /// or Pose2Sim, camera_array.toml of caliscope, Qualisys' .qca.txt, or another capture's capture.json. The recording of
 /// a camera is the video or the folder of images that has the camera's name, or else its number. Images are copied, and
-/// videos are linked. Notes say which recording each camera has, where the times come from, and which lenses are
+/// videos are linked. Of a damaged video, the intact frames are stored as images, and the others are left out. Notes
+/// say which recording each camera has, where the times come from, how many frames are damaged, and which lenses are
 /// scaled.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
