@@ -33,6 +33,8 @@ mod fig18;
 mod frames;
 #[path = "offsets/lost.rs"]
 mod lost;
+#[path = "offsets/noise.rs"]
+mod noise;
 #[path = "offsets/rolling.rs"]
 mod rolling;
 #[path = "offsets/scene.rs"]

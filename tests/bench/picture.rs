@@ -27,9 +27,20 @@
 //!
 //! `cargo bench --bench picture -- pairs CAPTURE… --with DIR [--out FILE.svg]`: each capture beside that of the same
 //! name in DIR, whose cameras are synchronized.
+//!
+//! `cargo bench --bench picture -- worse CAPTURE… [--instants N]`: what bad recordings cost views. Each capture is
+//! copied as worse cameras would have filmed it: with noise, gains, lens distortion, mixed rates, lost frames or grey
+//! cameras. Prints PSNR of all that is seen and of the moving part, by scene flow and over depth per pixel of
+//! synchronized images, and the differences from the recording as filmed. After several captures, their means.
 
+#[path = "picture/barrel.rs"]
+mod barrel;
+#[path = "picture/degradation.rs"]
+mod degradation;
 #[path = "picture/flicker.rs"]
 mod flicker;
+#[path = "offsets/noise.rs"]
+mod noise;
 #[path = "picture/pairs.rs"]
 mod pairs;
 #[path = "picture/peers.rs"]
@@ -42,6 +53,8 @@ mod scene;
 mod summary;
 #[path = "picture/truth.rs"]
 mod truth;
+#[path = "picture/worse.rs"]
+mod worse;
 
 use flicker::Flicker;
 use peers::Peers;
@@ -66,14 +79,18 @@ fn write(path: &Path, image: &Image) -> Result<(), Error> {
 
 /// A capture whose clocks are the true ones: this benchmark is about pictures alone.
 fn open(folder: &str) -> Result<(LightField, Truth), Error> {
-    let capture = Arc::new(Capture::open(folder.as_ref())?);
     let truth = Truth::open(folder.as_ref())?.ok_or("has no truth")?;
+    Ok((light_field(folder.as_ref(), &truth)?, truth))
+}
+
+/// The light field of a recording, or of a copy of it, whose clocks are the true ones.
+fn light_field(folder: &Path, truth: &Truth) -> Result<LightField, Error> {
+    let capture = Arc::new(Capture::open(folder)?);
     let mut offsets = Offsets::known(&capture);
     for camera in &mut offsets.cameras {
         camera.offset_s = truth.offset_s(&camera.id);
     }
-    let field = LightField::new(capture, offsets);
-    Ok((field, truth))
+    Ok(LightField::new(capture, offsets))
 }
 
 /// The instants that have truth.
@@ -178,6 +195,7 @@ fn write_rig(from: &str, to: &str, arguments: &Arguments) -> Result<(), Error> {
 fn main() -> Result<(), Error> {
     let arguments = Arguments::read()?;
     let out = arguments.option("out").map(PathBuf::from);
+    let instants = arguments.option("instants").map_or(Ok(usize::MAX), str::parse)?;
     match arguments.words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["rig", from, to] => return write_rig(from, to, &arguments),
         ["pairs", ..] => {
@@ -192,9 +210,9 @@ fn main() -> Result<(), Error> {
             let flicker = Flicker { options, out };
             return arguments.words[1..].iter().try_for_each(|folder| flicker.bench(folder));
         }
+        ["worse", ..] => return worse::bench(&arguments.words[1..], instants),
         _ => {}
     }
-    let instants = arguments.option("instants").map_or(Ok(usize::MAX), str::parse)?;
     let peers = match arguments.option("alone") {
         Some(_) => Peers::default(),
         None => Peers::find(arguments.option("rife").map(Path::new))?,

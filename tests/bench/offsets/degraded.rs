@@ -2,6 +2,7 @@
 //! Frames are downsampled to half size, so that pixels have more than eight bits before that.
 
 use super::captures::{by_default, outcomes};
+use super::noise::{self, noisy};
 use super::{save, sweep};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -126,7 +127,10 @@ fn write_frames(whole: &Capture, copy: &Path, degradation: Degradation) -> Resul
         .collect();
     images.par_iter().try_for_each(|&(c, k)| -> Result<(), String> {
         let frame = whole.read_frame(c, k).map_err(|e| e.to_string())?;
-        let degraded = degraded(&half(&frame), degradation, (1000 * c + k) as u64);
+        // Blur is of the lens, before noise and quantization of the sensor.
+        let blurred = blurred(&half(&frame), degradation.blur_px);
+        let seed = noise::seed(c, k);
+        let degraded = noisy(&blurred, degradation.noise, degradation.bits, seed);
         let path = copy.join(format!("{}/{k:04}.png", whole.cameras[c].id));
         let depth = if degradation.bits > 8 { BitDepth::Sixteen } else { BitDepth::Eight };
         write_image(&path, &degraded, None, depth).map_err(|e| e.to_string())
@@ -145,18 +149,6 @@ fn half(image: &Image) -> Image {
         *out = 0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1));
     }
     Image::from_data(w, h, channels, data)
-}
-
-/// The image, blurred, with noise, quantized, in this order.
-fn degraded(image: &Image, degradation: Degradation, seed: u64) -> Image {
-    let image = blurred(image, degradation.blur_px);
-    let random = &mut Random::new(seed);
-    let levels = f64::from((1_u32 << degradation.bits) - 1);
-    let data = image.data().iter().map(|v| {
-        let noisy = f64::from(*v) + degradation.noise * random.gaussian();
-        ((noisy.clamp(0.0, 1.0) * levels).round() / levels) as f32
-    });
-    Image::from_data(image.width(), image.height(), image.channels(), data.collect())
 }
 
 /// A Gaussian blur, along the rows and then along the columns.

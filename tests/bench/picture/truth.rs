@@ -54,13 +54,21 @@ impl True {
 
     /// The pixels whose point is visible in the image of some camera.
     pub fn seen(&self, cameras: &[Self]) -> Vec<bool> {
+        let own: Vec<Camera> = cameras.iter().map(|c| c.camera.clone()).collect();
+        self.seen_through(&own, cameras)
+    }
+
+    /// The pixels whose point is visible in the image of some camera whose lens may be another than its true image's.
+    /// `cameras` are those with the lens of the true images, in the same order.
+    pub fn seen_through(&self, lenses: &[Camera], cameras: &[Self]) -> Vec<bool> {
         let w = self.camera.width;
         let is_seen = |(k, z): (usize, &f32)| {
             let pixel = Point2::new((k % w) as f64 + 0.5, (k / w) as f64 + 0.5);
             let Some(ray) = self.camera.ray_world(&pixel) else { return false };
             let point = self.camera.center() + ray * f64::from(*z);
-            cameras.iter().any(|c| {
-                let Some(p) = c.camera.project(&point) else { return false };
+            lenses.iter().zip(cameras).any(|(lens, c)| {
+                let is_inside = lens.project(&point).is_some_and(|p| lens.contains(&p));
+                let Some(p) = c.camera.project(&point).filter(|_| is_inside) else { return false };
                 let z = (c.camera.cam_from_world * point).z;
                 let surface = |p: Point2<f64>| c.depth.row(p.y as usize)[p.x as usize];
                 c.camera.contains(&p) && z < 1.03 * f64::from(surface(p))
