@@ -1,6 +1,7 @@
 //! Blends the scene flow maps of several frames, splatted into a view, to the view's image.
 
 use super::composite::{ColorCandidate, Pixel, pixel_of, shows_motion};
+use super::frame::FlowFrame;
 use super::geometry::{Projection, undistorted};
 use super::map::MappedFrame;
 use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
@@ -161,6 +162,23 @@ struct Sources<'a> {
     time: f64,
     /// Half-width of a cluster in inverse depth, 1/m.
     reach: f32,
+    /// Whether outlines are antialiased. They are not if the view is one of the frames, whose own outlines are kept.
+    antialiases: bool,
+}
+
+/// Maximum distance between the places of a frame and a view, metres, angle between their directions, radians, and time
+/// between them, frame periods, at which they count as equal.
+const SAME_PLACE_M: f64 = 1e-9;
+const SAME_ANGLE_RAD: f64 = 1e-7;
+const SAME_TIME: f64 = 1e-6;
+
+/// Returns whether a view at `time` is the frame: from the same place, in the same direction, at the frame's time.
+fn is_frame(frame: &FlowFrame, view: &Camera, time: f64) -> bool {
+    let [own, other] = [&frame.view, view].map(|camera| camera.cam_from_world.rotation);
+    (frame.view.center() - view.center()).norm() < SAME_PLACE_M
+        && own.angle_to(&other) < SAME_ANGLE_RAD
+        && frame.row_time == 0.0
+        && (frame.time - time).abs() < SAME_TIME
 }
 
 /// The scene flow maps, splatted into one area of a view.
@@ -226,6 +244,9 @@ fn blend_rows(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut 
         (colors, depths, shown).into_par_iter().enumerate().map(row).collect();
     pixels.motions.iter_mut().for_each(|m| m.extend(motions.iter().flatten().copied()));
     drop(splats);
+    if !sources.antialiases {
+        return;
+    }
     let outline = outline(&pixels.inverse_depths[band.clone()], width, reach);
     for outline in outline.chunks(QUARTERED_PIXELS) {
         let area = Area::of_quarters(view, rows.clone(), outline);
@@ -319,7 +340,8 @@ pub fn blend(
     let band_pixels = if width * height < LARGE_PIXELS { BAND_PIXELS } else { BAND_PIXELS / 2 };
     let rows_at_once = (band_pixels / width.max(1)).max(1);
     let reach = CLUSTER_PX / disparity_px(mapped).max(f32::MIN_POSITIVE);
-    let sources = Sources { mapped, confidences, time, reach };
+    let antialiases = !mapped.iter().any(|m| is_frame(m.frame, view, time));
+    let sources = Sources { mapped, confidences, time, reach, antialiases };
     for first in (0..height).step_by(rows_at_once) {
         let rows = first..(first + rows_at_once).min(height);
         blend_rows(sources, view, rows, &mut pixels);
