@@ -30,6 +30,12 @@ const LARGE_PIXELS: usize = 1 << 23;
 /// Maximum number of pixels at outlines whose quarters are blended at once. With eight scene flow maps, blending them
 /// takes about 50 MB.
 const QUARTERED_PIXELS: usize = 1 << 16;
+/// Maximum distance between a frame's camera and a view that count as being at the same place, metres.
+const SAME_PLACE_M: f64 = 1e-9;
+/// Maximum angle between a frame's camera and a view that count as having the same direction, radians.
+const SAME_ANGLE_RAD: f64 = 1e-7;
+/// Maximum time between a frame and a view that count as simultaneous, frame periods of the reference camera.
+const SAME_TIME: f64 = 1e-6;
 
 /// Kind of content that the scene flow maps show at a pixel of the view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -165,12 +171,6 @@ struct Sources<'a> {
     /// Whether outlines are antialiased. They are not if the view is one of the frames, whose own outlines are kept.
     antialiases: bool,
 }
-
-/// Maximum distance between the places of a frame and a view, metres, angle between their directions, radians, and time
-/// between them, frame periods, at which they count as equal.
-const SAME_PLACE_M: f64 = 1e-9;
-const SAME_ANGLE_RAD: f64 = 1e-7;
-const SAME_TIME: f64 = 1e-6;
 
 /// Returns whether a view at `time` is the frame: from the same place, in the same direction, at the frame's time.
 fn is_frame(frame: &FlowFrame, view: &Camera, time: f64) -> bool {

@@ -21,7 +21,8 @@ use nalgebra::{Matrix3, Vector3};
 const DIFFERENCE_PX: f64 = 0.5;
 /// Colour difference of two neighbouring pixels at which their weight falls to 1/e.
 const COLOR: f32 = 0.04;
-/// Number of Gauss–Seidel iterations. Regions that are too wide for them are smoothed at a coarser pyramid level.
+/// Number of Gauss–Seidel iterations. They don't converge in regions wider than some ten pixels of the pyramid level; the
+/// coarser levels have smoothed these before.
 const ITERATIONS: usize = 30;
 /// Minimum information about each unknown, 1/px². It makes the information matrices positive definite.
 const MIN_INFORMATION: f64 = 1e-6;

@@ -201,6 +201,7 @@ fn smoothing_draws_a_wrong_motion_on_a_plain_surface_towards_its_surroundings() 
     let costs = pixels().map(cost).collect();
     let mut map = ElementMap { width: SIZE[0], height: SIZE[1], scale: 1.0, elements, costs };
     matcher.smooth(&mut map);
+    assert!(pixels().any(is_plain));
     for k in pixels().filter(|&k| is_plain(k)) {
         let [u, v] = [0, 1].map(|c| map.elements[k].velocity[c] - truth(k).velocity[c]);
         assert!(u.hypot(v) < 2.5, "{k}: {u}, {v} of 4 px a frame");
@@ -249,14 +250,21 @@ fn standard_errors_without_texture_are_those_of_the_prior() {
     assert!(plain.disparity_px > 1.0 && plain.velocity_px > 1.0, "{plain:?}");
 }
 
+/// Returns the mapped middle frames, and the camera and the time of a view between the cameras and the frames.
+fn between<'a>(
+    recording: &'a [[FlowFrame; 3]],
+    maps: &'a [FlowMap],
+) -> (Vec<MappedFrame<'a>>, Camera, f64) {
+    let mapped = recording.iter().zip(maps).map(|(f, map)| MappedFrame { frame: &f[1], map });
+    (mapped.collect(), camera_at(0.15, 0.02), 1.4)
+}
+
 #[test]
 fn a_view_between_cameras_and_frames_is_the_true_one_and_moves_like_it() {
     let walls = [MOVING, STILL];
     let recording = recording(&walls);
     let maps = maps(&recording);
-    let mapped: Vec<MappedFrame> =
-        recording.iter().zip(&maps).map(|(f, map)| MappedFrame { frame: &f[1], map }).collect();
-    let (view, time) = (camera_at(0.15, 0.02), 1.4);
+    let (mapped, view, time) = between(&recording, &maps);
     let FlowView { rendered, depths, motions } =
         blend(&mapped, &confidences(&mapped), &view, time, true);
     let motions = motions.unwrap();
@@ -295,9 +303,7 @@ fn outlines_are_antialiased() {
     let walls = [MOVING, STILL];
     let recording = recording(&walls);
     let maps = maps(&recording);
-    let mapped: Vec<MappedFrame> =
-        recording.iter().zip(&maps).map(|(f, map)| MappedFrame { frame: &f[1], map }).collect();
-    let (view, time) = (camera_at(0.15, 0.02), 1.4);
+    let (mapped, view, time) = between(&recording, &maps);
     let rendered = blend(&mapped, &confidences(&mapped), &view, time, false).rendered;
     let truth = filmed(&view, &walls, time);
     let (mut error, mut count) = (0.0, 0.0);
