@@ -5,7 +5,9 @@ use super::depth::{range, scene_points};
 use super::graph::{LightField, Stage, StoredStage};
 use super::points::nearest;
 use super::slots::{FrameId, Slot, Slots};
-use super::stages::{FlowConfidences, FlowOptions, FrameFlow, Instant, StillContent, Undistorted};
+use super::stages::{
+    FlowAgreements, FlowConfidences, FlowOptions, FrameFlow, Instant, StillContent, Undistorted,
+};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::Stored;
@@ -13,8 +15,8 @@ use crate::host::CacheKind;
 use crate::lumigraph::DepthMap;
 use crate::raster::Image;
 use crate::scene_flow::{
-    Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, MatchingImage, PyramidFrame,
-    blend, confidences,
+    Agreement, Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, MatchingImage,
+    PyramidFrame, agreements, blend, confidence,
 };
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -132,7 +134,39 @@ impl FlowConfidences<'_> {
             return Ok(cached);
         }
         context.check()?;
-        Ok(field.insert(self, confidences(self.mapped)))
+        let &Self { frames, options, mapped } = self;
+        let confidence_of = |k: usize| {
+            let others = (0..frames.len()).filter(|&other| other != k);
+            let agreements = others.map(|other| {
+                let [of, by] = [frames[k], frames[other]];
+                FlowAgreements { of, by, options, mapped: [&mapped[k], &mapped[other]] }.get(field)
+            });
+            let agreements: Vec<Arc<Option<Vec<Agreement>>>> = agreements.collect();
+            let comparable: Vec<&Vec<Agreement>> =
+                agreements.iter().filter_map(|a| a.as_ref().as_ref()).collect();
+            confidence(&mapped[k], &comparable)
+        };
+        let confidences: Vec<Vec<u8>> =
+            (0..frames.len()).into_par_iter().map(confidence_of).collect();
+        Ok(field.insert(self, confidences))
+    }
+}
+
+impl Stage for FlowAgreements<'_> {
+    /// For each pixel of the first frame, how the second frame's map agrees with it, row by row. `None` if the frames
+    /// aren't compared.
+    type Output = Option<Vec<Agreement>>;
+    const NAME: &'static str = "agreements";
+
+    fn bytes(agreements: &Self::Output) -> usize {
+        agreements.as_ref().map_or(0, Vec::len)
+    }
+}
+
+impl FlowAgreements<'_> {
+    fn get(&self, field: &LightField) -> Arc<Option<Vec<Agreement>>> {
+        let [of, by] = self.mapped;
+        field.cached(self).unwrap_or_else(|| field.insert(self, agreements(of, by)))
     }
 }
 

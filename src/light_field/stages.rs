@@ -307,6 +307,17 @@ pub(super) struct FlowConfidences<'a> {
     pub mapped: &'a [MappedFrame<'a>],
 }
 
+/// Inputs of the stage that compares the depth and motion map of one frame with that of another frame.
+#[derive(Serialize)]
+pub(super) struct FlowAgreements<'a> {
+    pub of: FrameId,
+    pub by: FrameId,
+    pub options: FlowOptions<'a>,
+    /// The frames `of` and `by` with their maps, which are not a part of the cache key.
+    #[serde(skip)]
+    pub mapped: [&'a MappedFrame<'a>; 2],
+}
+
 /// The options that determine the depth and motion of frames.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct FlowOptions<'a> {

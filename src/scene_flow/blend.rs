@@ -5,7 +5,8 @@ use super::frame::FlowFrame;
 use super::geometry::{Projection, undistorted};
 use super::map::MappedFrame;
 use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
-use super::splat::{Area, QUARTERS, Splat};
+use super::robust_mean::WeightedColors;
+use super::splat::{Area, QUARTERS, Splat, SplatPixel};
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::{Image, Sampling, sample};
@@ -197,15 +198,13 @@ impl<'a> Splats<'a> {
     /// Fills `candidates` with the surface elements that the maps show at pixel or quarter `k` of the area.
     fn collect(&self, k: usize, candidates: &mut Vec<ColorCandidate<'a>>) {
         candidates.clear();
-        for (mapped, splat) in self.0.iter().filter(|(_, splat)| splat.weights[k] > 0.0) {
-            let source = splat.sources[k];
-            candidates.push(ColorCandidate {
-                frame: mapped.frame,
-                inverse_depth: splat.inverse_depths[k],
-                source,
-                weight: splat.weights[k],
-                is_moving: shows_motion(mapped.frame, source),
-            });
+        for (mapped, splat) in &self.0 {
+            let SplatPixel { inverse_depth, source, weight, .. } = splat.pixels[k];
+            if weight > 0.0 {
+                let is_moving = shows_motion(mapped.frame, source);
+                let frame = mapped.frame;
+                candidates.push(ColorCandidate { frame, inverse_depth, source, weight, is_moving });
+            }
         }
     }
 }
@@ -224,7 +223,7 @@ fn blend_rows(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut 
     let motions = pixels.motions.as_ref();
     let row = |(y, (color, depth, shown)): (usize, BlendedRow)| {
         let mut candidates = Vec::with_capacity(splats.0.len());
-        let mut room = Vec::with_capacity(splats.0.len());
+        let mut room = WeightedColors::default();
         let mut row = vec![QuantizedMotion::default(); motions.map_or(0, |_| width)];
         for x in 0..width {
             let k = y * width + x;
@@ -233,7 +232,7 @@ fn blend_rows(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut 
                 (color[x], depth[x]) = (found.color, found.inverse_depth);
                 shown[x] = if found.is_moving { Shown::Moving } else { Shown::Something };
                 if let Some(motions) = motions {
-                    let of = splats.0.iter().filter(|(_, splat)| splat.weights[k] > 0.0);
+                    let of = splats.0.iter().filter(|(_, splat)| splat.pixels[k].weight > 0.0);
                     row[x] = motions.quantized(motion_of(of, k, (found.inverse_depth, reach)));
                 }
             }
@@ -280,7 +279,7 @@ fn outline(inverse_depths: &[f32], width: usize, reach: f32) -> Vec<u32> {
 
 /// Returns the mean colour of the quarters of the `i`-th pixel of an area. `None` if no map covers them.
 fn mean_of_quarters(splats: &Splats, i: usize, reach: f32) -> Option<[f32; 3]> {
-    let (mut candidates, mut room) = (Vec::new(), Vec::new());
+    let (mut candidates, mut room) = (Vec::new(), WeightedColors::default());
     let (mut sum, mut count) = ([0.0; 3], 0.0);
     for k in QUARTERS * i..QUARTERS * (i + 1) {
         splats.collect(k, &mut candidates);
@@ -306,10 +305,12 @@ fn motion_of<'a>(
     (inverse_depth, reach): (f32, f32),
 ) -> SurfaceMotion {
     let (mut sum, mut weights) = (SurfaceMotion::default(), 0.0);
-    for (mapped, splat) in
-        splats.filter(|(_, s)| (s.inverse_depths[k] - inverse_depth).abs() < reach)
-    {
-        let (weight, motion) = (splat.weights[k], splat.motion(mapped.map, splat.sources[k]));
+    for (mapped, splat) in splats {
+        let pixel = splat.pixels[k];
+        if (pixel.inverse_depth - inverse_depth).abs() >= reach {
+            continue;
+        }
+        let (weight, motion) = (pixel.weight, splat.motion(mapped.map, pixel.source));
         (0..2).for_each(|c| sum.velocity[c] += weight * motion.velocity[c]);
         sum.inverse_depth_rate += weight * motion.inverse_depth_rate;
         weights += weight;

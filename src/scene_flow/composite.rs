@@ -1,6 +1,7 @@
 //! Composites a pixel of a view from the surface elements that several scene flow maps show there.
 
 use super::frame::FlowFrame;
+use super::robust_mean::WeightedColors;
 use crate::raster::{Sampling, sample};
 
 /// Weight above which a cluster occludes a cluster of larger weight behind it, as a fraction of the weight of all
@@ -18,10 +19,6 @@ const BEHIND: f32 = 0.05;
 /// Minimum weight of a candidate (surface element of one scene flow map) in the mean of its cluster, as a fraction of
 /// the largest weight in the cluster.
 const MIN_FRACTION: f32 = 0.02;
-/// Distance of a colour from the mean colour of its cluster at which the colour's weight falls to a quarter. Colours
-/// are RGB from 0 to 1.
-const COLOR: f32 = 0.06;
-
 /// Colour and depth of the surface that a pixel of the view shows.
 #[derive(Clone, Copy)]
 pub struct Pixel {
@@ -56,9 +53,6 @@ pub fn shows_motion(frame: &FlowFrame, [x, y]: [f32; 2]) -> bool {
     let inside = |at: f32, size: usize| (at as usize).min(size - 1); // saturates at 0
     frame.is_moving(inside(y, height) * width + inside(x, width))
 }
-
-/// Colours of a cluster's candidates, RGB from 0 to 1, with their weights.
-pub type WeightedColors = Vec<([f32; 3], f32)>;
 
 /// Returns colour and depth of a pixel: the means of the frontmost cluster of candidates with a sufficient weight
 /// ([`FRONT`]), or else of the cluster with the largest weight. If this cluster isn't opaque ([`OPAQUE`]), its colour
@@ -109,7 +103,7 @@ pub fn pixel_of(
 }
 
 /// Returns the mean colour and inverse depth of the candidates whose inverse depths differ from `q` by less than
-/// `reach`, both in 1/m. Two reweighting steps reduce the weight of outlying colours. `colors` is a reusable buffer.
+/// `reach`, both in 1/m. The mean of the colours is robust ([`WeightedColors::robust_mean`]). `colors` is a reusable buffer.
 /// `None` if there are no such candidates.
 fn mean_of(
     candidates: &[ColorCandidate],
@@ -126,7 +120,7 @@ fn mean_of(
     colors.clear();
     for c in cluster().filter(|c| c.weight >= MIN_FRACTION * most) {
         let [x, y] = c.source;
-        colors.push((sample(&c.frame.image, x, y, Sampling::Cubic), c.weight));
+        colors.push(sample(&c.frame.image, x, y, Sampling::Cubic), c.weight);
         depths += c.weight * c.inverse_depth;
         weights += c.weight;
         moving += if c.is_moving { c.weight } else { 0.0 };
@@ -134,28 +128,6 @@ fn mean_of(
     if colors.is_empty() {
         return None;
     }
-    let mut color = weighted_mean(colors, |_| 1.0);
-    for _ in 0..2 {
-        color = weighted_mean(colors, |c| {
-            let difference: f32 = (0..3).map(|k| (c[k] - color[k]) * (c[k] - color[k])).sum();
-            let kept = 1.0 / (1.0 + difference / (COLOR * COLOR));
-            kept * kept
-        });
-    }
-    let color = color.map(|c| c.clamp(0.0, 1.0));
+    let color = colors.robust_mean().map(|c| c.clamp(0.0, 1.0));
     Some(Pixel { color, inverse_depth: depths / weights, is_moving: 2.0 * moving > weights })
-}
-
-/// Returns the weighted mean of the colours. The weight of a colour is its own weight times `factor(colour)`. Both the
-/// weight and the factor must be positive.
-#[inline(always)]
-fn weighted_mean(colors: &WeightedColors, factor: impl Fn(&[f32; 3]) -> f32) -> [f32; 3] {
-    let (mut sum, mut weights) = ([0.0f32; 3], 0.0f32);
-    for (color, weight) in colors {
-        let weight = weight * factor(color);
-        (0..3).for_each(|c| sum[c] += weight * color[c]);
-        weights += weight;
-    }
-    let inverse = 1.0 / weights;
-    sum.map(|v| v * inverse)
 }

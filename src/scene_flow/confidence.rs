@@ -1,9 +1,11 @@
 //! Confidence of each surface element of the frames from which a view is blended. It is the fraction of the other
 //! frames' scene flow maps that agree with the element.
 
+use super::element::Element;
 use super::geometry::Projection;
-use super::map::MappedFrame;
+use super::map::{FlowMap, FlowPixel, MappedFrame};
 use super::timing::TimeBetween;
+use crate::simd::multiversion;
 use rayon::prelude::*;
 
 /// Maximum time between two frames whose scene flow maps are compared, in frame periods of the reference camera.
@@ -27,6 +29,18 @@ const PRIOR_CONFIRMED: f32 = 0.1;
 /// [`PRIOR_CONFIRMED`] in the numerator, a surface element without comparable maps has the confidence 0.2.
 const PRIOR_ALL: f32 = 0.5;
 
+/// How another scene flow map agrees with a surface element.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(u8)]
+pub enum Agreement {
+    /// The element projects outside the other frame.
+    Outside,
+    Confirmed,
+    Contradicted,
+    /// The element is occluded in the other map.
+    Hidden,
+}
+
 /// Returns the confidence of each pixel of each scene flow map, in the order of `mapped` and row by row, from 1 to 255.
 /// The confidence increases with the fraction of the comparable maps that confirm the pixel's surface element.
 ///
@@ -35,46 +49,212 @@ const PRIOR_ALL: f32 = 0.5;
 /// confirms the motion between them. With this restriction, the PSNR of views is 1 dB higher than with confidences from
 /// all frames that are near in time.
 pub fn confidences(mapped: &[MappedFrame]) -> Vec<Vec<u8>> {
-    (0..mapped.len()).into_par_iter().map(|of| confidence(mapped, of)).collect()
+    let of = |(k, of): (usize, &MappedFrame)| {
+        let others = mapped.iter().enumerate().filter(|(other, _)| *other != k);
+        let agreements: Vec<_> = others.filter_map(|(_, by)| agreements(of, by)).collect();
+        confidence(of, &agreements)
+    };
+    mapped.par_iter().enumerate().map(of).collect()
 }
 
-fn confidence(mapped: &[MappedFrame], of: usize) -> Vec<u8> {
-    let MappedFrame { frame, map: own } = mapped[of];
-    let (mut confirmed, mut all) =
-        (vec![0.0f32; own.pixels().len()], vec![0.0f32; own.pixels().len()]);
-    for (other, MappedFrame { frame: by, map }) in mapped.iter().enumerate() {
-        let time = TimeBetween::new(frame, by);
-        let projection = Projection::new(&frame.view, &by.view);
-        let Some(projection) =
-            projection.filter(|_| other != of && time.frames().abs() <= MAX_CONFIRMING_DT)
-        else {
-            continue;
-        };
-        for (k, pixel) in own.pixels().iter().enumerate() {
-            let [x, y] = own.center(k);
-            let element = own.element(pixel);
-            let dt = time.of_element(&element, (x, y), &projection);
-            let ([u, v], here) = element.transferred(x, y, dt, &projection);
-            let is_inside = u >= 0.0 && v >= 0.0 && u < map.width as f32 && v < map.height as f32;
-            if !is_inside {
-                continue;
-            }
-            let there = map.element(&map.pixels()[v as usize * map.width + u as usize]);
-            let disparity = (there.inverse_depth - here.inverse_depth) * own.disparity_px;
-            let [du, dv] = [0, 1].map(|c| there.velocity[c] - here.velocity[c]);
-            let motion = (du * du + dv * dv).sqrt();
-            let max_motion = MAX_MOTION_ERROR_PX + MAX_MOTION_ERROR * here.speed();
-            if disparity.abs() < MAX_DISPARITY_ERROR_PX && motion < max_motion {
-                confirmed[k] += 1.0;
-                all[k] += 1.0;
-            } else if disparity < MAX_DISPARITY_ERROR_PX {
-                all[k] += 1.0;
-            } else {
-                all[k] += HIDDEN;
-            }
-        }
+/// Returns how the scene flow map `by` agrees with each pixel of `of`, row by row. `None` if the frames are too far apart
+/// in time, or the intrinsic matrix of one is singular.
+pub fn agreements(of: &MappedFrame, by: &MappedFrame) -> Option<Vec<Agreement>> {
+    let time = TimeBetween::new(of.frame, by.frame);
+    if time.frames().abs() > MAX_CONFIRMING_DT {
+        return None;
     }
-    let fraction = |(c, a): (&f32, &f32)| (c + PRIOR_CONFIRMED) / (a + PRIOR_ALL);
-    let rounded = |f: f32| (255.0 * f).round().clamp(1.0, 255.0) as u8;
-    confirmed.iter().zip(&all).map(fraction).map(rounded).collect()
+    let projection = Projection::new(&of.frame.view, &by.frame.view)?;
+    let comparison = Comparison { own: of.map, other: by.map, time, projection };
+    let width = of.map.width;
+    let mut row = vec![[0.0; 3]; width];
+    let mut all = vec![Agreement::Outside; of.map.pixels().len()];
+    for (y, agreements) in all.chunks_exact_mut(width.max(1)).enumerate() {
+        place_row(&mut row, &comparison, y);
+        compare_row(agreements, &row, &comparison, y);
+    }
+    Some(all)
+}
+
+/// Returns the confidence of each pixel of a scene flow map, from 1 to 255. `agreements` are those of the comparable
+/// maps, each as [`agreements`] returns them.
+pub fn confidence(of: &MappedFrame, agreements: &[impl AsRef<[Agreement]> + Sync]) -> Vec<u8> {
+    let of_pixel = |k: usize| {
+        let (mut confirmed, mut all) = (PRIOR_CONFIRMED, PRIOR_ALL);
+        for agreements in agreements {
+            let (confirms, counts) = match agreements.as_ref()[k] {
+                Agreement::Outside => (0.0, 0.0),
+                Agreement::Confirmed => (1.0, 1.0),
+                Agreement::Contradicted => (0.0, 1.0),
+                Agreement::Hidden => (0.0, HIDDEN),
+            };
+            confirmed += confirms;
+            all += counts;
+        }
+        (255.0 * confirmed / all).round().clamp(1.0, 255.0) as u8
+    };
+    (0..of.map.pixels().len()).map(of_pixel).collect()
+}
+
+/// Comparison of a frame's scene flow map with that of another frame.
+struct Comparison<'a> {
+    own: &'a FlowMap,
+    other: &'a FlowMap,
+    time: TimeBetween,
+    projection: Projection,
+}
+
+impl Comparison<'_> {
+    /// Returns the surface element at pixel `x` of row `y`, its position, and the time to its exposure in the other
+    /// frame.
+    #[inline(always)]
+    fn element(&self, x: usize, y: usize) -> (Element, [f32; 2], f32) {
+        let element = self.own.element(&self.own.pixels()[y * self.own.width + x]);
+        let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
+        let dt = self.time.of_element(&element, (px, py), &self.projection);
+        (element, [px, py], dt)
+    }
+
+    /// Returns whether the motion of the surface element at pixel `x` of row `y` agrees with that of a pixel of the
+    /// other map.
+    #[inline(always)]
+    fn has_same_motion(&self, (x, y): (usize, usize), there: &FlowPixel) -> bool {
+        let own = &self.own.pixels()[y * self.own.width + x];
+        if own.is_slow() && there.is_slow() {
+            return true;
+        }
+        let (element, [x, y], dt) = self.element(x, y);
+        let (_, here) = element.transferred(x, y, dt, &self.projection);
+        let there = self.other.element(there);
+        let [du, dv] = [0, 1].map(|c| there.velocity[c] - here.velocity[c]);
+        let motion = (du * du + dv * dv).sqrt();
+        motion < MAX_MOTION_ERROR_PX + MAX_MOTION_ERROR * here.speed()
+    }
+}
+
+/// Moves the surface elements of row `y` into the other frame. `row` receives their positions, pixels, and inverse
+/// depths there, 1/m.
+#[inline(always)]
+fn place(row: &mut [[f32; 3]], comparison: &Comparison, y: usize) {
+    for (x, placed) in row.iter_mut().enumerate() {
+        let (element, [px, py], dt) = comparison.element(x, y);
+        let [mx, my, q] = element.moved(px, py, dt);
+        *placed = comparison.projection.project(mx, my, q);
+    }
+}
+
+/// Compares the surface elements of row `y`, moved into the other frame, with its map.
+#[inline(always)]
+fn compare(agreements: &mut [Agreement], row: &[[f32; 3]], comparison: &Comparison, y: usize) {
+    let &Comparison { own, other, .. } = comparison;
+    for (x, (agreement, &[u, v, inverse_depth])) in agreements.iter_mut().zip(row).enumerate() {
+        let is_inside = u >= 0.0 && v >= 0.0 && u < other.width as f32 && v < other.height as f32;
+        if !is_inside {
+            continue;
+        }
+        let there = &other.pixels()[v as u32 as usize * other.width + u as u32 as usize];
+        let disparity = (other.element(there).inverse_depth - inverse_depth) * own.disparity_px;
+        *agreement = if disparity >= MAX_DISPARITY_ERROR_PX {
+            Agreement::Hidden
+        } else if disparity > -MAX_DISPARITY_ERROR_PX && comparison.has_same_motion((x, y), there) {
+            Agreement::Confirmed
+        } else {
+            Agreement::Contradicted
+        };
+    }
+}
+
+multiversion! {
+    fn place_row(row: &mut [[f32; 3]], comparison: &Comparison, y: usize) = place
+}
+
+multiversion! {
+    fn compare_row(agreements: &mut [Agreement], row: &[[f32; 3]], comparison: &Comparison, y: usize) = compare
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::map::ElementMap;
+    use super::*;
+    use crate::camera::{Camera, CameraModel};
+    use crate::raster::Image;
+    use crate::scene_flow::FlowFrame;
+    use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+
+    const SIZE: usize = 8;
+    /// Disparity of a point at a depth of 1 m, pixels.
+    const DISPARITY_PX: f32 = 8.0;
+
+    /// Returns the frame of a camera `x` metres to the right, with a disparity of 8 pixels a metre at a depth of 1 m.
+    fn frame(x: f64, time: f64) -> FlowFrame {
+        let view = Camera {
+            width: SIZE,
+            height: SIZE,
+            model: CameraModel::Pinhole { fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0 },
+            cam_from_world: Isometry3::from_parts(
+                Translation3::new(-x, 0.0, 0.0),
+                UnitQuaternion::identity(),
+            ),
+        };
+        FlowFrame::new(&view, &Image::filled(SIZE, SIZE, 3, 0.5), time)
+    }
+
+    /// Returns a map whose pixels all have this inverse depth, 1/m, and horizontal velocity, pixels per frame.
+    fn map(inverse_depth: f32, velocity: f32) -> FlowMap {
+        let element = Element { inverse_depth, velocity: [velocity, 0.0], ..Element::default() };
+        let pixels = SIZE * SIZE;
+        let elements = vec![element; pixels];
+        let all = ElementMap {
+            width: SIZE,
+            height: SIZE,
+            scale: 1.0,
+            elements,
+            costs: vec![0.0; pixels],
+        };
+        FlowMap::new(&all, [0.0, 2.0], DISPARITY_PX)
+    }
+
+    #[test]
+    fn maps_agree_on_depth_and_motion_where_both_frames_see() {
+        let frames = [frame(0.0, 0.0), frame(0.25, 0.5)];
+        let agreement = |own: &FlowMap, by: &FlowMap, pixel: usize| {
+            let of = MappedFrame { frame: &frames[0], map: own };
+            agreements(&of, &MappedFrame { frame: &frames[1], map: by }).unwrap()[pixel]
+        };
+        // At a depth of 1 m, the second camera sees the point two pixels to the left.
+        let middle = SIZE * 4 + 4;
+        let still = map(1.0, 0.0);
+        assert_eq!(agreement(&still, &map(1.0, 0.0), middle), Agreement::Confirmed);
+        assert_eq!(agreement(&still, &map(1.1, 1.0), middle), Agreement::Confirmed);
+        assert_eq!(agreement(&still, &map(1.0, 3.0), middle), Agreement::Contradicted);
+        assert_eq!(agreement(&still, &map(0.7, 0.0), middle), Agreement::Contradicted);
+        assert_eq!(agreement(&still, &map(1.3, 0.0), middle), Agreement::Hidden);
+        assert_eq!(agreement(&still, &map(1.0, 0.0), SIZE * 4), Agreement::Outside);
+        // Half a frame later, a point that moves by eight pixels a frame is four pixels to the right of where it was.
+        assert_eq!(agreement(&map(1.0, 8.0), &map(1.0, 8.0), SIZE * 4), Agreement::Confirmed);
+    }
+
+    #[test]
+    fn frames_far_apart_in_time_are_not_compared() {
+        let frames = [frame(0.0, 0.0), frame(0.25, 1.0)];
+        let map = map(1.0, 0.0);
+        let [of, by] = frames.each_ref().map(|frame| MappedFrame { frame, map: &map });
+        assert!(agreements(&of, &by).is_none());
+    }
+
+    #[test]
+    fn confidence_is_the_fraction_that_confirms() {
+        use Agreement::{Confirmed, Contradicted, Hidden, Outside};
+        let (frame, map) = (frame(0.0, 0.0), map(1.0, 0.0));
+        let of = MappedFrame { frame: &frame, map: &map };
+        let all = |agreements: &[Agreement]| {
+            let each: Vec<_> = agreements.iter().map(|a| vec![*a; SIZE * SIZE]).collect();
+            confidence(&of, &each)[0]
+        };
+        assert_eq!(all(&[]), 51); // 0.1 / 0.5
+        assert_eq!(all(&[Outside, Outside]), 51);
+        assert_eq!(all(&[Confirmed, Confirmed, Confirmed]), 226); // 3.1 / 3.5
+        assert_eq!(all(&[Confirmed, Hidden]), 156); // 1.1 / 1.8
+        assert_eq!(all(&[Contradicted, Contradicted]), 10); // 0.1 / 2.5
+    }
 }

@@ -39,6 +39,8 @@ impl ElementMap {
 
 /// Quantization steps per pixel of a velocity, of an acceleration, and of a disparity's rate of change.
 const STEPS: f32 = 64.0;
+/// Half a pixel, quantization steps.
+const SLOW_STEPS: u16 = 32;
 /// Number of quantization steps from the minimum to the maximum of the search range of inverse depths.
 const DEPTH_STEPS: f32 = u16::MAX as f32;
 /// Maximum difference between two neighbouring surface elements that belong to the same surface, pixels. The difference
@@ -106,6 +108,14 @@ impl FlowPixel {
             edges,
             errors: [disparity, velocity],
         }
+    }
+
+    /// Returns whether velocity, acceleration and the disparity's rate are each at most half a pixel.
+    #[inline(always)]
+    pub(super) fn is_slow(&self) -> bool {
+        let [[u, v], [a, b]] = [self.velocity, self.acceleration];
+        let is_small = |value: i16| value.unsigned_abs() <= SLOW_STEPS;
+        is_small(u) & is_small(v) & is_small(a) & is_small(b) & is_small(self.rate)
     }
 
     pub(super) fn channels(&self) -> [u16; Self::CHANNELS] {
@@ -181,10 +191,10 @@ impl FlowMap {
     }
 
     pub fn element(&self, pixel: &FlowPixel) -> Element {
-        let value = |v: i16| f32::from(v) / STEPS;
+        let value = |v: i16| f32::from(v) * (1.0 / STEPS); // a power of two
         let [min, max] = self.inverse_depth;
         Element {
-            inverse_depth: min + (max - min) * (f32::from(pixel.inverse_depth) / DEPTH_STEPS),
+            inverse_depth: min + f32::from(pixel.inverse_depth) * ((max - min) / DEPTH_STEPS),
             velocity: pixel.velocity.map(value),
             acceleration: pixel.acceleration.map(value),
             inverse_depth_rate: value(pixel.rate) / self.disparity_px,

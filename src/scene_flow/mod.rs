@@ -31,6 +31,7 @@
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
 //! | `confidence.rs` | the fraction of the other maps that agree with an element |
 //! | `splat.rs`, `composite.rs`, `blend.rs` | rendering of a view from several maps |
+//! | `robust_mean.rs` | the mean of the colours that several maps show at a pixel |
 //! | `motion.rs` | the motion of the surfaces in a view |
 
 mod affine_fit;
@@ -48,6 +49,7 @@ mod matching;
 mod motion;
 mod packed;
 mod patch;
+mod robust_mean;
 mod smoothing;
 mod splat;
 mod still;
@@ -60,7 +62,7 @@ mod uncertainty;
 mod tests;
 
 pub use blend::{FlowView, blend};
-pub use confidence::confidences;
+pub use confidence::{Agreement, agreements, confidence, confidences};
 pub use element::{Element, ElementErrors};
 pub use estimate::Estimation;
 pub use frame::{FlowFrame, MatchingImage, PyramidFrame};

@@ -44,11 +44,17 @@ pub struct Area<'a> {
     /// For every pixel of the rows, the index of its first quarter, or [`NO_QUARTERS`]. `None` if whole pixels are
     /// splatted.
     quarters: Option<Vec<u32>>,
+    /// For every pixel of the rows, whether it or one of its eight neighbours has quarters. Empty if whole pixels are
+    /// splatted.
+    is_near_quarters: Vec<bool>,
     count: usize,
 }
 
 /// Index of a pixel whose quarters are not splatted.
 const NO_QUARTERS: u32 = u32::MAX;
+/// Maximum size of a splat for which [`Area::is_near_quarters`] tells whether it may cover quarters. Half of it, at
+/// [`HALF_WIDTH`], is less than a pixel, which is two quarters wide.
+const MAX_CHECKED: f32 = 3.0;
 /// Number of quarters of a pixel.
 pub const QUARTERS: usize = 4;
 
@@ -56,16 +62,25 @@ impl<'a> Area<'a> {
     /// Returns the area of whole pixels: those of the rows `rows` of a view.
     pub fn of_rows(view: &'a Camera, rows: Range<usize>) -> Self {
         let count = view.width * rows.len();
-        Self { view: Cow::Borrowed(view), rows, quarters: None, count }
+        let is_near_quarters = Vec::new();
+        Self { view: Cow::Borrowed(view), rows, quarters: None, is_near_quarters, count }
     }
 
     /// Returns the area of the quarters of single pixels. `pixels` are their indices in the rows `rows` of a view. The
     /// quarters of the pixel `pixels[i]` have the indices from `4 i` to `4 i + 3`.
     pub fn of_quarters(view: &Camera, rows: Range<usize>, pixels: &[u32]) -> Self {
-        let mut quarters = vec![NO_QUARTERS; view.width * rows.len()];
+        let (width, height) = (view.width, rows.len());
+        let mut quarters = vec![NO_QUARTERS; width * height];
+        let mut is_near_quarters = vec![false; width * height];
         for (i, &k) in pixels.iter().enumerate() {
+            let k = k as usize;
             // An image has less than 2³⁰ pixels.
-            quarters[k as usize] = (QUARTERS * i) as u32;
+            quarters[k] = (QUARTERS * i) as u32;
+            let (x, y) = (k % width, k / width);
+            for y in y.saturating_sub(1)..(y + 2).min(height) {
+                let row = &mut is_near_quarters[y * width..][..width];
+                row[x.saturating_sub(1)..(x + 2).min(width)].fill(true);
+            }
         }
         let view = Camera {
             width: 2 * view.width,
@@ -75,34 +90,58 @@ impl<'a> Area<'a> {
         };
         let rows = 2 * rows.start..2 * rows.end;
         let count = QUARTERS * pixels.len();
-        Self { view: Cow::Owned(view), rows, quarters: Some(quarters), count }
+        let quarters = Some(quarters);
+        Self { view: Cow::Owned(view), rows, quarters, is_near_quarters, count }
     }
 
-    /// Returns the index of the pixel or quarter in column `u` and row `v`, which must be one of the rows. `None` if it
-    /// is not splatted.
+    /// Returns whether a splat at position `[x, y]` may cover a pixel or quarter of the area. `scale` is its size relative
+    /// to a pixel or quarter.
     #[inline(always)]
-    fn index(&self, u: usize, v: usize) -> Option<usize> {
-        let (v, width) = (v - self.rows.start, self.view.width);
-        match &self.quarters {
-            None => Some(v * width + u),
-            Some(quarters) => {
-                let first = quarters[(v / 2) * (width / 2) + u / 2];
-                (first != NO_QUARTERS).then(|| first as usize + 2 * (v % 2) + u % 2)
-            }
+    fn is_near(&self, [x, y]: [f32; 2], scale: f32) -> bool {
+        let (width, height) = (self.view.width, self.rows.len());
+        let (first, end) = (self.rows.start as f32, self.rows.end as f32);
+        let is_inside =
+            x > -scale && x < width as f32 + scale && y > first - scale && y < end + scale;
+        if !is_inside || self.is_near_quarters.is_empty() || scale > MAX_CHECKED {
+            return is_inside;
         }
+        // The casts saturate at 0.
+        let column = (x as usize).min(width - 1) / 2;
+        let row = ((y - first) as usize).min(height - 1) / 2;
+        self.is_near_quarters[row * (width / 2) + column]
+    }
+
+    /// Returns the index of the quarter in column `u` and row `v`, which must be one of the rows. `None` if it is not
+    /// splatted.
+    #[inline(always)]
+    fn quarter(&self, u: usize, v: usize) -> Option<usize> {
+        let (v, width) = (v - self.rows.start, self.view.width);
+        let first = self.quarters.as_ref()?[(v / 2) * (width / 2) + u / 2];
+        (first != NO_QUARTERS).then(|| first as usize + 2 * (v % 2) + u % 2)
     }
 }
 
-/// Scene flow map rendered into an [`Area`] of a view. Its public fields have one value per pixel or quarter.
+/// What a scene flow map shows at a pixel or quarter of an [`Area`].
+#[derive(Clone, Copy)]
+pub struct SplatPixel {
+    /// Inverse depth in the view, 1/m.
+    pub inverse_depth: f32,
+    /// Blending weight, from confidence and expected error; 0 where the scene flow map covers nothing.
+    pub weight: f32,
+    /// Position in the frame from which the colour is read, pixels.
+    pub source: [f32; 2],
+    /// Distance between the pixel's centre and the projection of its surface element (maximum norm), pixels.
+    distance: f32,
+}
+
+impl SplatPixel {
+    const NOTHING: Self = Self { inverse_depth: 0.0, weight: 0.0, source: [0.0; 2], distance: 0.0 };
+}
+
+/// Scene flow map rendered into an [`Area`] of a view.
 pub struct Splat {
-    /// Inverse depth of each pixel in the view, 1/m.
-    pub inverse_depths: Vec<f32>,
-    /// Position in the frame from which each pixel's colour is read, pixels.
-    pub sources: Vec<[f32; 2]>,
-    /// Blending weight of each pixel, from confidence and expected error; 0 where the scene flow map covers nothing.
-    pub weights: Vec<f32>,
-    /// Distance between each pixel's centre and the projection of its surface element (maximum norm), pixels.
-    distances: Vec<f32>,
+    /// The pixels or quarters of the area.
+    pub pixels: Vec<SplatPixel>,
     projection: Projection,
     /// For each row of the scene flow map, the time from the row to the view's instant, in frame periods of the
     /// reference camera.
@@ -217,12 +256,8 @@ impl Splat {
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
             place_error: ERROR_BY_BASELINE * view.focal_px() as f32 * baseline_m,
         };
-        let pixels = area.count;
         let mut splat = Self {
-            inverse_depths: vec![0.0; pixels],
-            sources: vec![[0.0; 2]; pixels],
-            weights: vec![0.0; pixels],
-            distances: vec![0.0; pixels],
+            pixels: vec![SplatPixel::NOTHING; area.count],
             projection: to_view.projection,
             row_dt: (0..map.height).map(|y| until(frame, time, y as f32 + 0.5)).collect(),
             hiding: HIDING_PX / map.disparity_px,
@@ -258,13 +293,8 @@ impl Splat {
     }
 
     fn add_row(&mut self, row: &Row, pixels: &[FlowPixel], y: usize, area: &Area) {
-        let width = area.view.width as f32;
-        let (first, end) = (area.rows.start as f32, area.rows.end as f32);
         for (x, pixel) in pixels.iter().enumerate() {
-            let (cx, cy, scale) = (row.x[x], row.y[x], row.scale[x]);
-            let is_near =
-                cx > -scale && cx < width + scale && cy > first - scale && cy < end + scale;
-            if is_near && row.weight[x] > 0.0 {
+            if row.weight[x] > 0.0 && area.is_near([row.x[x], row.y[x]], row.scale[x]) {
                 self.add(row, (x, y), pixel, area);
             }
         }
@@ -278,20 +308,29 @@ impl Splat {
             |side: usize| scale * if pixel.is_edge(side) { HALF_WIDTH_AT_EDGE } else { HALF_WIDTH };
         let columns = pixels_between(cx - half(0), cx + half(1), 0..area.view.width);
         let rows = pixels_between(cy - half(2), cy + half(3), area.rows.clone());
-        let (inverse_depth, inverse_scale) = (row.inverse_depth[x], 1.0 / scale);
+        let (inverse_depth, weight) = (row.inverse_depth[x], row.weight[x]);
+        let (inverse_scale, hiding) = (1.0 / scale, self.hiding);
         let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
+        let show = |old: &mut SplatPixel, u: usize, v: usize| {
+            let (dx, dy) = (u as f32 + 0.5 - cx, v as f32 + 0.5 - cy);
+            let distance = dx.abs().max(dy.abs());
+            let in_front = inverse_depth - old.inverse_depth;
+            let is_same = in_front > -hiding && distance < old.distance;
+            if old.weight == 0.0 || in_front > hiding || is_same {
+                let source = [px + dx * inverse_scale, py + dy * inverse_scale];
+                *old = SplatPixel { inverse_depth, weight, source, distance };
+            }
+        };
         for v in rows {
+            if area.quarters.is_none() {
+                let first = (v - area.rows.start) * area.view.width;
+                let row = &mut self.pixels[first + columns.start..first + columns.end];
+                row.iter_mut().zip(columns.start..).for_each(|(old, u)| show(old, u, v));
+                continue;
+            }
             for u in columns.clone() {
-                let Some(k) = area.index(u, v) else { continue };
-                let (dx, dy) = (u as f32 + 0.5 - cx, v as f32 + 0.5 - cy);
-                let distance = dx.abs().max(dy.abs());
-                let old = self.inverse_depths[k];
-                let is_same = inverse_depth > old - self.hiding && distance < self.distances[k];
-                if self.weights[k] == 0.0 || inverse_depth > old + self.hiding || is_same {
-                    self.inverse_depths[k] = inverse_depth;
-                    self.sources[k] = [px + dx * inverse_scale, py + dy * inverse_scale];
-                    self.weights[k] = row.weight[x];
-                    self.distances[k] = distance;
+                if let Some(k) = area.quarter(u, v) {
+                    show(&mut self.pixels[k], u, v);
                 }
             }
         }
@@ -312,6 +351,8 @@ fn distort(row: &mut Row, view: &Camera) {
 /// Returns the pixels of `range` whose centres lie in `from..=to`.
 #[inline(always)]
 fn pixels_between(from: f32, to: f32, range: Range<usize>) -> Range<usize> {
-    // Casts saturate, so a splat to the left of the image has no pixels.
-    ((from + 0.5) as usize).max(range.start)..((to + 0.5) as usize).min(range.end)
+    // Casts saturate. An image has less than 2³¹ columns and rows.
+    let first = ((from + 0.5) as i32).max(range.start as i32) as usize;
+    let end = ((to + 0.5) as i32).clamp(0, range.end as i32) as usize;
+    first..end.max(first)
 }
