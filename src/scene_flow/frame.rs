@@ -1,5 +1,6 @@
 //! Frames for matching. Each has an image pyramid of brightness, colour and gradients.
 
+use super::noise;
 use super::still::{CompactImage, StillImage};
 use crate::camera::{Camera, CameraModel};
 use crate::raster::Image;
@@ -10,6 +11,12 @@ use nalgebra::Point2;
 pub const WEIGHTS: [f32; 4] = [1.0, 0.5, 1.5, 1.5];
 /// Weights of red, green and blue in brightness.
 const LUMA: [f32; 3] = [0.3, 0.59, 0.11];
+
+/// Matching cost that noise alone causes, per standard deviation of the noise of brightness. The noise of red, green and
+/// blue is independent. The magnitude of a normal distribution is 0.8 in the mean. It adds up over the four channels, of
+/// which each has about the weighted noise of brightness, and over both images, of which one is smoothed by
+/// interpolation.
+const COST_BY_NOISE: f32 = 4.0;
 
 /// Features of a pixel that matching compares: brightness, red minus blue, and the horizontal and vertical gradient
 /// of brightness. Each is multiplied by its weight ([`WEIGHTS`]).
@@ -22,6 +29,8 @@ pub struct MatchingImage {
     samples: Vec<MatchingSample>,
     /// For each pixel, whether it shows only static background. Empty if this is unknown.
     still: Vec<bool>,
+    /// Standard deviation of the noise of brightness.
+    noise: f32,
 }
 
 impl MatchingImage {
@@ -33,17 +42,21 @@ impl MatchingImage {
         let mut pixels: Vec<[f32; 3]> =
             rgb.data().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
         let mut pyramid = vec![Self::new(width, height, &pixels)];
-        for _ in 1..levels {
+        let brightness: Vec<f32> = pixels.iter().map(brightness).collect();
+        pyramid[0].noise = noise::standard_deviation(width, &brightness);
+        for level in 1..levels {
             pixels = halved(width, height, &pixels);
             (width, height) = (width / 2, height / 2);
-            pyramid.push(Self::new(width, height, &pixels));
+            let mut image = Self::new(width, height, &pixels);
+            // The mean of four pixels has half their noise.
+            image.noise = 0.5 * pyramid[level - 1].noise;
+            pyramid.push(image);
         }
         pyramid
     }
 
     fn new(width: usize, height: usize, pixels: &[[f32; 3]]) -> Self {
-        let luma = |p: &[f32; 3]| LUMA[0] * p[0] + LUMA[1] * p[1] + LUMA[2] * p[2];
-        let brightness: Vec<f32> = pixels.iter().map(luma).collect();
+        let brightness: Vec<f32> = pixels.iter().map(brightness).collect();
         let mut samples = Vec::with_capacity(width * height);
         for y in 0..height {
             let [above, below] = [y.saturating_sub(1), (y + 1).min(height - 1)];
@@ -59,13 +72,18 @@ impl MatchingImage {
                 ]);
             }
         }
-        Self { width, height, samples, still: Vec::new() }
+        Self { width, height, samples, still: Vec::new(), noise: 0.0 }
     }
 
     /// Returns whether a pixel shows only static background. `None` if this is unknown for the whole image.
     #[inline(always)]
     pub fn is_still(&self, x: usize, y: usize) -> Option<bool> {
         self.still.get(y * self.width + x).copied()
+    }
+
+    /// Returns the mean matching cost that noise alone causes.
+    pub fn noise_cost(&self) -> f32 {
+        COST_BY_NOISE * self.noise
     }
 
     /// Returns the size of the level in memory, bytes.
@@ -92,6 +110,10 @@ impl MatchingImage {
         let k = y * self.width + x;
         [&self.samples[k..k + 2], &self.samples[k + self.width..][..2]]
     }
+}
+
+fn brightness(color: &[f32; 3]) -> f32 {
+    LUMA.iter().zip(color).map(|(weight, value)| weight * value).sum()
 }
 
 /// Returns an image at half its size: the mean of each block of 2×2 pixels. An odd last row or column is dropped.

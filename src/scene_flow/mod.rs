@@ -17,6 +17,7 @@
 //! | file | content |
 //! |---|---|
 //! | `frame.rs` | a frame without lens distortion, and its image pyramid |
+//! | `noise.rs` | the noise of an image |
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
 //! | `timing.rs` | the time between pixels of two frames, with rolling shutters |
 //! | `still.rs` | the static background of a camera |
@@ -47,6 +48,7 @@ mod geometry;
 mod map;
 mod matching;
 mod motion;
+mod noise;
 mod packed;
 mod patch;
 mod robust_mean;

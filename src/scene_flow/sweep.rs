@@ -21,7 +21,7 @@ const COLOR: f32 = 0.08;
 /// Constant that is added to the colour term of the smoothness weight, so that neighbours of any colour have some
 /// smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Matching cost below which a pixel's surface element is good. For such a pixel, no random elements are tried. If the
+/// Matching cost, beside that of noise, below which a pixel's surface element is good. For such a pixel, no random elements are tried. If the
 /// element is also static and the neighbours have nearly the same element, later passes at the two finest levels skip
 /// the pixel.
 const MATCHED: f32 = 0.012;
@@ -272,12 +272,17 @@ impl PatchMatcher<'_> {
         element.at(-dx as f32 * self.scale, -dy as f32 * self.scale)
     }
 
+    /// Returns whether a matching cost is that of a good surface element.
+    fn is_matched(&self, cost: f32) -> bool {
+        cost < MATCHED + self.own.noise_cost()
+    }
+
     /// Returns whether a pixel is settled: its surface element is well matched and static, and its neighbours have
     /// nearly the same element.
     fn is_settled(&self, map: &ElementMap, x: usize, y: usize) -> bool {
         let k = y * self.own.width + x;
         let own = &map.elements[k];
-        map.costs[k] < MATCHED
+        self.is_matched(map.costs[k])
             && own.speed() < STILL_PX
             && [(-1, 0), (1, 0), (0, -1), (0, 1)].iter().all(|&step| {
                 let neighbor = self.neighbor(x, y, step);
@@ -394,7 +399,7 @@ impl PatchMatcher<'_> {
             if !is_settled {
                 best.consider_proposals(pass, k);
             }
-            let chances = if best.match_cost < MATCHED { 0 } else { pass.chances };
+            let chances = if self.is_matched(best.match_cost) { 0 } else { pass.chances };
             for _ in 0..chances {
                 best.consider(self.chance(&best.element, pass.limits, &mut random));
             }

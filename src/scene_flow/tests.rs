@@ -208,14 +208,45 @@ fn smoothing_draws_a_wrong_motion_on_a_plain_surface_towards_its_surroundings() 
     }
 }
 
+/// Adds uniform noise with a standard deviation of 2 %.
+fn add_noise(recording: &mut [[FlowFrame; 3]]) {
+    let mut random = Random::new(3);
+    for frame in recording.iter_mut().flatten() {
+        frame.image.data_mut().iter_mut().for_each(|v| *v += 0.035 * random.signed() as f32);
+    }
+}
+
+#[test]
+fn the_cost_of_noise_is_that_of_true_elements() {
+    let plain = Wall { plain_m: f64::INFINITY, ..STILL };
+    let mut recording = recording(&[plain]);
+    add_noise(&mut recording);
+    let levels: Vec<Vec<MatchingImage>> = recording.iter().map(|f| f[1].pyramid()).collect();
+    let frame = |c: usize| PyramidFrame { frame: &recording[c][1], levels: &levels[c] };
+    let observations: Vec<ObservingFrame> =
+        [0, 2, 3].iter().map(|c| ObservingFrame::new(frame(1), frame(*c)).unwrap()).collect();
+    let matcher = PatchMatcher {
+        own: &levels[1][0],
+        observations: &observations,
+        level: 0,
+        scale: 1.0,
+        disparity_px: (2.0 * SPACING_M * FOCAL_PX) as f32,
+    };
+    let element = Element { inverse_depth: 1.0 / 3.1, ..Element::default() };
+    let (mut patch, mut costs) = (Patch::empty(), [0.0; MAX_OBSERVATIONS]);
+    let mut cost = |x: usize| {
+        matcher.fill_patch(x, 36, &mut patch);
+        f64::from(matcher.cost(&element, (x, 36), &patch, f32::INFINITY, &mut costs))
+    };
+    let found = median((20..76).map(&mut cost).collect());
+    let expected = f64::from(levels[1][0].noise_cost());
+    assert!((0.8..1.25).contains(&(found / expected)), "{found} in place of {expected}");
+}
+
 #[test]
 fn errors_are_about_as_large_as_their_standard_errors() {
     let mut recording = recording(&[MOVING, STILL]);
-    let mut random = Random::new(3);
-    for frame in recording.iter_mut().flatten() {
-        // Uniform noise with a standard deviation of 2 %.
-        frame.image.data_mut().iter_mut().for_each(|v| *v += 0.035 * random.signed() as f32);
-    }
+    add_noise(&mut recording);
     let maps = maps(&recording);
     let (mut disparity, mut motion) = (Vec::new(), Vec::new());
     for (frames, map) in recording.iter().zip(&maps) {
