@@ -14,9 +14,14 @@
 //! Between them, the stages of a view at the fixed instant, beside how long its bytes take through memory at the
 //! bandwidth that reading a large array reaches.
 //!
+//! `cargo bench --bench live -- scene-flow CAPTURE… [--views N]` prepares captures, and prints views by scene flow:
+//! from moving viewpoints, at moving instants, and both. Clocks are the true ones. What is prepared stays.
+//!
 //! All use all cores. The peers are left out where the project's Python environment is missing. What is prepared is
 //! deleted again; a capture that is prepared already is refused.
 
+#[path = "live/flow.rs"]
+mod flow;
 #[path = "live/moving.rs"]
 mod moving;
 #[path = "live/peer.rs"]
@@ -38,18 +43,15 @@ type Error = Box<dyn std::error::Error>;
 /// How far the viewpoint moves up and ahead, metres.
 const ASIDE_M: f64 = 0.05;
 
-/// Options by name: the presets, and `best` by scene flow and over depth per pixel.
+/// Options by name: the presets, and `best` over depth per pixel.
 fn methods() -> Vec<(&'static str, RenderOptions)> {
     let of = |preset: Preset| preset.options();
     let mut depth = of(Preset::Best);
     depth.proxy.method = ProxyMethod::Depth;
-    let mut flow = of(Preset::Best);
-    flow.proxy.method = ProxyMethod::SceneFlow;
     vec![
         ("draft", of(Preset::Draft)),
         ("balanced", of(Preset::Balanced)),
         ("best, mesh", of(Preset::Best)),
-        ("best, scene flow", flow),
         ("best, depth", depth),
     ]
 }
@@ -163,6 +165,9 @@ fn main() -> Result<(), Error> {
     }
     if methods.is_empty() {
         return Err("--method: no row begins so".into());
+    }
+    if folders.first().is_some_and(|word| word == "scene-flow") {
+        return folders[1..].iter().try_for_each(|folder| flow::bench(folder, count));
     }
     folders.iter().try_for_each(|folder| bench(folder, count, &methods))
 }

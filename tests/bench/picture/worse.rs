@@ -62,12 +62,13 @@ struct Scene {
     targets: Vec<Target>,
 }
 
-/// Prints the scores of every capture, and their means over captures.
-pub fn bench(folders: &[String], selection: &Selection) -> Result<(), Error> {
+/// Prints the scores of every capture, and their means over captures. `only` is what the name of the only degradation
+/// begins with.
+pub fn bench(folders: &[String], selection: &Selection, only: &str) -> Result<(), Error> {
     let mut rows = Vec::new();
     for folder in folders {
         println!("\n{folder}");
-        rows.extend(Scene::open(folder, selection)?.measure()?);
+        rows.extend(Scene::open(folder, selection)?.measure(only)?);
     }
     if folders.len() > 1 {
         println!("\nmean of {} captures", folders.len());
@@ -93,11 +94,12 @@ impl Scene {
     }
 
     /// Measures and prints all degradations. One that gives no views is told and left out.
-    fn measure(&self) -> Result<Vec<Row>, Error> {
+    fn measure(&self, only: &str) -> Result<Vec<Row>, Error> {
         print_head();
         let filmed = self.views(Degradation::None)?;
         let mut all = Vec::new();
-        for degradation in Degradation::ALL {
+        let is_wanted = |d: &Degradation| *d == Degradation::None || d.name().starts_with(only);
+        for degradation in Degradation::ALL.into_iter().filter(is_wanted) {
             let degraded = match degradation {
                 Degradation::None => None,
                 _ => Some(self.views(degradation)),
