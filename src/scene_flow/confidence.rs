@@ -65,7 +65,7 @@ pub fn agreements(of: &MappedFrame, by: &MappedFrame) -> Option<Vec<Agreement>> 
         return None;
     }
     let projection = Projection::new(&of.frame.view, &by.frame.view)?;
-    let comparison = Comparison { own: of.map, other: by.map, time, projection };
+    let comparison = Comparison { own: of.map, other: *by, time, projection };
     let width = of.map.width;
     let mut row = vec![[0.0; 3]; width];
     let mut all = vec![Agreement::Outside; of.map.pixels().len()];
@@ -99,7 +99,7 @@ pub fn confidence(of: &MappedFrame, agreements: &[impl AsRef<[Agreement]> + Sync
 /// Comparison of a frame's scene flow map with that of another frame.
 struct Comparison<'a> {
     own: &'a FlowMap,
-    other: &'a FlowMap,
+    other: MappedFrame<'a>,
     time: TimeBetween,
     projection: Projection,
 }
@@ -125,7 +125,7 @@ impl Comparison<'_> {
         }
         let (element, [x, y], dt) = self.element(x, y);
         let (_, here) = element.transferred(x, y, dt, &self.projection);
-        let there = self.other.element(there);
+        let there = self.other.map.element(there);
         let [du, dv] = [0, 1].map(|c| there.velocity[c] - here.velocity[c]);
         let motion = (du * du + dv * dv).sqrt();
         motion < MAX_MOTION_ERROR_PX + MAX_MOTION_ERROR * here.speed()
@@ -146,10 +146,9 @@ fn place(row: &mut [[f32; 3]], comparison: &Comparison, y: usize) {
 /// Compares the surface elements of row `y`, moved into the other frame, with its map.
 #[inline(always)]
 fn compare(agreements: &mut [Agreement], row: &[[f32; 3]], comparison: &Comparison, y: usize) {
-    let &Comparison { own, other, .. } = comparison;
+    let &Comparison { own, other: MappedFrame { frame, map: other }, .. } = comparison;
     for (x, (agreement, &[u, v, inverse_depth])) in agreements.iter_mut().zip(row).enumerate() {
-        let is_inside = u >= 0.0 && v >= 0.0 && u < other.width as f32 && v < other.height as f32;
-        if !is_inside {
+        if !frame.films([u, v]) {
             continue;
         }
         let there = &other.pixels()[v as u32 as usize * other.width + u as u32 as usize];

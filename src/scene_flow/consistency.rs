@@ -51,6 +51,7 @@ impl Snapshot {
 
 /// Scene flow map of another frame, with the time and the projection from the estimated frame to that frame.
 struct OtherMap<'a> {
+    frame: &'a FlowFrame,
     time: TimeBetween,
     projection: Projection,
     map: &'a Snapshot,
@@ -67,7 +68,7 @@ impl<'a> OtherMaps<'a> {
     /// `disparity_px` is the disparity, in pixels, of a point at a depth of 1 m, at a baseline of twice the distance
     /// between neighbouring cameras.
     pub fn new(
-        frames: &[&FlowFrame],
+        frames: &[&'a FlowFrame],
         snapshots: &'a [Snapshot],
         of: usize,
         disparity_px: f32,
@@ -76,7 +77,7 @@ impl<'a> OtherMaps<'a> {
             let time = TimeBetween::new(frames[of], frames[k]);
             let projection = Projection::new(&frames[of].view, &frames[k].view)?;
             let is_near = k != of && time.frames().abs() <= MAX_DT;
-            is_near.then_some(OtherMap { time, projection, map })
+            is_near.then_some(OtherMap { frame: frames[k], time, projection, map })
         };
         Self { maps: snapshots.iter().enumerate().filter_map(other).collect(), disparity_px }
     }
@@ -88,14 +89,16 @@ impl<'a> OtherMaps<'a> {
     pub fn difference(&self, e: &Element, [x, y]: [f32; 2]) -> f32 {
         let (mut sum, mut count) = (0.0, 0.0);
         let speed = e.speed();
-        for OtherMap { time, projection, map } in &self.maps {
+        for OtherMap { frame, time, projection, map } in &self.maps {
             let dt = time.of_element(e, (x, y), projection);
             if dt.abs() * speed > MAX_MOTION_PX {
                 continue;
             }
             let ([u, v], here) = e.transferred(x, y, dt, projection);
+            let is_filmed = frame.films([u, v]);
             let (u, v) = (u / map.scale, v / map.scale);
-            if u >= 0.0 && v >= 0.0 && u < map.width as f32 && v < map.height as f32 {
+            // An odd last row or column of the frame has no pixel in the map.
+            if is_filmed && u < map.width as f32 && v < map.height as f32 {
                 sum += self.least_difference(map, [u, v], &here);
                 count += 1.0;
             }

@@ -29,6 +29,8 @@ pub struct MatchingImage {
     samples: Vec<MatchingSample>,
     /// For each pixel, whether it shows only static background. Empty if this is unknown.
     still: Vec<bool>,
+    /// For each pixel, whether all of it lies inside the camera's original image. Empty if all pixels do.
+    filmed: Vec<bool>,
     /// Standard deviation of the noise of brightness.
     noise: f32,
 }
@@ -72,13 +74,22 @@ impl MatchingImage {
                 ]);
             }
         }
-        Self { width, height, samples, still: Vec::new(), noise: 0.0 }
+        Self { width, height, samples, still: Vec::new(), filmed: Vec::new(), noise: 0.0 }
     }
 
     /// Returns whether a pixel shows only static background. `None` if this is unknown for the whole image.
     #[inline(always)]
     pub fn is_still(&self, x: usize, y: usize) -> Option<bool> {
         self.still.get(y * self.width + x).copied()
+    }
+
+    /// Returns whether the camera filmed what lies at a position, pixels; (0, 0) is the centre of the first pixel.
+    #[inline(always)]
+    pub fn films(&self, [x, y]: [f32; 2]) -> bool {
+        let [max_x, max_y] = self.limit();
+        let is_inside = x > 0.0 && y > 0.0 && x < max_x && y < max_y;
+        let index = || (y + 0.5) as usize * self.width + (x + 0.5) as usize;
+        is_inside && (self.filmed.is_empty() || self.filmed[index()])
     }
 
     /// Returns the mean matching cost that noise alone causes.
@@ -88,7 +99,7 @@ impl MatchingImage {
 
     /// Returns the size of the level in memory, bytes.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.samples.as_slice()) + self.still.len()
+        size_of_val(self.samples.as_slice()) + self.still.len() + self.filmed.len()
     }
 
     #[inline(always)]
@@ -128,19 +139,21 @@ fn halved(width: usize, height: usize, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
     (0..columns * rows).map(mean).collect()
 }
 
-/// Returns, for each block of 2×2 pixels of the finer level, whether all four pixels show only static background.
-fn halved_still(finer: &MatchingImage) -> Vec<bool> {
-    let (columns, rows) = (finer.width / 2, finer.height / 2);
+/// Returns, for each block of 2×2 pixels of a mask of this width, whether all four pixels belong to it. An odd last row or
+/// column is dropped.
+fn halved_mask(mask: &[bool], width: usize) -> Vec<bool> {
+    let (columns, rows) = (width / 2, mask.len() / width / 2);
     let all = |k: usize| {
-        let at = 2 * (k / columns) * finer.width + 2 * (k % columns);
-        [at, at + 1, at + finer.width, at + finer.width + 1].iter().all(|&k| finer.still[k])
+        let at = 2 * (k / columns) * width + 2 * (k % columns);
+        [at, at + 1, at + width, at + width + 1].iter().all(|&k| mask[k])
     };
     (0..columns * rows).map(all).collect()
 }
 
 /// Frame of a camera at its own time, resampled to a pinhole camera.
 pub struct FlowFrame {
-    /// Pinhole camera to which the image is resampled.
+    /// Pinhole camera to which the image is resampled. Its image is larger than the original one where the lens sees
+    /// farther than a pinhole camera of the same size would ([`MAX_MARGIN`]).
     pub view: Camera,
     /// Time since the capture's start, in frame periods of the reference camera. With a rolling shutter, it is the
     /// time of the middle row.
@@ -167,6 +180,9 @@ pub struct PyramidFrame<'a> {
 
 /// Minimum length of the shorter side of a pyramid level, pixels.
 const MIN_SIDE_PX: usize = 48;
+/// Maximum width of the margins by which the image of a pinhole camera is larger than that of a lens with distortion, as a
+/// fraction of the image's size.
+const MAX_MARGIN: f64 = 0.125;
 /// Maximum number of pyramid levels.
 const MAX_LEVELS: usize = 5;
 
@@ -180,8 +196,7 @@ impl FlowFrame {
     /// Creates a frame from a camera's image. The image must already be corrected to the reference camera's exposure.
     /// `time` is in frame periods of the reference camera. The shutter is global.
     pub fn new(camera: &Camera, image: &Image, time: f64) -> Self {
-        let (fx, fy, cx, cy) = camera.model.intrinsics();
-        let view = Camera { model: CameraModel::Pinhole { fx, fy, cx, cy }, ..camera.clone() };
+        let view = pinhole(camera);
         let is_color = image.channels() > 1;
         let image = image.to_rgb();
         let (image, is_filmed) = if camera.model.is_pinhole() {
@@ -213,13 +228,25 @@ impl FlowFrame {
     pub fn pyramid(&self) -> Vec<MatchingImage> {
         let levels = levels(self.view.width, self.view.height);
         let mut pyramid = MatchingImage::pyramid(&self.image, levels);
-        if let Some(still) = &self.still {
-            pyramid[0].still.clone_from(still);
-            for level in 1..pyramid.len() {
-                pyramid[level].still = halved_still(&pyramid[level - 1]);
-            }
+        for (k, image) in pyramid.iter_mut().enumerate() {
+            let mask = |of: &Option<Vec<bool>>| {
+                let full = of.clone().unwrap_or_default();
+                let halve =
+                    |(mask, width): (Vec<bool>, usize), _| (halved_mask(&mask, width), width / 2);
+                if full.is_empty() { full } else { (0..k).fold((full, self.view.width), halve).0 }
+            };
+            (image.still, image.filmed) = (mask(&self.still), mask(&self.is_filmed));
         }
         pyramid
+    }
+
+    /// Returns whether the camera filmed what lies at a position, pixels.
+    #[inline(always)]
+    pub fn films(&self, [x, y]: [f32; 2]) -> bool {
+        let Camera { width, height, .. } = self.view;
+        let is_inside = x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32;
+        let index = || y as usize * width + x as usize;
+        is_inside && self.is_filmed.as_ref().is_none_or(|filmed| filmed[index()])
     }
 
     /// Returns whether pixel `k` is known to show a moving body instead of static background.
@@ -235,10 +262,35 @@ impl FlowFrame {
     }
 }
 
+/// Returns a pinhole camera with the focal lengths of a camera, whose image contains all that the camera films, up to
+/// [`MAX_MARGIN`]. The middle of the image stays the middle.
+fn pinhole(camera: &Camera) -> Camera {
+    let (fx, fy, cx, cy) = camera.model.intrinsics();
+    let (width, height) = (camera.width as f64, camera.height as f64);
+    let beyond = |pixel: Point2<f64>| {
+        let ray = camera.ray(&pixel)?;
+        let outside = |at: f64, size: f64| (-at).max(at - size);
+        Some([outside(cx + fx * ray.x, width), outside(cy + fy * ray.y, height)])
+    };
+    let columns = (0..=camera.width).flat_map(|x| [(x as f64, 0.0), (x as f64, height)]);
+    let rows = (0..=camera.height).flat_map(|y| [(0.0, y as f64), (width, y as f64)]);
+    let margin = if camera.model.is_pinhole() {
+        [0.0; 2]
+    } else {
+        let border = columns.chain(rows).filter_map(|(x, y)| beyond(Point2::new(x, y)));
+        border.fold([0.0; 2], |[a, b]: [f64; 2], [c, d]| [a.max(c), b.max(d)])
+    };
+    let [left, top] = [(margin[0], width), (margin[1], height)]
+        .map(|(margin, size)| margin.min(MAX_MARGIN * size).ceil());
+    let model = CameraModel::Pinhole { fx, fy, cx: cx + left, cy: cy + top };
+    let [width, height] = [camera.width + 2 * left as usize, camera.height + 2 * top as usize];
+    Camera { model, width, height, ..camera.clone() }
+}
+
 /// Resamples a camera's image to a pinhole camera. Returns the resampled image and, for each of its pixels, whether
-/// it lies inside the original image.
+/// it lies inside the original image. The other pixels continue the colours at its border, so that there is no edge.
 fn undistorted(camera: &Camera, pinhole: &Camera, image: &Image) -> (Image, Vec<bool>) {
-    let (width, height) = (camera.width, camera.height);
+    let (width, height) = (pinhole.width, pinhole.height);
     let mut out = Image::filled(width, height, 3, 0.0);
     let mut is_filmed = vec![false; width * height];
     for (k, (color, is_filmed)) in
@@ -248,9 +300,7 @@ fn undistorted(camera: &Camera, pinhole: &Camera, image: &Image) -> (Image, Vec<
         let Some(ray) = pinhole.ray(&pixel) else { continue };
         let Some(filmed) = camera.project_cam(&ray.into()) else { continue };
         *is_filmed = camera.contains(&filmed);
-        if *is_filmed {
-            image.sample_cubic(filmed.x as f32, filmed.y as f32, color);
-        }
+        image.sample_cubic(filmed.x as f32, filmed.y as f32, color);
     }
     (out, is_filmed)
 }

@@ -179,9 +179,7 @@ fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut
         let o = &matcher.observations[k];
         let image = &o.levels[matcher.level];
         let footprint = placed.footprint(o);
-        let [u, v] = footprint.center;
-        let [max_u, max_v] = image.limit();
-        costs[k] = if u > 0.0 && v > 0.0 && u < max_u && v < max_v {
+        costs[k] = if image.films(footprint.center) {
             differences::<V>(image, &footprint, patch, &o.truncation) * patch.normalization
         } else {
             2.0 * OUTSIDE

@@ -401,13 +401,31 @@ fn a_distorted_camera_is_undistorted_and_its_view_distorted_again() {
     let image = filmed(&camera, &[STILL], 0.0);
     let frame = FlowFrame::new(&camera, &image, 0.0);
     let truth = filmed(&pinhole, &[STILL], 0.0);
-    let is_filmed = frame.is_filmed.as_ref().unwrap();
-    for (k, is_filmed) in is_filmed.iter().enumerate() {
+    let margin = [frame.view.width - SIZE[0], frame.view.height - SIZE[1]].map(|m| m / 2);
+    assert!(margin.iter().all(|m| (1..12).contains(m)), "{margin:?}");
+    for k in 0..SIZE[0] * SIZE[1] {
         let (x, y) = (k % SIZE[0], k / SIZE[0]);
+        let (u, v) = (x + margin[0], y + margin[1]);
         let is_inside = (4..SIZE[0] - 4).contains(&x) && (4..SIZE[1] - 4).contains(&y);
-        if *is_filmed && is_inside {
-            let difference = frame.image.pixel(x, y)[1] - truth.pixel(x, y)[1];
+        if frame.films([u as f32 + 0.5, v as f32 + 0.5]) && is_inside {
+            let difference = frame.image.pixel(u, v)[1] - truth.pixel(x, y)[1];
             assert!(difference.abs() < 0.03, "{x}, {y}: {difference}");
+        }
+    }
+}
+
+#[test]
+fn all_that_a_distorted_camera_films_is_in_its_frame() {
+    let mut camera = camera_at(0.0, 0.0);
+    for k in [-0.15, 0.1] {
+        camera.model = CameraModel::SimpleRadial { f: FOCAL_PX, cx: 50.0, cy: 35.0, k };
+        let frame = FlowFrame::new(&camera, &filmed(&camera, &[STILL], 0.0), 0.0);
+        // The mask has whole pixels, so that the outermost ones may be outside of it.
+        let inner = (1..SIZE[1] - 1).flat_map(|y| (1..SIZE[0] - 1).map(move |x| (x, y)));
+        for (x, y) in inner {
+            let place = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
+            let there = frame.view.project_cam(&camera.ray(&place).unwrap().into()).unwrap();
+            assert!(frame.films([there.x as f32, there.y as f32]), "{k}: {place}");
         }
     }
 }

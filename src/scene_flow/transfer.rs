@@ -96,6 +96,9 @@ impl Proposals {
             let is_turned = frames[to].view.axis().angle(&frames[from].view.axis()) > TURNED_RAD;
             for (k, element) in map.elements.iter().enumerate() {
                 let [x, y] = map.center(k);
+                if !frames[from].films([x, y]) {
+                    continue;
+                }
                 let dt = time.of_element(element, (x, y), &projection);
                 let (pixel, mut there) = element.transferred(x, y, dt, &projection);
                 let Some(t) = target.index(pixel) else { continue };
