@@ -65,6 +65,7 @@ impl PublishedFrame {
             is_color: self.is_color,
             image: Image::from_data(width, height, 3, data),
             is_filmed: self.map.is_filmed(steps, [width, height]),
+            original: None,
             still: None,
         };
         let map = self.map.map(steps, [width, height]);

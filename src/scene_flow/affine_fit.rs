@@ -40,6 +40,9 @@ impl PatchMatcher<'_> {
         for dy in (-RADIUS).max(-(y as i32))..=RADIUS.min(height - 1 - y as i32) {
             for dx in (-RADIUS).max(-(x as i32))..=RADIUS.min(width - 1 - x as i32) {
                 let (u, v) = ((x as i32 + dx) as usize, (y as i32 + dy) as usize);
+                if !self.own.films_pixel(u, v) {
+                    continue;
+                }
                 let neighbor = map.elements[v * self.own.width + u];
                 let (fx, fy) = (dx as f32 * self.scale, dy as f32 * self.scale);
                 let distance = self.distance(&own.at(fx, fy), &neighbor);

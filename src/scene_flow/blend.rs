@@ -9,7 +9,7 @@ use super::robust_mean::WeightedColors;
 use super::splat::{Area, QUARTERS, Splat, SplatPixel};
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
-use crate::raster::{Image, Sampling, sample};
+use crate::raster::Image;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -417,8 +417,7 @@ impl<'a> Behind<'a> {
             is_filmed = true;
             let in_front = map.element(&map.pixels()[k]).inverse_depth - q;
             if in_front * map.disparity_px < CLUSTER_PX {
-                pixel.color = sample(&frame.image, u, v, Sampling::Cubic);
-                pixel.color = pixel.color.map(|c| c.clamp(0.0, 1.0));
+                pixel.color = frame.color([u, v]).map(|c| c.clamp(0.0, 1.0));
                 return Some(pixel);
             }
         }

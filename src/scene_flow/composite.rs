@@ -2,7 +2,6 @@
 
 use super::frame::FlowFrame;
 use super::robust_mean::WeightedColors;
-use crate::raster::{Sampling, sample};
 
 /// Weight above which a cluster occludes a cluster of larger weight behind it, as a fraction of the weight of all
 /// surface elements at the pixel.
@@ -119,8 +118,7 @@ fn mean_of(
     let (mut depths, mut weights, mut moving) = (0.0, 0.0, 0.0);
     colors.clear();
     for c in cluster().filter(|c| c.weight >= MIN_FRACTION * most) {
-        let [x, y] = c.source;
-        colors.push(sample(&c.frame.image, x, y, Sampling::Cubic), c.weight);
+        colors.push(c.frame.color(c.source), c.weight);
         depths += c.weight * c.inverse_depth;
         weights += c.weight;
         moving += if c.is_moving { c.weight } else { 0.0 };

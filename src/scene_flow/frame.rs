@@ -1,9 +1,10 @@
 //! Frames for matching. Each has an image pyramid of brightness, colour and gradients.
 
+use super::lens_grid::LensGrid;
 use super::noise;
 use super::still::{CompactImage, StillImage};
 use crate::camera::{Camera, CameraModel};
-use crate::raster::Image;
+use crate::raster::{Image, Sampling, sample};
 use nalgebra::Point2;
 
 /// Weights of the four channels of a [`MatchingSample`]: brightness, red minus blue, and the two gradients of
@@ -29,7 +30,7 @@ pub struct MatchingImage {
     samples: Vec<MatchingSample>,
     /// For each pixel, whether it shows only static background. Empty if this is unknown.
     still: Vec<bool>,
-    /// For each pixel, whether all of it lies inside the camera's original image. Empty if all pixels do.
+    /// For each pixel, whether a part of it lies inside the camera's original image. Empty if all pixels do.
     filmed: Vec<bool>,
     /// Standard deviation of the noise of brightness.
     noise: f32,
@@ -92,6 +93,12 @@ impl MatchingImage {
         is_inside && (self.filmed.is_empty() || self.filmed[index()])
     }
 
+    /// Returns whether the camera filmed a part of a pixel.
+    #[inline(always)]
+    pub fn films_pixel(&self, x: usize, y: usize) -> bool {
+        self.filmed.is_empty() || self.filmed[y * self.width + x]
+    }
+
     /// Returns the mean matching cost that noise alone causes.
     pub fn noise_cost(&self) -> f32 {
         COST_BY_NOISE * self.noise
@@ -139,15 +146,14 @@ fn halved(width: usize, height: usize, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
     (0..columns * rows).map(mean).collect()
 }
 
-/// Returns, for each block of 2×2 pixels of a mask of this width, whether all four pixels belong to it. An odd last row or
-/// column is dropped.
-fn halved_mask(mask: &[bool], width: usize) -> Vec<bool> {
+/// Returns `of` the four pixels of each block of 2×2 pixels of a mask of this width. An odd last row or column is dropped.
+fn halved_mask(mask: &[bool], width: usize, of: fn([bool; 4]) -> bool) -> Vec<bool> {
     let (columns, rows) = (width / 2, mask.len() / width / 2);
-    let all = |k: usize| {
+    let block = |k: usize| {
         let at = 2 * (k / columns) * width + 2 * (k % columns);
-        [at, at + 1, at + width, at + width + 1].iter().all(|&k| mask[k])
+        of([at, at + 1, at + width, at + width + 1].map(|k| mask[k]))
     };
-    (0..columns * rows).map(all).collect()
+    (0..columns * rows).map(block).collect()
 }
 
 /// Frame of a camera at its own time, resampled to a pinhole camera.
@@ -166,9 +172,17 @@ pub struct FlowFrame {
     pub image: Image,
     /// For each pixel, whether it lies inside the camera's original image. `None` if all pixels do.
     pub is_filmed: Option<Vec<bool>>,
+    /// The image as the camera filmed it. `None` if its lens has no distortion, or it isn't known.
+    pub original: Option<OriginalImage>,
     /// For each pixel, whether it shows the static background of the camera rather than a moving body. `None` if this
     /// is unknown.
     pub still: Option<Vec<bool>>,
+}
+
+/// Image of a camera whose lens has distortion, with 3 channels, corrected to the reference camera's exposure.
+pub struct OriginalImage {
+    image: Image,
+    lens: LensGrid,
 }
 
 /// A frame with the pyramid of its image ([`FlowFrame::pyramid`]).
@@ -199,13 +213,14 @@ impl FlowFrame {
         let view = pinhole(camera);
         let is_color = image.channels() > 1;
         let image = image.to_rgb();
-        let (image, is_filmed) = if camera.model.is_pinhole() {
-            (image, None)
+        let (image, is_filmed, original) = if camera.model.is_pinhole() {
+            (image, None, None)
         } else {
-            let (image, is_filmed) = undistorted(camera, &view, &image);
-            (image, Some(is_filmed))
+            let (resampled, is_filmed) = undistorted(camera, &view, &image);
+            let lens = LensGrid::new(camera, &view);
+            (resampled, Some(is_filmed), Some(OriginalImage { image, lens }))
         };
-        Self { view, time, row_time: 0.0, is_color, image, is_filmed, still: None }
+        Self { view, time, row_time: 0.0, is_color, image, is_filmed, original, still: None }
     }
 
     /// Returns the frame with a rolling shutter. `row_time` is the time from one row to the next, in frame periods of
@@ -228,16 +243,28 @@ impl FlowFrame {
     pub fn pyramid(&self) -> Vec<MatchingImage> {
         let levels = levels(self.view.width, self.view.height);
         let mut pyramid = MatchingImage::pyramid(&self.image, levels);
-        for (k, image) in pyramid.iter_mut().enumerate() {
-            let mask = |of: &Option<Vec<bool>>| {
-                let full = of.clone().unwrap_or_default();
-                let halve =
-                    |(mask, width): (Vec<bool>, usize), _| (halved_mask(&mask, width), width / 2);
-                if full.is_empty() { full } else { (0..k).fold((full, self.view.width), halve).0 }
-            };
-            (image.still, image.filmed) = (mask(&self.still), mask(&self.is_filmed));
+        pyramid[0].still = self.still.clone().unwrap_or_default();
+        pyramid[0].filmed = self.is_filmed.clone().unwrap_or_default();
+        for level in 1..pyramid.len() {
+            let finer = &pyramid[level - 1];
+            let still = halved_mask(&finer.still, finer.width, |four| four.iter().all(|v| *v));
+            let filmed = halved_mask(&finer.filmed, finer.width, |four| four.iter().any(|v| *v));
+            (pyramid[level].still, pyramid[level].filmed) = (still, filmed);
         }
         pyramid
+    }
+
+    /// Returns the colour at a position, pixels, by cubic interpolation. If the lens has distortion, the original image is
+    /// interpolated, so that colours are interpolated only once.
+    #[inline(always)]
+    pub fn color(&self, [x, y]: [f32; 2]) -> [f32; 3] {
+        match &self.original {
+            None => sample(&self.image, x, y, Sampling::Cubic),
+            Some(original) => {
+                let [x, y] = original.lens.distorted([x, y]);
+                sample(&original.image, x, y, Sampling::Cubic)
+            }
+        }
     }
 
     /// Returns whether the camera filmed what lies at a position, pixels.
@@ -258,7 +285,8 @@ impl FlowFrame {
     pub fn bytes(&self) -> usize {
         let masks = [&self.is_filmed, &self.still];
         let masks: usize = masks.into_iter().flatten().map(Vec::len).sum();
-        size_of_val(self.image.data()) + masks
+        let original = self.original.as_ref().map_or(0, |o| size_of_val(o.image.data()));
+        size_of_val(self.image.data()) + original + masks
     }
 }
 

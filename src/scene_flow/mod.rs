@@ -17,6 +17,7 @@
 //! | file | content |
 //! |---|---|
 //! | `frame.rs` | a frame without lens distortion, and its image pyramid |
+//! | `lens_grid.rs` | lens distortion, tabulated |
 //! | `noise.rs` | the noise of an image |
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
 //! | `timing.rs` | the time between pixels of two frames, with rolling shutters |
@@ -45,6 +46,7 @@ mod estimate;
 mod frame;
 mod gauss_newton;
 mod geometry;
+mod lens_grid;
 mod map;
 mod matching;
 mod motion;

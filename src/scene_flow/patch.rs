@@ -79,6 +79,10 @@ impl Patch {
                 if u < 0 || v < 0 || u >= width || v >= height {
                     continue;
                 }
+                // What was not filmed has no say, but the centre's weight is always 1.
+                if (dx, dy) != (0, 0) && !image.films_pixel(u as usize, v as usize) {
+                    continue;
+                }
                 let sample = image.pixel(u as usize, v as usize);
                 let distance = (dx * dx + dy * dy) as f32 / (radius * radius) as f32;
                 let difference = color_difference(&sample, &center) / PATCH_COLOR;

@@ -108,11 +108,14 @@ impl PatchMatcher<'_> {
         (0..map.elements.len()).map(&mut known).collect()
     }
 
-    /// Returns the weight of the difference between two neighbouring pixels, 1/px²: 0 if the second is outside the map,
-    /// or if only one of them shows static background.
+    /// Returns the weight of the difference between two neighbouring pixels, 1/px²: 0 if the second is outside the map, if
+    /// one of them was not filmed, or if only one of them shows static background.
     fn smoothness(&self, (x, y): (usize, usize), (u, v): (usize, usize)) -> f64 {
         let is_inside = u < self.own.width && v < self.own.height;
-        if !is_inside || self.own.is_still(x, y) != self.own.is_still(u, v) {
+        let is_filmed = |x: usize, y: usize| self.own.films_pixel(x, y);
+        if !(is_inside && is_filmed(x, y) && is_filmed(u, v))
+            || self.own.is_still(x, y) != self.own.is_still(u, v)
+        {
             return 0.0;
         }
         let difference = color_difference(&self.own.pixel(x, y), &self.own.pixel(u, v));

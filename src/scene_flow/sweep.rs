@@ -261,7 +261,8 @@ impl PatchMatcher<'_> {
     #[inline(always)]
     fn neighbor(&self, x: usize, y: usize, (dx, dy): (i32, i32)) -> Option<(usize, usize)> {
         let (u, v) = (x.checked_add_signed(dx as isize)?, y.checked_add_signed(dy as isize)?);
-        (u < self.own.width && v < self.own.height).then_some((u, v))
+        let is_inside = u < self.own.width && v < self.own.height;
+        (is_inside && self.own.films_pixel(u, v)).then_some((u, v))
     }
 
     /// Returns the surface element of the neighbour `(u, v)`, which is `(dx, dy)` away from the pixel, extrapolated
@@ -300,6 +301,7 @@ impl PatchMatcher<'_> {
         let (dx, dy) = (x % 2, y % 2);
         let first = (y - dy) * self.own.width + x - dx;
         let is_copied = (dx, dy) != (0, 0)
+            && self.own.films_pixel(x - dx, y - dy)
             && self.own.is_still(x - dx, y - dy) == self.own.is_still(x, y)
             && self.is_settled(map, x - dx, y - dy);
         if is_copied {
@@ -355,7 +357,7 @@ impl PatchMatcher<'_> {
         for k in 0..pixels {
             let k = if pass.is_backward() { pixels - 1 - k } else { k };
             let (x, y) = (k % width, k / width);
-            if self.level == 0 && self.is_inherited(x, y) {
+            if !self.own.films_pixel(x, y) || self.level == 0 && self.is_inherited(x, y) {
                 continue;
             }
             let difference =

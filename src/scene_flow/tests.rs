@@ -431,6 +431,21 @@ fn all_that_a_distorted_camera_films_is_in_its_frame() {
 }
 
 #[test]
+fn colors_of_a_distorted_camera_are_interpolated_in_its_own_image() {
+    let mut camera = camera_at(0.0, 0.0);
+    camera.model = CameraModel::SimpleRadial { f: FOCAL_PX, cx: 48.0, cy: 36.0, k: -0.15 };
+    let image = filmed(&camera, &[STILL], 0.0);
+    let frame = FlowFrame::new(&camera, &image, 0.0);
+    for (x, y) in (4..SIZE[0] - 4).zip((4..SIZE[1] - 4).cycle()) {
+        let place = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let there = frame.view.project_cam(&camera.ray(&place).unwrap().into()).unwrap();
+        let color = frame.color([there.x as f32, there.y as f32]);
+        let difference = color[1] - image.pixel(x, y)[1];
+        assert!(difference.abs() < 0.005, "{x}, {y}: {difference}");
+    }
+}
+
+#[test]
 fn images_of_any_size_have_levels() {
     for (width, height, expected) in
         [(1, 1, 1), (47, 300, 1), (96, 96, 2), (640, 480, 4), (8192, 8192, 5)]
