@@ -15,7 +15,7 @@ use crate::host::CacheKind;
 use crate::lumigraph::DepthMap;
 use crate::raster::Image;
 use crate::scene_flow::{
-    Agreement, Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, MatchingImage,
+    Agreements, Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, MatchingImage,
     PyramidFrame, agreements, blend, confidence,
 };
 use rayon::prelude::*;
@@ -141,8 +141,8 @@ impl FlowConfidences<'_> {
                 let [of, by] = [frames[k], frames[other]];
                 FlowAgreements { of, by, options, mapped: [&mapped[k], &mapped[other]] }.get(field)
             });
-            let agreements: Vec<Arc<Option<Vec<Agreement>>>> = agreements.collect();
-            let comparable: Vec<&Vec<Agreement>> =
+            let agreements: Vec<Arc<Option<Agreements>>> = agreements.collect();
+            let comparable: Vec<&Agreements> =
                 agreements.iter().filter_map(|a| a.as_ref().as_ref()).collect();
             confidence(&mapped[k], &comparable)
         };
@@ -153,18 +153,17 @@ impl FlowConfidences<'_> {
 }
 
 impl Stage for FlowAgreements<'_> {
-    /// For each pixel of the first frame, how the second frame's map agrees with it, row by row. `None` if the frames
-    /// aren't compared.
-    type Output = Option<Vec<Agreement>>;
+    /// How the second frame's map agrees with that of the first. `None` if the frames aren't compared.
+    type Output = Option<Agreements>;
     const NAME: &'static str = "agreements";
 
     fn bytes(agreements: &Self::Output) -> usize {
-        agreements.as_ref().map_or(0, Vec::len)
+        agreements.as_ref().map_or(0, Agreements::bytes)
     }
 }
 
 impl FlowAgreements<'_> {
-    fn get(&self, field: &LightField) -> Arc<Option<Vec<Agreement>>> {
+    fn get(&self, field: &LightField) -> Arc<Option<Agreements>> {
         let [of, by] = self.mapped;
         field.cached(self).unwrap_or_else(|| field.insert(self, agreements(of, by)))
     }

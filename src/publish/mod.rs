@@ -30,9 +30,11 @@ mod site;
 
 pub use site::check_folder;
 
+use crate::camera::Camera;
 use crate::light_field::{LightField, RenderError};
 use crate::options::RenderOptions;
 use crate::progress::Reporter;
+use crate::scene_flow::pinhole;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use frame::{Published, PublishedFrame};
@@ -218,8 +220,10 @@ impl Encoding<'_> {
     /// `max_size`. `max_size` is a width and a height in pixels. Returns 0 if it is `None`.
     fn halvings(&self, max_size: Option<[usize; 2]>) -> usize {
         let Some([width, height]) = max_size else { return 0 };
-        let cameras = || self.field.capture().cameras.iter().map(|c| &c.camera);
-        let is_large = |n: usize| cameras().any(|c| c.width >> n > width || c.height >> n > height);
+        let cameras = self.field.capture().cameras.iter();
+        let cameras: Vec<Camera> = cameras.map(|c| pinhole(&c.camera)).collect();
+        let is_large =
+            |n: usize| cameras.iter().any(|c| c.width >> n > width || c.height >> n > height);
         (0..).take_while(|&n| is_large(n)).count()
     }
 }

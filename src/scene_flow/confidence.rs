@@ -31,15 +31,38 @@ const PRIOR_ALL: f32 = 0.5;
 
 /// How another scene flow map agrees with a surface element.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(u8)]
-pub enum Agreement {
+enum Agreement {
     /// The element projects outside the other frame.
-    Outside,
-    Confirmed,
-    Contradicted,
+    Outside = 0,
+    Confirmed = 1,
+    Contradicted = 2,
     /// The element is occluded in the other map.
-    Hidden,
+    Hidden = 3,
 }
+
+/// How another scene flow map agrees with each pixel of a map, row by row. Four pixels take a byte.
+pub struct Agreements(Vec<u8>);
+
+impl Agreements {
+    fn new(all: &[Agreement]) -> Self {
+        let byte = |four: &[Agreement]| four.iter().rev().fold(0, |byte, a| byte << 2 | *a as u8);
+        Self(all.chunks(4).map(byte).collect())
+    }
+
+    /// Returns the code of a pixel, which is that of its [`Agreement`].
+    #[inline(always)]
+    fn code(&self, k: usize) -> usize {
+        usize::from(self.0[k / 4] >> (2 * (k % 4)) & 3)
+    }
+
+    /// Returns the size in memory, bytes.
+    pub fn bytes(&self) -> usize {
+        self.0.len()
+    }
+}
+
+/// How a map counts by its [`Agreement`]: among those that confirm, and among those that are compared.
+const COUNTS: [[f32; 2]; 4] = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, HIDDEN]];
 
 /// Returns the confidence of each pixel of each scene flow map, in the order of `mapped` and row by row, from 1 to 255.
 /// The confidence increases with the fraction of the comparable maps that confirm the pixel's surface element.
@@ -51,15 +74,15 @@ pub enum Agreement {
 pub fn confidences(mapped: &[MappedFrame]) -> Vec<Vec<u8>> {
     let of = |(k, of): (usize, &MappedFrame)| {
         let others = mapped.iter().enumerate().filter(|(other, _)| *other != k);
-        let agreements: Vec<_> = others.filter_map(|(_, by)| agreements(of, by)).collect();
-        confidence(of, &agreements)
+        let agreements: Vec<Agreements> = others.filter_map(|(_, by)| agreements(of, by)).collect();
+        confidence(of, &agreements.iter().collect::<Vec<_>>())
     };
     mapped.par_iter().enumerate().map(of).collect()
 }
 
-/// Returns how the scene flow map `by` agrees with each pixel of `of`, row by row. `None` if the frames are too far apart
-/// in time, or the intrinsic matrix of one is singular.
-pub fn agreements(of: &MappedFrame, by: &MappedFrame) -> Option<Vec<Agreement>> {
+/// Returns how the scene flow map `by` agrees with each pixel of `of`. `None` if the frames are too far apart
+/// in time, or the intrinsic matrix of `of` is singular.
+pub fn agreements(of: &MappedFrame, by: &MappedFrame) -> Option<Agreements> {
     let time = TimeBetween::new(of.frame, by.frame);
     if time.frames().abs() > MAX_CONFIRMING_DT {
         return None;
@@ -73,21 +96,16 @@ pub fn agreements(of: &MappedFrame, by: &MappedFrame) -> Option<Vec<Agreement>> 
         place_row(&mut row, &comparison, y);
         compare_row(agreements, &row, &comparison, y);
     }
-    Some(all)
+    Some(Agreements::new(&all))
 }
 
 /// Returns the confidence of each pixel of a scene flow map, from 1 to 255. `agreements` are those of the comparable
 /// maps, each as [`agreements`] returns them.
-pub fn confidence(of: &MappedFrame, agreements: &[impl AsRef<[Agreement]> + Sync]) -> Vec<u8> {
+pub fn confidence(of: &MappedFrame, agreements: &[&Agreements]) -> Vec<u8> {
     let of_pixel = |k: usize| {
         let (mut confirmed, mut all) = (PRIOR_CONFIRMED, PRIOR_ALL);
         for agreements in agreements {
-            let (confirms, counts) = match agreements.as_ref()[k] {
-                Agreement::Outside => (0.0, 0.0),
-                Agreement::Confirmed => (1.0, 1.0),
-                Agreement::Contradicted => (0.0, 1.0),
-                Agreement::Hidden => (0.0, HIDDEN),
-            };
+            let [confirms, counts] = COUNTS[agreements.code(k)];
             confirmed += confirms;
             all += counts;
         }
@@ -218,19 +236,22 @@ mod tests {
         let frames = [frame(0.0, 0.0), frame(0.25, 0.5)];
         let agreement = |own: &FlowMap, by: &FlowMap, pixel: usize| {
             let of = MappedFrame { frame: &frames[0], map: own };
-            agreements(&of, &MappedFrame { frame: &frames[1], map: by }).unwrap()[pixel]
+            agreements(&of, &MappedFrame { frame: &frames[1], map: by }).unwrap().code(pixel)
         };
         // At a depth of 1 m, the second camera sees the point two pixels to the left.
         let middle = SIZE * 4 + 4;
         let still = map(1.0, 0.0);
-        assert_eq!(agreement(&still, &map(1.0, 0.0), middle), Agreement::Confirmed);
-        assert_eq!(agreement(&still, &map(1.1, 1.0), middle), Agreement::Confirmed);
-        assert_eq!(agreement(&still, &map(1.0, 3.0), middle), Agreement::Contradicted);
-        assert_eq!(agreement(&still, &map(0.7, 0.0), middle), Agreement::Contradicted);
-        assert_eq!(agreement(&still, &map(1.3, 0.0), middle), Agreement::Hidden);
-        assert_eq!(agreement(&still, &map(1.0, 0.0), SIZE * 4), Agreement::Outside);
+        assert_eq!(agreement(&still, &map(1.0, 0.0), middle), Agreement::Confirmed as usize);
+        assert_eq!(agreement(&still, &map(1.1, 1.0), middle), Agreement::Confirmed as usize);
+        assert_eq!(agreement(&still, &map(1.0, 3.0), middle), Agreement::Contradicted as usize);
+        assert_eq!(agreement(&still, &map(0.7, 0.0), middle), Agreement::Contradicted as usize);
+        assert_eq!(agreement(&still, &map(1.3, 0.0), middle), Agreement::Hidden as usize);
+        assert_eq!(agreement(&still, &map(1.0, 0.0), SIZE * 4), Agreement::Outside as usize);
         // Half a frame later, a point that moves by eight pixels a frame is four pixels to the right of where it was.
-        assert_eq!(agreement(&map(1.0, 8.0), &map(1.0, 8.0), SIZE * 4), Agreement::Confirmed);
+        assert_eq!(
+            agreement(&map(1.0, 8.0), &map(1.0, 8.0), SIZE * 4),
+            Agreement::Confirmed as usize
+        );
     }
 
     #[test]
@@ -247,8 +268,9 @@ mod tests {
         let (frame, map) = (frame(0.0, 0.0), map(1.0, 0.0));
         let of = MappedFrame { frame: &frame, map: &map };
         let all = |agreements: &[Agreement]| {
-            let each: Vec<_> = agreements.iter().map(|a| vec![*a; SIZE * SIZE]).collect();
-            confidence(&of, &each)[0]
+            let of_map = |a: &Agreement| Agreements::new(&[*a; SIZE * SIZE]);
+            let each: Vec<Agreements> = agreements.iter().map(of_map).collect();
+            confidence(&of, &each.iter().collect::<Vec<_>>())[0]
         };
         assert_eq!(all(&[]), 51); // 0.1 / 0.5
         assert_eq!(all(&[Outside, Outside]), 51);

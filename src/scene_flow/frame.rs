@@ -45,15 +45,10 @@ impl MatchingImage {
         let mut pixels: Vec<[f32; 3]> =
             rgb.data().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
         let mut pyramid = vec![Self::new(width, height, &pixels)];
-        let brightness: Vec<f32> = pixels.iter().map(brightness).collect();
-        pyramid[0].noise = noise::standard_deviation(width, &brightness);
-        for level in 1..levels {
+        for _ in 1..levels {
             pixels = halved(width, height, &pixels);
             (width, height) = (width / 2, height / 2);
-            let mut image = Self::new(width, height, &pixels);
-            // The mean of four pixels has half their noise.
-            image.noise = 0.5 * pyramid[level - 1].noise;
-            pyramid.push(image);
+            pyramid.push(Self::new(width, height, &pixels));
         }
         pyramid
     }
@@ -97,6 +92,11 @@ impl MatchingImage {
     #[inline(always)]
     pub fn films_pixel(&self, x: usize, y: usize) -> bool {
         self.filmed.is_empty() || self.filmed[y * self.width + x]
+    }
+
+    fn measured_noise(&self) -> f32 {
+        let brightness: Vec<f32> = self.samples.iter().map(|s| s[0] / WEIGHTS[0]).collect();
+        noise::standard_deviation(self.width, &brightness, &self.filmed)
     }
 
     /// Returns the mean matching cost that noise alone causes.
@@ -159,7 +159,7 @@ fn halved_mask(mask: &[bool], width: usize, of: fn([bool; 4]) -> bool) -> Vec<bo
 /// Frame of a camera at its own time, resampled to a pinhole camera.
 pub struct FlowFrame {
     /// Pinhole camera to which the image is resampled. Its image is larger than the original one where the lens sees
-    /// farther than a pinhole camera of the same size would ([`MAX_MARGIN`]).
+    /// farther than a pinhole camera of the same size would.
     pub view: Camera,
     /// Time since the capture's start, in frame periods of the reference camera. With a rolling shutter, it is the
     /// time of the middle row.
@@ -195,7 +195,7 @@ pub struct PyramidFrame<'a> {
 /// Minimum length of the shorter side of a pyramid level, pixels.
 const MIN_SIDE_PX: usize = 48;
 /// Maximum width of the margins by which the image of a pinhole camera is larger than that of a lens with distortion, as a
-/// fraction of the image's size.
+/// fraction of the image's size. Larger: wide lenses take more memory and time. Smaller: their borders are lost.
 const MAX_MARGIN: f64 = 0.125;
 /// Maximum number of pyramid levels.
 const MAX_LEVELS: usize = 5;
@@ -245,11 +245,14 @@ impl FlowFrame {
         let mut pyramid = MatchingImage::pyramid(&self.image, levels);
         pyramid[0].still = self.still.clone().unwrap_or_default();
         pyramid[0].filmed = self.is_filmed.clone().unwrap_or_default();
+        pyramid[0].noise = pyramid[0].measured_noise();
         for level in 1..pyramid.len() {
             let finer = &pyramid[level - 1];
             let still = halved_mask(&finer.still, finer.width, |four| four.iter().all(|v| *v));
             let filmed = halved_mask(&finer.filmed, finer.width, |four| four.iter().any(|v| *v));
             (pyramid[level].still, pyramid[level].filmed) = (still, filmed);
+            // The mean of four pixels has half their noise.
+            pyramid[level].noise = 0.5 * pyramid[level - 1].noise;
         }
         pyramid
     }
@@ -261,8 +264,10 @@ impl FlowFrame {
         match &self.original {
             None => sample(&self.image, x, y, Sampling::Cubic),
             Some(original) => {
-                let [x, y] = original.lens.distorted([x, y]);
-                sample(&original.image, x, y, Sampling::Cubic)
+                let place = original.lens.distorted([x, y]);
+                let (image, [x, y]) =
+                    place.map_or((&self.image, [x, y]), |place| (&original.image, place));
+                sample(image, x, y, Sampling::Cubic)
             }
         }
     }
@@ -285,14 +290,15 @@ impl FlowFrame {
     pub fn bytes(&self) -> usize {
         let masks = [&self.is_filmed, &self.still];
         let masks: usize = masks.into_iter().flatten().map(Vec::len).sum();
-        let original = self.original.as_ref().map_or(0, |o| size_of_val(o.image.data()));
+        let original =
+            self.original.as_ref().map_or(0, |o| size_of_val(o.image.data()) + o.lens.bytes());
         size_of_val(self.image.data()) + original + masks
     }
 }
 
-/// Returns a pinhole camera with the focal lengths of a camera, whose image contains all that the camera films, up to
-/// [`MAX_MARGIN`]. The middle of the image stays the middle.
-fn pinhole(camera: &Camera) -> Camera {
+/// Returns a pinhole camera with the focal lengths of a camera, whose image contains all that the camera films. Its
+/// margins beyond the original image are at most an eighth of this. The middle of the image stays the middle.
+pub fn pinhole(camera: &Camera) -> Camera {
     let (fx, fy, cx, cy) = camera.model.intrinsics();
     let (width, height) = (camera.width as f64, camera.height as f64);
     let beyond = |pixel: Point2<f64>| {
@@ -316,7 +322,8 @@ fn pinhole(camera: &Camera) -> Camera {
 }
 
 /// Resamples a camera's image to a pinhole camera. Returns the resampled image and, for each of its pixels, whether
-/// it lies inside the original image. The other pixels continue the colours at its border, so that there is no edge.
+/// it lies inside the original image. The other pixels continue the colours at its border, so that there is no edge, but are
+/// black beyond the range in which the lens model is monotonic.
 fn undistorted(camera: &Camera, pinhole: &Camera, image: &Image) -> (Image, Vec<bool>) {
     let (width, height) = (pinhole.width, pinhole.height);
     let mut out = Image::filled(width, height, 3, 0.0);

@@ -39,7 +39,8 @@ impl ElementMap {
 
 /// Quantization steps per pixel of a velocity, of an acceleration, and of a disparity's rate of change.
 const STEPS: f32 = 64.0;
-/// Half a pixel, quantization steps.
+/// Maximum of what counts as slow, quantization steps: half a pixel. Two slow elements have about the same motion in frames
+/// of similar focal lengths.
 const SLOW_STEPS: u16 = 32;
 /// Number of quantization steps from the minimum to the maximum of the search range of inverse depths.
 const DEPTH_STEPS: f32 = u16::MAX as f32;
@@ -110,7 +111,7 @@ impl FlowPixel {
         }
     }
 
-    /// Returns whether velocity, acceleration and the disparity's rate are each at most half a pixel.
+    /// Returns whether velocity, acceleration and the disparity's rate are each at most half a pixel ([`SLOW_STEPS`]).
     #[inline(always)]
     pub(super) fn is_slow(&self) -> bool {
         let [[u, v], [a, b]] = [self.velocity, self.acceleration];

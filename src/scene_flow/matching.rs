@@ -366,7 +366,9 @@ impl PatchMatcher<'_> {
         for o in self.observations {
             let image = &o.levels[self.level];
             let [u, v] = placed.place(o, 0.0, 0.0, 1.0 / self.scale).map(|c| c + 0.5);
-            if u >= 0.0 && v >= 0.0 && u < image.width as f32 && v < image.height as f32 {
+            let is_inside =
+                u >= 0.0 && v >= 0.0 && u < image.width as f32 && v < image.height as f32;
+            if is_inside && image.films_pixel(u as usize, v as usize) {
                 inside += 1;
                 still += u32::from(image.is_still(u as usize, v as usize) == Some(true));
             }

@@ -66,10 +66,10 @@ mod uncertainty;
 mod tests;
 
 pub use blend::{FlowView, blend};
-pub use confidence::{Agreement, agreements, confidence, confidences};
+pub use confidence::{Agreements, agreements, confidence, confidences};
 pub use element::{Element, ElementErrors};
 pub use estimate::Estimation;
-pub use frame::{FlowFrame, MatchingImage, PyramidFrame};
+pub use frame::{FlowFrame, MatchingImage, PyramidFrame, pinhole};
 pub use geometry::{Projection, distorted, undistorted};
 pub use map::{ElementMap, FlowMap, MappedFrame};
 pub use motion::MotionMap;

@@ -1,5 +1,6 @@
 //! Stored form of a scene flow map, compressed without loss.
 
+use super::frame::pinhole;
 use super::map::{FlowMap, FlowPixel};
 use crate::camera::Camera;
 use flate2::Compression;
@@ -82,7 +83,8 @@ impl PackedMap {
 impl FlowMap {
     /// Returns an upper bound of the size of the stored scene flow map of a frame by `camera`, bytes.
     pub fn max_stored_bytes(camera: &Camera) -> usize {
-        let bytes = camera.width * camera.height * FlowPixel::BYTES;
+        let Camera { width, height, .. } = pinhole(camera);
+        let bytes = width * height * FlowPixel::BYTES;
         // Deflate adds at most 5 bytes per 16 KiB of incompressible data.
         bytes + bytes / 1024 + 1024
     }

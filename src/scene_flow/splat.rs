@@ -352,7 +352,22 @@ fn distort(row: &mut Row, view: &Camera) {
 #[inline(always)]
 fn pixels_between(from: f32, to: f32, range: Range<usize>) -> Range<usize> {
     // Casts saturate. An image has less than 2³¹ columns and rows.
-    let first = ((from + 0.5) as i32).max(range.start as i32) as usize;
-    let end = ((to + 0.5) as i32).clamp(0, range.end as i32) as usize;
+    let [first, end] = [from, to]
+        .map(|at| ((at + 0.5) as i32).clamp(range.start as i32, range.end as i32) as usize);
     first..end.max(first)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::pixels_between;
+
+    #[test]
+    fn splats_beyond_a_border_have_no_pixels_but_stay_inside_the_range() {
+        assert_eq!(pixels_between(2.2, 4.6, 0..8), 2..5);
+        for (from, to) in [(-3.0, -1.2), (-1e9, -9e8), (9.3, 12.0), (1e9, 2e9), (f32::NAN, 3.0)] {
+            let pixels = pixels_between(from, to, 2..8);
+            assert!(pixels.start >= 2 && pixels.end <= 8, "{from}, {to}: {pixels:?}");
+            assert!(pixels.is_empty() || from.is_nan(), "{from}, {to}: {pixels:?}");
+        }
+    }
 }

@@ -58,7 +58,9 @@ impl PatchMatcher<'_> {
             let [u, v, _] = o.projection.project(mx, my, q);
             let image = &o.levels[self.level];
             let [width, height] = [image.width, image.height].map(|s| s as f32 * self.scale);
-            if !(u > 0.0 && v > 0.0 && u < width && v < height) {
+            let is_inside = u > 0.0 && v > 0.0 && u < width && v < height;
+            let pixel = [u, v].map(|at| (at / self.scale) as usize);
+            if !is_inside || !image.films_pixel(pixel[0], pixel[1]) {
                 continue;
             }
             let [a, b] = self.by_inverse_depth(element, center, o).map(|d| f64::from(d) / by_depth);

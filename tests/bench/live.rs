@@ -17,8 +17,8 @@
 //! `cargo bench --bench live -- scene-flow CAPTURE… [--views N]` prepares captures, and prints views by scene flow:
 //! from moving viewpoints, at moving instants, and both. Clocks are the true ones. What is prepared stays.
 //!
-//! All use all cores. The peers are left out where the project's Python environment is missing. What is prepared is
-//! deleted again; a capture that is prepared already is refused.
+//! All use all cores. The peers are left out where the project's Python environment is missing. Otherwise, what is prepared
+//! is deleted again, and a capture that is prepared already is refused.
 
 #[path = "live/flow.rs"]
 mod flow;

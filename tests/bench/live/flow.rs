@@ -26,7 +26,7 @@ pub fn bench(folder: &str, count: usize) -> Result<(), Error> {
     let capture = Arc::new(Capture::open(folder.as_ref())?);
     let mut options = Preset::Best.options();
     options.proxy.method = ProxyMethod::SceneFlow;
-    let views = path(&capture, count);
+    let views = path(&capture, count.max(1));
     let (width, height) = (views[0].width, views[0].height);
     println!("{folder}: {} cameras, views of {width}×{height}", capture.cameras.len());
     let start = Instant::now();
@@ -41,7 +41,8 @@ pub fn bench(folder: &str, count: usize) -> Result<(), Error> {
     println!("|---|---|---|---|");
     let middle_s = middle_s(&capture);
     let times_s = &capture.cameras[capture.reference].clock.times_s;
-    let interval_s = times_s[1] - times_s[0];
+    let [first_s, second_s] = times_s.first_chunk().ok_or("has a single frame")?;
+    let interval_s = second_s - first_s;
     let moved =
         |k: usize| middle_s + INTERVALS * interval_s * ((k as f64 + 0.5) / count as f64 - 0.5);
     let still = views[count / 3].clone();

@@ -65,6 +65,9 @@ struct Scene {
 /// Prints the scores of every capture, and their means over captures. `only` is what the name of the only degradation
 /// begins with.
 pub fn bench(folders: &[String], selection: &Selection, only: &str) -> Result<(), Error> {
+    if !Degradation::ALL.iter().any(|d| d.name().starts_with(only)) {
+        return Err(format!("--only: no recording is named {only}").into());
+    }
     let mut rows = Vec::new();
     for folder in folders {
         println!("\n{folder}");
