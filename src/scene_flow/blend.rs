@@ -406,14 +406,10 @@ impl<'a> Behind<'a> {
         let mut is_filmed = false;
         for (MappedFrame { frame, map }, projection) in &self.frames {
             let [u, v, q] = projection.project(x, y, pixel.inverse_depth);
-            let (width, height) = (map.width, map.height);
-            if !(u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32) {
+            if !frame.films([u, v]) {
                 continue;
             }
-            let k = v as usize * width + u as usize;
-            if frame.is_filmed.as_ref().is_some_and(|is_filmed| !is_filmed[k]) {
-                continue;
-            }
+            let k = v as usize * map.width + u as usize;
             is_filmed = true;
             let in_front = map.element(&map.pixels()[k]).inverse_depth - q;
             if in_front * map.disparity_px < CLUSTER_PX {

@@ -18,6 +18,7 @@ const BEHIND: f32 = 0.05;
 /// Minimum weight of a candidate (surface element of one scene flow map) in the mean of its cluster, as a fraction of
 /// the largest weight in the cluster.
 const MIN_FRACTION: f32 = 0.02;
+
 /// Colour and depth of the surface that a pixel of the view shows.
 #[derive(Clone, Copy)]
 pub struct Pixel {

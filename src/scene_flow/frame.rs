@@ -13,10 +13,9 @@ pub const WEIGHTS: [f32; 4] = [1.0, 0.5, 1.5, 1.5];
 /// Weights of red, green and blue in brightness.
 const LUMA: [f32; 3] = [0.3, 0.59, 0.11];
 
-/// Matching cost that noise alone causes, per standard deviation of the noise of brightness. The noise of red, green and
-/// blue is independent. The magnitude of a normal distribution is 0.8 in the mean. It adds up over the four channels, of
-/// which each has about the weighted noise of brightness, and over both images, of which one is smoothed by
-/// interpolation.
+/// Matching cost that noise alone causes, per standard deviation of the noise of brightness. It is computed for noise of
+/// red, green and blue that is independent and normally distributed. Larger: wrong elements of noisy pixels count as
+/// good. Smaller: noisy pixels are estimated anew in every pass.
 const COST_BY_NOISE: f32 = 4.0;
 
 /// Features of a pixel that matching compares: brightness, red minus blue, and the horizontal and vertical gradient
@@ -296,8 +295,8 @@ impl FlowFrame {
     }
 }
 
-/// Returns a pinhole camera with the focal lengths of a camera, whose image contains all that the camera films. Its
-/// margins beyond the original image are at most an eighth of this. The middle of the image stays the middle.
+/// Returns a pinhole camera with the focal lengths of a camera, whose image contains all that the camera films. The
+/// margin at each side is at most an eighth of the original size. The middle of the image stays the middle.
 pub fn pinhole(camera: &Camera) -> Camera {
     let (fx, fy, cx, cy) = camera.model.intrinsics();
     let (width, height) = (camera.width as f64, camera.height as f64);
@@ -322,8 +321,8 @@ pub fn pinhole(camera: &Camera) -> Camera {
 }
 
 /// Resamples a camera's image to a pinhole camera. Returns the resampled image and, for each of its pixels, whether
-/// it lies inside the original image. The other pixels continue the colours at its border, so that there is no edge, but are
-/// black beyond the range in which the lens model is monotonic.
+/// it lies inside the original image. The other pixels continue the colours at its border, so that there is no edge.
+/// Beyond the range in which the lens model is monotonic, they are black.
 fn undistorted(camera: &Camera, pinhole: &Camera, image: &Image) -> (Image, Vec<bool>) {
     let (width, height) = (pinhole.width, pinhole.height);
     let mut out = Image::filled(width, height, 3, 0.0);

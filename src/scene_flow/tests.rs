@@ -129,6 +129,24 @@ fn estimated(
     Estimation { frames: &list, limits, baseline_m: 2.0 * SPACING_M }.run(proceed)
 }
 
+/// Returns the middle frames of the cameras other than the second, in which that of the second is observed.
+fn observations<'a>(
+    recording: &'a [[FlowFrame; 3]],
+    levels: &'a [Vec<MatchingImage>],
+) -> Vec<ObservingFrame<'a>> {
+    let frame = |c: usize| PyramidFrame { frame: &recording[c][1], levels: &levels[c] };
+    [0, 2, 3].iter().map(|c| ObservingFrame::new(frame(1), frame(*c)).unwrap()).collect()
+}
+
+/// Returns the matcher of the second camera's middle frame at the finest level.
+fn matcher<'a>(
+    levels: &'a [Vec<MatchingImage>],
+    observations: &'a [ObservingFrame<'a>],
+) -> PatchMatcher<'a> {
+    let disparity_px = (2.0 * SPACING_M * FOCAL_PX) as f32;
+    PatchMatcher { own: &levels[1][0], observations, level: 0, scale: 1.0, disparity_px }
+}
+
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
@@ -168,16 +186,8 @@ fn smoothing_draws_a_wrong_motion_on_a_plain_surface_towards_its_surroundings() 
     let wall = Wall { plain_m: 0.11, ..MOVING };
     let recording = recording(&[wall, STILL]);
     let levels: Vec<Vec<MatchingImage>> = recording.iter().map(|f| f[1].pyramid()).collect();
-    let frame = |c: usize| PyramidFrame { frame: &recording[c][1], levels: &levels[c] };
-    let observations: Vec<ObservingFrame> =
-        [0, 2, 3].iter().map(|c| ObservingFrame::new(frame(1), frame(*c)).unwrap()).collect();
-    let matcher = PatchMatcher {
-        own: &levels[1][0],
-        observations: &observations,
-        level: 0,
-        scale: 1.0,
-        disparity_px: (2.0 * SPACING_M * FOCAL_PX) as f32,
-    };
+    let observations = observations(&recording, &levels);
+    let matcher = matcher(&levels, &observations);
     let FlowFrame { view, time, .. } = &recording[1][1];
     let hit =
         |k: usize| wall.hit(view, [(k % SIZE[0]) as f64 + 0.5, (k / SIZE[0]) as f64 + 0.5], *time);
@@ -222,16 +232,8 @@ fn the_cost_of_noise_is_that_of_true_elements() {
     let mut recording = recording(&[plain]);
     add_noise(&mut recording);
     let levels: Vec<Vec<MatchingImage>> = recording.iter().map(|f| f[1].pyramid()).collect();
-    let frame = |c: usize| PyramidFrame { frame: &recording[c][1], levels: &levels[c] };
-    let observations: Vec<ObservingFrame> =
-        [0, 2, 3].iter().map(|c| ObservingFrame::new(frame(1), frame(*c)).unwrap()).collect();
-    let matcher = PatchMatcher {
-        own: &levels[1][0],
-        observations: &observations,
-        level: 0,
-        scale: 1.0,
-        disparity_px: (2.0 * SPACING_M * FOCAL_PX) as f32,
-    };
+    let observations = observations(&recording, &levels);
+    let matcher = matcher(&levels, &observations);
     let element = Element { inverse_depth: 1.0 / 3.1, ..Element::default() };
     let (mut patch, mut costs) = (Patch::empty(), [0.0; MAX_OBSERVATIONS]);
     let mut cost = |x: usize| {

@@ -63,7 +63,7 @@ mod worse;
 use flicker::Flicker;
 use peers::Peers;
 use rig::Purpose;
-use scene::{Scene, print_flow_alone, print_flow_view};
+use scene::{Scene, print_scene_flow, print_true_images};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth, TruthView};
@@ -72,7 +72,7 @@ use stlfr::offset::Offsets;
 use stlfr::options::RenderOptions;
 use stlfr::raster::{BitDepth, Image, write_image};
 use summary::Summary;
-use truth::True;
+use truth::{Judge, True};
 
 type Error = Box<dyn std::error::Error>;
 
@@ -144,9 +144,6 @@ enum Flow {
     Alone,
 }
 
-type FlowPrint =
-    fn((&LightField, f64), &[True], &True, Option<&Path>, &mut Summary) -> Result<(), Error>;
-
 /// What is done with every capture.
 struct Run {
     selection: Selection,
@@ -168,14 +165,14 @@ impl Run {
             let at_s = time - capture.time_origin_s;
             let views = self.selection.views(&truth, time)?;
             let out = out.as_deref().filter(|_| n == 0);
-            let print = match self.flow {
-                Flow::BesideAll => None,
-                Flow::BesideTrueImages => Some(print_flow_view as FlowPrint),
-                Flow::Alone => Some(print_flow_alone as FlowPrint),
-            };
-            if let Some(print) = print {
+            if !matches!(self.flow, Flow::BesideAll) {
                 for view in &views {
-                    print((&field, at_s), &cameras, view, out, summary)?;
+                    println!("  view {}", view.id);
+                    if matches!(self.flow, Flow::BesideTrueImages) {
+                        print_true_images((&field, at_s), &cameras, view, out, summary)?;
+                    }
+                    let judge = Judge::new(view, view.seen(&cameras));
+                    print_scene_flow((&field, at_s), &judge, view, out, summary)?;
                 }
                 continue;
             }

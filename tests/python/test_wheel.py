@@ -104,6 +104,8 @@ def test_a_job_starts_the_installed_command(
 def test_signals_end_the_command_as_they_end_the_program(
     installed: Path, capture_dir: Path, outside: Path, stop: signal.Signals
 ) -> None:
+    # A command inherits that SIGINT is ignored, as when tests run in the background.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     capture = shutil.copytree(capture_dir, outside / "capture")
     command: list[str | Path] = [installed / "stlfr", "view", capture]
     command += ["--no-open", "--preset", "draft"]

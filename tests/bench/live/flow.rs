@@ -26,7 +26,8 @@ pub fn bench(folder: &str, count: usize) -> Result<(), Error> {
     let capture = Arc::new(Capture::open(folder.as_ref())?);
     let mut options = Preset::Best.options();
     options.proxy.method = ProxyMethod::SceneFlow;
-    let views = path(&capture, count.max(1));
+    let count = count.max(1);
+    let views = path(&capture, count);
     let (width, height) = (views[0].width, views[0].height);
     println!("{folder}: {} cameras, views of {width}×{height}", capture.cameras.len());
     let start = Instant::now();

@@ -199,27 +199,14 @@ fn print_rows(
     Ok(())
 }
 
-/// Prints a view by scene flow.
-pub fn print_flow_alone(
-    at: (&LightField, f64),
-    cameras: &[True],
-    t: &True,
-    out: Option<&Path>,
-    summary: &mut Summary,
-) -> Result<(), Error> {
-    println!("  view {}", t.id);
-    print_scene_flow(at, &Judge::new(t, t.seen(cameras)), t, out, summary)
-}
-
-/// Prints a view by scene flow, and by the true images of all cameras, over depths from these and over true depths.
-pub fn print_flow_view(
+/// Prints a view by the true images of all cameras, over depths from these and over true depths.
+pub fn print_true_images(
     (field, time_s): (&LightField, f64),
     cameras: &[True],
     t: &True,
     out: Option<&Path>,
     summary: &mut Summary,
 ) -> Result<(), Error> {
-    println!("  view {}", t.id);
     let filmed: CameraImages =
         cameras.iter().map(|t| Some(Arc::new(Synchronized::filmed(t.image.clone())))).collect();
     let of_true = geometry((field, time_s), &filmed, ProxyMethod::Depth, &t.camera)?;
@@ -228,13 +215,11 @@ pub fn print_flow_view(
         Row::new("true images, depth", &filmed, &of_true, Lumigraph),
         Row::new("true images, true depth", &filmed, &exact, Lumigraph),
     ];
-    let judge = Judge::new(t, t.seen(cameras));
-    print_rows((field, &judge), t, &rows, out, summary)?;
-    print_scene_flow((field, time_s), &judge, t, out, summary)
+    print_rows((field, &Judge::new(t, t.seen(cameras))), t, &rows, out, summary)
 }
 
 /// Prints the view by depth and motion of the frames, which needs no synchronized images.
-fn print_scene_flow(
+pub fn print_scene_flow(
     (field, time_s): (&LightField, f64),
     judge: &Judge,
     t: &True,
