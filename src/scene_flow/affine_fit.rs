@@ -4,7 +4,7 @@
 use super::element::Element;
 use super::map::ElementMap;
 use super::matching::PatchMatcher;
-use super::patch::color_difference;
+use super::matching_image::color_difference;
 use nalgebra::{Matrix3, Vector3};
 
 /// Half-width of the window of the fit, pixels of the pyramid level.

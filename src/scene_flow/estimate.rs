@@ -4,7 +4,7 @@ use super::consistency::{OtherMaps, Snapshot};
 use super::element::Element;
 use super::frame::{FlowFrame, PyramidFrame};
 use super::map::{ElementMap, FlowMap};
-use super::matching::{MAX_OBSERVATIONS, ObservingFrame, PatchMatcher};
+use super::matching::{Observations, ObservingFrame, PatchMatcher};
 use super::sweep::{Limits, Pass};
 use super::transfer::Proposals;
 use crate::random::Random;
@@ -40,7 +40,7 @@ impl Estimation<'_> {
     pub fn run(&self, proceed: &(dyn Fn() -> bool + Sync)) -> Vec<FlowMap> {
         let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| f.frame).collect();
         let disparities_px: Vec<f32> = frames.iter().map(|f| self.disparity_px(f)).collect();
-        let observations: Vec<Vec<ObservingFrame>> = self.frames.iter().map(observations).collect();
+        let observations: Vec<Observations> = self.frames.iter().map(observations).collect();
         // Images of different sizes have different numbers of pyramid levels. The smallest number is used for all.
         let levels = self.frames.iter().flat_map(|(f, others)| others.iter().chain([f]));
         let levels = levels.map(|f| f.levels.len()).min().unwrap_or(0);
@@ -97,7 +97,7 @@ impl Estimation<'_> {
         &'b self,
         f: usize,
         level: usize,
-        observations: &'b [ObservingFrame<'b>],
+        observations: &'b Observations<'b>,
     ) -> PatchMatcher<'b> {
         let PyramidFrame { frame, levels } = self.frames[f].0;
         PatchMatcher {
@@ -139,11 +139,9 @@ impl Estimation<'_> {
     }
 }
 
-/// Returns the frames with which frame `f` is matched, at most [`MAX_OBSERVATIONS`].
-fn observations<'a>(
-    (f, others): &(PyramidFrame<'a>, Vec<PyramidFrame<'a>>),
-) -> Vec<ObservingFrame<'a>> {
-    others.iter().filter_map(|o| ObservingFrame::new(*f, *o)).take(MAX_OBSERVATIONS).collect()
+/// Returns the frames with which frame `f` is matched.
+fn observations<'a>((f, others): &(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)) -> Observations<'a> {
+    Observations::new(others.iter().filter_map(|o| ObservingFrame::new(*f, *o)))
 }
 
 /// Returns the index of the pixel of a coarser scene flow map that contains pixel `(x, y)` of the next finer level.

@@ -8,13 +8,15 @@ use nalgebra::{Matrix3, Point2};
 /// 4,000 pixels wide are exact to 0.0005 pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct Projection {
-    a: [[f32; 3]; 3],
-    b: [f32; 3],
+    pub a: [[f32; 3]; 3],
+    pub b: [f32; 3],
 }
 
 /// Smallest third homogeneous coordinate of a valid projected point. A point with a smaller one is behind the camera
 /// or almost in its principal plane, and outside every image.
-const MIN_RATIO: f32 = 1e-6;
+pub const MIN_RATIO: f32 = 1e-6;
+/// Both coordinates of an invalid projected point, pixels.
+pub const BEHIND_PX: f32 = -1e9;
 
 impl Projection {
     /// Computes the projection from one camera to another, both without lens distortion. `None` if the intrinsic
@@ -38,7 +40,7 @@ impl Projection {
         };
         let [u, v, w] = [row(0), row(1), row(2)];
         if w < MIN_RATIO {
-            return [-1e9, -1e9, 0.0];
+            return [BEHIND_PX, BEHIND_PX, 0.0];
         }
         let inverse = 1.0 / w;
         [u * inverse, v * inverse, q * inverse]

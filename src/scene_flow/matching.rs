@@ -2,15 +2,17 @@
 //! time.
 
 use super::element::Element;
-use super::frame::{MatchingImage, MatchingSample, PyramidFrame, WEIGHTS};
+use super::footprint::{Footprint, PlacedElement, ProjectionLanes};
+use super::frame::PyramidFrame;
 use super::geometry::Projection;
-use super::patch::Patch;
+use super::matching_image::{MatchingImage, MatchingSample, UNITS, WEIGHTS, rounded, unrounded};
+use super::patch::{Patch, WEIGHT_UNITS};
 use super::timing::TimeBetween;
-use crate::simd::{F32x8, LANES, multiversion};
+use crate::simd::{F32x8, I16x16, LANES, PIXELS, multiversion};
 
-/// Maximum absolute difference in each channel between two [`MatchingSample`]s. Larger differences, which occlusions
-/// cause, are truncated.
-const TRUNCATION: MatchingSample = [0.12, 0.084, 0.084, 0.084];
+/// Maximum absolute difference in each channel between two [`MatchingSample`]s of which white is 1. Larger differences,
+/// which occlusions cause, are truncated.
+const TRUNCATION: [f32; 4] = [0.12, 0.084, 0.084, 0.084];
 /// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
 const RESIDUAL: f32 = 0.05;
 /// Fraction of the observing frames whose costs are averaged. The frames with the smallest costs are used. In the
@@ -43,9 +45,9 @@ impl<'a> ObservingFrame<'a> {
     /// Creates the observing frame `by` for the matched frame `of`. `None` if the intrinsic matrix of `of` is
     /// singular.
     pub fn new(of: PyramidFrame, by: PyramidFrame<'a>) -> Option<Self> {
-        let mut truncation = TRUNCATION;
+        let mut truncation = rounded(TRUNCATION);
         if !(of.frame.is_color && by.frame.is_color) {
-            truncation[1] = 0.0;
+            truncation[1] = 0;
         }
         Some(Self {
             time: TimeBetween::new(of.frame, by.frame),
@@ -53,6 +55,22 @@ impl<'a> ObservingFrame<'a> {
             levels: by.levels,
             truncation,
         })
+    }
+}
+
+/// The frames with which a frame is matched.
+pub struct Observations<'a> {
+    pub frames: Vec<ObservingFrame<'a>>,
+    /// Their projections. Empty if a shutter is rolling.
+    lanes: Vec<ProjectionLanes>,
+}
+
+impl<'a> Observations<'a> {
+    /// Takes the first [`MAX_OBSERVATIONS`] of these frames.
+    pub fn new(frames: impl IntoIterator<Item = ObservingFrame<'a>>) -> Self {
+        let frames: Vec<_> = frames.into_iter().take(MAX_OBSERVATIONS).collect();
+        let lanes = ProjectionLanes::all(&frames);
+        Self { frames, lanes }
     }
 }
 
@@ -72,55 +90,13 @@ pub struct MatchedElement<'a> {
 /// Matches one frame with its observing frames at one pyramid level.
 pub struct PatchMatcher<'a> {
     pub own: &'a MatchingImage,
-    pub observations: &'a [ObservingFrame<'a>],
+    pub observations: &'a Observations<'a>,
     pub level: usize,
     /// Side of a pixel of the pyramid level, in pixels of the full-resolution image.
     pub scale: f32,
     /// Disparity of a point at a depth of 1 m, pixels, at a baseline of twice the distance between neighbouring
     /// cameras. It is the factor from an inverse depth, 1/m, to a disparity.
     pub disparity_px: f32,
-}
-
-/// Position of a patch in an observing frame, in pixels of the pyramid level; (0, 0) is the centre of the first
-/// pixel. `right` and `down` are the changes of this position for a step of one pixel of the level to the right, and
-/// down, in the matched frame.
-struct Footprint {
-    center: [f32; 2],
-    right: [f32; 2],
-    down: [f32; 2],
-}
-
-/// A surface element at a position `(x, y)` of the matched frame, in pixels of the full-resolution image.
-struct PlacedElement<'a> {
-    matcher: &'a PatchMatcher<'a>,
-    element: &'a Element,
-    x: f32,
-    y: f32,
-}
-
-impl PlacedElement<'_> {
-    #[inline(always)]
-    fn footprint(&self, o: &ObservingFrame) -> Footprint {
-        let s = self.matcher.scale;
-        let inverse = 1.0 / s; // a power of two
-        let center = self.place(o, 0.0, 0.0, inverse);
-        let [right, down] = [self.place(o, s, 0.0, inverse), self.place(o, 0.0, s, inverse)];
-        Footprint {
-            center,
-            right: [right[0] - center[0], right[1] - center[1]],
-            down: [down[0] - center[0], down[1] - center[1]],
-        }
-    }
-
-    #[inline(always)]
-    fn place(&self, o: &ObservingFrame, dx: f32, dy: f32, inverse: f32) -> [f32; 2] {
-        let (x, y) = (self.x + dx, self.y + dy);
-        let element = self.element.at(dx, dy);
-        let dt = o.time.of_element(&element, (x, y), &o.projection);
-        let [mx, my, q] = element.moved(x, y, dt);
-        let [u, v, _] = o.projection.project(mx, my, q);
-        [u * inverse - 0.5, v * inverse - 0.5]
-    }
 }
 
 /// Matching costs of a surface element in the observing frames evaluated so far, ascending.
@@ -170,15 +146,28 @@ impl SortedCosts {
 
 /// Computes the matching cost of a surface element, as [`PatchMatcher::cost`] does.
 #[inline(always)]
-fn cost<V: F32x8>(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut Costs) -> f32 {
-    let matcher = placed.matcher;
-    let (n, is_finest) = (matcher.observations.len(), matcher.level == 0);
+fn cost<V: F32x8>(
+    matcher: &PatchMatcher,
+    placed: &PlacedElement,
+    patch: &Patch,
+    limit: f32,
+    costs: &mut Costs,
+) -> f32 {
+    let Observations { frames, lanes } = matcher.observations;
+    let (n, is_finest) = (frames.len(), matcher.level == 0);
     let mut sorted = SortedCosts { sorted: [0.0; MAX_OBSERVATIONS], count: 0, inside: 0 };
+    let mut footprints = None;
     let mut k = 0;
     while k < n {
-        let o = &matcher.observations[k];
+        let o = &frames[k];
         let image = &o.levels[matcher.level];
-        let footprint = placed.footprint(o);
+        if k % LANES == 0 && !lanes.is_empty() {
+            footprints = Some(lanes[k / LANES].footprints::<V>(placed));
+        }
+        let footprint = match &footprints {
+            Some(eight) => eight.lane(k % LANES),
+            None => placed.footprint(o),
+        };
         costs[k] = if image.films(footprint.center) {
             differences::<V>(image, &footprint, patch, &o.truncation) * patch.normalization
         } else {
@@ -202,18 +191,23 @@ fn differences<V: F32x8>(
     patch: &Patch,
     truncation: &MatchingSample,
 ) -> f32 {
-    let truncation = V::from_array(&eight(&[*truncation, *truncation], 0));
-    let mut sum = V::zero();
+    let truncation = V::Integers::load(&[*truncation; PIXELS]);
+    let mut sums = V::Integers::no_sums();
     for first in (0..patch.count).step_by(LANES) {
         let places = footprint.places::<V>(image, patch, first);
-        for l in (0..LANES.min(patch.count - first)).step_by(2) {
-            let sampled = places.two_samples(image, l);
-            let own = V::from_array(&eight(&patch.samples, first + l));
-            let weights = V::from_array(&eight(&patch.weights, first + l));
-            sum = sum + (sampled - own).abs().simd_min(truncation) * weights;
+        let own = V::Integers::load(&patch.samples[first..]);
+        let weights = V::Integers::load(&patch.weights[first..]);
+        sums = places.samples::<0>(image).add_difference(own, truncation, weights, sums);
+        let second = first + PIXELS;
+        if second < patch.count {
+            let own = V::Integers::load(&patch.samples[second..]);
+            let weights = V::Integers::load(&patch.weights[second..]);
+            let sampled = places.samples::<PIXELS>(image);
+            sums = sampled.add_difference(own, truncation, weights, sums);
         }
     }
-    sum.sum() as f32
+    // Each of 25 pixels adds at most the sum of the truncations, about 3,000, times its weight, so that all fits.
+    V::Integers::total(sums) as f32 * (1.0 / (UNITS * WEIGHT_UNITS))
 }
 
 /// Returns sums over the patch for the normal equations: of the products of image gradients, `xx`, `xy`, `yy`, and of
@@ -233,17 +227,18 @@ fn gradient_sums<V: F32x8>(
     for first in (0..patch.count).step_by(LANES) {
         let places = footprint.places::<V>(image, patch, first);
         // One array for each channel.
-        let mut sampled = [[0.0f32; LANES]; 4];
-        for l in (0..LANES.min(patch.count - first)).step_by(2) {
-            let two = places.two_samples(image, l).to_array();
-            for c in 0..4 {
-                (sampled[c][l], sampled[c][l + 1]) = (two[c], two[4 + c]);
+        let [mut sampled, mut own] = [[[0.0f32; LANES]; 4]; 2];
+        let halves = [places.samples::<0>(image), places.samples::<PIXELS>(image)];
+        for (k, half) in halves.into_iter().enumerate() {
+            for (l, sample) in half.to_pixels().iter().enumerate() {
+                for (channel, value) in sampled.iter_mut().zip(unrounded(sample)) {
+                    channel[PIXELS * k + l] = value;
+                }
             }
         }
-        let mut own = [[0.0f32; LANES]; 4];
         for (l, sample) in patch.samples[first..first + LANES].iter().enumerate() {
-            for (channel, value) in own.iter_mut().zip(sample) {
-                channel[l] = *value;
+            for (channel, value) in own.iter_mut().zip(unrounded(sample)) {
+                channel[l] = value;
             }
         }
         let weight = V::load(&patch.weight, first);
@@ -268,15 +263,14 @@ fn gradient_sums<V: F32x8>(
     [sums[0] as f32, sums[1] as f32, sums[2] as f32, sums[3] as f32 * by, sums[4] as f32 * by]
 }
 
-/// Positions of eight pixels of a patch in an image. `u` and `v` are the positions. `columns`, `rows`, `fx` and `fy`
-/// are their integer and fractional parts after clamping to the image.
-struct Places<V> {
+/// Positions of eight pixels of a patch in an image. `u` and `v` are the positions. The others are these after clamping
+/// to the image: the indices of the pixels at the top left of the positions, and the fractions of a pixel from there.
+struct Places<V: F32x8> {
     u: V,
     v: V,
-    columns: [i32; LANES],
-    rows: [i32; LANES],
-    fx: [f32; LANES],
-    fy: [f32; LANES],
+    corners: [u32; LANES],
+    right: <V::Integers as I16x16>::Fractions,
+    down: <V::Integers as I16x16>::Fractions,
 }
 
 impl Footprint {
@@ -290,45 +284,41 @@ impl Footprint {
             V::splat(self.center[0]) + dx * V::splat(self.right[0]) + dy * V::splat(self.down[0]);
         let v =
             V::splat(self.center[1]) + dx * V::splat(self.right[1]) + dy * V::splat(self.down[1]);
-        let (columns, fx) = u.simd_max(V::zero()).simd_min(V::splat(max_u)).floor_and_fraction();
-        let (rows, fy) = v.simd_max(V::zero()).simd_min(V::splat(max_v)).floor_and_fraction();
-        Places { u, v, columns, rows, fx: fx.to_array(), fy: fy.to_array() }
+        let (columns, right) = u.simd_max(V::zero()).simd_min(V::splat(max_u)).floor_and_fraction();
+        let (rows, down) = v.simd_max(V::zero()).simd_min(V::splat(max_v)).floor_and_fraction();
+        // Positions were clamped already; this makes the indices safe whatever they were.
+        let last = image.last_corner();
+        let mut corners = [0; LANES];
+        for l in 0..LANES {
+            let row = (rows[l] as u32).wrapping_mul(image.width as u32);
+            corners[l] = row.wrapping_add(columns[l] as u32).min(last);
+        }
+        // Not by `map`, whose closure wouldn't be compiled for this instruction set.
+        let (right, down) = (V::Integers::fractions(right), V::Integers::fractions(down));
+        Places { u, v, corners, right, down }
     }
 }
 
 impl<V: F32x8> Places<V> {
-    /// Returns the bilinear samples of an image at the positions `l` and `l + 1`, four channels each.
+    /// Returns the bilinear samples of an image at four of the positions: from `FIRST` on, which is 0 or 4.
     #[inline(always)]
-    fn two_samples(&self, image: &MatchingImage, l: usize) -> V {
-        let Self { columns, rows, fx, fy, .. } = self;
-        let a = between_rows::<V>(image, [columns[l], rows[l]], fy[l]);
-        let b = between_rows::<V>(image, [columns[l + 1], rows[l + 1]], fy[l + 1]);
-        let left = V::from_array(&[a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]);
-        let right = V::from_array(&[a[4], a[5], a[6], a[7], b[4], b[5], b[6], b[7]]);
-        let (fa, fb) = (fx[l], fx[l + 1]);
-        let fraction = V::from_array(&[fa, fa, fa, fa, fb, fb, fb, fb]);
-        left + (right - left) * fraction
+    fn samples<const FIRST: usize>(&self, image: &MatchingImage) -> V::Integers {
+        let Self { corners, right, down, .. } = self;
+        // SAFETY: no corner is after `last_corner`.
+        unsafe {
+            V::Integers::bilinear::<FIRST>(image.samples(), image.width, corners, *right, *down)
+        }
     }
 }
 
-/// Returns the samples of pixel `(x, y)` and of its right neighbour, four channels each. They are interpolated by
-/// `fraction` towards the row below.
-#[inline(always)]
-fn between_rows<V: F32x8>(image: &MatchingImage, [x, y]: [i32; 2], fraction: f32) -> [f32; LANES] {
-    let [upper, lower] = image.quad(x as usize, y as usize);
-    let (upper, lower) = (V::from_array(&eight(upper, 0)), V::from_array(&eight(lower, 0)));
-    (upper + (lower - upper) * V::splat(fraction)).to_array()
-}
-
-/// Returns eight channels: the four of the sample `first`, then the four of the next sample.
-#[inline(always)]
-fn eight(samples: &[MatchingSample], first: usize) -> [f32; LANES] {
-    let [a, b] = [samples[first], samples[first + 1]];
-    [a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]
-}
-
 multiversion! {
-    fn cost_below(placed: &PlacedElement, patch: &Patch, limit: f32, costs: &mut Costs) -> f32 = cost::<V>
+    fn cost_below(
+        matcher: &PatchMatcher,
+        placed: &PlacedElement,
+        patch: &Patch,
+        limit: f32,
+        costs: &mut Costs,
+    ) -> f32 = cost::<V>
 }
 
 multiversion! {
@@ -354,7 +344,7 @@ impl PatchMatcher<'_> {
         limit: f32,
         costs: &mut Costs,
     ) -> f32 {
-        cost_below(&self.placed(e, x, y), patch, limit, costs)
+        cost_below(self, &self.placed(e, x, y), patch, limit, costs)
     }
 
     /// Returns the fraction of the observing frames that show static background at the surface element's projection.
@@ -363,9 +353,9 @@ impl PatchMatcher<'_> {
     pub fn still_fraction(&self, e: &Element, (x, y): (usize, usize)) -> f32 {
         let (mut still, mut inside) = (0u32, 0u32);
         let placed = self.placed(e, x, y);
-        for o in self.observations {
+        for o in &self.observations.frames {
             let image = &o.levels[self.level];
-            let [u, v] = placed.place(o, 0.0, 0.0, 1.0 / self.scale).map(|c| c + 0.5);
+            let [u, v] = placed.position(o, 0.0, 0.0).map(|c| c + 0.5);
             let is_inside =
                 u >= 0.0 && v >= 0.0 && u < image.width as f32 && v < image.height as f32;
             if is_inside && image.films_pixel(u as usize, v as usize) {
@@ -379,12 +369,7 @@ impl PatchMatcher<'_> {
     #[inline(always)]
     fn placed<'a>(&'a self, e: &'a Element, x: usize, y: usize) -> PlacedElement<'a> {
         let s = self.scale;
-        PlacedElement {
-            matcher: self,
-            element: e,
-            x: (x as f32 + 0.5) * s,
-            y: (y as f32 + 0.5) * s,
-        }
+        PlacedElement { element: e, x: (x as f32 + 0.5) * s, y: (y as f32 + 0.5) * s, scale: s }
     }
 
     /// Calls `f` for every observing frame whose matching cost is at most `max_cost`, with the frame's terms of the
@@ -397,7 +382,7 @@ impl PatchMatcher<'_> {
         mut f: impl FnMut(&ObservingFrame, [f32; 3], [f32; 2]),
     ) {
         let &MatchedElement { element, pixel: (x, y), patch, costs, .. } = matched;
-        for (o, _) in self.observations.iter().zip(costs).filter(|(_, c)| **c <= max_cost) {
+        for (o, _) in self.observations.frames.iter().zip(costs).filter(|(_, c)| **c <= max_cost) {
             let image = &o.levels[self.level];
             let footprint = self.placed(element, x, y).footprint(o);
             let [xx, xy, yy, x, y] = patch_gradients(image, &footprint, patch);

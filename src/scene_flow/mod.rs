@@ -16,14 +16,15 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `frame.rs` | a frame without lens distortion, and its image pyramid |
+//! | `frame.rs` | a frame without lens distortion |
+//! | `matching_image.rs` | its image pyramid |
 //! | `lens_grid.rs` | lens distortion, tabulated |
 //! | `noise.rs` | the noise of an image |
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
 //! | `timing.rs` | the time between pixels of two frames, with rolling shutters |
 //! | `still.rs` | the static background of a camera |
 //! | `element.rs` | a surface element: the depth, path and slant of the surface at a pixel |
-//! | `patch.rs`, `matching.rs` | the matching cost of an element over all frames |
+//! | `patch.rs`, `footprint.rs`, `matching.rs` | a patch, where other frames see it, and the matching cost of an element over all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
 //! | `smoothing.rs` | interpolation over plain surfaces |
 //! | `sweep.rs` | one pass of PatchMatch over a map |
@@ -43,12 +44,14 @@ mod confidence;
 mod consistency;
 mod element;
 mod estimate;
+mod footprint;
 mod frame;
 mod gauss_newton;
 mod geometry;
 mod lens_grid;
 mod map;
 mod matching;
+mod matching_image;
 mod motion;
 mod noise;
 mod packed;
@@ -69,9 +72,10 @@ pub use blend::{FlowView, blend};
 pub use confidence::{Agreements, agreements, confidence, confidences};
 pub use element::{Element, ElementErrors};
 pub use estimate::Estimation;
-pub use frame::{FlowFrame, MatchingImage, PyramidFrame, pinhole};
+pub use frame::{FlowFrame, PyramidFrame, pinhole};
 pub use geometry::{Projection, distorted, undistorted};
 pub use map::{ElementMap, FlowMap, MappedFrame};
+pub use matching_image::MatchingImage;
 pub use motion::MotionMap;
 pub use still::{CompactImage, StillImage};
 pub use sweep::Limits;

@@ -1,16 +1,17 @@
 //! Patches. A patch is the neighbourhood of a pixel, reduced to the pixels that probably belong to the same surface.
 
-use super::frame::{MatchingImage, MatchingSample, WEIGHTS};
+use super::matching_image::{MatchingImage, MatchingSample, WEIGHTS, similarity, unrounded};
 use crate::simd::LANES;
 
-/// Colour difference between a pixel and the centre of its patch at which the colour term of the pixel's weight falls
-/// to 1/e.
-const PATCH_COLOR: f32 = 0.08;
-/// Half-width of a patch at the finest pyramid level, and the step between its pixels; both in pixels.
-const PATCH_FINEST: (i32, i32) = (4, 2);
-/// Half-width of a patch at all pyramid levels except the finest, and the step between the patch's pixels. Both are in
-/// pixels of the level.
-const PATCH_COARSE: (i32, i32) = (2, 1);
+/// Step between the pixels of a patch, pixels: at the finest pyramid level, and at all others.
+const STEP_PX: [i32; 2] = [2, 1];
+/// Half-width of a patch, in steps.
+const REACH: i32 = 2;
+/// Weight of a pixel by its column, or row, in the patch: `exp(-½(n/2)²)` for n steps from the centre.
+const FALLOFF: [f32; 2 * REACH as usize + 1] =
+    [0.606_530_7, 0.882_496_9, 1.0, 0.882_496_9, 0.606_530_7];
+/// Weight of 1 in [`Patch::weights`].
+pub const WEIGHT_UNITS: f32 = 16384.0;
 /// Minimum weight of a pixel in a patch. A pixel with a smaller weight probably shows another surface, or is far from
 /// the centre, and is left out.
 const MIN_WEIGHT: f32 = 0.05;
@@ -25,7 +26,7 @@ pub struct Patch {
     pub offset_x: [f32; PADDED_PIXELS],
     pub offset_y: [f32; PADDED_PIXELS],
     pub samples: [MatchingSample; PADDED_PIXELS],
-    /// Weight of each pixel of the patch, repeated for every channel of its sample.
+    /// Weight of each pixel of the patch in [`WEIGHT_UNITS`], repeated for every channel of its sample.
     pub weights: [MatchingSample; PADDED_PIXELS],
     /// Weight of each pixel of the patch.
     pub weight: [f32; PADDED_PIXELS],
@@ -39,8 +40,8 @@ impl Patch {
         Self {
             offset_x: [0.0; PADDED_PIXELS],
             offset_y: [0.0; PADDED_PIXELS],
-            samples: [[0.0; 4]; PADDED_PIXELS],
-            weights: [[0.0; 4]; PADDED_PIXELS],
+            samples: [[0; 4]; PADDED_PIXELS],
+            weights: [[0; 4]; PADDED_PIXELS],
             weight: [0.0; PADDED_PIXELS],
             count: 0,
             normalization: 0.0,
@@ -57,6 +58,7 @@ impl Patch {
     pub fn structure(&self) -> [f32; 3] {
         let mut sums = [0.0; 3];
         for (sample, weight) in self.samples[..self.count].iter().zip(&self.weight) {
+            let sample = unrounded(sample);
             let [gx, gy] = [sample[2] / WEIGHTS[2], sample[3] / WEIGHTS[3]];
             sums[0] += weight * gx * gx;
             sums[1] += weight * gx * gy;
@@ -69,12 +71,12 @@ impl Patch {
     /// finest level, where patches are larger.
     #[inline]
     pub fn fill(&mut self, image: &MatchingImage, (x, y): (usize, usize), is_finest: bool) {
-        let (radius, step) = if is_finest { PATCH_FINEST } else { PATCH_COARSE };
+        let step = STEP_PX[usize::from(!is_finest)];
         let (width, height) = (image.width as i32, image.height as i32);
         let center = image.pixel(x, y);
         let (mut count, mut sum) = (0, 0.0);
-        for dy in (-radius..=radius).step_by(step as usize) {
-            for dx in (-radius..=radius).step_by(step as usize) {
+        for (dy, by_row) in (-REACH..=REACH).map(|n| n * step).zip(FALLOFF) {
+            for (dx, by_column) in (-REACH..=REACH).map(|n| n * step).zip(FALLOFF) {
                 let (u, v) = (x as i32 + dx, y as i32 + dy);
                 if u < 0 || v < 0 || u >= width || v >= height {
                     continue;
@@ -84,29 +86,22 @@ impl Patch {
                     continue;
                 }
                 let sample = image.pixel(u as usize, v as usize);
-                let distance = (dx * dx + dy * dy) as f32 / (radius * radius) as f32;
-                let difference = color_difference(&sample, &center) / PATCH_COLOR;
-                let weight = (-difference - 0.5 * distance).exp();
+                let weight = similarity(&sample, &center) * by_row * by_column;
                 if weight < MIN_WEIGHT {
                     continue;
                 }
                 self.weight[count] = weight;
                 (self.offset_x[count], self.offset_y[count]) = (dx as f32, dy as f32);
-                (self.samples[count], self.weights[count]) = (sample, [weight; 4]);
+                (self.samples[count], self.weights[count]) =
+                    (sample, [(weight * WEIGHT_UNITS) as i16; 4]);
                 count += 1;
                 sum += weight;
             }
         }
-        self.weights[count..].fill([0.0; 4]);
+        self.weights[count..].fill([0; 4]);
         self.weight[count..].fill(0.0);
         self.count = count;
         // The sum is at least 1, the weight of the centre.
         self.normalization = 1.0 / sum;
     }
-}
-
-/// Returns the sum of the absolute differences of two samples in brightness and in red minus blue.
-#[inline(always)]
-pub fn color_difference(a: &MatchingSample, b: &MatchingSample) -> f32 {
-    (a[0] - b[0]).abs() + (a[1] - b[1]).abs()
 }

@@ -13,7 +13,8 @@
 use super::element::Element;
 use super::map::ElementMap;
 use super::matching::{MAX_OBSERVATIONS, PatchMatcher};
-use super::patch::{Patch, color_difference};
+use super::matching_image::color_difference;
+use super::patch::Patch;
 use nalgebra::{Matrix3, Vector3};
 
 /// Standard deviation of the difference between two neighbouring pixels of one colour, pixels of the pyramid level: of

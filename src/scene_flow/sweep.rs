@@ -6,7 +6,8 @@ use super::consistency::OtherMaps;
 use super::element::Element;
 use super::map::ElementMap;
 use super::matching::{Costs, MAX_OBSERVATIONS, MatchedElement, PatchMatcher};
-use super::patch::{Patch, color_difference};
+use super::matching_image::similarity;
+use super::patch::Patch;
 use super::transfer::Proposals;
 use crate::random::Random;
 
@@ -16,8 +17,6 @@ const SMOOTHNESS: f32 = 0.004;
 /// Value at which the distance ([`PatchMatcher::distance`]) between the surface elements of two neighbouring pixels is
 /// truncated in the smoothness cost, pixels of the pyramid level.
 const MAX_ROUGHNESS_PX: f32 = 2.0;
-/// Colour difference of two neighbouring pixels at which the colour term of the smoothness weight falls to 1/e.
-const COLOR: f32 = 0.08;
 /// Constant that is added to the colour term of the smoothness weight, so that neighbours of any colour have some
 /// smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
@@ -97,6 +96,13 @@ impl Pass<'_> {
     }
 }
 
+/// Surface elements of up to four neighbouring pixels, extrapolated to a pixel, and their weights in its smoothness cost. A
+/// neighbour's weight decreases with its colour difference.
+struct Surroundings {
+    neighbors: [(f32, Element); 4],
+    count: usize,
+}
+
 /// Best surface element found so far for a pixel, with its costs.
 struct Best<'a, 'b> {
     matcher: &'a PatchMatcher<'b>,
@@ -104,6 +110,7 @@ struct Best<'a, 'b> {
     limits: Limits,
     pixel: (usize, usize),
     patch: &'a Patch,
+    around: Surroundings,
     element: Element,
     match_cost: f32,
     cost: f32,
@@ -125,7 +132,7 @@ impl Best<'_, '_> {
         }
         let proposal = if self.is_still == Some(true) { proposal.still() } else { proposal };
         let (x, y) = self.pixel;
-        let roughness = self.matcher.roughness(self.map, &proposal, x, y);
+        let roughness = self.matcher.roughness(&self.around, &proposal);
         let center = self.map.center(y * self.map.width + x);
         let inconsistency = |o: &OtherMaps| INCONSISTENCY * o.difference(&proposal, center);
         let roughness = roughness + self.others.map_or(0.0, inconsistency);
@@ -238,22 +245,31 @@ impl Best<'_, '_> {
 }
 
 impl PatchMatcher<'_> {
-    /// Returns the smoothness cost of a surface element: the weighted sum of its truncated distances from the elements
-    /// of the four neighbouring pixels. A neighbour's weight decreases with its colour difference. A neighbour is
-    /// skipped if only one of the two pixels shows static background.
+    /// Returns what the four neighbouring pixels say of the pixel's surface element. A neighbour is skipped if only one of
+    /// the two pixels shows static background.
     #[inline(always)]
-    fn roughness(&self, map: &ElementMap, e: &Element, x: usize, y: usize) -> f32 {
+    fn surroundings(&self, map: &ElementMap, x: usize, y: usize) -> Surroundings {
         let center = self.own.pixel(x, y);
-        let mut sum = 0.0;
-        for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+        let mut around = Surroundings { neighbors: [Default::default(); 4], count: 0 };
+        for step @ (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
             let Some((u, v)) = self.neighbor(x, y, (dx, dy)) else { continue };
             if self.own.is_still(u, v) != self.own.is_still(x, y) {
                 continue;
             }
-            let difference = color_difference(&self.own.pixel(u, v), &center);
-            let weight = (-difference / COLOR).exp() + MIN_COLOR_WEIGHT;
-            let here = self.continued(map, (u, v), (dx, dy));
-            sum += weight * self.distance(e, &here).min(MAX_ROUGHNESS_PX);
+            let weight = similarity(&self.own.pixel(u, v), &center) + MIN_COLOR_WEIGHT;
+            around.neighbors[around.count] = (weight, self.continued(map, (u, v), step));
+            around.count += 1;
+        }
+        around
+    }
+
+    /// Returns the smoothness cost of a surface element: the weighted sum of its truncated distances from those of
+    /// the neighbouring pixels.
+    #[inline(always)]
+    fn roughness(&self, around: &Surroundings, e: &Element) -> f32 {
+        let mut sum = 0.0;
+        for (weight, here) in &around.neighbors[..around.count] {
+            sum += weight * self.distance(e, here).min(MAX_ROUGHNESS_PX);
         }
         SMOOTHNESS * sum
     }
@@ -379,13 +395,15 @@ impl PatchMatcher<'_> {
                 self.cost(&element, (x, y), &patch, f32::INFINITY, &mut costs)
             };
             let inconsistency = if others.is_some() { INCONSISTENCY * difference } else { 0.0 };
-            let cost = match_cost + self.roughness(map, &element, x, y) + inconsistency;
+            let around = self.surroundings(map, x, y);
+            let cost = match_cost + self.roughness(&around, &element) + inconsistency;
             let mut best = Best {
                 matcher: self,
                 map,
                 limits: pass.limits,
                 pixel: (x, y),
                 patch: &patch,
+                around,
                 element,
                 match_cost,
                 cost,

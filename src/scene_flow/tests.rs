@@ -2,7 +2,7 @@
 
 use super::frame::levels;
 use super::geometry::Projection;
-use super::matching::{MAX_OBSERVATIONS, ObservingFrame, PatchMatcher};
+use super::matching::{MAX_OBSERVATIONS, Observations, ObservingFrame, PatchMatcher};
 use super::patch::Patch;
 use super::*;
 use crate::camera::{Camera, CameraModel};
@@ -133,15 +133,15 @@ fn estimated(
 fn observations<'a>(
     recording: &'a [[FlowFrame; 3]],
     levels: &'a [Vec<MatchingImage>],
-) -> Vec<ObservingFrame<'a>> {
+) -> Observations<'a> {
     let frame = |c: usize| PyramidFrame { frame: &recording[c][1], levels: &levels[c] };
-    [0, 2, 3].iter().map(|c| ObservingFrame::new(frame(1), frame(*c)).unwrap()).collect()
+    Observations::new([0, 2, 3].map(|c| ObservingFrame::new(frame(1), frame(c)).unwrap()))
 }
 
 /// Returns the matcher of the second camera's middle frame at the finest level.
 fn matcher<'a>(
     levels: &'a [Vec<MatchingImage>],
-    observations: &'a [ObservingFrame<'a>],
+    observations: &'a Observations<'a>,
 ) -> PatchMatcher<'a> {
     let disparity_px = (2.0 * SPACING_M * FOCAL_PX) as f32;
     PatchMatcher { own: &levels[1][0], observations, level: 0, scale: 1.0, disparity_px }

@@ -43,6 +43,11 @@ impl TimeBetween {
         Self { frames, own: Rows::of(of), other: Rows::of(by), is_global }
     }
 
+    /// Returns whether both frames have global shutters.
+    pub fn is_global(&self) -> bool {
+        self.is_global
+    }
+
     /// Returns the time from the middle row of the first frame to the middle row of the other frame, in frame periods
     /// of the reference camera.
     #[inline(always)]

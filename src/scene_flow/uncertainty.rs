@@ -51,7 +51,7 @@ impl PatchMatcher<'_> {
         let scale = f64::from(self.scale);
         let by_depth = scale * f64::from(self.disparity_px);
         let mut information = Matrix3::<f64>::zeros();
-        for o in self.observations {
+        for o in &self.observations.frames {
             let [x, y] = center;
             let dt = o.time.of_element(element, (x, y), &o.projection);
             let [mx, my, q] = element.moved(x, y, dt);

@@ -19,6 +19,7 @@ mod stages;
 #[allow(dead_code)]
 mod swing;
 
+use memory::Prepared;
 use stages::Case;
 use std::path::{Path, PathBuf};
 use stlfr::chart::{Chart, svg};
@@ -145,7 +146,9 @@ fn main() -> Done<()> {
         draw("memory.svg", &[memory::grow(&[100, 300, 1000, 3000])?])?;
     }
     if wanted("prepared") {
-        memory::of_prepared(&[100, 300, 1000, 3000])?;
+        for what in [Prepared::Pairs, Prepared::Maps] {
+            memory::of_prepared(what, &[100, 300, 1000, 3000])?;
+        }
     }
     if wanted("largest") {
         largest::run()?;

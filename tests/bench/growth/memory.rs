@@ -66,17 +66,46 @@ pub fn grow(lengths: &[usize]) -> Done<Chart> {
     })
 }
 
+/// What is prepared of a film.
+#[derive(Clone, Copy)]
+pub enum Prepared {
+    /// Registered pairs of frames, for the cheapest method that needs them.
+    Pairs,
+    /// Maps of scene flow.
+    Maps,
+}
+
+impl Prepared {
+    fn options(self) -> &'static str {
+        match self {
+            // The cheapest method that registers frames: hundreds of images in minutes, from as many frames.
+            Self::Pairs => r#"{"sync": "triangulation"}"#,
+            Self::Maps => r#"{"proxy": {"method": "scene-flow"}}"#,
+        }
+    }
+
+    fn swing(self, frames: usize) -> Swing {
+        let [width, height] = match self {
+            Self::Pairs => [320, 240],
+            Self::Maps => [160, 120],
+        };
+        Swing { width, height, channels: 3, frames, print: 1.5, ..Swing::default() }
+    }
+}
+
 /// The peaks of preparing a film, and of a view of the prepared one, over these lengths: prints a table.
-pub fn of_prepared(lengths: &[usize]) -> Done<()> {
-    println!("\n320×240, 3 cameras: resident at most [MiB] (wall time [s])");
+pub fn of_prepared(what: Prepared, lengths: &[usize]) -> Done<()> {
+    let Swing { width, height, .. } = what.swing(0);
+    let options = what.options();
+    println!("\n{options}, {width}×{height}, 3 cameras: resident at most [MiB] (wall time [s])");
     println!("| frames | prepare | bytes on disk [MiB] | render --camera, prepared |");
     println!("|---|---|---|---|");
     for &frames in lengths {
-        let swing =
-            Swing { width: 320, height: 240, channels: 3, frames, print: 1.5, ..Swing::default() };
+        let swing = what.swing(frames);
         let capture = folder(&format!("prepared-{frames}"))?;
         swing.film(&capture);
         truth(&swing, &capture)?;
+        std::fs::write(capture.join("options.json"), options)?;
         let peak = |command| -> Done<String> {
             let run = peak::run(&mut of(command, &swing, &capture));
             if !run.status.success() {
@@ -136,8 +165,7 @@ fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
 
 /// A view, options, and what `compare` needs: the clocks' truth and a video's true images.
 fn truth(swing: &Swing, capture: &Path) -> Done<()> {
-    // The cheapest method that registers frames: hundreds of images in minutes, from as many frames.
-    std::fs::write(capture.join("options.json"), r#"{"sync": "triangulation"}"#)?;
+    std::fs::write(capture.join("options.json"), Prepared::Pairs.options())?;
     let place = [0.5, 0.0];
     let view = swing.view(place);
     std::fs::write(capture.join("view.json"), view.to_string())?;

@@ -6,6 +6,9 @@
 //! that the compiler doesn't vectorize well are written with vectors of a generic type `V:` [`F32x8`]. Their
 //! multiply–adds are fused with AVX2, so that the two versions agree to 1e-5 for values of order 1.
 
+mod integers;
+
+pub use integers::{I16x16, PIXELS, Pixel, ScalarIntegers};
 use std::ops::{Add, Div, Mul, Sub};
 
 /// Defines a function that calls the version of a kernel for the current processor.
@@ -59,6 +62,9 @@ pub const LANES: usize = 8;
 pub trait F32x8:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
+    /// The vector of integers for the same processors.
+    type Integers: I16x16<Floats = Self>;
+
     /// Creates a vector from its eight values, in order.
     fn from_array(lanes: &[f32; LANES]) -> Self;
 
@@ -246,6 +252,8 @@ operator!(Scalar, Mul mul, |a, b| a.zip_map(b, |a, b| a * b));
 operator!(Scalar, Div div, |a, b| a.zip_map(b, |a, b| a / b));
 
 impl F32x8 for Scalar {
+    type Integers = ScalarIntegers;
+
     #[inline(always)]
     fn from_array(lanes: &[f32; LANES]) -> Self {
         Self(*lanes)
@@ -262,6 +270,7 @@ pub use avx2::Avx2;
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
+    use super::integers::Avx2Integers;
     use super::{F32x8, LANES};
     use std::arch::x86_64::*;
 
@@ -269,7 +278,7 @@ mod avx2 {
     /// [`multiversion!`](super::multiversion) uses this type. Its methods are therefore inlined into functions that
     /// are compiled for these instructions.
     #[derive(Clone, Copy)]
-    pub struct Avx2(__m256);
+    pub struct Avx2(pub(super) __m256);
 
     // SAFETY of all blocks below: this type is used only on processors with AVX2 and FMA, and all loads and stores
     // are within their arrays.
@@ -279,6 +288,8 @@ mod avx2 {
     operator!(Avx2, Div div, |a, b| unsafe { Avx2(_mm256_div_ps(a.0, b.0)) });
 
     impl F32x8 for Avx2 {
+        type Integers = Avx2Integers;
+
         #[inline(always)]
         fn from_array(lanes: &[f32; LANES]) -> Self {
             unsafe { Self(_mm256_loadu_ps(lanes.as_ptr())) }
