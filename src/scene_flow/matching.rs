@@ -206,7 +206,8 @@ fn differences<V: F32x8>(
             sums = sampled.add_difference(own, truncation, weights, sums);
         }
     }
-    // Each of 25 pixels adds at most the sum of the truncations, about 3,000, times its weight, so that all fits.
+    // A pixel adds at most the sum of the truncations, 6,100, times its weight. All weights are at most 16 together, so
+    // that the sum is at most 1.6e9.
     V::Integers::total(sums) as f32 * (1.0 / (UNITS * WEIGHT_UNITS))
 }
 

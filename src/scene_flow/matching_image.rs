@@ -20,18 +20,23 @@ const COST_BY_NOISE: f32 = 4.0;
 /// of brightness. Each is multiplied by its weight ([`WEIGHTS`]) and by [`UNITS`].
 pub type MatchingSample = Pixel;
 
-/// Value of a sample for white, before its weight. Samples are rounded to a thirtieth of a level of 8 bits.
-pub const UNITS: f32 = 8192.0;
-/// Largest magnitude of a sample, so that the difference of two fits in 16 bits: twice as bright as white.
+/// Value of a sample for white, before its weight. Samples are rounded to a 64th of a level of 8 bits.
+pub const UNITS: f32 = 16384.0;
+/// Largest magnitude of a sample, so that the difference of two fits in 16 bits. What is brighter counts as white: in
+/// another camera it may be clipped.
 const MAX_SAMPLE: f32 = 16383.0;
 /// Colour difference of two pixels at which their similarity falls to 1/e.
 const SIMILAR_COLOR: f32 = 0.08;
 /// Number of entries of [`SIMILARITY`]. The last is 0.002, and stands for all larger differences.
 const DIFFERENCES: usize = 4096;
+/// Difference between two entries of [`SIMILARITY`], in [`UNITS`].
+const DIFFERENCE_STEP: u32 = 2;
 
-/// Similarity of two pixels by the difference of their colours in [`UNITS`].
-static SIMILARITY: LazyLock<[f32; DIFFERENCES]> =
-    LazyLock::new(|| std::array::from_fn(|d| (-(d as f32) / (SIMILAR_COLOR * UNITS)).exp()));
+/// Similarity of two pixels by the difference of their colours.
+static SIMILARITY: LazyLock<[f32; DIFFERENCES]> = LazyLock::new(|| {
+    let step = DIFFERENCE_STEP as f32 / (SIMILAR_COLOR * UNITS);
+    std::array::from_fn(|d| (-(d as f32) * step).exp())
+});
 
 /// One level of an image pyramid for matching: a sample for each pixel, row by row.
 pub struct MatchingImage {
@@ -193,7 +198,8 @@ pub fn color_difference(a: &MatchingSample, b: &MatchingSample) -> f32 {
 /// Returns how similar the colours of two pixels are: 1 if they are the same, falling exponentially with their difference.
 #[inline(always)]
 pub fn similarity(a: &MatchingSample, b: &MatchingSample) -> f32 {
-    SIMILARITY[(difference(a, b) as usize).min(DIFFERENCES - 1)]
+    let entry = difference(a, b) / DIFFERENCE_STEP;
+    SIMILARITY[(entry as usize).min(DIFFERENCES - 1)]
 }
 
 fn brightness(color: &[f32; 3]) -> f32 {
