@@ -87,7 +87,7 @@ impl Prepared {
     fn swing(self, frames: usize) -> Swing {
         let [width, height] = match self {
             Self::Pairs => [320, 240],
-            Self::Maps => [160, 120],
+            Self::Maps => [96, 72],
         };
         Swing { width, height, channels: 3, frames, print: 1.5, ..Swing::default() }
     }
