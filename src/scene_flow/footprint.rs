@@ -33,7 +33,8 @@ impl PlacedElement<'_> {
         Footprint { center, right: change(right), down: change(down) }
     }
 
-    /// Returns where the observing frame sees the surface that is `(dx, dy)` beside the element, in pixels of the level.
+    /// Returns where the observing frame sees the surface that is `(dx, dy)` beside the element. These are in pixels of
+    /// the full-resolution image; the result is in pixels of the level, and (0, 0) is the centre of the first pixel.
     #[inline(always)]
     pub fn position(&self, o: &ObservingFrame, dx: f32, dy: f32) -> [f32; 2] {
         let (x, y) = (self.x + dx, self.y + dy);
@@ -74,8 +75,8 @@ impl Footprints {
 }
 
 impl ProjectionLanes {
-    /// Returns the projections into these frames, eight by eight. Empty if a shutter is rolling, where the time depends on
-    /// the position.
+    /// Returns the projections into these frames, eight by eight. Empty if a shutter is rolling: then the time depends
+    /// on the position.
     pub fn all(observations: &[ObservingFrame]) -> Vec<Self> {
         if observations.iter().any(|o| !o.time.is_global()) {
             return Vec::new();

@@ -8,8 +8,8 @@ use nalgebra::{Matrix3, Point2};
 /// 4,000 pixels wide are exact to 0.0005 pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct Projection {
-    pub a: [[f32; 3]; 3],
-    pub b: [f32; 3],
+    pub(super) a: [[f32; 3]; 3],
+    pub(super) b: [f32; 3],
 }
 
 /// Smallest third homogeneous coordinate of a valid projected point. A point with a smaller one is behind the camera

@@ -5,7 +5,9 @@ use super::element::Element;
 use super::footprint::{Footprint, PlacedElement, ProjectionLanes};
 use super::frame::PyramidFrame;
 use super::geometry::Projection;
-use super::matching_image::{MatchingImage, MatchingSample, UNITS, WEIGHTS, rounded, unrounded};
+use super::matching_image::{
+    MatchingImage, MatchingSample, UNITS, WEIGHTS, dequantized, quantized,
+};
 use super::patch::{Patch, WEIGHT_UNITS};
 use super::timing::TimeBetween;
 use crate::simd::{F32x8, I16x16, LANES, PIXELS, multiversion};
@@ -45,7 +47,7 @@ impl<'a> ObservingFrame<'a> {
     /// Creates the observing frame `by` for the matched frame `of`. `None` if the intrinsic matrix of `of` is
     /// singular.
     pub fn new(of: PyramidFrame, by: PyramidFrame<'a>) -> Option<Self> {
-        let mut truncation = rounded(TRUNCATION);
+        let mut truncation = quantized(TRUNCATION);
         if !(of.frame.is_color && by.frame.is_color) {
             truncation[1] = 0;
         }
@@ -206,8 +208,8 @@ fn differences<V: F32x8>(
             sums = sampled.add_difference(own, truncation, weights, sums);
         }
     }
-    // A pixel adds at most the sum of the truncations, 6,100, times its weight. All weights are at most 16 together, so
-    // that the sum is at most 1.6e9.
+    // A pixel adds at most the sum of the truncations, 3,050, times its weight. All weights are at most 16 together, so
+    // that the sum is at most 8e8, and 32 bits hold it.
     V::Integers::total(sums) as f32 * (1.0 / (UNITS * WEIGHT_UNITS))
 }
 
@@ -232,13 +234,13 @@ fn gradient_sums<V: F32x8>(
         let halves = [places.samples::<0>(image), places.samples::<PIXELS>(image)];
         for (k, half) in halves.into_iter().enumerate() {
             for (l, sample) in half.to_pixels().iter().enumerate() {
-                for (channel, value) in sampled.iter_mut().zip(unrounded(sample)) {
+                for (channel, value) in sampled.iter_mut().zip(dequantized(sample)) {
                     channel[PIXELS * k + l] = value;
                 }
             }
         }
         for (l, sample) in patch.samples[first..first + LANES].iter().enumerate() {
-            for (channel, value) in own.iter_mut().zip(unrounded(sample)) {
+            for (channel, value) in own.iter_mut().zip(dequantized(sample)) {
                 channel[l] = value;
             }
         }
@@ -305,7 +307,7 @@ impl<V: F32x8> Places<V> {
     #[inline(always)]
     fn samples<const FIRST: usize>(&self, image: &MatchingImage) -> V::Integers {
         let Self { corners, right, down, .. } = self;
-        // SAFETY: no corner is after `last_corner`.
+        // SAFETY: no corner is after `last_corner` of this image, whose 2×2 pixels are the last ones.
         unsafe {
             V::Integers::bilinear::<FIRST>(image.samples(), image.width, corners, *right, *down)
         }

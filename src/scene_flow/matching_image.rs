@@ -20,23 +20,18 @@ const COST_BY_NOISE: f32 = 4.0;
 /// of brightness. Each is multiplied by its weight ([`WEIGHTS`]) and by [`UNITS`].
 pub type MatchingSample = Pixel;
 
-/// Value of a sample for white, before its weight. Samples are rounded to a 64th of a level of 8 bits.
-pub const UNITS: f32 = 16384.0;
-/// Largest magnitude of a sample, so that the difference of two fits in 16 bits. What is brighter counts as white: in
-/// another camera it may be clipped.
+/// Value of a sample for white, before its weight. Samples are rounded to a thirtieth of a level of 8 bits.
+pub const UNITS: f32 = 8192.0;
+/// Largest magnitude of a sample, so that the difference of two fits in 16 bits: twice as bright as white.
 const MAX_SAMPLE: f32 = 16383.0;
 /// Colour difference of two pixels at which their similarity falls to 1/e.
 const SIMILAR_COLOR: f32 = 0.08;
 /// Number of entries of [`SIMILARITY`]. The last is 0.002, and stands for all larger differences.
 const DIFFERENCES: usize = 4096;
-/// Difference between two entries of [`SIMILARITY`], in [`UNITS`].
-const DIFFERENCE_STEP: u32 = 2;
 
-/// Similarity of two pixels by the difference of their colours.
-static SIMILARITY: LazyLock<[f32; DIFFERENCES]> = LazyLock::new(|| {
-    let step = DIFFERENCE_STEP as f32 / (SIMILAR_COLOR * UNITS);
-    std::array::from_fn(|d| (-(d as f32) * step).exp())
-});
+/// Similarity of two pixels by the difference of their colours in units of 1/[`UNITS`].
+static SIMILARITY: LazyLock<[f32; DIFFERENCES]> =
+    LazyLock::new(|| std::array::from_fn(|d| (-(d as f32) / (SIMILAR_COLOR * UNITS)).exp()));
 
 /// One level of an image pyramid for matching: a sample for each pixel, row by row.
 pub struct MatchingImage {
@@ -53,8 +48,8 @@ pub struct MatchingImage {
 
 impl MatchingImage {
     /// Returns the pyramid of an image, finest level first. Each level has half the width and height of the next
-    /// finer level. `still` and `filmed` are masks of the pixels that show static background, and that lie inside the
-    /// camera's original image; `None` if that is unknown, and if all do.
+    /// finer level. `still` tells for each pixel whether it shows only static background; `None` if this is unknown.
+    /// `filmed` tells for each pixel whether it lies inside the camera's original image; `None` if all do.
     pub fn pyramid(
         image: &Image,
         levels: usize,
@@ -94,7 +89,7 @@ impl MatchingImage {
                 let [left, right] = [x.saturating_sub(1), (x + 1).min(width - 1)];
                 let at = |x: usize, y: usize| brightness[y * width + x];
                 let color = pixels[y * width + x];
-                samples.push(rounded([
+                samples.push(quantized([
                     WEIGHTS[0] * at(x, y),
                     WEIGHTS[1] * (color[0] - color[2]),
                     WEIGHTS[2] * 0.5 * (at(right, y) - at(left, y)),
@@ -128,7 +123,7 @@ impl MatchingImage {
 
     fn measured_noise(&self) -> f32 {
         let brightness: Vec<f32> =
-            self.samples.iter().map(|s| unrounded(s)[0] / WEIGHTS[0]).collect();
+            self.samples.iter().map(|s| dequantized(s)[0] / WEIGHTS[0]).collect();
         noise::standard_deviation(self.width, &brightness, &self.filmed)
     }
 
@@ -158,11 +153,12 @@ impl MatchingImage {
     /// Returns the index of the last pixel that is at the top left of 2×2 pixels.
     ///
     /// # Panics
-    /// If the image is narrower or lower than two pixels.
+    /// If the image has no such pixel. An image that films a position ([`Self::films`]) has one.
     #[inline(always)]
     pub fn last_corner(&self) -> u32 {
         let last = self.samples.len().checked_sub(self.width + 2);
-        u32::try_from(last.expect("pyramid levels are at least 2×2")).unwrap_or(u32::MAX)
+        u32::try_from(last.expect("a filmed position has four pixels around it"))
+            .unwrap_or(u32::MAX)
     }
 
     /// Returns the samples of all pixels, row by row.
@@ -172,18 +168,19 @@ impl MatchingImage {
     }
 }
 
-/// Returns a sample in [`UNITS`], rounded.
-pub fn rounded(sample: [f32; 4]) -> MatchingSample {
+/// Returns a sample in units of 1/[`UNITS`]. Values of more than twice white are clamped.
+pub fn quantized(sample: [f32; 4]) -> MatchingSample {
     sample.map(|v| (v * UNITS).round().clamp(-MAX_SAMPLE, MAX_SAMPLE) as i16)
 }
 
 /// Returns a sample whose white is 1.
 #[inline(always)]
-pub fn unrounded(sample: &MatchingSample) -> [f32; 4] {
+pub fn dequantized(sample: &MatchingSample) -> [f32; 4] {
     sample.map(|v| f32::from(v) * (1.0 / UNITS))
 }
 
-/// Returns the sum of the absolute differences of two samples in brightness and in red minus blue, in [`UNITS`].
+/// Returns the sum of the absolute differences of two samples in brightness and in red minus blue, in units of
+/// 1/[`UNITS`].
 #[inline(always)]
 fn difference(a: &MatchingSample, b: &MatchingSample) -> u32 {
     [0, 1].map(|c| i32::from(a[c]).abs_diff(i32::from(b[c]))).iter().sum()
@@ -198,8 +195,7 @@ pub fn color_difference(a: &MatchingSample, b: &MatchingSample) -> f32 {
 /// Returns how similar the colours of two pixels are: 1 if they are the same, falling exponentially with their difference.
 #[inline(always)]
 pub fn similarity(a: &MatchingSample, b: &MatchingSample) -> f32 {
-    let entry = difference(a, b) / DIFFERENCE_STEP;
-    SIMILARITY[(entry as usize).min(DIFFERENCES - 1)]
+    SIMILARITY[(difference(a, b) as usize).min(DIFFERENCES - 1)]
 }
 
 fn brightness(color: &[f32; 3]) -> f32 {
@@ -226,4 +222,23 @@ fn halved_mask(mask: &[bool], width: usize, of: fn([bool; 4]) -> bool) -> Vec<bo
         of([at, at + 1, at + width, at + width + 1].map(|k| mask[k]))
     };
     (0..columns * rows).map(block).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A camera that is darker than the reference has values above white once its exposure is corrected.
+    #[test]
+    fn samples_up_to_twice_white_are_kept_and_brighter_ones_clamped() {
+        let [bright, brighter] = [1.3, 1.5].map(|b| quantized([b, 0.1, -0.2, 0.3]));
+        for (found, expected) in dequantized(&bright).into_iter().zip([1.3, 0.1, -0.2, 0.3]) {
+            assert!((found - expected).abs() <= 0.5 / UNITS);
+        }
+        assert!((color_difference(&bright, &brighter) - 0.2).abs() < 2.0 / UNITS);
+        let expected = (-0.2f32 / SIMILAR_COLOR).exp();
+        assert!((similarity(&bright, &brighter) - expected).abs() < 1e-3);
+        assert_eq!(quantized([9.0, -9.0, 2.1, 0.0]), [16383, -16383, 16383, 0]);
+        assert!(similarity(&[0; 4], &quantized([9.0; 4])) < 0.003);
+    }
 }

@@ -17,14 +17,15 @@
 //! | file | content |
 //! |---|---|
 //! | `frame.rs` | a frame without lens distortion |
-//! | `matching_image.rs` | its image pyramid |
+//! | `matching_image.rs` | the image pyramid of a frame |
 //! | `lens_grid.rs` | lens distortion, tabulated |
 //! | `noise.rs` | the noise of an image |
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
 //! | `timing.rs` | the time between pixels of two frames, with rolling shutters |
 //! | `still.rs` | the static background of a camera |
 //! | `element.rs` | a surface element: the depth, path and slant of the surface at a pixel |
-//! | `patch.rs`, `footprint.rs`, `matching.rs` | a patch, where other frames see it, and the matching cost of an element over all frames |
+//! | `patch.rs`, `footprint.rs` | the pixels around a pixel, and where other frames see them |
+//! | `matching.rs` | the matching cost of an element over all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
 //! | `smoothing.rs` | interpolation over plain surfaces |
 //! | `sweep.rs` | one pass of PatchMatch over a map |

@@ -1,7 +1,7 @@
 //! Patches. A patch is the neighbourhood of a pixel, reduced to the pixels that probably belong to the same surface.
 
-use super::matching_image::{MatchingImage, MatchingSample, WEIGHTS, similarity, unrounded};
-use crate::simd::LANES;
+use super::matching_image::{MatchingImage, MatchingSample, WEIGHTS, dequantized, similarity};
+use crate::simd::{LANES, Pixel};
 
 /// Step between the pixels of a patch, pixels: at the finest pyramid level, and at all others.
 const STEP_PX: [i32; 2] = [2, 1];
@@ -26,8 +26,8 @@ pub struct Patch {
     pub offset_x: [f32; PADDED_PIXELS],
     pub offset_y: [f32; PADDED_PIXELS],
     pub samples: [MatchingSample; PADDED_PIXELS],
-    /// Weight of each pixel of the patch in [`WEIGHT_UNITS`], repeated for every channel of its sample.
-    pub weights: [MatchingSample; PADDED_PIXELS],
+    /// Weight of each pixel of the patch in units of 1/[`WEIGHT_UNITS`], repeated for every channel of its sample.
+    pub weights: [Pixel; PADDED_PIXELS],
     /// Weight of each pixel of the patch.
     pub weight: [f32; PADDED_PIXELS],
     pub count: usize,
@@ -58,7 +58,7 @@ impl Patch {
     pub fn structure(&self) -> [f32; 3] {
         let mut sums = [0.0; 3];
         for (sample, weight) in self.samples[..self.count].iter().zip(&self.weight) {
-            let sample = unrounded(sample);
+            let sample = dequantized(sample);
             let [gx, gy] = [sample[2] / WEIGHTS[2], sample[3] / WEIGHTS[3]];
             sums[0] += weight * gx * gx;
             sums[1] += weight * gx * gy;
@@ -93,7 +93,7 @@ impl Patch {
                 self.weight[count] = weight;
                 (self.offset_x[count], self.offset_y[count]) = (dx as f32, dy as f32);
                 (self.samples[count], self.weights[count]) =
-                    (sample, [(weight * WEIGHT_UNITS) as i16; 4]);
+                    (sample, [(weight * WEIGHT_UNITS).round() as i16; 4]);
                 count += 1;
                 sum += weight;
             }

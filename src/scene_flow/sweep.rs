@@ -96,8 +96,8 @@ impl Pass<'_> {
     }
 }
 
-/// Surface elements of up to four neighbouring pixels, extrapolated to a pixel, and their weights in its smoothness cost. A
-/// neighbour's weight decreases with its colour difference.
+/// Surface elements of up to four neighbouring pixels, extrapolated to a pixel, with their weights in its smoothness
+/// cost. A neighbour's weight decreases with its colour difference.
 struct Surroundings {
     neighbors: [(f32, Element); 4],
     count: usize,
@@ -245,8 +245,8 @@ impl Best<'_, '_> {
 }
 
 impl PatchMatcher<'_> {
-    /// Returns what the four neighbouring pixels say of the pixel's surface element. A neighbour is skipped if only one of
-    /// the two pixels shows static background.
+    /// Returns the surface elements of the four neighbouring pixels, extrapolated to the pixel. A neighbour is skipped if
+    /// only one of the two pixels shows static background.
     #[inline(always)]
     fn surroundings(&self, map: &ElementMap, x: usize, y: usize) -> Surroundings {
         let center = self.own.pixel(x, y);

@@ -6,7 +6,7 @@ use super::{F32x8, LANES, Scalar};
 /// Number of pixels in a vector.
 pub const PIXELS: usize = LANES / 2;
 
-/// A pixel of four channels. Values are at most 16,383 in magnitude, so that differences of two don't overflow.
+/// A pixel of four channels. Values of images are at most 16,383 in magnitude, so that differences don't overflow.
 pub type Pixel = [i16; 4];
 
 /// A SIMD vector of four [`Pixel`]s. [`Scalar`] and `Avx2` select its implementation ([`F32x8::Integers`]).

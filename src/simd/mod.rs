@@ -4,7 +4,8 @@
 //! A kernel is an `#[inline(always)]` function. [`multiversion!`] defines the function that calls the kernel.
 //! Kernels of plain loops are vectorized by the compiler and give bit-identical results in both versions. Kernels
 //! that the compiler doesn't vectorize well are written with vectors of a generic type `V:` [`F32x8`]. Their
-//! multiply–adds are fused with AVX2, so that the two versions agree to 1e-5 for values of order 1.
+//! multiply–adds are fused with AVX2, so that the two versions agree to 1e-5 for values of order 1. Vectors of integers
+//! ([`I16x16`]) give bit-identical results.
 
 mod integers;
 

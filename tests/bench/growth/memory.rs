@@ -40,7 +40,7 @@ pub fn grow(lengths: &[usize]) -> Done<Chart> {
         };
         let capture = folder(&format!("memory-{frames}"))?;
         swing.film(&capture);
-        truth(&swing, &capture)?;
+        truth(&swing, &capture, Prepared::Pairs.options())?;
         print!("| {frames} |");
         for (command, series) in commands.into_iter().zip(&mut series) {
             let run = peak::run(&mut of(command, &swing, &capture));
@@ -71,7 +71,7 @@ pub fn grow(lengths: &[usize]) -> Done<Chart> {
 pub enum Prepared {
     /// Registered pairs of frames, for the cheapest method that needs them.
     Pairs,
-    /// Maps of scene flow.
+    /// The same, and maps of scene flow.
     Maps,
 }
 
@@ -104,8 +104,7 @@ pub fn of_prepared(what: Prepared, lengths: &[usize]) -> Done<()> {
         let swing = what.swing(frames);
         let capture = folder(&format!("prepared-{frames}"))?;
         swing.film(&capture);
-        truth(&swing, &capture)?;
-        std::fs::write(capture.join("options.json"), options)?;
+        truth(&swing, &capture, options)?;
         let peak = |command| -> Done<String> {
             let run = peak::run(&mut of(command, &swing, &capture));
             if !run.status.success() {
@@ -164,8 +163,8 @@ fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
 }
 
 /// A view, options, and what `compare` needs: the clocks' truth and a video's true images.
-fn truth(swing: &Swing, capture: &Path) -> Done<()> {
-    std::fs::write(capture.join("options.json"), Prepared::Pairs.options())?;
+fn truth(swing: &Swing, capture: &Path, options: &str) -> Done<()> {
+    std::fs::write(capture.join("options.json"), options)?;
     let place = [0.5, 0.0];
     let view = swing.view(place);
     std::fs::write(capture.join("view.json"), view.to_string())?;
