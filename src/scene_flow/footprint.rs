@@ -2,7 +2,7 @@
 
 use super::element::Element;
 use super::geometry::{BEHIND_PX, MIN_RATIO};
-use super::matching::ObservingFrame;
+use super::observing_frame::ObservingFrame;
 use crate::simd::{F32x8, LANES};
 
 /// Position of a patch in an observing frame, in pixels of the pyramid level; (0, 0) is the centre of the first

@@ -2,7 +2,8 @@
 //! the element.
 
 use super::element::Element;
-use super::matching::{MatchedElement, ObservingFrame, PatchMatcher};
+use super::matching::{MatchedElement, PatchMatcher};
+use super::observing_frame::ObservingFrame;
 use nalgebra::{Matrix6, Vector6};
 
 /// Weight of the prior of a Gauss–Newton step. It is a fraction of the weight that a patch has in the normal equations

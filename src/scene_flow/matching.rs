@@ -3,18 +3,11 @@
 
 use super::element::Element;
 use super::footprint::{Footprint, PlacedElement, ProjectionLanes};
-use super::frame::PyramidFrame;
-use super::geometry::Projection;
-use super::matching_image::{
-    MatchingImage, MatchingSample, UNITS, WEIGHTS, dequantized, quantized,
-};
+use super::matching_image::{MatchingImage, MatchingSample, UNITS, WEIGHTS, dequantized};
+use super::observing_frame::ObservingFrame;
 use super::patch::{Patch, WEIGHT_UNITS};
-use super::timing::TimeBetween;
 use crate::simd::{F32x8, I16x16, LANES, PIXELS, multiversion};
 
-/// Maximum absolute difference in each channel between two [`MatchingSample`]s of which white is 1. Larger differences,
-/// which occlusions cause, are truncated.
-const TRUNCATION: [f32; 4] = [0.12, 0.084, 0.084, 0.084];
 /// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
 const RESIDUAL: f32 = 0.05;
 /// Fraction of the observing frames whose costs are averaged. The frames with the smallest costs are used. In the
@@ -33,32 +26,6 @@ const OUTSIDE_COST: f32 = 0.19;
 const OUTSIDE_PENALTY: f32 = 0.02;
 /// Maximum number of observing frames for each matched frame.
 pub const MAX_OBSERVATIONS: usize = 16;
-
-/// Another frame, in which surface elements of the matched frame are observed.
-pub struct ObservingFrame<'a> {
-    /// Time from a pixel of the matched frame to a pixel of this frame.
-    pub time: TimeBetween,
-    pub projection: Projection,
-    pub levels: &'a [MatchingImage],
-    truncation: MatchingSample,
-}
-
-impl<'a> ObservingFrame<'a> {
-    /// Creates the observing frame `by` for the matched frame `of`. `None` if the intrinsic matrix of `of` is
-    /// singular.
-    pub fn new(of: PyramidFrame, by: PyramidFrame<'a>) -> Option<Self> {
-        let mut truncation = quantized(TRUNCATION);
-        if !(of.frame.is_color && by.frame.is_color) {
-            truncation[1] = 0;
-        }
-        Some(Self {
-            time: TimeBetween::new(of.frame, by.frame),
-            projection: Projection::new(&of.frame.view, &by.frame.view)?,
-            levels: by.levels,
-            truncation,
-        })
-    }
-}
 
 /// The frames with which a frame is matched.
 pub struct Observations<'a> {

@@ -24,6 +24,7 @@
 //! | `timing.rs` | the time between pixels of two frames, with rolling shutters |
 //! | `still.rs` | the static background of a camera |
 //! | `element.rs` | a surface element: the depth, path and slant of the surface at a pixel |
+//! | `observing_frame.rs` | another frame, in which elements are observed |
 //! | `patch.rs`, `footprint.rs` | the pixels around a pixel, and where other frames see them |
 //! | `matching.rs` | the matching cost of an element over all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
@@ -55,6 +56,7 @@ mod matching;
 mod matching_image;
 mod motion;
 mod noise;
+mod observing_frame;
 mod packed;
 mod patch;
 mod robust_mean;

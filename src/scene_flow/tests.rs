@@ -2,7 +2,8 @@
 
 use super::frame::levels;
 use super::geometry::Projection;
-use super::matching::{MAX_OBSERVATIONS, Observations, ObservingFrame, PatchMatcher};
+use super::matching::{MAX_OBSERVATIONS, Observations, PatchMatcher};
+use super::observing_frame::ObservingFrame;
 use super::patch::Patch;
 use super::*;
 use crate::camera::{Camera, CameraModel};
