@@ -274,7 +274,7 @@ impl<V: F32x8> Places<V> {
     #[inline(always)]
     fn samples<const FIRST: usize>(&self, image: &MatchingImage) -> V::Integers {
         let Self { corners, right, down, .. } = self;
-        // SAFETY: no corner is after `last_corner` of this image, whose 2×2 pixels are the last ones.
+        // SAFETY: no corner is after `last_corner` of this image, which is `width + 1` before its last pixel.
         unsafe {
             V::Integers::bilinear::<FIRST>(image.samples(), image.width, corners, *right, *down)
         }
