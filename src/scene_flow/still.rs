@@ -5,8 +5,15 @@
 use crate::raster::Image;
 use rayon::prelude::*;
 
-/// Maximum difference in each channel between two colours that count as equal, in steps of 1/255.
+/// Maximum difference in each channel between the background colour and that of a pixel that shows it, in steps of
+/// 1/255. Larger than noise, so that faint shadows on the background count as background.
 const TOLERANCE: u8 = 10;
+/// Minimum tolerance with which frames support a background colour, in steps of 1/255. In frames without noise, a larger
+/// one lets textures of a body pass for background where the body is always in front.
+const MIN_SUPPORT_TOLERANCE: u8 = 3;
+/// Tolerance with which frames support a background colour, as a multiple of the median difference between two frames.
+/// With normally distributed noise, it is 2.7 standard deviations of this difference.
+const SUPPORT_TOLERANCE_BY_NOISE: usize = 4;
 /// Minimum fraction of the frames that show the background colour of a pixel. If the fraction were larger, a background
 /// that is hidden for most of the recording would stay unknown. If it were smaller, a textureless body that passes
 /// slowly would count as background.
@@ -14,6 +21,10 @@ const MIN_SUPPORT: f64 = 1.0 / 3.0;
 /// Minimum number of moving pixels in the 3×3 neighbourhood of a moving pixel, the pixel included. If there are fewer,
 /// the difference from the background is noise, and the pixel counts as background.
 const MIN_MOVING: usize = 3;
+/// Maximum size of an island, as a fraction of the image's pixels. An island is a region that looks like background, with
+/// moving pixels around it. It probably shows the body, in a colour that the background has too. Larger: gaps
+/// between limbs count as body. Smaller: bodies have holes.
+const MAX_ISLAND: f64 = 5e-4;
 
 /// Colour with 8 bits per channel: red, green, blue.
 type Rgb8 = [u8; 3];
@@ -40,8 +51,28 @@ impl CompactImage {
     }
 }
 
-fn is_equal(a: Rgb8, b: Rgb8) -> bool {
-    (0..3).all(|c| a[c].abs_diff(b[c]) <= TOLERANCE)
+fn is_equal(a: Rgb8, b: Rgb8, tolerance: u8) -> bool {
+    (0..3).all(|c| a[c].abs_diff(b[c]) <= tolerance)
+}
+
+/// Returns the maximum difference in each channel between two frames' colours of one background, in steps of 1/255. It
+/// follows from the noise: the median difference between successive frames, if at least half of all pixels are static.
+fn support_tolerance(frames: &[CompactImage]) -> u8 {
+    let mut histogram = [0usize; 256];
+    for pair in frames.windows(2) {
+        for (a, b) in pair[0].pixels.iter().zip(&pair[1].pixels) {
+            (0..3).for_each(|c| histogram[usize::from(a[c].abs_diff(b[c]))] += 1);
+        }
+    }
+    let half = histogram.iter().sum::<usize>() / 2;
+    let mut up_to = 0;
+    let is_median = |count: &usize| {
+        up_to += count;
+        up_to > half
+    };
+    let median = histogram.iter().position(is_median).unwrap_or(0);
+    let tolerance = SUPPORT_TOLERANCE_BY_NOISE * median;
+    tolerance.clamp(MIN_SUPPORT_TOLERANCE.into(), TOLERANCE.into()) as u8
 }
 
 impl StillImage {
@@ -51,8 +82,10 @@ impl StillImage {
         let width = frames.first().map_or(0, |f| f.width);
         let pixels = frames.first().map_or(0, |f| f.pixels.len());
         let needed = ((MIN_SUPPORT * frames.len() as f64).ceil() as usize).max(2);
+        let tolerance = support_tolerance(frames);
         let color = |k: usize| {
-            let support = |of: Rgb8| frames.iter().filter(|f| is_equal(f.pixels[k], of)).count();
+            let is_support = |f: &&CompactImage, of| is_equal(f.pixels[k], of, tolerance);
+            let support = |of: Rgb8| frames.iter().filter(|f| is_support(f, of)).count();
             let mut best: Option<(usize, Rgb8)> = None;
             for frame in frames {
                 let of = frame.pixels[k];
@@ -82,18 +115,46 @@ impl StillImage {
     }
 
     /// Returns, for each pixel of a frame, whether it shows static background. A pixel with unknown background counts
-    /// as a moving body. A moving pixel with fewer than two moving neighbours counts as background. The mask of a
-    /// moving body is not dilated by the pixels beside it. These may mix the colours of body and background, but as
-    /// part of the mask they would widen the body's outline.
+    /// as a moving body. A moving pixel with fewer than two moving neighbours counts as background, and an island of
+    /// background in a body as body. The mask of a moving body is not dilated by the pixels beside it. These may mix the
+    /// colours of body and background, but as part of the mask they would widen the body's outline.
     pub fn shown_in(&self, frame: &CompactImage) -> Vec<bool> {
         let moving: Vec<bool> = self
             .colors
             .iter()
             .zip(&frame.pixels)
-            .map(|(still, own)| still.is_none_or(|still| !is_equal(still, *own)))
+            .map(|(still, own)| still.is_none_or(|still| !is_equal(still, *own, TOLERANCE)))
             .collect();
         let is_noise = |k: usize| self.moving_around(&moving, k) < MIN_MOVING;
-        (0..moving.len()).map(|k| !moving[k] || is_noise(k)).collect()
+        let mut still: Vec<bool> = (0..moving.len()).map(|k| !moving[k] || is_noise(k)).collect();
+        self.remove_islands(&mut still);
+        still
+    }
+
+    /// Marks the pixels of islands ([`MAX_ISLAND`]) as moving.
+    fn remove_islands(&self, still: &mut [bool]) {
+        let max = (MAX_ISLAND * still.len() as f64) as usize;
+        let mut is_visited = vec![false; still.len()];
+        for first in 0..still.len() {
+            if is_visited[first] || !still[first] {
+                continue;
+            }
+            is_visited[first] = true;
+            let mut region = vec![first];
+            let mut next = 0;
+            while let Some(&k) = region.get(next) {
+                next += 1;
+                for n in neighbors(k, self.width, still.len()) {
+                    if still[n] && !is_visited[n] {
+                        is_visited[n] = true;
+                        region.push(n);
+                    }
+                }
+            }
+            if region.len() <= max {
+                region.iter().for_each(|&k| still[k] = false);
+            }
+        }
     }
 
     /// Returns the number of moving pixels in the 3×3 neighbourhood of pixel `k`, the pixel included.
@@ -104,6 +165,15 @@ impl StillImage {
         let columns = x.saturating_sub(1)..(x + 2).min(width);
         rows.map(|v| columns.clone().filter(|u| moving[v * width + u]).count()).sum()
     }
+}
+
+/// Returns the indices of the pixels to the left and right of pixel `k`, above and below, that lie in the image. Its width
+/// is `width`, and it has `count` pixels.
+fn neighbors(k: usize, width: usize, count: usize) -> impl Iterator<Item = usize> {
+    let x = k % width;
+    let horizontal = [(x > 0).then(|| k - 1), (x + 1 < width).then_some(k + 1)];
+    let vertical = [k.checked_sub(width), Some(k + width).filter(|&below| below < count)];
+    horizontal.into_iter().chain(vertical).flatten()
 }
 
 #[cfg(test)]
@@ -141,5 +211,42 @@ mod tests {
         let frames = frames(2);
         let still = StillImage::new(&frames);
         assert!(still.shown_in(&frames[0]).iter().all(|s| !s));
+    }
+
+    /// Returns frames of one grey value each at every pixel but the first, at which the values are `first`.
+    fn plain_frames(values: &[u8], first: &[u8]) -> Vec<CompactImage> {
+        let frame = |(value, first): (&u8, &u8)| {
+            let mut pixels = vec![[*value; 3]; 40 * 40];
+            pixels[0] = [*first; 3];
+            CompactImage { width: 40, pixels }
+        };
+        values.iter().zip(first).map(frame).collect()
+    }
+
+    #[test]
+    fn a_texture_that_passes_is_no_background_unless_noise_is_as_strong() {
+        // A dark body is always in front of the first pixel, and its texture is dark in each frame.
+        let texture = [10, 16, 22, 28, 34, 40];
+        let without_noise = StillImage::new(&plain_frames(&[100; 6], &texture));
+        assert_eq!((without_noise.colors[0], without_noise.colors[1]), (None, Some([100; 3])));
+        let with_noise = StillImage::new(&plain_frames(&[100, 102, 100, 102, 100, 102], &texture));
+        assert!(with_noise.colors[0].is_some() && with_noise.colors[1].is_some());
+    }
+
+    #[test]
+    fn a_small_island_in_a_body_is_body_and_a_large_gap_is_background() {
+        let still = StillImage { width: 100, colors: vec![Some([100; 3]); 100 * 100] };
+        // A body from column 10 to 49, with an island of 2 × 2 pixels and a gap of 4 × 4.
+        let is_body = |x: usize, y: usize| {
+            let is_island = (20..22).contains(&x) && (30..32).contains(&y);
+            let is_gap = (30..34).contains(&x) && (30..34).contains(&y);
+            (10..50).contains(&x) && !is_island && !is_gap
+        };
+        let pixel = |k: usize| if is_body(k % 100, k / 100) { [200; 3] } else { [100; 3] };
+        let frame = CompactImage { width: 100, pixels: (0..100 * 100).map(pixel).collect() };
+        let shown = still.shown_in(&frame);
+        let at = |x: usize, y: usize| shown[y * 100 + x];
+        assert!(!at(20, 30) && !at(21, 31) && !at(15, 50));
+        assert!(at(30, 30) && at(33, 33) && at(5, 50) && at(60, 0) && at(99, 99));
     }
 }
