@@ -19,7 +19,7 @@ use tempfile::TempDir;
 /// Most memory that any of these may take, MiB: a gigabyte.
 const MAX_MIB: f64 = 953.0;
 /// How long any may take. Larger: a hang is waited for. Smaller: a busy machine is taken for one.
-const MAX_TIME: Duration = Duration::from_secs(300);
+const MAX_TIME: Duration = Duration::from_secs(60);
 
 /// A capture with truth, a view, a calibration and its images: everything that a command reads.
 fn inputs() -> TempDir {
