@@ -3,6 +3,7 @@
 use super::composite::{ColorCandidate, Pixel, pixel_of, shows_motion};
 use super::frame::FlowFrame;
 use super::geometry::{Projection, undistorted};
+use super::grid::neighbors;
 use super::map::MappedFrame;
 use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
 use super::robust_mean::WeightedColors;
@@ -113,18 +114,8 @@ impl Pixels {
     /// at a time. Holes are disoccluded background. A pixel therefore copies the values of the neighbour with the
     /// largest depth, among those that are covered or already filled. `width` is the width of the view, pixels.
     fn fill(&mut self, width: usize) {
-        let height = self.shown.len() / width;
-        let around = |k: u32| {
-            let k = k as usize;
-            let (x, y) = (k % width, k / width);
-            let around = [
-                (x > 0).then(|| k - 1),
-                (x + 1 < width).then_some(k + 1),
-                (y > 0).then(|| k - width),
-                (y + 1 < height).then_some(k + width),
-            ];
-            around.into_iter().flatten()
-        };
+        let count = self.shown.len();
+        let around = |k: u32| neighbors(k as usize, width, count);
         // Views have less than 2³² pixels.
         let is_empty = |shown: &[Shown], k: usize| shown[k] == Shown::Nothing;
         let mut ring: Vec<u32> = (0..self.shown.len() as u32)

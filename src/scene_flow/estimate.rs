@@ -22,6 +22,9 @@ const CHANCES: [usize; 4] = [1, 2, 10, 50];
 const COARSEST_COMPARED: usize = 1;
 /// Finest pyramid level at which the scene flow maps are smoothed, before the last pass.
 const FINEST_SMOOTHED: usize = 1;
+/// Pyramid level at which planes are extended, before and after the last pass. Extended at coarser levels too, they raise
+/// and lower the quality of views by chance.
+const EXTENDED_LEVEL: usize = 0;
 
 /// Joint estimation of the scene flow maps of several frames. Surface elements of one map are proposed for the other
 /// maps.
@@ -69,6 +72,10 @@ impl Estimation<'_> {
                         if is_last && level >= FINEST_SMOOTHED {
                             matcher.smooth(map);
                         }
+                        if is_last && level == EXTENDED_LEVEL {
+                            let errors = matcher.errors(map);
+                            matcher.extend_planes(map, &errors, self.limits.inverse_depth);
+                        }
                         let others = || OtherMaps::new(&frames, &snapshots, f, disparity_px);
                         matcher.pass(
                             map,
@@ -86,12 +93,13 @@ impl Estimation<'_> {
                 );
             }
         }
-        let packed = |f: usize| {
-            let errors = self.matcher(f, 0, &observations[f]).errors(&maps[f]);
-            FlowMap::new(&maps[f], self.limits.inverse_depth, disparities_px[f])
-                .with_errors(&errors)
+        let packed = |(f, map): (usize, &mut ElementMap)| {
+            let matcher = self.matcher(f, 0, &observations[f]);
+            let errors = matcher.errors(map);
+            matcher.extend_planes(map, &errors, self.limits.inverse_depth);
+            FlowMap::new(map, self.limits.inverse_depth, disparities_px[f]).with_errors(&errors)
         };
-        (0..maps.len()).into_par_iter().map(packed).collect()
+        maps.par_iter_mut().enumerate().map(packed).collect()
     }
 
     fn matcher<'b>(

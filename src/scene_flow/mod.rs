@@ -18,6 +18,7 @@
 //! |---|---|
 //! | `frame.rs` | a frame without lens distortion |
 //! | `matching_image.rs` | the image pyramid of a frame |
+//! | `grid.rs` | the neighbours of a pixel |
 //! | `lens_grid.rs` | lens distortion, tabulated |
 //! | `noise.rs` | the noise of an image |
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
@@ -29,6 +30,7 @@
 //! | `matching.rs` | the matching cost of an element over all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
 //! | `smoothing.rs` | interpolation over plain surfaces |
+//! | `planes.rs`, `extension.rs` | planes of static surfaces, extended over pixels of uncertain depth |
 //! | `sweep.rs` | one pass of PatchMatch over a map |
 //! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of differing from these maps |
 //! | `estimate.rs` | the order of these steps, for several frames together |
@@ -46,10 +48,12 @@ mod confidence;
 mod consistency;
 mod element;
 mod estimate;
+mod extension;
 mod footprint;
 mod frame;
 mod gauss_newton;
 mod geometry;
+mod grid;
 mod lens_grid;
 mod map;
 mod matching;
@@ -59,6 +63,7 @@ mod noise;
 mod observing_frame;
 mod packed;
 mod patch;
+mod planes;
 mod robust_mean;
 mod smoothing;
 mod splat;

@@ -2,6 +2,7 @@
 //! has a static background if at least a third of the frames show one colour there. Where a frame shows another colour,
 //! a moving body is in front of the background.
 
+use super::grid::neighbors;
 use crate::raster::Image;
 use rayon::prelude::*;
 
@@ -165,15 +166,6 @@ impl StillImage {
         let columns = x.saturating_sub(1)..(x + 2).min(width);
         rows.map(|v| columns.clone().filter(|u| moving[v * width + u]).count()).sum()
     }
-}
-
-/// Returns the indices of the pixels to the left and right of pixel `k`, above and below, that lie in the image. Its width
-/// is `width`, and it has `count` pixels.
-fn neighbors(k: usize, width: usize, count: usize) -> impl Iterator<Item = usize> {
-    let x = k % width;
-    let horizontal = [(x > 0).then(|| k - 1), (x + 1 < width).then_some(k + 1)];
-    let vertical = [k.checked_sub(width), Some(k + width).filter(|&below| below < count)];
-    horizontal.into_iter().chain(vertical).flatten()
 }
 
 #[cfg(test)]
