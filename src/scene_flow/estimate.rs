@@ -22,8 +22,8 @@ const CHANCES: [usize; 4] = [1, 2, 10, 50];
 const COARSEST_COMPARED: usize = 1;
 /// Finest pyramid level at which the scene flow maps are smoothed, before the last pass.
 const FINEST_SMOOTHED: usize = 1;
-/// Pyramid level at which planes are extended, before and after the last pass. Extended at coarser levels too, they raise
-/// and lower the quality of views by chance.
+/// Pyramid level at which planes are extended, before and after the last pass. At coarser levels, the results of random
+/// sampling would change everywhere, and views would become better or worse by chance.
 const EXTENDED_LEVEL: usize = 0;
 
 /// Joint estimation of the scene flow maps of several frames. Surface elements of one map are proposed for the other

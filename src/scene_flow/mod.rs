@@ -12,7 +12,7 @@
 //! Multi-frame Stereo Scene Flow* (CVPR 2017).
 //!
 //! Known limits: outlines are off by about a pixel. The disparity of image edges parallel to the line of cameras
-//! can't be measured, so their depth is found only where they move.
+//! can't be measured, so their depth is found only where they move, or where they lie in a plane of known depth.
 //!
 //! | file | content |
 //! |---|---|

@@ -18,7 +18,7 @@ const REFINEMENTS: usize = 3;
 const MIN_INLIERS: usize = 24;
 /// Maximum magnitude of each component of a plane's gradient, pixels of disparity per pixel.
 const MAX_GRADIENT: f64 = 1.6;
-/// Minimum determinant of the normal equations of a fit, squared px². It is the product of the variances of the samples'
+/// Minimum determinant of the normal equations of a fit, px⁴. It is the product of the variances of the samples'
 /// positions along two axes. If it is smaller, the samples lie on a line.
 const MIN_DETERMINANT: f64 = 1.0;
 
