@@ -115,7 +115,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 9 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 10 };
 }
 
 impl Stage for FlowConfidences<'_> {

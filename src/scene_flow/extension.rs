@@ -38,6 +38,8 @@ const TOLERANCE: f32 = 0.004;
 const UNMATCHED: f32 = 0.03;
 /// Matching cost, beside that of noise, below which a frame of the same camera shows a static surface unchanged.
 const UNCHANGED: f32 = 0.015;
+/// Distance of two surface elements below which they are the same, pixels of the pyramid level.
+const SAME_PX: f32 = 0.02;
 /// Distance of two frames' cameras below which they are the same camera, as a fraction of the baseline to which disparities
 /// refer.
 const SAME_PLACE: f32 = 1e-3;
@@ -98,6 +100,9 @@ impl PatchMatcher<'_> {
                 ..Element::default()
             };
             if !(min..=max).contains(&element.inverse_depth) {
+                continue;
+            }
+            if self.distance(&element, &map.elements[k]) < SAME_PX {
                 continue;
             }
             let must_rest = states[k] == Knowledge::Unmatched;

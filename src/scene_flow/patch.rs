@@ -87,15 +87,15 @@ impl Patch {
                 }
                 let sample = image.pixel(u as usize, v as usize);
                 let weight = similarity(&sample, &center) * by_row * by_column;
-                if weight < MIN_WEIGHT {
-                    continue;
-                }
                 self.weight[count] = weight;
                 (self.offset_x[count], self.offset_y[count]) = (dx as f32, dy as f32);
+                // Adding a half rounds to the nearest, since weights are positive.
                 (self.samples[count], self.weights[count]) =
-                    (sample, [(weight * WEIGHT_UNITS).round() as i16; 4]);
-                count += 1;
-                sum += weight;
+                    (sample, [(weight * WEIGHT_UNITS + 0.5) as i16; 4]);
+                // A light pixel is overwritten by the next one. This is faster than a branch, which can't be predicted.
+                let is_kept = weight >= MIN_WEIGHT;
+                count += usize::from(is_kept);
+                sum += if is_kept { weight } else { 0.0 };
             }
         }
         self.weights[count..].fill([0; 4]);

@@ -26,13 +26,19 @@ const SCALE: [f64; 2] = [0.6, 0.4];
 const BY_ACCELERATION: f32 = 0.05;
 
 impl PatchMatcher<'_> {
-    /// Returns the standard errors of all surface elements of a scene flow map of this pyramid level, row by row.
-    pub fn errors(&self, map: &ElementMap) -> Vec<ElementErrors> {
-        let row = |y: usize| {
+    /// Returns the standard errors of all surface elements of a scene flow map of this pyramid level, row by row. They are
+    /// computed for the top-left pixel of each block of `side`×`side` pixels, and are those of the whole block.
+    pub fn errors(&self, map: &ElementMap, side: usize) -> Vec<ElementErrors> {
+        let width = map.width;
+        let rows = |v: usize| {
             let mut patch = Patch::empty();
-            (0..map.width).map(|x| self.errors_at(map, (x, y), &mut patch)).collect::<Vec<_>>()
+            let columns = (0..width).step_by(side);
+            let row: Vec<ElementErrors> =
+                columns.map(|x| self.errors_at(map, (x, v * side), &mut patch)).collect();
+            let height = side.min(map.height - v * side);
+            (0..width * height).map(move |k| row[k % width / side])
         };
-        (0..map.height).into_par_iter().flat_map_iter(row).collect()
+        (0..map.height.div_ceil(side)).into_par_iter().flat_map_iter(rows).collect()
     }
 
     /// Returns the information matrix (inverse covariance) of a surface element's disparity and velocity at a pixel of
