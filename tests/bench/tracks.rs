@@ -4,8 +4,8 @@
 //! `cargo bench --bench tracks [-- CAPTURE…]`: filmed captures with `truth/tracks`, whose points are
 //! tracked; without any, the five worlds of `tests/common/worlds.rs`, whose corners are.
 //!
-//! `cargo bench --bench tracks -- --gains CAPTURE…`: for each camera, how much its gains are found to change over its
-//! recording, %.
+//! `cargo bench --bench tracks -- --gains CAPTURE…`: for each camera, its gains of red, green and blue, and how much
+//! they are found to change over its recording, %.
 
 #[path = "../common/bodies.rs"]
 #[allow(dead_code)]
@@ -381,19 +381,24 @@ fn count(counts: &mut [usize; 3], verdict: Verdict) {
     counts[2] += usize::from(verdict == Verdict::Untestable);
 }
 
-/// Prints the largest change of each camera's gains over its recording.
-fn print_gain_changes(folder: &str) {
+/// Prints the gains of each camera, and their largest change over its recording.
+fn print_gains(folder: &str) {
     let capture = Arc::new(Capture::open(folder.as_ref()).expect("a capture"));
-    let frames = FrameStore::new(capture, &RegistrationOptions::default());
+    let frames = FrameStore::new(capture.clone(), &RegistrationOptions::default());
     let gains = frames.gains();
-    let changes = gains.curves.iter().map(|curve| format!("{:.1}", 100.0 * curve.largest_change()));
-    println!("{folder}: {}", changes.collect::<Vec<_>>().join(", "));
+    println!("{folder}");
+    for ((camera, [r, g, b]), curve) in
+        capture.cameras.iter().zip(&gains.factors).zip(&gains.curves)
+    {
+        let change = 100.0 * curve.largest_change();
+        println!("  {:<8} {r:.3} {g:.3} {b:.3}, changes by {change:.1} %", camera.id);
+    }
 }
 
 fn main() {
     let folders: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
     if std::env::args().any(|argument| argument == "--gains") {
-        return folders.iter().for_each(|folder| print_gain_changes(folder));
+        return folders.iter().for_each(|folder| print_gains(folder));
     }
     let scenes: Vec<Scene> = if folders.is_empty() {
         worlds::cases().into_iter().map(Scene::world).collect()
