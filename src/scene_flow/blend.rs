@@ -111,9 +111,10 @@ impl Pixels {
     }
 
     /// Fills the holes of the view (pixels that no scene flow map covers) from the border inwards, one ring of pixels
-    /// at a time. Holes are disoccluded background. A pixel therefore copies the values of the neighbour with the
-    /// largest depth, among those that are covered or already filled. `width` is the width of the view, pixels.
-    fn fill(&mut self, width: usize) {
+    /// at a time. Holes are disoccluded background. A pixel therefore gets the values of the farthest surface beside it:
+    /// the mean of those neighbours, covered or already filled, whose inverse depths differ from the smallest by less
+    /// than `reach`, 1/m. `width` is the width of the view, pixels.
+    fn fill(&mut self, width: usize, reach: f32) {
         let count = self.shown.len();
         let around = |k: u32| neighbors(k as usize, width, count);
         // Views have less than 2³² pixels.
@@ -124,23 +125,39 @@ impl Pixels {
             })
             .collect();
         while !ring.is_empty() {
-            let depth = |n: &usize| self.inverse_depths[*n];
-            let farthest = |&k: &u32| {
-                let neighbors = around(k).filter(|&n| !is_empty(&self.shown, n));
-                neighbors.min_by(|a, b| depth(a).total_cmp(&depth(b))).unwrap_or(k as usize) as u32
+            let fill = |&k: &u32| {
+                let known = around(k).filter(|&n| !is_empty(&self.shown, n));
+                self.background(&known.collect::<Vec<_>>(), reach)
             };
-            let sources: Vec<u32> = ring.iter().map(farthest).collect();
-            for (&k, &n) in ring.iter().zip(&sources) {
-                self.colors[k as usize] = self.colors[n as usize];
-                self.inverse_depths[k as usize] = self.inverse_depths[n as usize];
-                self.motions.iter_mut().for_each(|m| m.copy(n as usize, k as usize));
-                self.shown[k as usize] = Shown::Filled;
+            let filled: Vec<Option<(usize, [f32; 3], f32)>> = ring.iter().map(fill).collect();
+            for (&k, filled) in ring.iter().zip(filled) {
+                let Some((farthest, color, inverse_depth)) = filled else { continue };
+                let k = k as usize;
+                (self.colors[k], self.inverse_depths[k]) = (color, inverse_depth);
+                self.motions.iter_mut().for_each(|m| m.copy(farthest, k));
+                self.shown[k] = Shown::Filled;
             }
             let next = |&k: &u32| around(k).filter(|&n| is_empty(&self.shown, n)).map(|n| n as u32);
             ring = ring.iter().flat_map(next).collect();
             ring.sort_unstable();
             ring.dedup();
         }
+    }
+
+    /// Returns the farthest of some pixels, and the mean colour and inverse depth of those whose inverse depth differs
+    /// from its by less than `reach`. `None` if there are no pixels.
+    fn background(&self, pixels: &[usize], reach: f32) -> Option<(usize, [f32; 3], f32)> {
+        let inverse = |n: &usize| self.inverse_depths[*n];
+        let farthest = *pixels.iter().min_by(|a, b| inverse(a).total_cmp(&inverse(b)))?;
+        let (mut color, mut inverse_depth, mut count) = ([0.0; 3], 0.0, 0.0);
+        let is_beside = |n: &&usize| **n == farthest || inverse(n) < inverse(&farthest) + reach;
+        for n in pixels.iter().filter(is_beside) {
+            color = [0, 1, 2].map(|c| color[c] + self.colors[*n][c]);
+            inverse_depth += inverse(n);
+            count += 1.0;
+        }
+        // The farthest pixel is one of them, so that the count is positive.
+        Some((farthest, color.map(|c| c / count), inverse_depth / count))
     }
 }
 
@@ -341,7 +358,7 @@ pub fn blend(
     if mapped.iter().any(|m| m.frame.still.is_some()) {
         pixels.close(width);
     }
-    pixels.fill(width);
+    pixels.fill(width, reach);
     let behind = Behind::new(mapped, view);
     let colors = pixels.colors.par_iter_mut().zip(&mut pixels.inverse_depths);
     let holes = colors.zip(&pixels.shown).enumerate();
@@ -409,5 +426,28 @@ impl<'a> Behind<'a> {
             }
         }
         is_filmed.then_some(pixel)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hole_gets_the_mean_of_the_background_beside_it_whatever_is_nearer() {
+        // A row of pixels: wall, hole, wall of another colour, a hole of three pixels, a nearer body.
+        let mut pixels = Pixels::new(7, None);
+        let known = [(0, 0.2, 1.0), (2, 0.4, 1.01), (6, 0.9, 3.0)];
+        for (k, value, inverse_depth) in known {
+            (pixels.colors[k], pixels.inverse_depths[k]) = ([value; 3], inverse_depth);
+            pixels.shown[k] = Shown::Something;
+        }
+        pixels.fill(7, 0.1);
+        let values: Vec<f32> = pixels.colors.iter().map(|[r, _, _]| *r).collect();
+        assert!((values[1] - 0.3).abs() < 1e-6, "{values:?}");
+        assert!((pixels.inverse_depths[1] - 1.005).abs() < 1e-6);
+        // From both sides, the fill meets in the middle, where the farther surface counts.
+        assert_eq!(values[3..6], [0.4, 0.4, 0.9]);
+        assert!(pixels.shown.iter().all(|shown| *shown != Shown::Nothing));
     }
 }

@@ -25,8 +25,6 @@ const FINEST_SMOOTHED: usize = 1;
 /// Pyramid level at which planes are extended, before and after the last pass. At coarser levels, the results of random
 /// sampling would change everywhere, and views would become better or worse by chance.
 const EXTENDED_LEVEL: usize = 0;
-/// Side of the blocks of pixels that share their standard errors while planes are found before the last pass, pixels.
-const PLANE_BLOCK: usize = 2;
 
 /// Joint estimation of the scene flow maps of several frames. Surface elements of one map are proposed for the other
 /// maps.
@@ -75,8 +73,7 @@ impl Estimation<'_> {
                             matcher.smooth(map);
                         }
                         if is_last && level == EXTENDED_LEVEL {
-                            let errors = matcher.errors(map, PLANE_BLOCK);
-                            matcher.extend_planes(map, &errors, self.limits.inverse_depth);
+                            matcher.extend_planes(map, self.limits.inverse_depth);
                         }
                         let others = || OtherMaps::new(&frames, &snapshots, f, disparity_px);
                         matcher.pass(
@@ -97,8 +94,8 @@ impl Estimation<'_> {
         }
         let packed = |(f, map): (usize, &mut ElementMap)| {
             let matcher = self.matcher(f, 0, &observations[f]);
-            let errors = matcher.errors(map, 1);
-            matcher.extend_planes(map, &errors, self.limits.inverse_depth);
+            let errors = matcher.errors(map);
+            matcher.extend_planes(map, self.limits.inverse_depth);
             FlowMap::new(map, self.limits.inverse_depth, disparities_px[f]).with_errors(&errors)
         };
         maps.par_iter_mut().enumerate().map(packed).collect()

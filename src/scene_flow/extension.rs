@@ -17,6 +17,12 @@ use std::collections::BinaryHeap;
 
 /// Standard error of the disparity from which on a pixel's depth is uncertain, pixels of the pyramid level.
 const UNCERTAIN_PX: f32 = 0.1;
+/// Side of the blocks of pixels that share the standard errors by which pixels are certain or uncertain, pixels.
+/// Larger: less time, but thin parts are missed.
+const ERROR_BLOCK: usize = 2;
+/// Colour difference of neighbouring pixels above which there is a strong edge between them. Larger: beside outlines,
+/// plain background takes the depth of the body.
+const EDGE: f32 = 0.1;
 /// Minimum standard error of a disparity from which a plane is found, pixels. It keeps weights finite.
 const MIN_ERROR_PX: f64 = 1e-3;
 /// Maximum distance between a plane and the disparities from which it is found, pixels of the pyramid level.
@@ -66,14 +72,9 @@ impl Knowledge {
 
 impl PatchMatcher<'_> {
     /// Replaces uncertain surface elements by static elements of the plane to which their pixels are connected, where these
-    /// match as well. `errors` are the standard errors of the map's elements, row by row, and `inverse_depths` is the
-    /// search range, 1/m.
-    pub fn extend_planes(
-        &self,
-        map: &mut ElementMap,
-        errors: &[ElementErrors],
-        inverse_depths: [f32; 2],
-    ) {
+    /// match as well. `inverse_depths` is the search range, 1/m.
+    pub fn extend_planes(&self, map: &mut ElementMap, inverse_depths: [f32; 2]) {
+        let errors = self.surface_errors(map);
         let is_certain = |k: usize| errors[k].disparity_px < UNCERTAIN_PX * self.scale;
         let states: Vec<Knowledge> = (0..map.elements.len())
             .map(|k| match (self.is_unmatched(map, k), self.is_static(map, k)) {
@@ -84,7 +85,7 @@ impl PatchMatcher<'_> {
                 (false, true) => Knowledge::Uncertain,
             })
             .collect();
-        let planes = self.planes(map, errors, |k| states[k] == Knowledge::Certain);
+        let planes = self.planes(map, &errors, |k| states[k] == Knowledge::Certain);
         let is_open: Vec<bool> = states.iter().map(Knowledge::is_open).collect();
         let step = |k: usize, n: usize| self.step_length(map, k, n);
         let planes = continued(planes, map.width, &is_open, step);
@@ -110,6 +111,19 @@ impl PatchMatcher<'_> {
                 (map.elements[k], map.costs[k]) = (element, cost);
             }
         }
+    }
+
+    /// Returns the standard errors of the surface elements from the textures of their surfaces. The gradients at strong
+    /// edges are left out: beside an outline, the depth of the nearer surface would be certain on the farther one.
+    fn surface_errors(&self, map: &ElementMap) -> Vec<ElementErrors> {
+        let is_edge: Vec<bool> = (0..map.elements.len())
+            .map(|k| {
+                let pixel = |k: usize| self.own.pixel(k % map.width, k / map.width);
+                let mut around = neighbors(k, map.width, map.elements.len());
+                around.any(|n| color_difference(&pixel(n), &pixel(k)) > EDGE)
+            })
+            .collect();
+        self.errors_by_block(map, ERROR_BLOCK, &|k| !is_edge[k])
     }
 
     /// Returns the matching cost of a static element at pixel `k` if it is about as good as the present element. With

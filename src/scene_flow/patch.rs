@@ -54,10 +54,14 @@ impl Patch {
     }
 
     /// Returns the structure tensor of the patch, `[xx, xy, yy]`: the weighted sums of the products of the brightness
-    /// gradients.
-    pub fn structure(&self) -> [f32; 3] {
+    /// gradients. A pixel counts if `used` returns true for its offset from the centre, pixels.
+    pub fn structure(&self, used: impl Fn(f32, f32) -> bool) -> [f32; 3] {
         let mut sums = [0.0; 3];
-        for (sample, weight) in self.samples[..self.count].iter().zip(&self.weight) {
+        for (k, (sample, weight)) in self.samples[..self.count].iter().zip(&self.weight).enumerate()
+        {
+            if !used(self.offset_x[k], self.offset_y[k]) {
+                continue;
+            }
             let sample = dequantized(sample);
             let [gx, gy] = [sample[2] / WEIGHTS[2], sample[3] / WEIGHTS[3]];
             sums[0] += weight * gx * gx;

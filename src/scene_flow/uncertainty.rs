@@ -26,15 +26,25 @@ const SCALE: [f64; 2] = [0.6, 0.4];
 const BY_ACCELERATION: f32 = 0.05;
 
 impl PatchMatcher<'_> {
-    /// Returns the standard errors of all surface elements of a scene flow map of this pyramid level, row by row. They are
-    /// computed for the top-left pixel of each block of `side`×`side` pixels, and are those of the whole block.
-    pub fn errors(&self, map: &ElementMap, side: usize) -> Vec<ElementErrors> {
+    /// Returns the standard errors of all surface elements of a scene flow map of this pyramid level, row by row.
+    pub fn errors(&self, map: &ElementMap) -> Vec<ElementErrors> {
+        self.errors_by_block(map, 1, &|_| true)
+    }
+
+    /// Returns [`Self::errors`] from the image gradients at `used` pixels alone, which are given by their indices. Each
+    /// block of `side`×`side` pixels has the standard errors of its top-left pixel.
+    pub fn errors_by_block(
+        &self,
+        map: &ElementMap,
+        side: usize,
+        used: &(dyn Fn(usize) -> bool + Sync),
+    ) -> Vec<ElementErrors> {
         let width = map.width;
         let rows = |v: usize| {
             let mut patch = Patch::empty();
             let columns = (0..width).step_by(side);
             let row: Vec<ElementErrors> =
-                columns.map(|x| self.errors_at(map, (x, v * side), &mut patch)).collect();
+                columns.map(|x| self.errors_at(map, (x, v * side), &mut patch, used)).collect();
             let height = side.min(map.height - v * side);
             (0..width * height).map(move |k| row[k % width / side])
         };
@@ -50,8 +60,23 @@ impl PatchMatcher<'_> {
         (x, y): (usize, usize),
         patch: &mut Patch,
     ) -> Matrix3<f64> {
+        self.information_of(map, (x, y), patch, &|_| true)
+    }
+
+    /// Returns the [`Self::information`] from the gradients of `used` pixels alone.
+    fn information_of(
+        &self,
+        map: &ElementMap,
+        (x, y): (usize, usize),
+        patch: &mut Patch,
+        used: &dyn Fn(usize) -> bool,
+    ) -> Matrix3<f64> {
         self.fill_patch(x, y, patch);
-        let [xx, xy, yy] = patch.structure().map(f64::from);
+        let index = |dx: f32, dy: f32| {
+            let (u, v) = (x as isize + dx as isize, y as isize + dy as isize);
+            v as usize * map.width + u as usize
+        };
+        let [xx, xy, yy] = patch.structure(|dx, dy| used(index(dx, dy))).map(f64::from);
         let k = y * map.width + x;
         let (element, center) = (&map.elements[k], map.center(k));
         let scale = f64::from(self.scale);
@@ -89,10 +114,11 @@ impl PatchMatcher<'_> {
         map: &ElementMap,
         (x, y): (usize, usize),
         patch: &mut Patch,
+        used: &dyn Fn(usize) -> bool,
     ) -> ElementErrors {
         let k = y * map.width + x;
         let element = &map.elements[k];
-        let mut information = self.information(map, (x, y), patch);
+        let mut information = self.information_of(map, (x, y), patch, used);
         let [disparity, velocity] = PRIOR_PX.map(|e| 1.0 / (e * e));
         // The prior makes the matrix positive definite.
         information += Matrix3::from_diagonal(&Vector3::new(disparity, velocity, velocity));
