@@ -115,7 +115,7 @@ impl PatchMatcher<'_> {
 
     /// Returns the standard errors of the surface elements from the textures of their surfaces. The gradients at strong
     /// edges are left out: beside an outline, the depth of the nearer surface would be certain on the farther one.
-    fn surface_errors(&self, map: &ElementMap) -> Vec<ElementErrors> {
+    pub fn surface_errors(&self, map: &ElementMap) -> Vec<ElementErrors> {
         let is_edge: Vec<bool> = (0..map.elements.len())
             .map(|k| {
                 let pixel = |k: usize| self.own.pixel(k % map.width, k / map.width);

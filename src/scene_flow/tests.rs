@@ -284,6 +284,28 @@ fn standard_errors_without_texture_are_those_of_the_prior() {
     assert!(plain.disparity_px > 1.0 && plain.velocity_px > 1.0, "{plain:?}");
 }
 
+#[test]
+fn an_outline_leaves_plain_background_beside_it_uncertain() {
+    let plain = Wall { plain_m: f64::INFINITY, ..STILL };
+    let body = Wall { velocity: [0.0; 2], ..MOVING };
+    let recording = recording(&[body, plain]);
+    let levels: Vec<Vec<MatchingImage>> = recording.iter().map(|f| f[1].pyramid()).collect();
+    let observations = observations(&recording, &levels);
+    let matcher = matcher(&levels, &observations);
+    let element = Element { inverse_depth: 0.5, ..Element::default() };
+    let [width, height] = SIZE;
+    let (elements, costs) = (vec![element; width * height], vec![0.0; width * height]);
+    let map = ElementMap { width, height, scale: 1.0, elements, costs };
+    // In the second camera, the body covers the columns 28 to 57 and the rows 21 to 50.
+    let error_px = |errors: &[ElementErrors], x: usize| {
+        median((26..46).map(|y| f64::from(errors[y * width + x].disparity_px)).collect())
+    };
+    let (all, of_surface) = (matcher.errors(&map), matcher.surface_errors(&map));
+    let [beside, inside] = [60, 44].map(|x| [&all, &of_surface].map(|e| error_px(e, x)));
+    assert!(beside[0] < 0.2 && beside[1] > 1.0, "{beside:?}");
+    assert!(inside[1] < 0.2, "{inside:?}");
+}
+
 /// Returns the mapped middle frames, and the camera and the time of a view between the cameras and the frames.
 fn between<'a>(
     recording: &'a [[FlowFrame; 3]],
