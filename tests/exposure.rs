@@ -7,8 +7,10 @@ use common::bodies::{Recording, board_before_wall, pose};
 use common::scores::psnr_db;
 use common::wall::estimate;
 use common::worlds::line_rig;
+use nalgebra::{Isometry3, Point3, Vector3};
 use std::path::Path;
 use std::sync::Arc;
+use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::{Context, LightField, Request, Viewpoint, render};
@@ -75,6 +77,47 @@ fn with_change(folder: &Path) -> TempDir {
     changed
 }
 
+/// Factors on the light of four cameras, by channel. The first is the reference.
+const FACTORS: [[f64; 3]; 4] = [[1.0; 3], [1.35, 1.25, 1.2], [0.7, 0.72, 0.65], [1.0; 3]];
+
+/// The same recording, whose cameras have other gains.
+fn with_factors(folder: &Path) -> TempDir {
+    let changed = tempfile::tempdir().expect("a temporary folder");
+    common::copy_folder(folder, changed.path());
+    for (camera, factors) in FACTORS.into_iter().enumerate() {
+        for k in 0..3 {
+            let path = changed.path().join(format!("cam{camera}/{k:04}.png"));
+            let image = read_image(&path).expect("a frame").0;
+            write_image(&path, &brightened(&image, factors), None, BitDepth::Eight)
+                .expect("a frame can be written");
+        }
+    }
+    changed
+}
+
+/// Four cameras 15 degrees apart, that look at a place between a still board and a wall.
+fn filmed_around() -> TempDir {
+    let world = board_before_wall(|_| pose([10.0, -15.0, 5.0], [0.0, 0.0, 1.6]));
+    let around = |camera: usize| {
+        let angle = (15.0 * (camera as f64 - 1.5)).to_radians();
+        let place = Point3::new(0.0, 0.0, 1.8);
+        let center = place + 1.6 * Vector3::new(angle.sin(), 0.0, -angle.cos());
+        let cam_from_world = Isometry3::face_towards(&center, &place, &Vector3::y()).inverse();
+        Camera { cam_from_world, ..line_rig(1, 256).remove(0) }
+    };
+    let (cameras, folder) =
+        ([0, 1, 2, 3].map(around), tempfile::tempdir().expect("a temporary folder"));
+    Recording {
+        world: &world,
+        cameras: &cameras,
+        first_frames: &[0.0; 4],
+        frames: 3,
+        noise: 0.004,
+    }
+    .write(folder.path());
+    folder
+}
+
 fn opened(folder: &Path) -> LightField {
     let capture = Arc::new(Capture::open(folder).expect("a capture"));
     LightField::new(capture.clone(), Offsets::known(&capture))
@@ -116,6 +159,26 @@ fn changing_gains_are_recovered_and_steady_ones_are_equal() {
         for (found, true_gain) in gains.at(CHANGING, *time_s).into_iter().zip(factors(k as f64)) {
             assert!((found / true_gain - 1.0).abs() < 0.015, "frame {k}: {found} {true_gain}");
         }
+    }
+    // Stored and read again.
+    field.prepare(&RenderOptions::default(), |_| ()).expect("a capture that can be prepared");
+    assert_eq!(opened(changed.path()).gains(&options), gains);
+}
+
+/// Features are hardly matched between cameras 15 degrees apart.
+#[test]
+fn gains_of_cameras_around_the_scene_are_recovered() {
+    let folder = filmed_around();
+    let options = RegistrationOptions::default();
+    let equal = opened(folder.path()).gains(&options);
+    assert!(equal.are_equal(), "{equal:?}");
+
+    let changed = with_factors(folder.path());
+    let field = opened(changed.path());
+    assert_eq!(field.capture().reference, 0);
+    let gains = field.gains(&options);
+    for (found, expected) in gains.factors.iter().flatten().zip(FACTORS.iter().flatten()) {
+        assert!((found / expected - 1.0).abs() < 0.02, "{:?}", gains.factors);
     }
     // Stored and read again.
     field.prepare(&RenderOptions::default(), |_| ()).expect("a capture that can be prepared");

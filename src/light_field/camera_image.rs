@@ -264,6 +264,8 @@ pub(super) fn images_of(
 ) -> Result<CameraImages, RenderError> {
     match source {
         ImageSource::Synchronized(method) => {
+            // Gains are computed once here, before threads request them in parallel.
+            field.gains(registration);
             let get = |camera: usize| {
                 let image = CameraImage { camera, time_s, method };
                 CorrectedImage { image, registration }.get(field, context)

@@ -4,7 +4,7 @@ use super::error::RenderError;
 use crate::capture::{Capture, Stored};
 use crate::host::{CacheKind, Memo};
 use crate::offset::Offsets;
-use crate::registration::{FrameStore, Gains, RegistrationOptions};
+use crate::registration::{FrameStore, RegistrationOptions};
 use nalgebra::Point3;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -77,11 +77,6 @@ impl LightField {
     /// Returns the store of decoded frames, which are prepared for registration with the given options.
     pub fn frames(&self, registration: &RegistrationOptions) -> FrameStore {
         FrameStore::with_memo(self.capture.clone(), registration, self.memo.clone())
-    }
-
-    /// Returns the exposure gains of the cameras relative to the reference camera.
-    pub fn gains(&self, registration: &RegistrationOptions) -> Arc<Gains> {
-        self.frames(registration).gains()
     }
 
     /// Returns the result of a stage if it is in memory, else `None`.

@@ -25,6 +25,7 @@
 //! | `view.rs` | §6: the blended view |
 //! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, estimated for groups of frames, and views from them |
 //! | `wide.rs`, `still_content.rs` | depth ranges for cameras around the scene; the static background of each camera |
+//! | `gains.rs` | exposure gains of the cameras, also of cameras around the scene |
 //! | `flow_frames.rs` | frames with their scene flow (depth and motion), for callers that render views by themselves |
 //! | `all_cameras.rs` | a camera's image at an instant, blended from the images of all cameras |
 //! | `image_motion.rs` | motion of a view's pixels to the previous and the next picture of a sequence |
@@ -40,6 +41,7 @@ mod depth;
 mod error;
 mod flow_frames;
 mod frame_pair;
+mod gains;
 mod geometry;
 mod graph;
 mod image_motion;

@@ -42,8 +42,9 @@ impl LightField {
         let cameras = self.capture().cameras.len();
         let pairs: usize = (0..cameras).map(|c| self.times_s(c).len().saturating_sub(1)).sum();
         let tracks = 2 * options.registration.max_corners;
-        let gains = Gains::max_stored_bytes(cameras);
-        let mut bytes = pairs * (tracks * size_of::<Track>() + ENTRY_BYTES) + gains + ENTRY_BYTES;
+        // In a wide array, gains are stored twice: by features, and by scene flow.
+        let gains = 2 * (Gains::max_stored_bytes(cameras) + ENTRY_BYTES);
+        let mut bytes = pairs * (tracks * size_of::<Track>() + ENTRY_BYTES) + gains;
         let mut steps = pairs;
         if options.proxy.method == ProxyMethod::SceneFlow {
             for (c, filmed) in self.capture().cameras.iter().enumerate() {
@@ -68,7 +69,7 @@ impl LightField {
     ) -> Result<Preparation, RenderError> {
         let registration = &options.registration;
         let cameras = self.capture().cameras.len();
-        let gains_bytes = self.frames(registration).store_gains()?;
+        let gains_bytes = self.store_gains(registration)?;
         let times = |camera: usize| self.times_s(camera);
         let frames = (0..cameras).map(|c| times(c).len()).max().unwrap_or(0);
         let (done, found) = (AtomicUsize::new(0), AtomicUsize::new(0));

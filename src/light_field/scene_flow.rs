@@ -8,6 +8,7 @@ use super::slots::{FrameId, Slot, Slots};
 use super::stages::{
     FlowAgreements, FlowConfidences, FlowOptions, FrameFlow, Instant, StillContent, Undistorted,
 };
+use super::wide::union;
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::Stored;
@@ -25,7 +26,7 @@ use std::sync::Arc;
 /// Maximum number of other cameras whose frames are matched with a frame to estimate its depth and motion.
 const MAX_PARTNERS: usize = 7;
 /// Maximum motion that scene flow searches for, per frame interval, as a fraction of the image's longer side.
-const MAX_SPEED: f64 = 0.125;
+pub(super) const MAX_SPEED: f64 = 0.125;
 /// Factor by which the searched range of inverse depths is widened at both ends: the minimum is divided by it, and the
 /// maximum is multiplied by it.
 const DEPTH_MARGIN: f64 = 1.5;
@@ -73,6 +74,8 @@ fn slot_maps(
     context: &Context,
 ) -> Result<Option<SlotMaps>, RenderError> {
     let field = slots.field;
+    // Gains are computed once here, before threads request them in parallel.
+    field.gains(options.registration);
     let mapped = slots.frames(slot);
     let others: Vec<Vec<FrameId>> = mapped.iter().map(|&id| matched_with(field, id)).collect();
     let Some(limits) = limits(field, &mapped, options)? else { return Ok(None) };
@@ -115,7 +118,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 10 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 11 };
 }
 
 impl Stage for FlowConfidences<'_> {
@@ -263,11 +266,10 @@ fn limits(
     let cameras: BTreeSet<usize> = frames.iter().map(|id| id.0).collect();
     let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
     let max_speed = (MAX_SPEED * side.max().unwrap_or(0) as f64) as f32;
-    let wider = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
     if let Some(place) = field.common_place() {
-        let ranges = cameras.iter().filter_map(|&c| field.common_range(place, c));
+        let range = field.common_range(place, cameras.into_iter());
         let limits = |range: [f64; 2]| Limits { inverse_depth: range.map(|q| q as f32), max_speed };
-        return Ok(ranges.reduce(wider).map(limits));
+        return Ok(range.map(limits));
     }
     let time_s = field.while_all_film(field.times_s(camera)[frame]);
     if field.spacing_m() == 0.0 {
@@ -278,14 +280,14 @@ fn limits(
     let points = scene_points(field, &filmed[camera].camera, instant, proxy)?;
     let Some(points) = points else { return Ok(None) };
     let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
-    Ok(ranges.reduce(wider).map(|[min, max]| Limits {
+    Ok(ranges.reduce(union).map(|[min, max]| Limits {
         inverse_depth: [(min / DEPTH_MARGIN) as f32, (max * DEPTH_MARGIN) as f32],
         max_speed,
     }))
 }
 /// Returns the frames with which a given frame is matched: the previous and the next frame of its own camera, and of
 /// each of the nearest other cameras, the frame nearest in time to the given frame.
-fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
+pub(super) fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     let count = field.times_s(camera).len();
     let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];
     let mut matched: Vec<FrameId> = own.into_iter().flatten().map(|k| (camera, k)).collect();

@@ -280,6 +280,12 @@ pub(super) struct Undistorted<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
+/// Inputs of the stage that estimates the gains of cameras that stand around the scene.
+#[derive(Clone, Copy, Serialize)]
+pub(super) struct WideGains<'a> {
+    pub registration: &'a RegistrationOptions,
+}
+
 /// Inputs of the stage that finds the static background of a camera over the whole recording.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct StillContent<'a> {

@@ -92,11 +92,21 @@ impl LightField {
         longest_m.map_or(baseline_m, |longest_m| baseline_m.min(longest_m))
     }
 
-    /// Returns the minimum and the maximum inverse depth, 1/m, in a camera, of the points that at least half of the
-    /// other cameras see ([`CommonPlace::range`]).
-    pub(super) fn common_range(&self, place: CommonPlace, camera: usize) -> Option<[f64; 2]> {
-        place.range(&self.filming(), camera)
+    /// Returns the minimum and the maximum inverse depth, 1/m, in any of the given cameras, of the points that at least
+    /// half of the other cameras see ([`CommonPlace::range`]). `None` if there are no such points.
+    pub(super) fn common_range(
+        &self,
+        place: CommonPlace,
+        cameras: impl Iterator<Item = usize>,
+    ) -> Option<[f64; 2]> {
+        let filming = self.filming();
+        cameras.filter_map(|c| place.range(&filming, c)).reduce(union)
     }
+}
+
+/// Returns the smallest range that contains two ranges.
+pub(super) fn union(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
 }
 
 /// Returns the point of the world, metres, that is nearest to the cameras' optical axes in the least-squares sense.

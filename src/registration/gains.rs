@@ -6,7 +6,8 @@
 //! least squares, separately for each channel. Gains that do not differ significantly from 1 are not corrected.
 //!
 //! Known limits: there is one gain for the whole image (no vignetting). Cameras whose frames have no features in common
-//! are assumed to have the same gains.
+//! are assumed to have the same gains. Hardly any features are matched between cameras that stand around the scene;
+//! the light field compares these by scene flow.
 
 use super::gain_changes::{MAX_KNOTS, gain_curves};
 use super::gain_curve::{GainCurve, GainKnot};
@@ -34,6 +35,14 @@ pub struct Gains {
     /// The largest measured difference of a gain from 1, and the standard error of this gain. The difference may be
     /// insignificant. (0, 0) if no cameras were compared.
     pub largest: (f64, f64),
+}
+
+/// Comparison of the light that two cameras record of the same surfaces.
+pub(crate) struct GainSamples {
+    /// Indices of two different cameras.
+    pub cameras: [usize; 2],
+    /// For each surface, the natural logarithm of the ratio of the second camera's linear light to the first's, by channel.
+    pub log_ratios: Vec<[f64; 3]>,
 }
 
 /// Number of nearest cameras with which each camera is compared.
@@ -71,7 +80,7 @@ impl Gains {
     }
 
     /// Returns the size of the gains in memory, bytes.
-    pub(super) fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         let curves = self.curves.iter().map(|curve| size_of::<GainCurve>() + curve.bytes());
         size_of_val(&self.factors[..]) + curves.sum::<usize>()
     }
@@ -162,17 +171,22 @@ impl Gains {
             ratio_between(cameras, [a, b], &flow(from, to, &starts, options))
         };
         let ratios: Vec<Ratio> = neighbors(capture).into_iter().filter_map(ratio).collect();
-        let mut gains = solve_gains(count, capture.reference, &ratios);
-        // The comparison of a grey camera with colour cameras gives a different gain for each channel. The
-        // luminance of the three gains replaces all of them.
-        for (factors, image) in gains.factors.iter_mut().zip(&images) {
-            let is_gray = image.as_ref().is_some_and(|i| i.channels() == 1);
-            if is_gray && *factors != [1.0; 3] {
-                *factors = luminance(*factors);
-            }
-        }
-        gains.curves = gain_curves(capture);
-        gains
+        let is_gray = |image: &Option<Image>| image.as_ref().is_some_and(|i| i.channels() == 1);
+        let are_gray: Vec<bool> = images.iter().map(is_gray).collect();
+        Self { curves: gain_curves(capture), ..solve_gains(capture.reference, &are_gray, &ratios) }
+    }
+
+    /// Returns these gains with other factors, which are estimated from surfaces that pairs of cameras see. `are_gray`
+    /// states for each camera whether it is grey.
+    pub(crate) fn with_samples(
+        &self,
+        reference: usize,
+        are_gray: &[bool],
+        samples: &[GainSamples],
+    ) -> Self {
+        let ratio = |pair: &GainSamples| Ratio::of_samples(pair.cameras, &pair.log_ratios);
+        let ratios: Vec<Ratio> = samples.iter().filter_map(ratio).collect();
+        Self { curves: self.curves.clone(), ..solve_gains(reference, are_gray, &ratios) }
     }
 }
 
@@ -252,10 +266,11 @@ fn ratio_between(
 }
 
 /// Solves for the gains of all cameras, from ratios between pairs of cameras, by weighted least squares. Gains that
-/// don't differ significantly from 1, and those of the reference camera, are 1.
-fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
-    let mut gains = Gains::equal(cameras);
-    let logs = solve_log_gains(cameras, reference, ratios);
+/// don't differ significantly from 1, and those of the reference camera, are 1. `are_gray` states for each camera whether
+/// it is grey.
+fn solve_gains(reference: usize, are_gray: &[bool], ratios: &[Ratio]) -> Gains {
+    let mut gains = Gains::equal(are_gray.len());
+    let logs = solve_log_gains(are_gray.len(), reference, ratios);
     for c in 0..3 {
         for (camera, factors) in gains.factors.iter_mut().enumerate() {
             let Some(LogGain { log, std_err }) = logs[camera][c] else { continue };
@@ -269,6 +284,13 @@ fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
             if difference.abs() > MIN_DIFFERENCE.max(MIN_STD_ERRORS * std_err) {
                 factors[c] = 1.0 + difference;
             }
+        }
+    }
+    // The comparison of a grey camera with colour cameras gives a different gain for each channel. The luminance of the
+    // three gains replaces all of them.
+    for (factors, is_gray) in gains.factors.iter_mut().zip(are_gray) {
+        if *is_gray && *factors != [1.0; 3] {
+            *factors = luminance(*factors);
         }
     }
     gains
@@ -286,8 +308,11 @@ mod tests {
     fn gains_are_recovered_along_a_chain_and_around_a_loop() {
         let logs = [0.3, -0.1, 0.0, 0.45];
         let between = |a: usize, b: usize| ratio([a, b], logs[b] - logs[a]);
-        let gains =
-            solve_gains(4, 2, &[between(0, 1), between(1, 2), between(2, 3), between(0, 3)]);
+        let gains = solve_gains(
+            2,
+            &[false; 4],
+            &[between(0, 1), between(1, 2), between(2, 3), between(0, 3)],
+        );
         for (camera, log) in logs.iter().enumerate() {
             let [r, g, b] = gains.factors[camera];
             assert!((r - log.exp()).abs() < 1e-4 && g == 1.0, "{camera}: {r} {g}");
@@ -298,11 +323,11 @@ mod tests {
 
     #[test]
     fn small_differences_and_unknown_cameras_are_not_corrected() {
-        let gains = solve_gains(4, 0, &[ratio([0, 1], 0.01)]);
+        let gains = solve_gains(0, &[false; 4], &[ratio([0, 1], 0.01)]);
         assert!(gains.are_equal());
         let (largest, std_err) = gains.largest;
         assert!((largest - 0.01).abs() < 2e-3 && std_err < 0.01, "{largest} {std_err}");
-        assert!(solve_gains(1, 0, &[]).are_equal());
+        assert!(solve_gains(0, &[false], &[]).are_equal());
     }
 
     #[test]

@@ -83,20 +83,30 @@ pub fn confidences(mapped: &[MappedFrame]) -> Vec<Vec<u8>> {
 /// Returns how the scene flow map `by` agrees with each pixel of `of`. `None` if the frames are too far apart
 /// in time, or the intrinsic matrix of `of` is singular.
 pub fn agreements(of: &MappedFrame, by: &MappedFrame) -> Option<Agreements> {
-    let time = TimeBetween::new(of.frame, by.frame);
-    if time.frames().abs() > MAX_CONFIRMING_DT {
-        return None;
-    }
-    let projection = Projection::new(&of.frame.view, &by.frame.view)?;
-    let comparison = Comparison { own: of.map, other: *by, time, projection };
-    let width = of.map.width;
-    let mut row = vec![[0.0; 3]; width];
+    let comparison = Comparison::new(of, by)?;
     let mut all = vec![Agreement::Outside; of.map.pixels().len()];
-    for (y, agreements) in all.chunks_exact_mut(width.max(1)).enumerate() {
-        place_row(&mut row, &comparison, y);
-        compare_row(agreements, &row, &comparison, y);
-    }
+    comparison.each_row(|y, row| {
+        let agreements = &mut all[y * of.map.width..][..row.len()];
+        compare_row(agreements, row, &comparison, y);
+    });
     Some(Agreements::new(&all))
+}
+
+/// Returns the pixels of `of` that the scene flow map `by` confirms: for each one, its index and the position in the
+/// other frame where the same surface is seen, pixels. The result is empty if the frames aren't compared
+/// ([`agreements`]).
+pub fn confirmed_by(of: &MappedFrame, by: &MappedFrame) -> Vec<(usize, [f32; 2])> {
+    let Some(comparison) = Comparison::new(of, by) else { return Vec::new() };
+    let width = of.map.width;
+    let (mut agreements, mut all) = (vec![Agreement::Outside; width], Vec::new());
+    comparison.each_row(|y, row| {
+        agreements.fill(Agreement::Outside);
+        compare_row(&mut agreements, row, &comparison, y);
+        let confirmed = agreements.iter().zip(row).enumerate();
+        let confirmed = confirmed.filter(|(_, (a, _))| **a == Agreement::Confirmed);
+        all.extend(confirmed.map(|(x, (_, &[u, v, _]))| (y * width + x, [u, v])));
+    });
+    all
 }
 
 /// Returns the confidence of each pixel of a scene flow map, from 1 to 255. `agreements` are those of the comparable
@@ -122,7 +132,25 @@ struct Comparison<'a> {
     projection: Projection,
 }
 
-impl Comparison<'_> {
+impl<'a> Comparison<'a> {
+    /// `None` if the frames are too far apart in time, or the intrinsic matrix of `of` is singular.
+    fn new(of: &MappedFrame<'a>, by: &MappedFrame<'a>) -> Option<Self> {
+        let time = TimeBetween::new(of.frame, by.frame);
+        let is_near = time.frames().abs() <= MAX_CONFIRMING_DT;
+        let projection = Projection::new(&of.frame.view, &by.frame.view).filter(|_| is_near)?;
+        Some(Self { own: of.map, other: *by, time, projection })
+    }
+
+    /// Calls `compare` with the number of each row, and with positions, pixels, and inverse depths, 1/m, of the row's
+    /// surface elements in the other frame.
+    fn each_row(&self, mut compare: impl FnMut(usize, &[[f32; 3]])) {
+        let mut row = vec![[0.0; 3]; self.own.width];
+        for y in 0..self.own.height {
+            place_row(&mut row, self, y);
+            compare(y, &row);
+        }
+    }
+
     /// Returns the surface element at pixel `x` of row `y`, its position, and the time to its exposure in the other
     /// frame.
     #[inline(always)]

@@ -23,6 +23,7 @@
 //! | `noise.rs` | the noise of an image |
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
 //! | `timing.rs` | the time between pixels of two frames, with rolling shutters |
+//! | `contrast.rs` | an image that doesn't depend on the exposure |
 //! | `still.rs` | the static background of a camera |
 //! | `element.rs` | a surface element: the depth, path and slant of the surface at a pixel |
 //! | `observing_frame.rs` | another frame, in which elements are observed |
@@ -46,6 +47,7 @@ mod blend;
 mod composite;
 mod confidence;
 mod consistency;
+mod contrast;
 mod element;
 mod estimate;
 mod extension;
@@ -77,7 +79,8 @@ mod uncertainty;
 mod tests;
 
 pub use blend::{FlowView, blend};
-pub use confidence::{Agreements, agreements, confidence, confidences};
+pub use confidence::{Agreements, agreements, confidence, confidences, confirmed_by};
+pub use contrast::local_contrast;
 pub use element::{Element, ElementErrors};
 pub use estimate::Estimation;
 pub use frame::{FlowFrame, PyramidFrame, pinhole};

@@ -2,6 +2,7 @@
 
     .venv/bin/python tests/bench/left_out.py rig RIG CAMERA OUT
     .venv/bin/python tests/bench/left_out.py cut CAPTURE CAMERA OUT
+    .venv/bin/python tests/bench/left_out.py expose CAPTURE OUT [--std STD] [--seed SEED]
     .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--way NAME ...]
 
 `rig` writes the rig file OUT, in which CAMERA doesn't film. CAMERA is its only new viewpoint, with true depth.
@@ -9,6 +10,10 @@
 `cut` writes the capture OUT, which lacks CAMERA. The ground truth images of CAMERA become ground truth of new
 viewpoints, named `left-out`; other such viewpoints are removed. The clocks are the true ones. Files are linked, not
 copied.
+
+`expose` writes the capture OUT, whose cameras other than the reference are exposed differently: the linear light of each
+channel is multiplied by a random gain. The logarithms of a camera's common gain have the standard deviation STD, those of
+its channels' further gains a fifth of it. Values of 255 are clipped. It prints the gains.
 
 `score` renders each of these views with PROGRAM by each combination of methods (`--way`), in a new process with an
 empty cache. It prints the PSNR of all pixels and of the moving part, processor seconds and peak memory. It writes the
@@ -24,7 +29,9 @@ import shutil
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 from ground_truth import free_views, psnr_db, read_view, true_picture
 
 WAYS = {
@@ -74,6 +81,40 @@ def cut(capture: Path, camera: str, out: Path) -> None:
         temporary = out / f"{path}.new"
         temporary.write_text(json.dumps(content, indent=2))
         temporary.replace(out / path)  # not through the link, into the original
+
+
+def expose(capture: Path, out: Path, std: float, seed: int) -> None:
+    """Write a copy of the capture into `out`, whose cameras have random gains."""
+    skipped = shutil.ignore_patterns(".stlfr", "colmap", "offsets*", "review")
+    shutil.copytree(capture, out, copy_function=os.link, ignore=skipped)
+    content = json.loads((capture / "capture.json").read_text())
+    random = np.random.default_rng(seed)
+    for camera in content["cameras"]:
+        logs = std * random.standard_normal() + 0.2 * std * random.standard_normal(3)
+        if camera["id"] == content["reference"]:
+            continue
+        gains = np.exp(logs)
+        print(camera["id"], *(f"{gain:.3f}" for gain in gains))
+        for file in sorted((capture / camera["id"]).glob("*.png")):
+            image = cv2.imread(str(file), cv2.IMREAD_COLOR)[..., ::-1] / 255.0
+            light = np.clip(linear_from_srgb(image) * gains, 0.0, 1.0)
+            exposed = np.round(255.0 * srgb_from_linear(light)).astype(np.uint8)
+            temporary = out / camera["id"] / f"new-{file.name}"
+            if not cv2.imwrite(str(temporary), exposed[..., ::-1]):
+                raise OSError(f"{temporary}: cannot be written")
+            temporary.replace(out / camera["id"] / file.name)
+
+
+def linear_from_srgb(value: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Linear light of sRGB values, both from 0 to 1."""
+    power = ((value + 0.055) / 1.055) ** 2.4
+    return np.where(value <= 0.04045, value / 12.92, power)
+
+
+def srgb_from_linear(light: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """The sRGB values of linear light, both from 0 to 1."""
+    power = 1.055 * light ** (1 / 2.4) - 0.055
+    return np.where(light <= 0.0031308, 12.92 * light, power)
 
 
 def run(command: list[str]) -> tuple[int, float, int]:
@@ -142,6 +183,11 @@ def main() -> None:
     cutting.add_argument("capture", type=Path)
     cutting.add_argument("camera")
     cutting.add_argument("out", type=Path)
+    exposing = commands.add_parser("expose")
+    exposing.add_argument("capture", type=Path)
+    exposing.add_argument("out", type=Path)
+    exposing.add_argument("--std", type=float, default=0.25)
+    exposing.add_argument("--seed", type=int, default=1)
     scoring = commands.add_parser("score")
     scoring.add_argument("program", type=Path)
     scoring.add_argument("capture", type=Path)
@@ -153,6 +199,8 @@ def main() -> None:
         write_rig(arguments.rig, arguments.camera, arguments.out)
     elif arguments.command == "cut":
         cut(arguments.capture, arguments.camera, arguments.out)
+    elif arguments.command == "expose":
+        expose(arguments.capture, arguments.out, arguments.std, arguments.seed)
     else:
         a = arguments
         score(a.program, a.capture, a.pictures, a.instants, a.way or list(WAYS))

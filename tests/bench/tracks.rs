@@ -23,6 +23,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::camera::{Camera, EpipolarGeometry};
 use stlfr::capture::{Capture, FrameTimes, Truth};
+use stlfr::light_field::LightField;
+use stlfr::offset::Offsets;
 use stlfr::random::Random;
 use stlfr::registration::{
     FlowDirection, FrameStore, ReferenceQuery, RegistrationOptions, Track, Verdict, epipolar_check,
@@ -384,8 +386,8 @@ fn count(counts: &mut [usize; 3], verdict: Verdict) {
 /// Prints the gains of each camera, and their largest change over its recording.
 fn print_gains(folder: &str) {
     let capture = Arc::new(Capture::open(folder.as_ref()).expect("a capture"));
-    let frames = FrameStore::new(capture.clone(), &RegistrationOptions::default());
-    let gains = frames.gains();
+    let field = LightField::new(capture.clone(), Offsets::known(&capture));
+    let gains = field.gains(&RegistrationOptions::default());
     println!("{folder}");
     for ((camera, [r, g, b]), curve) in
         capture.cameras.iter().zip(&gains.factors).zip(&gains.curves)
