@@ -64,17 +64,23 @@ fn brightened(image: &Image, factors: [f64; 3]) -> Image {
     Image::from_data(image.width(), image.height(), 3, data)
 }
 
-/// The same recording with changing gains.
-fn with_change(folder: &Path) -> TempDir {
+/// A copy of the recording, in which the light of some frames is multiplied by factors. A change is a camera, a frame, and
+/// the factors by channel.
+fn copy_with(folder: &Path, changes: impl Iterator<Item = (usize, usize, [f64; 3])>) -> TempDir {
     let changed = tempfile::tempdir().expect("a temporary folder");
     common::copy_folder(folder, changed.path());
-    for k in 0..FRAMES {
-        let path = changed.path().join(format!("cam{CHANGING}/{k:04}.png"));
+    for (camera, frame, factors) in changes {
+        let path = changed.path().join(format!("cam{camera}/{frame:04}.png"));
         let image = read_image(&path).expect("a frame").0;
-        write_image(&path, &brightened(&image, factors(k as f64)), None, BitDepth::Eight)
+        write_image(&path, &brightened(&image, factors), None, BitDepth::Eight)
             .expect("a frame can be written");
     }
     changed
+}
+
+/// The same recording with changing gains.
+fn with_change(folder: &Path) -> TempDir {
+    copy_with(folder, (0..FRAMES).map(|k| (CHANGING, k, factors(k as f64))))
 }
 
 /// Factors on the light of four cameras, by channel. The first is the reference.
@@ -82,20 +88,11 @@ const FACTORS: [[f64; 3]; 4] = [[1.0; 3], [1.35, 1.25, 1.2], [0.7, 0.72, 0.65], 
 
 /// The same recording, whose cameras have other gains.
 fn with_factors(folder: &Path) -> TempDir {
-    let changed = tempfile::tempdir().expect("a temporary folder");
-    common::copy_folder(folder, changed.path());
-    for (camera, factors) in FACTORS.into_iter().enumerate() {
-        for k in 0..3 {
-            let path = changed.path().join(format!("cam{camera}/{k:04}.png"));
-            let image = read_image(&path).expect("a frame").0;
-            write_image(&path, &brightened(&image, factors), None, BitDepth::Eight)
-                .expect("a frame can be written");
-        }
-    }
-    changed
+    let cameras = FACTORS.into_iter().enumerate();
+    copy_with(folder, cameras.flat_map(|(c, factors)| (0..3).map(move |k| (c, k, factors))))
 }
 
-/// Four cameras 15 degrees apart, that look at a place between a still board and a wall.
+/// Four cameras 15 degrees apart look at a place between a still board and a wall.
 fn filmed_around() -> TempDir {
     let world = board_before_wall(|_| pose([10.0, -15.0, 5.0], [0.0, 0.0, 1.6]));
     let around = |camera: usize| {

@@ -1,15 +1,17 @@
 //! Exposure gains of the cameras.
 //!
 //! Cameras that stand side by side are compared at matched features. Features can hardly be matched between cameras that
-//! stand around the scene. These are compared where scene flow finds the same surface in both. It is estimated
-//! at low resolution, for one frame of each camera, from the images' local contrast, which doesn't depend on the exposure.
+//! stand around the scene. These cameras are compared where scene flow finds the same surface in two of them. Scene flow
+//! is estimated at low resolution, for one frame of each camera. It is estimated from the local contrast of the images,
+//! which doesn't depend on the exposure.
 //!
-//! Known limits: surfaces must have texture. Their brightness must not depend on the direction of view.
+//! Known limits, for cameras around the scene: surfaces must have texture, and look equally bright from all directions.
+//! There is one gain for the whole image, and no offset, which haze would cause.
 
 use super::RenderError;
 use super::graph::{LightField, Stage, StoredStage};
 use super::points::nearest;
-use super::scene_flow::{MAX_SPEED, matched_with};
+use super::scene_flow::{matched_with, search_range};
 use super::slots::FrameId;
 use super::stages::WideGains;
 use super::wide::CommonPlace;
@@ -19,7 +21,7 @@ use crate::registration::{
     GainMethod, GainSamples, Gains, MatchedLight, RegistrationOptions, halved,
 };
 use crate::scene_flow::{
-    Estimation, FlowFrame, FlowMap, Limits, MappedFrame, MatchingImage, PyramidFrame, confirmed_by,
+    Estimation, FlowFrame, FlowMap, MappedFrame, MatchingImage, PyramidFrame, confirmed_by,
     local_contrast,
 };
 use rayon::prelude::*;
@@ -27,11 +29,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Maximum width of the images whose scene flow is estimated, pixels. The size of a larger image is halved repeatedly.
+/// Smaller: thin bodies have no texture. Larger: the time rises with the number of pixels.
 const WIDTH_PX: usize = 256;
-/// Radius of the surroundings to which local contrast refers, as a fraction of the image's width. Smaller: only fine texture
-/// is matched. Larger: shading is matched too.
+/// Radius of the surroundings to which local contrast refers, as a fraction of the image's width. Smaller: only fine
+/// texture is matched. Larger: shading is matched too.
 const RADIUS: f64 = 1.0 / 16.0;
-/// Number of nearest cameras with which each camera is compared.
+/// Number of nearest cameras with which each camera is compared. Smaller: one wrong comparison changes a gain by more.
+/// Larger: cameras are compared that see few surfaces in common.
 const NEIGHBORS: usize = 4;
 
 impl LightField {
@@ -91,8 +95,8 @@ impl WideGains<'_> {
         }
         let by_features = field.frames(self.registration).gains();
         let compared = ComparedFrames::new(field, &by_features, place);
-        let gains = compared.map(|compared| Arc::new(compared.gains(field, &by_features)));
-        field.insert(self, gains.unwrap_or(by_features))
+        let gains = compared.and_then(|compared| compared.gains(field, &by_features));
+        field.insert(self, gains.map_or(by_features, Arc::new))
     }
 }
 
@@ -105,7 +109,7 @@ struct SmallFrame {
 }
 
 impl SmallFrame {
-    /// Reads a frame. `gains` are gains with the changes of the camera's exposure. `None` if the frame can't be read.
+    /// Reads a frame. Of `gains`, only the changes over the recording are corrected. `None` if the frame can't be read.
     fn read(field: &LightField, (camera, frame): FrameId, gains: &Gains) -> Option<Self> {
         let recording = &field.capture().cameras[camera];
         let image = field.capture().read_frame(camera, frame).ok()?;
@@ -141,7 +145,7 @@ struct ComparedFrames {
 
 impl ComparedFrames {
     /// Reads the frames in the middle of the recording, one of each camera, and estimates their depth and motion. `None`
-    /// if there are none, or if the range of the scene's depths is unknown.
+    /// if the cameras film at no common time, if no frame can be read, or if the range of the scene's depths is unknown.
     fn new(field: &LightField, gains: &Gains, place: CommonPlace) -> Option<Self> {
         let (first_s, last_s) = field.common_span_s()?;
         let middle_s = 0.5 * (first_s + last_s);
@@ -160,20 +164,19 @@ impl ComparedFrames {
         };
         let (compared, list): (Vec<FrameId>, Vec<_>) =
             middle.iter().zip(&matched).filter_map(with_matched).unzip();
-        let side = list.iter().map(|(f, _)| f.frame.view.width.max(f.frame.view.height)).max()?;
-        let inverse_depth = field.common_range(place, compared.iter().map(|id| id.0))?;
-        let limits = Limits {
-            inverse_depth: inverse_depth.map(|q| q as f32),
-            max_speed: (MAX_SPEED * side as f64) as f32,
-        };
+        let side =
+            list.iter().flat_map(|(f, _)| [f.frame.view.width, f.frame.view.height]).max()?;
+        let range = field.common_range(place, compared.iter().map(|id| id.0))?;
+        let limits = search_range(range, side);
         let baseline_m = field.matching_baseline_m();
         let maps = Estimation { frames: &list, limits, baseline_m }.run(&|| true);
         drop(list);
         Some(Self { mapped: compared.into_iter().zip(maps).collect(), frames })
     }
 
-    /// Estimates the cameras' gains. Their changes over the recordings are those of `by_features`.
-    fn gains(&self, field: &LightField, by_features: &Gains) -> Gains {
+    /// Estimates the cameras' gains. Their changes over the recordings are those of `by_features`. `None` if no two
+    /// cameras can be compared.
+    fn gains(&self, field: &LightField, by_features: &Gains) -> Option<Gains> {
         let cameras: Vec<usize> = self.mapped.iter().map(|((camera, _), _)| *camera).collect();
         let samples = pairs(field, &cameras).into_par_iter().map(|[a, b]| {
             let mut log_ratios = self.log_ratios([a, b]);

@@ -26,7 +26,7 @@ use std::sync::Arc;
 /// Maximum number of other cameras whose frames are matched with a frame to estimate its depth and motion.
 const MAX_PARTNERS: usize = 7;
 /// Maximum motion that scene flow searches for, per frame interval, as a fraction of the image's longer side.
-pub(super) const MAX_SPEED: f64 = 0.125;
+const MAX_SPEED: f64 = 0.125;
 /// Factor by which the searched range of inverse depths is widened at both ends: the minimum is divided by it, and the
 /// maximum is multiplied by it.
 const DEPTH_MARGIN: f64 = 1.5;
@@ -264,12 +264,11 @@ fn limits(
     let Some(&(camera, frame)) = frames.get(frames.len() / 2) else { return Ok(None) };
     let filmed = &field.capture().cameras;
     let cameras: BTreeSet<usize> = frames.iter().map(|id| id.0).collect();
-    let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
-    let max_speed = (MAX_SPEED * side.max().unwrap_or(0) as f64) as f32;
+    let sizes = cameras.iter().map(|&c| [filmed[c].camera.width, filmed[c].camera.height]);
+    let side = sizes.flatten().max().unwrap_or(0);
     if let Some(place) = field.common_place() {
         let range = field.common_range(place, cameras.into_iter());
-        let limits = |range: [f64; 2]| Limits { inverse_depth: range.map(|q| q as f32), max_speed };
-        return Ok(range.map(limits));
+        return Ok(range.map(|range| search_range(range, side)));
     }
     let time_s = field.while_all_film(field.times_s(camera)[frame]);
     if field.spacing_m() == 0.0 {
@@ -280,11 +279,17 @@ fn limits(
     let points = scene_points(field, &filmed[camera].camera, instant, proxy)?;
     let Some(points) = points else { return Ok(None) };
     let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
-    Ok(ranges.reduce(union).map(|[min, max]| Limits {
-        inverse_depth: [(min / DEPTH_MARGIN) as f32, (max * DEPTH_MARGIN) as f32],
-        max_speed,
-    }))
+    let wider = |[min, max]: [f64; 2]| [min / DEPTH_MARGIN, max * DEPTH_MARGIN];
+    Ok(ranges.reduce(union).map(|range| search_range(wider(range), side)))
 }
+
+/// Returns the search range of depth and motion for a range of inverse depths, 1/m, and images whose longer side has
+/// `side` pixels.
+pub(super) fn search_range(inverse_depth: [f64; 2], side: usize) -> Limits {
+    let max_speed = (MAX_SPEED * side as f64) as f32;
+    Limits { inverse_depth: inverse_depth.map(|q| q as f32), max_speed }
+}
+
 /// Returns the frames with which a given frame is matched: the previous and the next frame of its own camera, and of
 /// each of the nearest other cameras, the frame nearest in time to the given frame.
 pub(super) fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {

@@ -41,7 +41,8 @@ pub struct Gains {
 pub(crate) struct GainSamples {
     /// Indices of two different cameras.
     pub cameras: [usize; 2],
-    /// For each surface, the natural logarithm of the ratio of the second camera's linear light to the first's, by channel.
+    /// For each surface, the natural logarithm of the ratio of the second camera's linear light to the first's, by
+    /// channel.
     pub log_ratios: Vec<[f64; 3]>,
 }
 
@@ -177,21 +178,22 @@ impl Gains {
     }
 
     /// Returns these gains with other factors, which are estimated from surfaces that pairs of cameras see. `are_gray`
-    /// states for each camera whether it is grey.
+    /// states for each camera whether it is grey. `None` if no pair has enough samples.
     pub(crate) fn with_samples(
         &self,
         reference: usize,
         are_gray: &[bool],
         samples: &[GainSamples],
-    ) -> Self {
+    ) -> Option<Self> {
         let ratio = |pair: &GainSamples| Ratio::of_samples(pair.cameras, &pair.log_ratios);
         let ratios: Vec<Ratio> = samples.iter().filter_map(ratio).collect();
-        Self { curves: self.curves.clone(), ..solve_gains(reference, are_gray, &ratios) }
+        let solve = || solve_gains(reference, are_gray, &ratios);
+        (!ratios.is_empty()).then(|| Self { curves: self.curves.clone(), ..solve() })
     }
 }
 
 /// Returns the luminance of linear light, repeated for all three channels.
-fn luminance([r, g, b]: [f64; 3]) -> [f64; 3] {
+pub(super) fn luminance([r, g, b]: [f64; 3]) -> [f64; 3] {
     let [x, y, z] = LUMINANCE;
     [x * r + y * g + z * b; 3]
 }
@@ -266,8 +268,8 @@ fn ratio_between(
 }
 
 /// Solves for the gains of all cameras, from ratios between pairs of cameras, by weighted least squares. Gains that
-/// don't differ significantly from 1, and those of the reference camera, are 1. `are_gray` states for each camera whether
-/// it is grey.
+/// don't differ significantly from 1, and those of the reference camera, are 1. `are_gray` states for each camera
+/// whether it is grey.
 fn solve_gains(reference: usize, are_gray: &[bool], ratios: &[Ratio]) -> Gains {
     let mut gains = Gains::equal(are_gray.len());
     let logs = solve_log_gains(are_gray.len(), reference, ratios);
@@ -328,6 +330,8 @@ mod tests {
         let (largest, std_err) = gains.largest;
         assert!((largest - 0.01).abs() < 2e-3 && std_err < 0.01, "{largest} {std_err}");
         assert!(solve_gains(0, &[false], &[]).are_equal());
+        let few = GainSamples { cameras: [0, 1], log_ratios: vec![[0.4; 3]; 3] };
+        assert_eq!(Gains::equal(2).with_samples(0, &[false; 2], &[few]), None);
     }
 
     #[test]

@@ -1,28 +1,28 @@
 //! Ratios of light between the images of two cameras, at pixels that are known to show the same surfaces.
 
 use super::gain_ratios::USABLE;
-use crate::raster::{LUMINANCE, linear_from_encoded};
+use super::gains::luminance;
+use crate::raster::linear_from_encoded;
 
-/// Lower bound of the linear light whose logarithm is taken, so that texture next to black has finite contrast.
+/// Lower bound of the linear light whose logarithm is taken. It keeps the contrast of texture beside black finite.
 const MIN_LIGHT: f64 = 0.0025;
 /// Minimum standard deviation of the logarithm of linear light in the 3×3 pixels around a pixel. A pixel with less has
 /// no texture. Smaller: noise and shading count as texture.
 const MIN_CONTRAST: f64 = 0.04;
 /// Minimum correlation of the two images' textures in the 3×3 pixels around a pixel. Smaller: false matches are used.
 const MIN_CORRELATION: f64 = 0.8;
-/// Distance (maximum norm) up to which all pixels around a used pixel must have texture, pixels. Beside the outline of a
-/// textured body, a plain surface is matched at the body's depth. Smaller: such pixels are used. Larger: thin bodies
-/// aren't.
+/// Distance (maximum norm) up to which all pixels around a used pixel must have texture, pixels. Smaller: plain surfaces
+/// beside the outline of a textured body are used, which are matched at the wrong depth. Larger: thin bodies aren't used.
 const TEXTURED_PX: usize = 2;
-/// Step between used pixels along rows and columns. Neighbouring pixels have nearly the same error, and aren't independent
-/// samples.
+/// Step between used pixels along rows and columns. Neighbouring pixels aren't independent samples, since their errors are
+/// nearly the same.
 const STEP_PX: usize = 2;
 
 /// The colours that two cameras' images show of the same surfaces.
 pub(crate) struct MatchedLight {
     pub width: usize,
-    /// For each pixel of the first image, row by row, its gamma-encoded colour, and that of the same surface in the second
-    /// image. `None` if the second image is not known to show the surface.
+    /// For each pixel of the first image, row by row: its gamma-encoded colour, and the colour of the same surface in the
+    /// second image. `None` if the second image is not known to show the surface.
     pub colors: Vec<Option<[[f32; 3]; 2]>>,
     /// Whether one of the cameras is grey, so that only luminance is compared.
     pub is_gray: bool,
@@ -65,8 +65,7 @@ impl MatchedLight {
     fn log_of(&self, colors: [[f32; 3]; 2]) -> [[f64; 3]; 2] {
         colors.map(|color| {
             let light = color.map(|v| linear_from_encoded(f64::from(v)));
-            let luminance = (0..3).map(|c| LUMINANCE[c] * light[c]).sum();
-            let light = if self.is_gray { [luminance; 3] } else { light };
+            let light = if self.is_gray { luminance(light) } else { light };
             light.map(|v| v.max(MIN_LIGHT).ln())
         })
     }

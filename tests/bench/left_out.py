@@ -11,9 +11,9 @@
 viewpoints, named `left-out`; other such viewpoints are removed. The clocks are the true ones. Files are linked, not
 copied.
 
-`expose` writes the capture OUT, whose cameras other than the reference are exposed differently: the linear light of each
-channel is multiplied by a random gain. The logarithms of a camera's common gain have the standard deviation STD, those of
-its channels' further gains a fifth of it. Values of 255 are clipped. It prints the gains.
+`expose` writes the capture OUT, whose cameras are exposed differently. The linear light of each channel of each camera
+but the reference is multiplied by a random gain. A gain has a part common to the camera's channels, and a part of its
+own. Their logarithms have the standard deviations STD and STD / 5. The gains are printed.
 
 `score` renders each of these views with PROGRAM by each combination of methods (`--way`), in a new process with an
 empty cache. It prints the PSNR of all pixels and of the moving part, processor seconds and peak memory. It writes the
@@ -31,8 +31,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from ground_truth import free_views, psnr_db, read_view, true_picture
+from light import encoded, linear
 
 WAYS = {
     "nearest frames, mesh": ["--sync", "nearest", "--proxy", "mesh"],
@@ -95,26 +95,16 @@ def expose(capture: Path, out: Path, std: float, seed: int) -> None:
             continue
         gains = np.exp(logs)
         print(camera["id"], *(f"{gain:.3f}" for gain in gains))
-        for file in sorted((capture / camera["id"]).glob("*.png")):
+        files = sorted((capture / camera["id"]).glob("*.png"))
+        if not files:
+            raise SystemExit(f"{capture / camera['id']}: there are no PNG frames")
+        for file in files:
             image = cv2.imread(str(file), cv2.IMREAD_COLOR)[..., ::-1] / 255.0
-            light = np.clip(linear_from_srgb(image) * gains, 0.0, 1.0)
-            exposed = np.round(255.0 * srgb_from_linear(light)).astype(np.uint8)
+            exposed = np.round(255.0 * encoded(gains * linear(image))).astype(np.uint8)
             temporary = out / camera["id"] / f"new-{file.name}"
             if not cv2.imwrite(str(temporary), exposed[..., ::-1]):
                 raise OSError(f"{temporary}: cannot be written")
             temporary.replace(out / camera["id"] / file.name)
-
-
-def linear_from_srgb(value: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Linear light of sRGB values, both from 0 to 1."""
-    power = ((value + 0.055) / 1.055) ** 2.4
-    return np.where(value <= 0.04045, value / 12.92, power)
-
-
-def srgb_from_linear(light: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The sRGB values of linear light, both from 0 to 1."""
-    power = 1.055 * light ** (1 / 2.4) - 0.055
-    return np.where(light <= 0.0031308, 12.92 * light, power)
 
 
 def run(command: list[str]) -> tuple[int, float, int]:

@@ -29,6 +29,7 @@ import cv2
 import imageio_ffmpeg
 import numpy as np
 import numpy.typing as npt
+from light import encoded
 
 ROOT = Path(__file__).resolve().parents[2]
 FRAMES = 9
@@ -65,14 +66,6 @@ fetch(file).then((sent) => sent.blob()).then((blob) => { item.src = URL.createOb
 document.body.append(item);
 </script>"""
 FPS = 4
-
-
-def encoded(linear: Picture) -> Picture:
-    """Display-encoded values (sRGB), of 0 to 1."""
-    light = np.clip(linear, 0.0, 1.0)
-    return np.where(
-        light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055
-    )
 
 
 def by_ffmpeg(file: Path) -> Read:

@@ -383,7 +383,7 @@ fn count(counts: &mut [usize; 3], verdict: Verdict) {
     counts[2] += usize::from(verdict == Verdict::Untestable);
 }
 
-/// Prints the gains of each camera, and their largest change over its recording.
+/// Prints the gains of each camera, and their largest change over its recording. The cameras' clocks are taken as one clock.
 fn print_gains(folder: &str) {
     let capture = Arc::new(Capture::open(folder.as_ref()).expect("a capture"));
     let field = LightField::new(capture.clone(), Offsets::known(&capture));
