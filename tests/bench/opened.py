@@ -1,6 +1,6 @@
 """What other programs read of each output of `stlfr render`, as a table.
 
-.venv/bin/python -I tests/bench/opened.py CAPTURE [--program PROGRAM]
+.venv/bin/python tests/bench/opened.py CAPTURE [--program PROGRAM]
 
 Renders 9 frames along `sweep`, with `--preset draft`, into every format. Readers: FFmpeg; OpenCV; Chromium, from a
 server on this machine; Blender; and the OpenEXR project's own library, which pip installs into a temporary folder.
