@@ -60,13 +60,8 @@ impl Renderer for ComparedLightField {
             (options.blend, options.proxy) = (blend, proxy);
         }
         options.proxy.method = view.proxy;
-        let request = Request {
-            from: Viewpoint::View(view.target),
-            time_s: view.time_s,
-            options: &options,
-            images: view.images,
-            shape: view.shape,
-        };
+        let request = Request::new(Viewpoint::View(view.target), view.time_s, &options);
+        let request = Request { images: view.images, shape: view.shape, ..request };
         render(&self.field, &request, &Context::unattended()).map_err(|e| e.to_string())
     }
 

@@ -5,6 +5,7 @@ use serde::Serialize;
 use std::any::Any;
 use std::collections::HashMap;
 use std::hash::Hash;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 /// A cache that threads can share, with a bound on the total cost of its values. If the bound is exceeded, the least
@@ -12,7 +13,7 @@ use std::sync::{Arc, Mutex};
 ///
 /// Equal keys must have equal values. The bound then affects how long a computation takes, but never its result.
 pub struct BoundedCache<K, V> {
-    max_cost: usize,
+    max_cost: AtomicUsize,
     entries: Mutex<CacheEntries<K, V>>,
 }
 
@@ -33,7 +34,17 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
     /// Creates an empty cache. `max_cost` bounds the sum of the costs that are given to [`Self::insert`].
     pub fn new(max_cost: usize) -> Self {
         let entries = CacheEntries { by_key: HashMap::new(), cost: 0, clock: 0 };
-        Self { max_cost, entries: Mutex::new(entries) }
+        Self { max_cost: AtomicUsize::new(max_cost), entries: Mutex::new(entries) }
+    }
+
+    /// Returns the bound on the sum of the costs.
+    pub fn max_cost(&self) -> usize {
+        self.max_cost.load(Ordering::Relaxed)
+    }
+
+    /// Raises the bound on the sum of the costs, unless it is larger already.
+    pub fn raise_bound(&self, max_cost: usize) {
+        self.max_cost.fetch_max(max_cost, Ordering::Relaxed);
     }
 
     /// Returns the value of a key, and makes it the most recently used. `None` if the key isn't cached.
@@ -55,7 +66,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         if let Some(replaced) = entries.by_key.insert(key, CacheEntry { value, cost, last_use }) {
             entries.cost -= replaced.cost;
         }
-        while entries.cost > self.max_cost && entries.by_key.len() > 1 {
+        while entries.cost > self.max_cost() && entries.by_key.len() > 1 {
             let oldest = entries.by_key.iter().min_by_key(|(_, e)| e.last_use);
             let Some(key) = oldest.map(|(key, _)| key.clone()) else { break };
             if let Some(dropped) = entries.by_key.remove(&key) {
@@ -98,7 +109,12 @@ impl Memo {
 
     /// Returns the maximum size of all cached results together, bytes.
     pub fn max_bytes(&self) -> usize {
-        self.0.max_cost
+        self.0.max_cost()
+    }
+
+    /// Raises the maximum size of all cached results together, bytes, unless it is larger already.
+    pub fn raise_max_bytes(&self, max_bytes: usize) {
+        self.0.raise_bound(max_bytes);
     }
 
     /// Returns the current size of all cached results together, bytes.
@@ -156,6 +172,10 @@ mod tests {
         cache.insert(3, 3, 1);
         assert_eq!([0, 1, 2, 3].map(|k| cache.get(&k)), [Some(0), None, Some(2), Some(3)]);
         assert_eq!(cache.cost(), 3);
+        cache.raise_bound(4);
+        cache.raise_bound(2);
+        cache.insert(4, 4, 1);
+        assert_eq!((cache.cost(), cache.max_cost(), cache.get(&0)), (4, 4, Some(0)));
     }
 
     #[test]

@@ -45,6 +45,15 @@ impl Stopwatch {
     }
 }
 
+/// Returns the size of the machine's memory, bytes. `None` if the system doesn't report it.
+pub fn memory_bytes() -> Option<usize> {
+    // SAFETY: the calls only read constants of the system.
+    let [pages, page_bytes] =
+        [libc::_SC_PHYS_PAGES, libc::_SC_PAGESIZE].map(|name| unsafe { libc::sysconf(name) });
+    let [pages, page_bytes] = [usize::try_from(pages).ok()?, usize::try_from(page_bytes).ok()?];
+    pages.checked_mul(page_bytes)
+}
+
 /// Returns the processor time that all threads of this process have used so far, seconds. 0 if the system doesn't
 /// report it.
 pub fn process_cpu_s() -> f64 {

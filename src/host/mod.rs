@@ -20,6 +20,6 @@ pub(crate) use files::{beneath, hash_file, ignore_absent, remove_special};
 pub use files::{obstacle, open_bounded, open_file, read_bytes, read_text};
 pub(crate) use machine::lock;
 pub use machine::{
-    Elapsed, Stopwatch, bound_arenas, on_workers, process_cpu_s, reuse_freed_memory,
+    Elapsed, Stopwatch, bound_arenas, memory_bytes, on_workers, process_cpu_s, reuse_freed_memory,
 };
 pub use temporary::{remove_unfinished_on_signals, try_folder, write_atomically, write_json};

@@ -4,7 +4,7 @@ use super::graph::LightField;
 use super::points::nearest;
 use super::scene_flow::{LoadedFrame, load, store_slot};
 use super::slots::{FrameId, Slot, Slots};
-use super::stages::FlowOptions;
+use super::stages::{FlowOptions, FrameFlow};
 use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::options::RenderOptions;
@@ -25,6 +25,17 @@ impl LightField {
         // The frames are sorted, so that views from other places with the same frames share cached results.
         frames.sort_unstable();
         frames
+    }
+
+    /// Returns whether a view by scene flow can be rendered without estimating depth and motion: whether those of all
+    /// frames from which it is blended are in memory or on disk.
+    pub(crate) fn has_flow(&self, target: &Camera, time_s: f64, options: &RenderOptions) -> bool {
+        let options = FlowOptions::new(options);
+        let frames = self.frames_of_view(target, time_s);
+        let flow = |&frame: &FrameId| FrameFlow { frame, options };
+        let is_there =
+            |frame| self.cached(&flow(frame)).is_some() || self.stored(&flow(frame)).is_some();
+        !frames.is_empty() && frames.iter().all(is_there)
     }
 
     /// Returns the frames, as (camera index, frame index), that views by scene flow use within a span of time. The span

@@ -2,7 +2,7 @@
 
 use super::error::RenderError;
 use crate::capture::{Capture, Stored};
-use crate::host::{CacheKind, Memo};
+use crate::host::{CacheKind, Memo, memory_bytes};
 use crate::offset::Offsets;
 use crate::registration::{FrameStore, RegistrationOptions};
 use nalgebra::Point3;
@@ -10,6 +10,11 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::any::Any;
 use std::sync::Arc;
+
+/// Part of the machine's memory that the in-memory cache takes while a capture is viewed: one in this many.
+const MEMORY_PARTS: usize = 8;
+/// Maximum size of the in-memory cache while a capture is viewed, bytes.
+const MAX_VIEWING_BYTES: usize = 4 << 30;
 
 /// Inputs of a stage of rendering, which computes one kind of result. The serialized inputs are the key of the stage's
 /// result in the memory cache. Each stage has a function `get`, in the file of its algorithm. It returns the result
@@ -72,6 +77,13 @@ impl LightField {
 
     pub fn offsets(&self) -> &Offsets {
         &self.offsets
+    }
+
+    /// Enlarges the in-memory cache for viewing, so that the frames of successive instants stay in it with their depth
+    /// and motion. It then takes up to an eighth of the machine's memory, but at most 4 GiB.
+    pub fn enlarge_cache(&self) {
+        let part = memory_bytes().map_or(0, |bytes| bytes / MEMORY_PARTS);
+        self.memo.raise_max_bytes(part.min(MAX_VIEWING_BYTES));
     }
 
     /// Returns the store of decoded frames, which are prepared for registration with the given options.

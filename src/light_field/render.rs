@@ -11,6 +11,7 @@ use crate::camera::Camera;
 use crate::host::on_workers;
 use crate::lumigraph::Rendered;
 use crate::options::RenderOptions;
+use crate::scene_flow::Detail;
 
 /// Renders a view, or a recording camera's image. If the options ask for a motion trail, the views at the trail's
 /// instants are overlaid.
@@ -62,7 +63,8 @@ pub fn render_with_layers(
 ) -> Result<(Rendered, Layers), RenderError> {
     let target = match request.from {
         Viewpoint::View(target) if request.options.trail.count() == 1 => {
-            return on_workers(|| view_with_layers(field, target, request, context, true));
+            let request = Request { detail: Detail::WithMotion, ..*request };
+            return on_workers(|| view_with_layers(field, target, &request, context));
         }
         Viewpoint::View(target) => target,
         Viewpoint::Like(camera) => &field.capture().cameras[camera].camera,

@@ -5,6 +5,7 @@ use super::graph::LightField;
 use super::stages::Images;
 use crate::camera::Camera;
 use crate::options::{ProxyMethod, RenderOptions};
+use crate::scene_flow::Detail;
 
 /// Viewpoint of a requested view.
 #[derive(Clone, Copy, Debug)]
@@ -27,13 +28,15 @@ pub struct Request<'a> {
     pub images: Images<'a>,
     /// Images from which depth per pixel is estimated.
     pub shape: Images<'a>,
+    /// How completely a view by scene flow is blended. Other methods ignore it.
+    pub detail: Detail,
 }
 
 impl<'a> Request<'a> {
-    /// Creates a request in which all cameras' images are synchronized by the method `options.sync`.
+    /// Creates a request of full detail in which all cameras' images are synchronized by the method `options.sync`.
     pub fn new(from: Viewpoint<'a>, time_s: f64, options: &'a RenderOptions) -> Self {
         let images = Images::By(options.sync);
-        Self { from, time_s, options, images, shape: images }
+        Self { from, time_s, options, images, shape: images, detail: Detail::Full }
     }
 }
 

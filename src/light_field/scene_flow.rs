@@ -309,15 +309,13 @@ pub(super) fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<
     matched
 }
 
-/// Renders the view of the camera `target` by scene flow, from the frames of [`LightField::frames_of_view`]. With
-/// `with_motion`, the motion of the view's surfaces is returned too. `None` if the range of the scene's depths is
-/// unknown.
+/// Renders the view of the camera `target` by scene flow, from the frames of [`LightField::frames_of_view`].
+/// `None` if the range of the scene's depths is unknown.
 pub(super) fn flow_view(
     field: &LightField,
     target: &Camera,
     request: &Request,
     context: &Context,
-    with_motion: bool,
 ) -> Result<Option<FlowView>, RenderError> {
     let &Request { time_s, options, .. } = request;
     let frames = field.frames_of_view(target, time_s);
@@ -328,7 +326,7 @@ pub(super) fn flow_view(
     let confidences = stage.get(field, context)?;
     context.check()?;
     let time = field.in_frames(time_s);
-    Ok(Some(blend(&mapped, &confidences, target, time, with_motion)))
+    Ok(Some(blend(&mapped, &confidences, target, time, request.detail)))
 }
 
 /// Computes the image of a recording camera at the request's time. If the camera has a frame at exactly this time, the
@@ -352,7 +350,7 @@ pub(super) fn flow_image(
     let own_s = field.own_time_s(camera, request.time_s);
     let mut image = gains.exposed_at(camera, [nearest_s, own_s], &image).unwrap_or(image);
     let target = &field.capture().cameras[camera].camera;
-    let view = flow_view(field, target, request, context, false)?;
+    let view = flow_view(field, target, request, context)?;
     let Some(FlowView { rendered, .. }) = view else {
         return Ok(None);
     };
@@ -377,5 +375,5 @@ pub(super) fn flow_depths(
     request: &Request,
     context: &Context,
 ) -> Result<Option<DepthMap>, RenderError> {
-    Ok(flow_view(field, target, request, context, false)?.map(|view| view.depths))
+    Ok(flow_view(field, target, request, context)?.map(|view| view.depths))
 }

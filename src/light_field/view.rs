@@ -12,7 +12,7 @@ use crate::capture::{Color, FilmedCamera};
 use crate::interpolation::Synchronized;
 use crate::lumigraph::{BlendMethod, BlendOptions, Rendered, Source, blend, contributing};
 use crate::raster::{Image, Tiles};
-use crate::scene_flow::FlowView;
+use crate::scene_flow::{Detail, FlowView};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -23,17 +23,16 @@ pub(super) fn view(
     request: &Request,
     context: &Context,
 ) -> Result<Rendered, RenderError> {
-    view_with_layers(field, target, request, context, false).map(|(rendered, _)| rendered)
+    view_with_layers(field, target, request, context).map(|(rendered, _)| rendered)
 }
 
-/// Renders a view as [`view()`] does, and returns it with its depth map. With `with_motion`, the motion of the view's
-/// surfaces is returned too, if the view is rendered by scene flow.
+/// Renders a view as [`view()`] does, and returns it with its depth map. With [`Detail::WithMotion`], the motion of the
+/// view's surfaces is returned too, if the view is rendered by scene flow.
 pub(super) fn view_with_layers(
     field: &LightField,
     target: &Camera,
     request: &Request,
     context: &Context,
-    with_motion: bool,
 ) -> Result<(Rendered, Layers), RenderError> {
     let &Request { time_s, options, .. } = request;
     if field.usable(time_s).is_empty() {
@@ -41,7 +40,7 @@ pub(super) fn view_with_layers(
     }
     context.check()?;
     if request.uses_scene_flow()
-        && let Some(view) = flow_view(field, target, request, context, with_motion)?
+        && let Some(view) = flow_view(field, target, request, context)?
     {
         let FlowView { rendered, depths, motions } = view;
         let is_seen = rendered.coverage.contains(&true);
@@ -65,8 +64,9 @@ pub(super) fn layers(
     request: &Request,
     context: &Context,
 ) -> Result<Layers, RenderError> {
+    let with_motion = Request { detail: Detail::WithMotion, ..*request };
     if request.uses_scene_flow()
-        && let Some(view) = flow_view(field, target, request, context, true)?
+        && let Some(view) = flow_view(field, target, &with_motion, context)?
     {
         return Ok(Layers { depths: view.depths, surfaces: view.motions });
     }

@@ -18,7 +18,7 @@
 use super::LiveError;
 use crate::interpolation::SyncMethod;
 use crate::method::Method;
-use crate::options::ProxyMethod;
+use crate::options::{ProxyMethod, RenderOptions};
 
 /// Content of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -36,6 +36,14 @@ pub enum PictureMethod {
     Weights,
     /// The depth of each pixel, as a colour.
     Depth,
+}
+
+impl PictureMethod {
+    /// Returns whether a picture is rendered by scene flow with these options.
+    pub(super) fn is_by_flow(self, options: &RenderOptions) -> bool {
+        options.proxy.method == ProxyMethod::SceneFlow
+            && matches!(self, Self::SpaceTime | Self::Depth)
+    }
 }
 
 /// Quality of a picture.

@@ -14,6 +14,7 @@ use crate::lumigraph::Rendered;
 use crate::method::Method as _;
 use crate::options::{Preset, ProxyMethod, RenderOptions, TrailOptions};
 use crate::progress::Reporter;
+use crate::scene_flow::Detail;
 use std::sync::Arc;
 
 /// Width and height of the views for which geometry is computed in advance, pixels. The views are small to save time.
@@ -66,13 +67,14 @@ pub struct Studio<'a> {
 impl<'a> Studio<'a> {
     /// Creates a studio for a light field. `options` are the options for full quality: every automatic choice in them
     /// must already be replaced by a method, and a motion trail is ignored. `words` are the equivalent command-line
-    /// arguments. If the ground truth can't be read, a note is shown, and no ground-truth images are available.
+    /// arguments. The light field's in-memory cache is enlarged. If the ground truth can't be read, a note is shown, and no ground-truth images are available.
     pub fn new(
         field: &'a LightField,
         options: &RenderOptions,
         words: Vec<String>,
         reporter: &Reporter,
     ) -> Self {
+        field.enlarge_cache();
         let capture = field.capture();
         let truth = TrueViews::open(capture).unwrap_or_else(|error| {
             reporter.note(&format!("The truth is left out: {error}."));
@@ -137,7 +139,7 @@ impl<'a> Studio<'a> {
 
     /// Returns the options with which the requested picture is rendered; for a quick picture also the synchronized
     /// images, if they are cached. Pictures of full quality have the options `chosen`. A quick picture has these
-    /// options too if all intermediate results are cached, so that the picture looks the same in motion and at rest.
+    /// options too if all intermediate results are cached, so that the picture looks nearly the same in motion and at rest.
     /// Otherwise, it has the options of the preset `draft`.
     fn inputs<'o>(
         &'o self,
@@ -145,14 +147,27 @@ impl<'a> Studio<'a> {
         target: &Camera,
         chosen: &'o RenderOptions,
     ) -> ViewInputs<'o> {
-        if request.level != Level::Quick {
+        let time_s = self.time_s(request);
+        if request.level != Level::Quick || self.is_quick_by_flow(request, target, chosen) {
             return ViewInputs { options: chosen, images: None };
         }
-        let time_s = self.time_s(request);
         let images = self.field.cached_instant(time_s, chosen);
         let view = Request::new(Viewpoint::View(target), time_s, chosen);
         let is_ready = images.is_some() && self.field.has_cached_geometry(target, &view);
         ViewInputs { options: if is_ready { chosen } else { &self.quick }, images }
+    }
+
+    /// Returns whether a quick picture is rendered by scene flow: if the options `chosen` say so, and depth and motion of the
+    /// frames are there.
+    fn is_quick_by_flow(
+        &self,
+        request: &PictureRequest,
+        target: &Camera,
+        chosen: &RenderOptions,
+    ) -> bool {
+        request.is_quick()
+            && request.method.is_by_flow(chosen)
+            && self.field.has_flow(target, self.time_s(request), chosen)
     }
 
     /// Renders a picture of the light field, without the encoding as a file. `target` is the camera of the picture.
@@ -164,7 +179,9 @@ impl<'a> Studio<'a> {
     ) -> Result<Made, RenderError> {
         let chosen = self.chosen(request);
         let ViewInputs { options, images } = self.inputs(request, target, &chosen);
+        let detail = if request.is_quick() { Detail::Quick } else { Detail::Full };
         let view = Request::new(Viewpoint::View(target), self.time_s(request), options);
+        let view = Request { detail, ..view };
         let sync = if images.is_some() { chosen.sync } else { options.sync };
         let by = |sync: SyncMethod| Some((sync, options.proxy.method));
         let made = |rendered, by| Made { rendered, by, depths_m: None };
@@ -238,6 +255,10 @@ impl<'a> Studio<'a> {
     /// request for a picture reports them.
     pub(super) fn prepare(&self, request: &PictureRequest, proceed: Proceed) {
         let chosen = self.chosen(request);
+        if request.method.is_by_flow(&chosen) {
+            // What other views need was computed for this picture.
+            return;
+        }
         let sync = match request.method {
             PictureMethod::Truth => return,
             PictureMethod::Traditional => TRADITIONAL,

@@ -7,7 +7,7 @@ use crate::camera::{Camera, CameraModel};
 use crate::light_field::{LightField, LoadedFrame};
 use crate::options::RenderOptions;
 use crate::raster::Image;
-use crate::scene_flow::{MappedFrame, blend, confidences};
+use crate::scene_flow::{Detail, MappedFrame, blend, confidences};
 
 /// Number of views by which a site's quality is measured. The views differ in viewpoint and instant.
 const HELD: usize = 4;
@@ -35,7 +35,7 @@ pub(super) fn measured(
             decoded.collect::<Result<_, String>>().map_err(PublishError::Encoding)?;
         let mapped: Vec<MappedFrame> = decoded.iter().map(LoadedFrame::mapped).collect();
         let time = field.in_frames(time_s);
-        let ours = blend(&mapped, &confidences(&mapped), &view, time, false).rendered;
+        let ours = blend(&mapped, &confidences(&mapped), &view, time, Detail::Full).rendered;
         let theirs = field.view(&view, time_s, options)?;
         let both: Vec<bool> =
             ours.coverage.iter().zip(&theirs.coverage).map(|(a, b)| *a && *b).collect();

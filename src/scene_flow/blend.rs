@@ -1,13 +1,13 @@
 //! Blends the scene flow maps of several frames, splatted into a view, to the view's image.
 
-use super::composite::{ColorCandidate, Pixel, pixel_of, shows_motion};
+use super::composite::{ColorCandidate, Pixel, mean_pixel, pixel_of, shows_motion};
 use super::frame::FlowFrame;
 use super::geometry::{Projection, undistorted};
-use super::grid::neighbors;
 use super::map::MappedFrame;
 use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
+use super::pixels::{Pixels, Shown};
 use super::robust_mean::WeightedColors;
-use super::splat::{Area, QUARTERS, Splat, SplatPixel};
+use super::splat::{Area, QUARTERS, Splat, SplatPixel, expected_error};
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::Image;
@@ -17,12 +17,6 @@ use std::ops::Range;
 /// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates (surface elements of
 /// different scene flow maps) for the same surface at a pixel of the view.
 const CLUSTER_PX: f32 = 1.5;
-/// Minimum number, of a pixel's eight neighbours, that must show a nearer moving body for the pixel to count as a hole
-/// in the body.
-const CLOSING: usize = 5;
-/// Maximum distance from the border of a hole in a moving body at which the hole's pixels are closed, pixels. Pixels
-/// farther inside stay unchanged.
-const CLOSED_PX: usize = 4;
 /// Maximum number of a view's pixels that are blended at once. With eight scene flow maps, blending them takes about
 /// 60 MB.
 const BAND_PIXELS: usize = 5 << 16;
@@ -39,126 +33,25 @@ const SAME_ANGLE_RAD: f64 = 1e-7;
 /// Maximum time between a frame and a view that count as simultaneous, frame periods of the reference camera.
 const SAME_TIME: f64 = 1e-6;
 
-/// Kind of content that the scene flow maps show at a pixel of the view.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Shown {
-    /// No splat covers the pixel.
-    Nothing,
-    /// No splat covers the pixel. It has been filled with the values of a neighbouring pixel.
-    Filled,
-    Something,
-    /// A surface that is known to move.
-    Moving,
-}
+/// Number of scene flow maps from which a quick view ([`Detail::Quick`]) is blended where they agree.
+const QUICK_MAPS: usize = 3;
+/// Minimum number of scene flow maps that must show a pixel of a quick view for the others to be left out.
+const MIN_AGREEING: usize = 2;
+/// Speed for which the maps of a quick view are chosen, pixels per frame: that of a body of moderate motion.
+const TYPICAL_SPEED_PX: f32 = 10.0;
+/// One pixel in this many is used for the mean inverse depth of a scene flow map.
+const DEPTH_SAMPLES: usize = 101;
 
-/// Colours and depths of all pixels of a view, row by row.
-struct Pixels {
-    colors: Vec<[f32; 3]>,
-    /// Inverse depth of each pixel, 1/m; 0 where the depth is unknown.
-    inverse_depths: Vec<f32>,
-    shown: Vec<Shown>,
-    /// Motion of the surface at each pixel; `None` if the motion isn't requested.
-    motions: Option<MotionMap>,
-}
-
-impl Pixels {
-    fn new(count: usize, motions: Option<MotionMap>) -> Self {
-        Self {
-            motions,
-            colors: vec![[0.0; 3]; count],
-            inverse_depths: vec![0.0; count],
-            shown: vec![Shown::Nothing; count],
-        }
-    }
-
-    /// Closes holes in moving bodies: pixels that show a farther surface, although most of their neighbours show the
-    /// body. Holes are closed from the border inwards, one ring of pixels at a time. A closed pixel gets the mean
-    /// colour and inverse depth of its neighbours that show the body, and the motion of one of them. `width` is the
-    /// width of the view, pixels.
-    fn close(&mut self, width: usize) {
-        let height = self.shown.len() / width;
-        let is_body = |shown: &[Shown], n: usize| shown[n] == Shown::Moving;
-        for _ in 0..CLOSED_PX {
-            let closed = |k: usize| {
-                let (x, y) = (k % width, k / width);
-                if is_body(&self.shown, k) || x == 0 || y == 0 || x + 1 == width || y + 1 == height
-                {
-                    return None;
-                }
-                let around = (0..9).map(|n| k + (n / 3) * width + n % 3 - width - 1);
-                let body: Vec<usize> = around.filter(|&n| is_body(&self.shown, n)).collect();
-                if body.len() < CLOSING {
-                    return None;
-                }
-                let mean = |value: &dyn Fn(usize) -> f32| {
-                    body.iter().map(|&n| value(n)).sum::<f32>() / body.len() as f32
-                };
-                let color = [0, 1, 2].map(|c| mean(&|n| self.colors[n][c]));
-                let inverse_depth = mean(&|n| self.inverse_depths[n]);
-                let is_hole = inverse_depth > self.inverse_depths[k];
-                is_hole.then(|| (k, body[0], color, inverse_depth))
-            };
-            let found: Vec<_> = (0..self.shown.len()).into_par_iter().filter_map(closed).collect();
-            if found.is_empty() {
-                return;
-            }
-            for (k, neighbor, color, inverse_depth) in found {
-                (self.colors[k], self.inverse_depths[k]) = (color, inverse_depth);
-                self.shown[k] = Shown::Moving;
-                self.motions.iter_mut().for_each(|m| m.copy(neighbor, k));
-            }
-        }
-    }
-
-    /// Fills the holes of the view (pixels that no scene flow map covers) from the border inwards, one ring of pixels
-    /// at a time. Holes are disoccluded background. A pixel therefore gets the values of the farthest surface beside it:
-    /// the mean of those neighbours, covered or already filled, whose inverse depths differ from the smallest by less
-    /// than `reach`, 1/m. `width` is the width of the view, pixels.
-    fn fill(&mut self, width: usize, reach: f32) {
-        let count = self.shown.len();
-        let around = |k: u32| neighbors(k as usize, width, count);
-        // Views have less than 2³² pixels.
-        let is_empty = |shown: &[Shown], k: usize| shown[k] == Shown::Nothing;
-        let mut ring: Vec<u32> = (0..self.shown.len() as u32)
-            .filter(|&k| {
-                is_empty(&self.shown, k as usize) && around(k).any(|n| !is_empty(&self.shown, n))
-            })
-            .collect();
-        while !ring.is_empty() {
-            let fill = |&k: &u32| {
-                let known = around(k).filter(|&n| !is_empty(&self.shown, n));
-                self.background(&known.collect::<Vec<_>>(), reach)
-            };
-            let filled: Vec<Option<(usize, [f32; 3], f32)>> = ring.iter().map(fill).collect();
-            for (&k, filled) in ring.iter().zip(filled) {
-                let Some((farthest, color, inverse_depth)) = filled else { continue };
-                let k = k as usize;
-                (self.colors[k], self.inverse_depths[k]) = (color, inverse_depth);
-                self.motions.iter_mut().for_each(|m| m.copy(farthest, k));
-                self.shown[k] = Shown::Filled;
-            }
-            let next = |&k: &u32| around(k).filter(|&n| is_empty(&self.shown, n)).map(|n| n as u32);
-            ring = ring.iter().flat_map(next).collect();
-            ring.sort_unstable();
-            ring.dedup();
-        }
-    }
-
-    /// Returns the farthest of some pixels, and the mean colour and inverse depth of those whose inverse depth differs
-    /// from its by less than `reach`. `None` if there are no pixels.
-    fn background(&self, pixels: &[usize], reach: f32) -> Option<(usize, [f32; 3], f32)> {
-        let inverse = |n: &usize| self.inverse_depths[*n];
-        let farthest = *pixels.iter().min_by(|a, b| inverse(a).total_cmp(&inverse(b)))?;
-        let (mut color, mut inverse_depth, mut count) = ([0.0; 3], 0.0, 0.0);
-        let is_beside = |n: &&usize| **n == farthest || inverse(n) < inverse(&farthest) + reach;
-        for n in pixels.iter().filter(is_beside) {
-            color = [0, 1, 2].map(|c| color[c] + self.colors[*n][c]);
-            inverse_depth += inverse(n);
-            count += 1.0;
-        }
-        // The farthest pixel is one of them, so that the count is positive.
-        Some((farthest, color.map(|c| c / count), inverse_depth / count))
-    }
+/// How completely a view is blended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// All maps at every pixel, and antialiased outlines.
+    Full,
+    /// Like [`Self::Full`], with the motion of the view's surfaces.
+    WithMotion,
+    /// Faster, for a viewpoint or an instant that changes: the three maps nearest in place and time where they agree, and
+    /// all maps elsewhere. Outlines are not antialiased.
+    Quick,
 }
 
 /// Rendered view with its depth map, and with the motion of its surfaces if requested.
@@ -168,11 +61,20 @@ pub struct FlowView {
     pub motions: Option<MotionMap>,
 }
 
-/// The scene flow maps of the frames from which a view is blended, with their confidences.
+/// The scene flow map of a frame from which a view is blended, with the confidences of its pixels.
+#[derive(Clone, Copy)]
+struct Source<'a> {
+    mapped: &'a MappedFrame<'a>,
+    confidences: &'a [u8],
+}
+
+/// The sources of a view.
 #[derive(Clone, Copy)]
 struct Sources<'a> {
-    mapped: &'a [MappedFrame<'a>],
-    confidences: &'a [Vec<u8>],
+    /// The sources that are splatted at all pixels.
+    first: &'a [Source<'a>],
+    /// The sources that are splatted only where the first ones don't agree.
+    others: &'a [Source<'a>],
     /// Instant of the view, in frame periods of the reference camera since the capture's start.
     time: f64,
     /// Half-width of a cluster in inverse depth, 1/m.
@@ -193,19 +95,16 @@ fn is_frame(frame: &FlowFrame, view: &Camera, time: f64) -> bool {
 /// The scene flow maps, splatted into one area of a view.
 struct Splats<'a>(Vec<(&'a MappedFrame<'a>, Splat)>);
 
-impl<'a> Sources<'a> {
-    fn splats(&self, area: &Area) -> Splats<'a> {
-        let maps = self.mapped.par_iter().zip(self.confidences);
-        let splat =
-            |(m, c): (&'a MappedFrame, &Vec<u8>)| Some((m, Splat::new(*m, c, area, self.time)?));
-        Splats(maps.filter_map(splat).collect())
-    }
-}
-
 impl<'a> Splats<'a> {
-    /// Fills `candidates` with the surface elements that the maps show at pixel or quarter `k` of the area.
+    fn new(sources: &[Source<'a>], area: &Area, time: f64) -> Self {
+        let splat = |&Source { mapped, confidences }: &Source<'a>| {
+            Some((mapped, Splat::new(*mapped, confidences, area, time)?))
+        };
+        Splats(sources.par_iter().filter_map(splat).collect())
+    }
+
+    /// Adds the surface elements that the maps show at part `k` of the area to `candidates`.
     fn collect(&self, k: usize, candidates: &mut Vec<ColorCandidate<'a>>) {
-        candidates.clear();
         for (mapped, splat) in &self.0 {
             let SplatPixel { inverse_depth, source, weight, .. } = splat.pixels[k];
             if weight > 0.0 {
@@ -222,7 +121,7 @@ type BlendedRow<'a> = (&'a mut [[f32; 3]], &'a mut [f32], &'a mut [Shown]);
 
 /// Blends the rows `rows` of a view into `pixels`, as [`blend`] describes.
 fn blend_rows(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut Pixels) {
-    let splats = sources.splats(&Area::of_rows(view, rows.clone()));
+    let splats = Splats::new(sources.first, &Area::of_rows(view, rows.clone()), sources.time);
     let (width, reach) = (view.width, sources.reach);
     let band = rows.start * width..rows.end * width;
     let colors = pixels.colors[band.clone()].par_chunks_mut(width);
@@ -233,31 +132,88 @@ fn blend_rows(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut 
         let mut candidates = Vec::with_capacity(splats.0.len());
         let mut room = WeightedColors::default();
         let mut row = vec![QuantizedMotion::default(); motions.map_or(0, |_| width)];
+        let mut open = Vec::new();
         for x in 0..width {
             let k = y * width + x;
+            candidates.clear();
             splats.collect(k, &mut candidates);
-            if let Some(found) = pixel_of(&candidates, reach, &mut room) {
-                (color[x], depth[x]) = (found.color, found.inverse_depth);
-                shown[x] = if found.is_moving { Shown::Moving } else { Shown::Something };
+            let is_quick = !sources.others.is_empty();
+            if is_quick && !agree(&candidates, reach) {
+                // A band has less than 2³² pixels.
+                open.push(k as u32);
+                continue;
+            }
+            let found = match is_quick {
+                true => mean_pixel(&candidates),
+                false => pixel_of(&candidates, reach, &mut room),
+            };
+            if let Some(found) = found {
+                (color[x], depth[x], shown[x]) =
+                    (found.color, found.inverse_depth, Shown::of(&found));
                 if let Some(motions) = motions {
                     let of = splats.0.iter().filter(|(_, splat)| splat.pixels[k].weight > 0.0);
                     row[x] = motions.quantized(motion_of(of, k, (found.inverse_depth, reach)));
                 }
             }
         }
-        row
+        (row, open)
     };
-    let motions: Vec<Vec<QuantizedMotion>> =
-        (colors, depths, shown).into_par_iter().enumerate().map(row).collect();
+    let (motions, open): (Vec<Vec<QuantizedMotion>>, Vec<Vec<u32>>) =
+        (colors, depths, shown).into_par_iter().enumerate().map(row).unzip();
     pixels.motions.iter_mut().for_each(|m| m.extend(motions.iter().flatten().copied()));
+    blend_open(sources, &splats, (view, rows.clone(), &open.concat()), pixels);
     drop(splats);
-    if !sources.antialiases {
+    if sources.antialiases {
+        antialias(sources, view, rows, pixels);
+    }
+}
+
+/// Returns whether the surface elements that the first maps show at a pixel belong to one surface, and are sufficiently
+/// many.
+fn agree(candidates: &[ColorCandidate], reach: f32) -> bool {
+    let depths = || candidates.iter().map(|c| c.inverse_depth);
+    let [min, max] =
+        [depths().fold(f32::INFINITY, f32::min), depths().fold(f32::NEG_INFINITY, f32::max)];
+    candidates.len() >= MIN_AGREEING && max - min < reach
+}
+
+/// Blends the pixels at which the first maps, `splats`, don't agree from all maps. `open` are the indices of these pixels in the
+/// rows `rows` of the view.
+fn blend_open(
+    sources: Sources,
+    splats: &Splats,
+    (view, rows, open): (&Camera, Range<usize>, &[u32]),
+    pixels: &mut Pixels,
+) {
+    if open.is_empty() {
         return;
     }
+    let start = rows.start * view.width;
+    let others = Splats::new(sources.others, &Area::of_pixels(view, rows, open), sources.time);
+    let blended = |(i, &k): (usize, &u32)| {
+        let (mut candidates, mut room) = (Vec::new(), WeightedColors::default());
+        splats.collect(k as usize, &mut candidates);
+        others.collect(i, &mut candidates);
+        pixel_of(&candidates, sources.reach, &mut room)
+    };
+    let blended: Vec<Option<Pixel>> = open.par_iter().enumerate().map(blended).collect();
+    for (&k, found) in open.iter().zip(blended) {
+        let k = start + k as usize;
+        if let Some(found) = found {
+            (pixels.colors[k], pixels.inverse_depths[k]) = (found.color, found.inverse_depth);
+            pixels.shown[k] = Shown::of(&found);
+        }
+    }
+}
+
+/// Antialiases outlines in the rows `rows` of a view: blends the quarters of their pixels.
+fn antialias(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut Pixels) {
+    let (width, reach) = (view.width, sources.reach);
+    let band = rows.start * width..rows.end * width;
     let outline = outline(&pixels.inverse_depths[band.clone()], width, reach);
     for outline in outline.chunks(QUARTERED_PIXELS) {
         let area = Area::of_quarters(view, rows.clone(), outline);
-        let splats = sources.splats(&area);
+        let splats = Splats::new(sources.first, &area, sources.time);
         let color = |i: usize| mean_of_quarters(&splats, i, reach);
         let colors: Vec<_> = (0..outline.len()).into_par_iter().map(color).collect();
         for (&k, color) in outline.iter().zip(colors) {
@@ -290,6 +246,7 @@ fn mean_of_quarters(splats: &Splats, i: usize, reach: f32) -> Option<[f32; 3]> {
     let (mut candidates, mut room) = (Vec::new(), WeightedColors::default());
     let (mut sum, mut count) = ([0.0; 3], 0.0);
     for k in QUARTERS * i..QUARTERS * (i + 1) {
+        candidates.clear();
         splats.collect(k, &mut candidates);
         if let Some(found) = pixel_of(&candidates, reach, &mut room) {
             (0..3).for_each(|c| sum[c] += found.color[c]);
@@ -334,23 +291,33 @@ fn motion_of<'a>(
 /// the confidences of the scene flow maps, as [`confidences`](super::confidences) returns them.
 ///
 /// A hole that lies inside at least one camera's image is filled with the background beside it. Pixels outside all
-/// images stay black and have no depth. If `with_motion` is true, the result has the motion of the surfaces too.
+/// images stay black and have no depth.
 pub fn blend(
     mapped: &[MappedFrame],
     confidences: &[Vec<u8>],
     view: &Camera,
     time: f64,
-    with_motion: bool,
+    detail: Detail,
 ) -> FlowView {
     let (width, height) = (view.width, view.height);
-    let motions = with_motion.then(|| MotionMap::empty(disparity_px(mapped), width * height));
+    let motions = (detail == Detail::WithMotion)
+        .then(|| MotionMap::empty(disparity_px(mapped), width * height));
     let mut pixels = Pixels::new(width * height, motions);
     // The pixels of a large view need much memory, so its bands are smaller.
     let band_pixels = if width * height < LARGE_PIXELS { BAND_PIXELS } else { BAND_PIXELS / 2 };
     let rows_at_once = (band_pixels / width.max(1)).max(1);
     let reach = CLUSTER_PX / disparity_px(mapped).max(f32::MIN_POSITIVE);
-    let antialiases = !mapped.iter().any(|m| is_frame(m.frame, view, time));
-    let sources = Sources { mapped, confidences, time, reach, antialiases };
+    let is_quick = detail == Detail::Quick;
+    let antialiases = !is_quick && !mapped.iter().any(|m| is_frame(m.frame, view, time));
+    let source = |(mapped, confidences)| Source { mapped, confidences };
+    let mut all: Vec<Source> =
+        mapped.iter().zip(confidences.iter().map(Vec::as_slice)).map(source).collect();
+    let at_once = if is_quick { QUICK_MAPS.min(all.len()) } else { all.len() };
+    if is_quick {
+        sort_by_error(&mut all, view, time);
+    }
+    let (first, others) = all.split_at(at_once);
+    let sources = Sources { first, others, time, reach, antialiases };
     for first in (0..height).step_by(rows_at_once) {
         let rows = first..(first + rows_at_once).min(height);
         blend_rows(sources, view, rows, &mut pixels);
@@ -359,18 +326,7 @@ pub fn blend(
         pixels.close(width);
     }
     pixels.fill(width, reach);
-    let behind = Behind::new(mapped, view);
-    let colors = pixels.colors.par_iter_mut().zip(&mut pixels.inverse_depths);
-    let holes = colors.zip(&pixels.shown).enumerate();
-    let unmapped = holes.filter(|(_, (_, shown))| matches!(shown, Shown::Nothing | Shown::Filled));
-    unmapped.for_each(|(k, ((color, inverse_depth), _))| {
-        let place = [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5];
-        let pixel = Pixel { color: *color, inverse_depth: *inverse_depth, is_moving: false };
-        let filled = undistorted(view, place).and_then(|place| behind.fill(pixel, place));
-        let nothing = Pixel { color: [0.0; 3], inverse_depth: 0.0, is_moving: false };
-        let filled = filled.unwrap_or(nothing);
-        (*color, *inverse_depth) = (filled.color, filled.inverse_depth);
-    });
+    color_holes(mapped, view, &mut pixels);
     let Pixels { colors, inverse_depths: mut depths, motions, .. } = pixels;
     let coverage = depths.iter().map(|q| *q > 0.0).collect();
     // An unknown depth is an inverse depth of 0. Its reciprocal is infinite, which the depth map turns into NaN.
@@ -386,6 +342,37 @@ pub fn blend(
         depths: DepthMap::from_data(width, height, depths),
         motions,
     }
+}
+
+/// Colours the pixels of holes, which already have the depth of the background, by [`Behind`]. Pixels outside all images
+/// become black, with an unknown depth.
+fn color_holes(mapped: &[MappedFrame], view: &Camera, pixels: &mut Pixels) {
+    let width = view.width;
+    let behind = Behind::new(mapped, view);
+    let colors = pixels.colors.par_iter_mut().zip(&mut pixels.inverse_depths);
+    let holes = colors.zip(&pixels.shown).enumerate();
+    let unmapped = holes.filter(|(_, (_, shown))| matches!(shown, Shown::Nothing | Shown::Filled));
+    unmapped.for_each(|(k, ((color, inverse_depth), _))| {
+        let place = [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5];
+        let pixel = Pixel { color: *color, inverse_depth: *inverse_depth, is_moving: false };
+        let filled = undistorted(view, place).and_then(|place| behind.fill(pixel, place));
+        let nothing = Pixel { color: [0.0; 3], inverse_depth: 0.0, is_moving: false };
+        let filled = filled.unwrap_or(nothing);
+        (*color, *inverse_depth) = (filled.color, filled.inverse_depth);
+    });
+}
+
+/// Sorts sources by the expected error of a surface element at a typical depth, in typical motion.
+fn sort_by_error(sources: &mut [Source], view: &Camera, time: f64) {
+    let error = |source: &Source| {
+        let MappedFrame { frame, map } = source.mapped;
+        let depths = map.pixels().iter().step_by(DEPTH_SAMPLES);
+        let depths: Vec<f32> = depths.map(|pixel| map.element(pixel).inverse_depth).collect();
+        let mean = depths.iter().sum::<f32>() / depths.len().max(1) as f32;
+        expected_error(frame, (view, time), (mean, TYPICAL_SPEED_PX))
+    };
+    // Squares are not negative, so that their bits have the order of the numbers.
+    sources.sort_by_cached_key(|source| error(source).to_bits());
 }
 
 /// Frames that give the background colours with which holes of the view are filled.
@@ -426,28 +413,5 @@ impl<'a> Behind<'a> {
             }
         }
         is_filmed.then_some(pixel)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_hole_gets_the_mean_of_the_background_beside_it_whatever_is_nearer() {
-        // A row of pixels: wall, hole, wall of another colour, a hole of three pixels, a nearer body.
-        let mut pixels = Pixels::new(7, None);
-        let known = [(0, 0.2, 1.0), (2, 0.4, 1.01), (6, 0.9, 3.0)];
-        for (k, value, inverse_depth) in known {
-            (pixels.colors[k], pixels.inverse_depths[k]) = ([value; 3], inverse_depth);
-            pixels.shown[k] = Shown::Something;
-        }
-        pixels.fill(7, 0.1);
-        let values: Vec<f32> = pixels.colors.iter().map(|[r, _, _]| *r).collect();
-        assert!((values[1] - 0.3).abs() < 1e-6, "{values:?}");
-        assert!((pixels.inverse_depths[1] - 1.005).abs() < 1e-6);
-        // From both sides, the fill meets in the middle, where the farther surface counts.
-        assert_eq!(values[3..6], [0.4, 0.4, 0.9]);
-        assert!(pixels.shown.iter().all(|shown| *shown != Shown::Nothing));
     }
 }

@@ -7,6 +7,7 @@ use super::map::{FlowMap, FlowPixel, MappedFrame};
 use super::timing::TimeBetween;
 use crate::simd::multiversion;
 use rayon::prelude::*;
+use std::sync::LazyLock;
 
 /// Maximum time between two frames whose scene flow maps are compared, in frame periods of the reference camera.
 const MAX_CONFIRMING_DT: f32 = 0.8;
@@ -50,7 +51,7 @@ impl Agreements {
     }
 
     /// Returns the code of a pixel, which is that of its [`Agreement`].
-    #[inline(always)]
+    #[cfg(test)]
     fn code(&self, k: usize) -> usize {
         usize::from(self.0[k / 4] >> (2 * (k % 4)) & 3)
     }
@@ -61,8 +62,35 @@ impl Agreements {
     }
 }
 
-/// How a map counts by its [`Agreement`]: among those that confirm, and among those that are compared.
-const COUNTS: [[f32; 2]; 4] = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, HIDDEN]];
+/// Maximum number of maps with which a map is compared for its confidences.
+const MAX_COUNTED: usize = (1 << COUNT_BITS) - 1;
+/// Number of bits that hold the number of maps with one [`Agreement`].
+const COUNT_BITS: usize = 5;
+/// Number of combinations of three such numbers: of confirming, contradicting and hiding maps.
+const COMBINATIONS: usize = 1 << (3 * COUNT_BITS);
+
+/// For each byte of [`Agreements`], its four pixels' numbers of confirming, contradicting and hiding maps: 16 bits a
+/// pixel.
+static COUNTS: LazyLock<[u64; 256]> = LazyLock::new(|| {
+    std::array::from_fn(|byte| {
+        let count = |pixel: usize| match byte >> (2 * pixel) & 3 {
+            0 => 0, // outside
+            code => 1 << (16 * pixel + COUNT_BITS * (code - 1)),
+        };
+        (0..4).map(count).sum()
+    })
+});
+
+/// Confidence by the numbers of confirming, contradicting and hiding maps.
+static CONFIDENCES: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let confidence = |combination: usize| {
+        let [confirmed, contradicted, hidden] =
+            [0, 1, 2].map(|k| (combination >> (COUNT_BITS * k) & MAX_COUNTED) as f32);
+        let all = PRIOR_ALL + confirmed + contradicted + HIDDEN * hidden;
+        (255.0 * (PRIOR_CONFIRMED + confirmed) / all).round().clamp(1.0, 255.0) as u8
+    };
+    (0..COMBINATIONS).map(confidence).collect()
+});
 
 /// Returns the confidence of each pixel of each scene flow map, in the order of `mapped` and row by row, from 1 to 255.
 /// The confidence increases with the fraction of the comparable maps that confirm the pixel's surface element.
@@ -110,18 +138,19 @@ pub fn confirmed_by(of: &MappedFrame, by: &MappedFrame) -> Vec<(usize, [f32; 2])
 }
 
 /// Returns the confidence of each pixel of a scene flow map, from 1 to 255. `agreements` are those of the comparable
-/// maps, each as [`agreements`] returns them.
+/// maps, each as [`agreements`] returns them. At most [`MAX_COUNTED`] of them count.
 pub fn confidence(of: &MappedFrame, agreements: &[&Agreements]) -> Vec<u8> {
-    let of_pixel = |k: usize| {
-        let (mut confirmed, mut all) = (PRIOR_CONFIRMED, PRIOR_ALL);
-        for agreements in agreements {
-            let [confirms, counts] = COUNTS[agreements.code(k)];
-            confirmed += confirms;
-            all += counts;
-        }
-        (255.0 * confirmed / all).round().clamp(1.0, 255.0) as u8
-    };
-    (0..of.map.pixels().len()).map(of_pixel).collect()
+    let agreements = &agreements[..agreements.len().min(MAX_COUNTED)];
+    let (counts, confidences): (&[u64; 256], &[u8]) = (&COUNTS, &CONFIDENCES);
+    let pixels = of.map.pixels().len();
+    let mut all = Vec::with_capacity(4 * pixels.div_ceil(4));
+    for four in 0..pixels.div_ceil(4) {
+        let sum: u64 = agreements.iter().map(|a| counts[usize::from(a.0[four])]).sum();
+        let of_pixel = |pixel: usize| confidences[(sum >> (16 * pixel)) as usize % COMBINATIONS];
+        all.extend([0, 1, 2, 3].map(of_pixel));
+    }
+    all.truncate(pixels);
+    all
 }
 
 /// Comparison of a frame's scene flow map with that of another frame.

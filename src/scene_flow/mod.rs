@@ -39,6 +39,7 @@
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
 //! | `confidence.rs` | the fraction of the other maps that agree with an element |
 //! | `splat.rs`, `composite.rs`, `blend.rs` | rendering of a view from several maps |
+//! | `pixels.rs` | the pixels of a view, and how its holes are closed and filled |
 //! | `robust_mean.rs` | the mean of the colours that several maps show at a pixel |
 //! | `motion.rs` | the motion of the surfaces in a view |
 
@@ -65,6 +66,7 @@ mod noise;
 mod observing_frame;
 mod packed;
 mod patch;
+mod pixels;
 mod planes;
 mod robust_mean;
 mod smoothing;
@@ -78,7 +80,7 @@ mod uncertainty;
 #[cfg(test)]
 mod tests;
 
-pub use blend::{FlowView, blend};
+pub use blend::{Detail, FlowView, blend};
 pub use confidence::{Agreements, agreements, confidence, confidences, confirmed_by};
 pub use contrast::local_contrast;
 pub use element::{Element, ElementErrors};

@@ -1,5 +1,6 @@
 //! Splats a scene flow map into a view: the map's surface elements are moved to an instant and projected into the view.
 
+use super::frame::FlowFrame;
 use super::geometry::{Projection, distorted};
 use super::map::{FlowMap, FlowPixel, MappedFrame};
 use super::motion::SurfaceMotion;
@@ -36,93 +37,111 @@ const ERROR_BY_CURVATURE: f32 = 0.1;
 /// view at a camera's own position and a frame's own time thus shows this frame.
 const EXACT_PX: f32 = 0.01;
 
-/// Pixels of a view into which scene flow maps are splatted: all pixels of some rows, or the quarters of some pixels.
+/// Parts of a view into which scene flow maps are splatted: all pixels of some rows, some of these pixels, or the
+/// quarters of some of them.
 pub struct Area<'a> {
     /// Camera of the view. For quarters, it has twice the width and height.
     view: Cow<'a, Camera>,
     rows: Range<usize>,
-    /// For every pixel of the rows, the index of its first quarter, or [`NO_QUARTERS`]. `None` if whole pixels are
+    /// For every pixel of the rows, the index of its first part, or [`NO_PARTS`]. `None` if all pixels are splatted.
+    parts: Option<Vec<u32>>,
+    /// For every pixel of the rows, whether it or one of its eight neighbours has parts. Empty if all pixels are
     /// splatted.
-    quarters: Option<Vec<u32>>,
-    /// For every pixel of the rows, whether it or one of its eight neighbours has quarters. Empty if whole pixels are
-    /// splatted.
-    is_near_quarters: Vec<bool>,
+    is_near_parts: Vec<bool>,
+    /// Binary logarithm of the number of parts side by side in a pixel: 1 for quarters, else 0.
+    halvings: u32,
     count: usize,
 }
 
-/// Index of a pixel whose quarters are not splatted.
-const NO_QUARTERS: u32 = u32::MAX;
-/// Maximum size of a splat for which [`Area::is_near_quarters`] tells whether it may cover quarters. Half of it, at
-/// [`HALF_WIDTH`], is less than a pixel, which is two quarters wide.
-const MAX_CHECKED: f32 = 3.0;
+/// Index of a pixel that is not splatted.
+const NO_PARTS: u32 = u32::MAX;
+/// Maximum size of a splat, pixels of the view, for which [`Area::is_near_parts`] tells whether it may cover parts.
+/// Half of it, at [`HALF_WIDTH`], is less than a pixel.
+const MAX_CHECKED: f32 = 1.5;
 /// Number of quarters of a pixel.
 pub const QUARTERS: usize = 4;
 
 impl<'a> Area<'a> {
-    /// Returns the area of whole pixels: those of the rows `rows` of a view.
+    /// Returns the area of all pixels of the rows `rows` of a view.
     pub fn of_rows(view: &'a Camera, rows: Range<usize>) -> Self {
         let count = view.width * rows.len();
-        let is_near_quarters = Vec::new();
-        Self { view: Cow::Borrowed(view), rows, quarters: None, is_near_quarters, count }
+        let view = Cow::Borrowed(view);
+        Self { view, rows, parts: None, is_near_parts: Vec::new(), halvings: 0, count }
+    }
+
+    /// Returns the area of single pixels. `pixels` are their indices in the rows `rows` of a view. The pixel
+    /// `pixels[i]` has the index `i`.
+    pub fn of_pixels(view: &'a Camera, rows: Range<usize>, pixels: &[u32]) -> Self {
+        let (parts, is_near_parts) = parts_of(pixels, 1, [view.width, rows.len()]);
+        let (view, count) = (Cow::Borrowed(view), pixels.len());
+        Self { view, rows, parts: Some(parts), is_near_parts, halvings: 0, count }
     }
 
     /// Returns the area of the quarters of single pixels. `pixels` are their indices in the rows `rows` of a view. The
     /// quarters of the pixel `pixels[i]` have the indices from `4 i` to `4 i + 3`.
     pub fn of_quarters(view: &Camera, rows: Range<usize>, pixels: &[u32]) -> Self {
-        let (width, height) = (view.width, rows.len());
-        let mut quarters = vec![NO_QUARTERS; width * height];
-        let mut is_near_quarters = vec![false; width * height];
-        for (i, &k) in pixels.iter().enumerate() {
-            let k = k as usize;
-            // An image has less than 2³⁰ pixels.
-            quarters[k] = (QUARTERS * i) as u32;
-            let (x, y) = (k % width, k / width);
-            for y in y.saturating_sub(1)..(y + 2).min(height) {
-                let row = &mut is_near_quarters[y * width..][..width];
-                row[x.saturating_sub(1)..(x + 2).min(width)].fill(true);
-            }
-        }
+        let (parts, is_near_parts) = parts_of(pixels, QUARTERS, [view.width, rows.len()]);
         let view = Camera {
             width: 2 * view.width,
             height: 2 * view.height,
             model: view.model.scaled(2.0),
             ..view.clone()
         };
-        let rows = 2 * rows.start..2 * rows.end;
-        let count = QUARTERS * pixels.len();
-        let quarters = Some(quarters);
-        Self { view: Cow::Owned(view), rows, quarters, is_near_quarters, count }
+        let (rows, count) = (2 * rows.start..2 * rows.end, QUARTERS * pixels.len());
+        let view = Cow::Owned(view);
+        Self { view, rows, parts: Some(parts), is_near_parts, halvings: 1, count }
     }
 
-    /// Returns whether a splat at position `[x, y]` may cover a pixel or quarter of the area. `scale` is its size relative
-    /// to a pixel or quarter.
+    /// Returns whether a splat at position `[x, y]` may cover a part of the area. `scale` is its size relative to a
+    /// part.
     #[inline(always)]
     fn is_near(&self, [x, y]: [f32; 2], scale: f32) -> bool {
         let (width, height) = (self.view.width, self.rows.len());
         let (first, end) = (self.rows.start as f32, self.rows.end as f32);
         let is_inside =
             x > -scale && x < width as f32 + scale && y > first - scale && y < end + scale;
-        if !is_inside || self.is_near_quarters.is_empty() || scale > MAX_CHECKED {
+        let max_checked = MAX_CHECKED * (1u32 << self.halvings) as f32;
+        if !is_inside || self.is_near_parts.is_empty() || scale > max_checked {
             return is_inside;
         }
         // The casts saturate at 0.
-        let column = (x as usize).min(width - 1) / 2;
-        let row = ((y - first) as usize).min(height - 1) / 2;
-        self.is_near_quarters[row * (width / 2) + column]
+        let column = (x as usize).min(width - 1) >> self.halvings;
+        let row = ((y - first) as usize).min(height - 1) >> self.halvings;
+        self.is_near_parts[row * (width >> self.halvings) + column]
     }
 
-    /// Returns the index of the quarter in column `u` and row `v`, which must be one of the rows. `None` if it is not
+    /// Returns the index of the part in column `u` and row `v`, which must be one of the rows. `None` if it is not
     /// splatted.
     #[inline(always)]
-    fn quarter(&self, u: usize, v: usize) -> Option<usize> {
-        let (v, width) = (v - self.rows.start, self.view.width);
-        let first = self.quarters.as_ref()?[(v / 2) * (width / 2) + u / 2];
-        (first != NO_QUARTERS).then(|| first as usize + 2 * (v % 2) + u % 2)
+    fn part(&self, u: usize, v: usize) -> Option<usize> {
+        let (v, width, halvings) = (v - self.rows.start, self.view.width, self.halvings);
+        let first = self.parts.as_ref()?[(v >> halvings) * (width >> halvings) + (u >> halvings)];
+        let inside = (1 << halvings) - 1;
+        let part = ((v & inside) << halvings) + (u & inside);
+        (first != NO_PARTS).then(|| first as usize + part)
     }
 }
 
-/// What a scene flow map shows at a pixel or quarter of an [`Area`].
-#[derive(Clone, Copy)]
+/// Returns, for every pixel of some rows of a view, the index of its first part, and whether it or one of its eight
+/// neighbours has parts. Only `pixels` have parts, `count` each.
+fn parts_of(pixels: &[u32], count: usize, [width, height]: [usize; 2]) -> (Vec<u32>, Vec<bool>) {
+    let mut parts = vec![NO_PARTS; width * height];
+    let mut is_near = vec![false; width * height];
+    for (i, &k) in pixels.iter().enumerate() {
+        let k = k as usize;
+        // An image has less than 2³⁰ pixels.
+        parts[k] = (count * i) as u32;
+        let (x, y) = (k % width, k / width);
+        for y in y.saturating_sub(1)..(y + 2).min(height) {
+            let row = &mut is_near[y * width..][..width];
+            row[x.saturating_sub(1)..(x + 2).min(width)].fill(true);
+        }
+    }
+    (parts, is_near)
+}
+
+/// What a scene flow map shows at a part of an [`Area`].
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SplatPixel {
     /// Inverse depth in the view, 1/m.
     pub inverse_depth: f32,
@@ -140,7 +159,7 @@ impl SplatPixel {
 
 /// Scene flow map rendered into an [`Area`] of a view.
 pub struct Splat {
-    /// The pixels or quarters of the area.
+    /// The parts of the area.
     pub pixels: Vec<SplatPixel>,
     projection: Projection,
     /// For each row of the scene flow map, the time from the row to the view's instant, in frame periods of the
@@ -249,12 +268,11 @@ impl Splat {
     pub fn new(mapped: MappedFrame, confidences: &[u8], area: &Area, time: f64) -> Option<Self> {
         let MappedFrame { frame, map } = mapped;
         let view = &*area.view;
-        let baseline_m = (frame.view.center() - view.center()).norm() as f32;
         let to_view = ToView {
             projection: Projection::new(&frame.view, view)?,
             dt: 0.0,
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
-            place_error: ERROR_BY_BASELINE * view.focal_px() as f32 * baseline_m,
+            place_error: place_error(frame, view),
         };
         let mut splat = Self {
             pixels: vec![SplatPixel::NOTHING; area.count],
@@ -322,19 +340,39 @@ impl Splat {
             }
         };
         for v in rows {
-            if area.quarters.is_none() {
+            if area.parts.is_none() {
                 let first = (v - area.rows.start) * area.view.width;
                 let row = &mut self.pixels[first + columns.start..first + columns.end];
                 row.iter_mut().zip(columns.start..).for_each(|(old, u)| show(old, u, v));
                 continue;
             }
             for u in columns.clone() {
-                if let Some(k) = area.quarter(u, v) {
+                if let Some(k) = area.part(u, v) {
                     show(&mut self.pixels[k], u, v);
                 }
             }
         }
     }
+}
+
+/// Returns the square of the expected error of the positions, in a view at `time`, of a frame's surface elements with
+/// the inverse depth `inverse_depth`, 1/m, that move by `speed` pixels per frame; squared pixels.
+pub fn expected_error(
+    frame: &FlowFrame,
+    (view, time): (&Camera, f64),
+    (inverse_depth, speed): (f32, f32),
+) -> f32 {
+    let place = place_error(frame, view) * inverse_depth;
+    let dt = (time - frame.time) as f32;
+    let motion = dt * (ERROR_BY_TIME[0] + ERROR_BY_TIME[1] * speed);
+    place * place + motion * motion
+}
+
+/// Returns the expected error of the position of a point at a depth of 1 m, due to the distance between a frame's
+/// camera and a view, pixels.
+fn place_error(frame: &FlowFrame, view: &Camera) -> f32 {
+    let baseline_m = (frame.view.center() - view.center()).norm() as f32;
+    ERROR_BY_BASELINE * view.focal_px() as f32 * baseline_m
 }
 
 /// Applies the view's lens distortion to the positions in `row`, which are those of a pinhole camera. Positions beyond

@@ -1,5 +1,7 @@
 //! Tests on scenes in closed form: textured walls that move, filmed by cameras that are not synchronized.
 
+mod views;
+
 use super::frame::levels;
 use super::geometry::Projection;
 use super::matching::{MAX_OBSERVATIONS, Observations, PatchMatcher};
@@ -304,78 +306,6 @@ fn an_outline_leaves_plain_background_beside_it_uncertain() {
     let [beside, inside] = [60, 44].map(|x| [&all, &of_surface].map(|e| error_px(e, x)));
     assert!(beside[0] < 0.2 && beside[1] > 1.0, "{beside:?}");
     assert!(inside[1] < 0.2, "{inside:?}");
-}
-
-/// Returns the mapped middle frames, and the camera and the time of a view between the cameras and the frames.
-fn between<'a>(
-    recording: &'a [[FlowFrame; 3]],
-    maps: &'a [FlowMap],
-) -> (Vec<MappedFrame<'a>>, Camera, f64) {
-    let mapped = recording.iter().zip(maps).map(|(f, map)| MappedFrame { frame: &f[1], map });
-    (mapped.collect(), camera_at(0.15, 0.02), 1.4)
-}
-
-#[test]
-fn a_view_between_cameras_and_frames_is_the_true_one_and_moves_like_it() {
-    let walls = [MOVING, STILL];
-    let recording = recording(&walls);
-    let maps = maps(&recording);
-    let (mapped, view, time) = between(&recording, &maps);
-    let FlowView { rendered, depths, motions } =
-        blend(&mapped, &confidences(&mapped), &view, time, true);
-    let motions = motions.unwrap();
-    let mut motion_errors = [Vec::new(), Vec::new()];
-    for k in 0..SIZE[0] * SIZE[1] {
-        let place = [(k % SIZE[0]) as f64 + 0.5, (k / SIZE[0]) as f64 + 0.5];
-        let seen = walls.iter().position(|w| w.hit(&view, place, time).is_some()).unwrap();
-        let true_px = walls[seen].velocity.map(|v| v * FOCAL_PX / walls[seen].depth_m);
-        let found = motions.motion(k).velocity;
-        let [du, dv] = [0, 1].map(|c| f64::from(found[c]) - true_px[c]);
-        motion_errors[seen].push(du.hypot(dv));
-    }
-    for errors in motion_errors {
-        let error_px = median(errors);
-        assert!(error_px < 0.05, "{error_px} px a frame");
-    }
-    let truth = filmed(&view, &walls, time);
-    let (mut error, mut count) = (0.0, 0.0);
-    for y in 8..SIZE[1] - 8 {
-        for x in 8..SIZE[0] - 8 {
-            assert!(rendered.coverage[y * SIZE[0] + x]);
-            assert!(depths.row(y)[x] > 0.0);
-            for (a, b) in rendered.image.pixel(x, y).iter().zip(truth.pixel(x, y)) {
-                error += f64::from(a - b).powi(2);
-                count += 1.0;
-            }
-        }
-    }
-    let psnr_db = -10.0 * (error / count).log10();
-    // Outlines are off by up to a pixel.
-    assert!(psnr_db > 29.0, "{psnr_db} dB");
-}
-
-#[test]
-fn outlines_are_antialiased() {
-    let walls = [MOVING, STILL];
-    let recording = recording(&walls);
-    let maps = maps(&recording);
-    let (mapped, view, time) = between(&recording, &maps);
-    let rendered = blend(&mapped, &confidences(&mapped), &view, time, false).rendered;
-    let truth = filmed(&view, &walls, time);
-    let (mut error, mut count) = (0.0, 0.0);
-    for k in 0..SIZE[0] * SIZE[1] {
-        let [x, y] = [k % SIZE[0], k / SIZE[0]];
-        let corner = |n: usize| [(x + n % 2) as f64, (y + n / 2) as f64];
-        let seen = (0..4).filter(|&n| MOVING.hit(&view, corner(n), time).is_some()).count();
-        if (1..4).contains(&seen) {
-            for (a, b) in rendered.image.pixel(x, y).iter().zip(truth.pixel(x, y)) {
-                error += f64::from(a - b).powi(2);
-                count += 1.0;
-            }
-        }
-    }
-    let rms = (error / count).sqrt();
-    assert!(rms < 0.1, "{rms}");
 }
 
 #[test]

@@ -2,10 +2,12 @@
 
 use crate::common::{assert_refused, stderr, stlfr, succeed, text};
 use crate::filmed::{TRUE_S, capture, copy};
-use crate::served::{PATIENCE, Served};
+use crate::served::{PATIENCE, Response, Served};
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::process::ExitStatusExt;
 use std::time::{Duration, Instant};
+use stlfr::method::Method as _;
+use stlfr::options::ProxyMethod;
 
 const PICTURE: &str = "picture?w=160&h=120&t=0.08&x=0.01";
 
@@ -211,6 +213,26 @@ fn over_depth_per_pixel_too_what_is_saved_is_what_render_writes() {
     assert_eq!(shown.header("x-made-by"), Some("nearest, depth"));
     assert!(is_saved_as_rendered(&served, query, &options));
     assert!(is_saved_as_rendered(&served, &traditional, &nearest));
+}
+
+#[test]
+fn quick_pictures_are_by_scene_flow_once_depth_and_motion_are_there() {
+    let copy = copy();
+    let options = copy.path().join("flow.json");
+    std::fs::write(&options, r#"{"proxy": {"method": "scene-flow"}}"#).unwrap();
+    let served = Served::start_with(copy.path(), &["--options", text(&options)]);
+    let get = |level: &str| served.get(&format!("picture?{}&level={level}", PLACES[0]));
+    let is_by_flow = |picture: &Response| {
+        picture.header("x-made-by").unwrap().ends_with(ProxyMethod::SceneFlow.name())
+    };
+    assert!(!is_by_flow(&get("quick")));
+    let [full, quick] = ["full", "quick"].map(get);
+    assert!(is_by_flow(&full) && is_by_flow(&quick));
+    let [full, quick] =
+        [full, quick].map(|p| image::load_from_memory(&p.body).unwrap().into_rgb8().into_raw());
+    let differences = full.iter().zip(&quick).map(|(a, b)| f64::from(a.abs_diff(*b)));
+    let rms = (differences.map(|d| d * d).sum::<f64>() / full.len() as f64).sqrt();
+    assert!(rms > 0.0 && rms < 8.0, "{rms} of 255");
 }
 
 #[test]

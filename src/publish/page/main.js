@@ -195,7 +195,8 @@ class Viewer {
     this.fast = median < FAST_MS ? this.fast + JUDGED : 0;
     if (median > SLOW_MS && this.level < LEVELS.length - 1) {
       this.level += 1;
-      this.patience = Math.min(4 * this.patience, MAX_PATIENCE);
+      // While frames are loaded, pictures also wait for the decoding of frames, which says nothing about this level.
+      if (this.renderer.frames.fraction >= 1) this.patience = Math.min(4 * this.patience, MAX_PATIENCE);
     } else if (this.fast >= this.patience && this.level > 0) {
       this.level -= 1;
       this.fast = 0;
