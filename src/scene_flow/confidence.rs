@@ -138,7 +138,7 @@ pub fn confirmed_by(of: &MappedFrame, by: &MappedFrame) -> Vec<(usize, [f32; 2])
 }
 
 /// Returns the confidence of each pixel of a scene flow map, from 1 to 255. `agreements` are those of the comparable
-/// maps, each as [`agreements`] returns them. At most [`MAX_COUNTED`] of them count.
+/// maps, each as [`agreements`] returns them. At most 31 of them count.
 pub fn confidence(of: &MappedFrame, agreements: &[&Agreements]) -> Vec<u8> {
     let agreements = &agreements[..agreements.len().min(MAX_COUNTED)];
     let (counts, confidences): (&[u64; 256], &[u8]) = (&COUNTS, &CONFIDENCES);
