@@ -4,6 +4,7 @@
     .venv/bin/python tests/bench/left_out.py cut CAPTURE CAMERA OUT
     .venv/bin/python tests/bench/left_out.py expose CAPTURE OUT [--std STD] [--seed SEED]
     .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--way NAME ...]
+    .venv/bin/python tests/bench/left_out.py real PROGRAM CAPTURE CAMERA PICTURES [--way NAME ...]
 
 `rig` writes the rig file OUT, in which CAMERA doesn't film. CAMERA is its only new viewpoint, with true depth.
 
@@ -18,6 +19,10 @@ own. Their logarithms have the standard deviations STD and STD / 5. The gains ar
 `score` renders each of these views with PROGRAM by each combination of methods (`--way`), in a new process with an
 empty cache. It prints the PSNR of all pixels and of the moving part, processor seconds and peak memory. It writes the
 pictures and their ground truth into PICTURES.
+
+`real` does the same for a capture without ground truth, such as an imported one: it leaves CAMERA out, and compares views
+at the time of its middle frame with this frame. The times of all frames are taken as those of one clock. PSNR is over the
+pixels that the view covers, after each channel of the view is multiplied by the gain that fits best.
 """
 
 from __future__ import annotations
@@ -27,10 +32,13 @@ import json
 import os
 import shutil
 import sys
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from ground_truth import free_views, psnr_db, read_view, true_picture
 from light import encoded, linear
 
@@ -159,6 +167,80 @@ def score(
             sys.stdout.flush()
 
 
+def middle_frame(capture: Path, camera: dict[str, Any]) -> npt.NDArray[np.uint8]:
+    """The middle frame of a camera of a capture, (H, W, 3) in RGB."""
+    frames = capture / camera["frames"]
+    middle = len(camera["clock"]["times_s"]) // 2
+    if frames.is_file():
+        video = cv2.VideoCapture(str(frames))
+        for _ in range(middle + 1):
+            is_read, image = video.read()
+            if not is_read:
+                raise SystemExit(f"{frames}: there is no frame {middle}")
+    else:
+        read = cv2.imread(
+            str(sorted(frames.parent.glob("*"))[middle]), cv2.IMREAD_COLOR
+        )
+        if read is None:
+            raise SystemExit(f"{frames}: there is no frame {middle}")
+        image = read
+    return np.asarray(image[..., ::-1], np.uint8)
+
+
+def score_real(
+    program: Path, capture: Path, name: str, pictures: Path, ways: list[str]
+) -> None:
+    """Render the view of a camera that is left out of a real capture by each of `ways`, and print the results."""
+    pictures.mkdir(parents=True, exist_ok=True)
+    content = json.loads((capture / "capture.json").read_text())
+    [ours] = [c for c in content["cameras"] if c["id"] == name]
+    true = middle_frame(capture, ours)
+    cv2.imwrite(str(pictures / "true.png"), true[..., ::-1])
+    time_s = ours["clock"]["times_s"][len(ours["clock"]["times_s"]) // 2]
+    lens = ("width", "height", "model", "params", "cam_from_world")
+    camera = pictures / "camera.json"
+    camera.write_text(json.dumps({key: ours[key] for key in lens}))
+    content["cameras"] = [c for c in content["cameras"] if c["id"] != name]
+    for other in content["cameras"]:
+        other["clock"]["shared"] = True
+    content["reference"] = content["cameras"][0]["id"]
+    with tempfile.TemporaryDirectory(dir=pictures) as folder:
+        cut = Path(folder) / "capture"
+        skipped = shutil.ignore_patterns(".stlfr", "offsets*", "review", "capture.json")
+        shutil.copytree(capture, cut, copy_function=os.link, ignore=skipped)
+        (cut / "capture.json").write_text(json.dumps(content))
+        for way in ways:
+            out = pictures / f"{way.replace(', ', '-').replace(' ', '-')}.png"
+            command = [
+                str(program),
+                "--quiet",
+                "render",
+                str(cut),
+                "--camera",
+                str(camera),
+            ]
+            command += ["--time", str(time_s), *WAYS[way], "-o", str(out)]
+            code, seconds, mib = run(command)
+            if code:
+                print(f"{way:24} exit {code}")
+                continue
+            image = np.asarray(cv2.imread(str(out), cv2.IMREAD_UNCHANGED), np.float64)
+            is_seen = (
+                image[..., 3] > 0
+                if image.shape[2] == 4
+                else np.ones(true.shape[:2], bool)
+            )
+            image = image[..., 2::-1]
+            squares = np.maximum((image[is_seen] ** 2).sum(axis=0), 1e-9)
+            gains = (image[is_seen] * true[is_seen]).sum(axis=0) / squares
+            db = psnr_db(image * gains, true, is_seen)
+            print(
+                f"{way:24} {db:6.2f} dB over {100 * is_seen.mean():.0f} %"
+                f" {seconds:7.1f} s {mib:5} MiB; gains {np.round(gains, 2)}"
+            )
+            sys.stdout.flush()
+
+
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(
@@ -184,6 +266,12 @@ def main() -> None:
     scoring.add_argument("pictures", type=Path)
     scoring.add_argument("--instants", type=int, default=1)
     scoring.add_argument("--way", action="append", choices=WAYS)
+    real = commands.add_parser("real")
+    real.add_argument("program", type=Path)
+    real.add_argument("capture", type=Path)
+    real.add_argument("camera")
+    real.add_argument("pictures", type=Path)
+    real.add_argument("--way", action="append", choices=WAYS)
     arguments = parser.parse_args()
     if arguments.command == "rig":
         write_rig(arguments.rig, arguments.camera, arguments.out)
@@ -191,6 +279,9 @@ def main() -> None:
         cut(arguments.capture, arguments.camera, arguments.out)
     elif arguments.command == "expose":
         expose(arguments.capture, arguments.out, arguments.std, arguments.seed)
+    elif arguments.command == "real":
+        a = arguments
+        score_real(a.program, a.capture, a.camera, a.pictures, a.way or list(WAYS))
     else:
         a = arguments
         score(a.program, a.capture, a.pictures, a.instants, a.way or list(WAYS))
