@@ -66,6 +66,14 @@ def render(request: Request, proceed: Callable[[int, int], bool]) -> Samples:
         )
 
 
+def preview(request: Request) -> Samples | None:
+    """Render the requested image quickly by scene flow; None if this method isn't chosen or its results aren't there."""
+    with _own_errors():
+        return _capture(request.capture).preview(
+            request.time_s, camera=request.camera, options=request.options
+        )
+
+
 def moment(request: Request) -> stlfr.Moment:
     """Prepare the requested instant: the results that all views of this instant share."""
     with _own_errors():

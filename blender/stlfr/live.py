@@ -1,6 +1,7 @@
 """Renders the pictures of a viewport in background threads; a new request replaces the previous one.
 
-While the view or the time changes, a fast method renders pictures, with a resolution adapted to the machine's speed.
+While the view or the time changes, a fast method renders pictures, with a resolution adapted to the machine's speed:
+scene flow if it is chosen and its results are there, else the preset `draft`.
 When nothing has changed for `REST_S`, the chosen methods render a picture at full resolution. If something changes
 then, this full picture is abandoned at its next step. A fast picture is always finished and shown; otherwise, nothing
 would be seen while requests change faster than pictures are rendered. Does not import `bpy`.
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     import stlfr
 
 FAST = {"preset": "draft"}
-"""The render options of the fast method, used while the view or the time changes."""
+"""The render options of the fast method, used while the view or the time changes, unless scene flow is ready."""
 
 REST_S = 0.15
 """Time without changes after which the chosen methods begin to render. If larger, the full picture is late; if smaller,
@@ -130,6 +131,7 @@ class Live:
         self._news = False
         self._thread: threading.Thread | None = None
         self._paces = {True: Pace(), False: Pace()}
+        self._preview_pace = Pace()
         self._moment: tuple[_Instant, stlfr.Moment] | None = None
         self._last: _Instant | None = None
         self.counts = Counts()
@@ -257,7 +259,21 @@ class Live:
         return False
 
     def _fast(self, request: Request) -> Picture:
-        """Render a picture by the fast method. From the second view of an instant on, shared results are cached."""
+        """Render a picture by scene flow if its results are there, else by the preset `draft`."""
+        start_s = time.monotonic()
+        pace = self._preview_pace
+        small = viewpoint.scaled(request.camera, pace.factor)
+        samples = fields.preview(replace(request, camera=small))
+        if samples is None:
+            return self._draft(request)
+        now_s = time.monotonic()
+        pace.took(now_s - start_s)
+        self.counts.fast_took_s += now_s - start_s
+        self.counts.ready(now_s)
+        return Picture(view.scene_linear(samples), request, False)
+
+    def _draft(self, request: Request) -> Picture:
+        """Render a picture by the preset. From the second view of an instant on, shared results are cached."""
         start_s = time.monotonic()
         instant = _Instant(request.capture, request.stamp, request.time_s)
         repeated, self._last = instant == self._last, instant

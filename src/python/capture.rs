@@ -9,11 +9,12 @@ use crate::camera::{Camera, ViewFormat};
 use crate::capture::{Capture, NamedView, Opening};
 use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
 use crate::offset::offsets_from_images;
-use crate::options::{RenderOptions, TrailOptions};
+use crate::options::{ProxyMethod, RenderOptions, TrailOptions};
 use crate::pipeline::{self, ready_made_path};
 use crate::progress::Reporter;
 use crate::raster::BitDepth;
 use crate::registration::FrameStore;
+use crate::scene_flow::Detail;
 use crate::toolchain::find_ffmpeg;
 use nalgebra::Point3;
 use numpy::{AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArrayLikeDyn, ndarray};
@@ -206,7 +207,8 @@ impl PyCapture {
         settings: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let (py, this) = (slf.py(), slf.get());
-        let ViewSettings { camera, like, options, alpha, proceed } = ViewSettings::of(settings)?;
+        let ViewSettings { camera, like, options, alpha, proceed } =
+            ViewSettings::of("render", settings)?;
         let time_s = time_s - this.capture.time_origin_s;
         let view = match (camera, &like) {
             (Some(camera), None) => NamedView::Free(camera),
@@ -301,6 +303,46 @@ impl PyCapture {
         moment.map_err(value_error)
     }
 
+    /// Renders the view of a camera quickly, for a viewpoint or a time that changes: by scene flow, with small losses
+    /// at outlines. `camera`, `options` and `preset` are those of `render`; a motion trail is ignored.
+    ///
+    /// Returns None where `render` would have to compute more first: unless `render` was called with the same options
+    /// before, these choose scene flow, and depth and motion of the frames are in memory or stored by `stlfr prepare`.
+    #[pyo3(
+        signature = (time_s, **settings),
+        text_signature = "($self, time_s, *, camera, options=None, preset=None, alpha=None)"
+    )]
+    fn preview<'py>(
+        &self,
+        py: Python<'py>,
+        time_s: f64,
+        settings: Option<&Bound<'py, PyDict>>,
+    ) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let settings = ViewSettings::of("preview", settings)?;
+        let ViewSettings { camera, like: None, options, alpha, proceed: None } = settings else {
+            return Err(PyTypeError::new_err("preview() has no arguments 'like' and 'proceed'"));
+        };
+        let camera = camera.ok_or_else(|| value_error("camera must be given"))?;
+        let Some(Opened { resolved, field, .. }) = self.opened_before(&options) else {
+            return Ok(None);
+        };
+        let options = RenderOptions { trail: TrailOptions::default(), ..resolved };
+        let time_s = time_s - self.capture.time_origin_s;
+        let rendered = py.detach(|| {
+            if options.proxy.method != ProxyMethod::SceneFlow
+                || !field.has_flow(&camera, time_s, &options)
+            {
+                return Ok(None);
+            }
+            field.enlarge_cache();
+            let request = Request::new(Viewpoint::View(&camera), time_s, &options);
+            let request = Request { detail: Detail::Quick, ..request };
+            render(&field, &request, &Context::unattended()).map(Some)
+        });
+        let rendered = rendered.map_err(value_error)?;
+        rendered.map(|seen| view_to_python(py, &seen, self.capture.bit_depth(), alpha)).transpose()
+    }
+
     fn __repr__(&self) -> String {
         format!("<stlfr.Capture '{}': {} cameras>", self.capture.name, self.capture.cameras.len())
     }
@@ -333,7 +375,7 @@ impl PyMoment {
     }
 }
 
-/// Keyword arguments of the Python method `Capture.render`.
+/// Keyword arguments of the Python methods `Capture.render` and `Capture.preview`.
 struct ViewSettings {
     camera: Option<Camera>,
     like: Option<String>,
@@ -343,7 +385,8 @@ struct ViewSettings {
 }
 
 impl ViewSettings {
-    fn of(settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+    /// Reads the arguments of the method `method`.
+    fn of(method: &str, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let (mut camera, mut like, mut options, mut preset) = (None, None, None, None);
         let (mut alpha, mut proceed) = (None, None);
         for (name, value) in settings.into_iter().flatten() {
@@ -358,7 +401,7 @@ impl ViewSettings {
                 "alpha" => alpha = Some(value.extract()?),
                 "proceed" => proceed = Some(value.unbind()),
                 other => {
-                    let sentence = format!("render() has no argument '{other}'");
+                    let sentence = format!("{method}() has no argument '{other}'");
                     return Err(PyTypeError::new_err(sentence));
                 }
             }
@@ -440,6 +483,13 @@ impl PyCapture {
         cached.insert(0, opened.clone());
         cached.truncate(MAX_OPENED);
         Ok(opened)
+    }
+
+    /// Returns what [`Self::opened`] has cached for these options. `None` if there is nothing, or if another thread
+    /// opens a light field at the moment.
+    fn opened_before(&self, options: &RenderOptions) -> Option<Opened> {
+        let cached = self.opened.try_lock().ok()?;
+        cached.iter().find(|opened| opened.options == *options).cloned()
     }
 
     fn index(&self, camera_id: &str) -> PyResult<usize> {

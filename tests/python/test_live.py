@@ -104,6 +104,7 @@ class Module:
         self.go_on.set()
         self.stopped = 0
         self.error: Exception | None = None
+        self.is_prepared = False
 
     def render(self, request: Any, proceed: Callable[[int, int], bool]) -> Any:
         self.asked.append(("render", request.time_s, request.options))
@@ -119,6 +120,12 @@ class Module:
             np.uint8,
         )
 
+    def preview(self, request: Any) -> Any:
+        if not self.is_prepared:
+            return None
+        self.asked.append(("preview", request.time_s, request.options))
+        return np.zeros((16, 16, 3), np.uint8)
+
     def moment(self, request: Any) -> float:
         self.asked.append(("moment", request.time_s, request.options))
         return float(request.time_s)
@@ -132,7 +139,7 @@ class Module:
 @pytest.fixture
 def module(monkeypatch: pytest.MonkeyPatch) -> Module:
     fake = Module()
-    for name in ("render", "moment", "seen"):
+    for name in ("render", "preview", "moment", "seen"):
         monkeypatch.setattr(fields, name, getattr(fake, name))
     return fake
 
@@ -220,6 +227,23 @@ def test_views_of_one_instant_share_their_work(viewer: Any, module: Module) -> N
         until(lambda: not viewer.is_busy)
     kinds = [kind for kind, _, options in module.asked if options == live.FAST]
     assert kinds == ["render", "moment", "seen", "seen"]
+
+
+def test_scene_flow_is_shown_in_motion_once_it_is_there(
+    viewer: Any, module: Module
+) -> None:
+    viewer.want(request(1.0))
+    until(lambda: not viewer.is_busy)
+    module.is_prepared = True
+    viewer.want(request(2.0))
+    until(lambda: not viewer.is_busy)
+    assert module.asked == [
+        ("render", 1.0, live.FAST),
+        ("render", 1.0, CHOSEN),
+        ("preview", 2.0, CHOSEN),
+        ("render", 2.0, CHOSEN),
+    ]
+    assert viewer.counts.fast == viewer.counts.final == 2
 
 
 def test_a_capture_that_is_written_anew_is_shown_anew(

@@ -427,6 +427,28 @@ def test_a_moments_views_are_those_of_render(own_capture: Path) -> None:
         moment.view({"width": 3})
 
 
+def test_a_preview_is_nearly_the_view_once_its_depth_and_motion_are_there(
+    own_capture: Path,
+) -> None:
+    capture, (camera, *_) = stlfr.open(own_capture), places(own_capture)
+    time_s = float(np.mean(capture.times("cam3")))
+    options = {"proxy": "scene-flow"}
+    assert capture.preview(time_s, camera=camera, options=options) is None
+    whole = capture.render(time_s, camera=camera, options=options)
+    quick = capture.preview(time_s, camera=camera, options=options)
+    assert quick.shape == whole.shape and quick.dtype == whole.dtype
+    rms = (
+        np.sqrt(np.mean((quick.astype(float) - whole) ** 2)) / np.iinfo(whole.dtype).max
+    )
+    assert 0.0 < rms < 0.03, rms
+    capture.render(time_s, camera=camera, preset="draft")
+    assert capture.preview(time_s, camera=camera, preset="draft") is None
+    with pytest.raises(ValueError, match="camera must be given"):
+        capture.preview(time_s, options=options)
+    with pytest.raises(TypeError, match="no arguments 'like' and 'proceed'"):
+        capture.preview(time_s, camera=camera, like="cam3")
+
+
 def test_comparing_is_the_command_lines(own_capture: Path, program: Path) -> None:
     """The results equal those of `stlfr compare`; with `lines`, progress is printed to standard output."""
     script = "import sys, stlfr; print(stlfr.compare(sys.argv[1], options={'preset': 'draft'}, lines=True)['report'])"

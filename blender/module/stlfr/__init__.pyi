@@ -243,6 +243,21 @@ class Capture:
         at an instant. Render a frame by `render(frame["time_s"], camera=frame["camera"])`.
         """
 
+    def preview(
+        self,
+        time_s: float,
+        *,
+        camera: dict[str, Any],
+        options: dict[str, Any] | None = None,
+        preset: str | None = None,
+        alpha: bool | None = None,
+    ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | None:
+        """Render a view quickly by scene flow, for a viewpoint or time that changes; a trail is ignored.
+
+        None where more would have to be computed first: unless `render` was called with the same options before,
+        these choose scene flow, and depth and motion of the frames are in memory or were stored by `stlfr prepare`.
+        """
+
     def moment(
         self,
         time_s: float,
