@@ -436,6 +436,7 @@ def test_a_preview_is_nearly_the_view_once_its_depth_and_motion_are_there(
     assert capture.preview(time_s, camera=camera, options=options) is None
     whole = capture.render(time_s, camera=camera, options=options)
     quick = capture.preview(time_s, camera=camera, options=options)
+    assert quick is not None
     assert quick.shape == whole.shape and quick.dtype == whole.dtype
     rms = (
         np.sqrt(np.mean((quick.astype(float) - whole) ** 2)) / np.iinfo(whole.dtype).max
@@ -443,10 +444,11 @@ def test_a_preview_is_nearly_the_view_once_its_depth_and_motion_are_there(
     assert 0.0 < rms < 0.03, rms
     capture.render(time_s, camera=camera, preset="draft")
     assert capture.preview(time_s, camera=camera, preset="draft") is None
+    preview: Any = capture.preview
     with pytest.raises(ValueError, match="camera must be given"):
-        capture.preview(time_s, options=options)
+        preview(time_s, options=options)
     with pytest.raises(TypeError, match="no arguments 'like' and 'proceed'"):
-        capture.preview(time_s, camera=camera, like="cam3")
+        preview(time_s, camera=camera, like="cam3")
 
 
 def test_comparing_is_the_command_lines(own_capture: Path, program: Path) -> None:
