@@ -198,10 +198,11 @@
 //! While viewpoint and time don't change, pictures are rendered as by `stlfr render`: with the options given by
 //! `--preset` and `--options`, and with the methods chosen on the page. While the viewpoint moves, the same options are
 //! used if the results at this instant are cached, and otherwise those of the preset `draft`; the picture of full
-//! quality then fades in. By scene flow, this holds also while the time moves, if depth and motion of the frames are
-//! there; such pictures are quick ones, whose outlines are not antialiased. Only programs on this machine can reach the page; its address contains a random token. The
-//! page's address is also a link to the current viewpoint and time. The link is valid until the server ends. In a later
-//! run, `stlfr view CAPTURE --at LINK` opens the page at the same viewpoint and time.
+//! quality then fades in. By scene flow, this holds also while the time moves, if depth and motion of the frames
+//! are in memory or on disk; the outlines of such quick pictures are not antialiased. Only programs on this machine can
+//! reach the page; its address contains a random token. The page's address is also a link to the current viewpoint and
+//! time. The link is valid until the server ends. In a later run, `stlfr view CAPTURE --at LINK` opens the page at the
+//! same viewpoint and time.
 //!
 //! # On the web
 //!
@@ -255,8 +256,8 @@
 //! units. `capture.render(..., proceed=f)` calls `f(done, total)` before every step of the work, with the number of
 //! finished instants and of all instants. Rendering stops if the call returns a false value. `capture.moment(0.1)`
 //! prepares one instant; its method `view(camera)` then renders many views of this instant quickly.
-//! `capture.preview(0.1, camera={...})` renders a view quickly by scene flow if its depth and motion are there, and
-//! otherwise returns `None`.
+//! `capture.preview(0.1, camera={...})` renders a view quickly by scene flow, or returns `None` if depth and motion must
+//! be estimated first.
 //!
 //! # Limits
 //!

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from . import fields, view, viewpoint
 from .errors import BadInputError, FailureError
-from .view import Linear, Request
+from .view import Linear, Request, Samples
 
 if TYPE_CHECKING:
     import stlfr
@@ -265,14 +265,19 @@ class Live:
         small = viewpoint.scaled(request.camera, pace.factor)
         samples = fields.preview(replace(request, camera=small))
         if samples is None:
-            return self._draft(request)
-        now_s = time.monotonic()
-        pace.took(now_s - start_s)
-        self.counts.fast_took_s += now_s - start_s
-        self.counts.ready(now_s)
+            samples = self._draft(request)
+        else:
+            self._took(start_s, pace)
+        self.counts.ready(time.monotonic())
         return Picture(view.scene_linear(samples), request, False)
 
-    def _draft(self, request: Request) -> Picture:
+    def _took(self, start_s: float, pace: Pace) -> None:
+        """Count the rendering time of a fast picture, and adapt the resolution of the next ones to it."""
+        seconds = time.monotonic() - start_s
+        pace.took(seconds)
+        self.counts.fast_took_s += seconds
+
+    def _draft(self, request: Request) -> Samples:
         """Render a picture by the preset. From the second view of an instant on, shared results are cached."""
         start_s = time.monotonic()
         instant = _Instant(request.capture, request.stamp, request.time_s)
@@ -290,12 +295,9 @@ class Live:
             samples = fields.seen(self._moment[1], small)
         else:
             samples = fields.render(small, lambda *_: not self._closed)
-        now_s = time.monotonic()
         if not fresh:
-            pace.took(now_s - start_s)
-            self.counts.fast_took_s += now_s - start_s
-        self.counts.ready(now_s)
-        return Picture(view.scene_linear(samples), request, False)
+            self._took(start_s, pace)
+        return samples
 
     def _rests(self, serial: int) -> bool:
         """Wait for `REST_S`. Returns whether the request didn't change in this time."""

@@ -67,7 +67,8 @@ pub struct Studio<'a> {
 impl<'a> Studio<'a> {
     /// Creates a studio for a light field. `options` are the options for full quality: every automatic choice in them
     /// must already be replaced by a method, and a motion trail is ignored. `words` are the equivalent command-line
-    /// arguments. The light field's in-memory cache is enlarged. If the ground truth can't be read, a note is shown, and no ground-truth images are available.
+    /// arguments. The light field's in-memory cache is enlarged. If the ground truth can't be read, a note is shown, and
+    /// no ground-truth images are available.
     pub fn new(
         field: &'a LightField,
         options: &RenderOptions,
@@ -139,8 +140,8 @@ impl<'a> Studio<'a> {
 
     /// Returns the options with which the requested picture is rendered; for a quick picture also the synchronized
     /// images, if they are cached. Pictures of full quality have the options `chosen`. A quick picture has these
-    /// options too if all intermediate results are cached, so that the picture looks nearly the same in motion and at rest.
-    /// Otherwise, it has the options of the preset `draft`.
+    /// options too if all intermediate results are cached, so that the picture looks nearly the same in motion and at
+    /// rest. Otherwise, it has the options of the preset `draft`.
     fn inputs<'o>(
         &'o self,
         request: &PictureRequest,
@@ -157,8 +158,8 @@ impl<'a> Studio<'a> {
         ViewInputs { options: if is_ready { chosen } else { &self.quick }, images }
     }
 
-    /// Returns whether a quick picture is rendered by scene flow: if the options `chosen` say so, and depth and motion of the
-    /// frames are there.
+    /// Returns whether a picture is a quick one by scene flow: the options `chosen` say so, and depth and motion of its
+    /// frames are in memory or on disk.
     fn is_quick_by_flow(
         &self,
         request: &PictureRequest,

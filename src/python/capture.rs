@@ -306,8 +306,8 @@ impl PyCapture {
     /// Renders the view of a camera quickly, for a viewpoint or a time that changes: by scene flow, with small losses
     /// at outlines. `camera`, `options` and `preset` are those of `render`; a motion trail is ignored.
     ///
-    /// Returns None where `render` would have to compute more first: unless `render` was called with the same options
-    /// before, these choose scene flow, and depth and motion of the frames are in memory or stored by `stlfr prepare`.
+    /// Returns a view if three things hold: `render` was called with the same options before, these options choose scene
+    /// flow, and depth and motion of the frames are in memory or stored by `stlfr prepare`. Otherwise returns None.
     #[pyo3(
         signature = (time_s, **settings),
         text_signature = "($self, time_s, *, camera, options=None, preset=None, alpha=None)"

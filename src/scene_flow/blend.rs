@@ -7,7 +7,7 @@ use super::map::MappedFrame;
 use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
 use super::pixels::{Pixels, Shown};
 use super::robust_mean::WeightedColors;
-use super::splat::{Area, QUARTERS, Splat, SplatPixel, expected_error};
+use super::splat::{Area, QUARTERS, Splat, SplatPixel, squared_error};
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::Image;
@@ -49,8 +49,8 @@ pub enum Detail {
     Full,
     /// Like [`Self::Full`], with the motion of the view's surfaces.
     WithMotion,
-    /// Faster, for a viewpoint or an instant that changes: the three maps nearest in place and time where they agree, and
-    /// all maps elsewhere. Outlines are not antialiased.
+    /// Faster, for a viewpoint or an instant that changes. Where the three maps nearest in place and time agree, the
+    /// others are left out. Outlines are not antialiased.
     Quick,
 }
 
@@ -122,7 +122,7 @@ type BlendedRow<'a> = (&'a mut [[f32; 3]], &'a mut [f32], &'a mut [Shown]);
 /// Blends the rows `rows` of a view into `pixels`, as [`blend`] describes.
 fn blend_rows(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut Pixels) {
     let splats = Splats::new(sources.first, &Area::of_rows(view, rows.clone()), sources.time);
-    let (width, reach) = (view.width, sources.reach);
+    let (width, reach, is_quick) = (view.width, sources.reach, !sources.others.is_empty());
     let band = rows.start * width..rows.end * width;
     let colors = pixels.colors[band.clone()].par_chunks_mut(width);
     let depths = pixels.inverse_depths[band.clone()].par_chunks_mut(width);
@@ -137,7 +137,6 @@ fn blend_rows(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut 
             let k = y * width + x;
             candidates.clear();
             splats.collect(k, &mut candidates);
-            let is_quick = !sources.others.is_empty();
             if is_quick && !agree(&candidates, reach) {
                 // A band has less than 2³² pixels.
                 open.push(k as u32);
@@ -177,8 +176,8 @@ fn agree(candidates: &[ColorCandidate], reach: f32) -> bool {
     candidates.len() >= MIN_AGREEING && max - min < reach
 }
 
-/// Blends the pixels at which the first maps, `splats`, don't agree from all maps. `open` are the indices of these pixels in the
-/// rows `rows` of the view.
+/// Blends single pixels from all maps: those at which the first maps, `splats`, don't agree. `open` are the indices of
+/// these pixels in the rows `rows` of the view.
 fn blend_open(
     sources: Sources,
     splats: &Splats,
@@ -344,8 +343,8 @@ pub fn blend(
     }
 }
 
-/// Colours the pixels of holes, which already have the depth of the background, by [`Behind`]. Pixels outside all images
-/// become black, with an unknown depth.
+/// Colours the pixels of holes, which already have the depth of the background, by [`Behind`]. Pixels outside all
+/// images become black, with an unknown depth.
 fn color_holes(mapped: &[MappedFrame], view: &Camera, pixels: &mut Pixels) {
     let width = view.width;
     let behind = Behind::new(mapped, view);
@@ -369,7 +368,7 @@ fn sort_by_error(sources: &mut [Source], view: &Camera, time: f64) {
         let depths = map.pixels().iter().step_by(DEPTH_SAMPLES);
         let depths: Vec<f32> = depths.map(|pixel| map.element(pixel).inverse_depth).collect();
         let mean = depths.iter().sum::<f32>() / depths.len().max(1) as f32;
-        expected_error(frame, (view, time), (mean, TYPICAL_SPEED_PX))
+        squared_error(frame, (view, time), (mean, TYPICAL_SPEED_PX))
     };
     // Squares are not negative, so that their bits have the order of the numbers.
     sources.sort_by_cached_key(|source| error(source).to_bits());

@@ -357,7 +357,7 @@ impl Splat {
 
 /// Returns the square of the expected error of the positions, in a view at `time`, of a frame's surface elements with
 /// the inverse depth `inverse_depth`, 1/m, that move by `speed` pixels per frame; squared pixels.
-pub fn expected_error(
+pub fn squared_error(
     frame: &FlowFrame,
     (view, time): (&Camera, f64),
     (inverse_depth, speed): (f32, f32),

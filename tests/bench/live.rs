@@ -15,7 +15,8 @@
 //! bandwidth that reading a large array reaches.
 //!
 //! `cargo bench --bench live -- scene-flow CAPTURE… [--views N]` prepares captures, and prints views by scene flow:
-//! from moving viewpoints, at moving instants, and both. Clocks are the true ones. What is prepared stays.
+//! from moving viewpoints, at moving instants, and both; quick views and full ones, and what quick ones lose. Clocks are
+//! the true ones. What is prepared stays.
 //!
 //! All use all cores. The peers are left out where the project's Python environment is missing. Otherwise, what is prepared
 //! is deleted again, and a capture that is prepared already is refused.

@@ -254,8 +254,9 @@ class Capture:
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | None:
         """Render a view quickly by scene flow, for a viewpoint or time that changes; a trail is ignored.
 
-        None where more would have to be computed first: unless `render` was called with the same options before,
-        these choose scene flow, and depth and motion of the frames are in memory or were stored by `stlfr prepare`.
+        There is a view if three things hold: `render` was called with the same options before, these options
+        choose scene flow, and depth and motion of the frames are in memory or stored by `stlfr prepare`.
+        Otherwise, the result is None.
         """
 
     def moment(

@@ -71,8 +71,8 @@ pub fn bench(folder: &str, count: usize) -> Result<(), Error> {
     quality(&capture, &options)
 }
 
-/// Prints what quick views lose: PSNR, dB, of full and of quick views beside true images, over the pixels that both cover, and
-/// of quick views beside full ones; means over instants.
+/// Prints what quick views lose: PSNR, dB, of full and of quick views beside true images, and of quick views beside full
+/// ones. It is over the pixels that both cover, and the mean over instants.
 fn quality(capture: &Arc<Capture>, options: &RenderOptions) -> Result<(), Error> {
     let Some(truth) = Truth::open(&capture.folder)? else { return Ok(()) };
     let field = field(capture)?;
