@@ -123,6 +123,16 @@ fn views_by_prepared_maps_are_the_same_bytes() {
     let again = opened(folder.path()).prepare(&options, |_| ()).unwrap();
     assert_eq!((again.maps, again.maps_found), (12, 11));
     assert_eq!(std::fs::read(&file).unwrap(), before);
+
+    // The depth of the static background is missing too, and is found anew.
+    let stills = folder.path().join(".stlfr/cache").join(PREPARED[3]);
+    assert_eq!(std::fs::read_dir(&stills).unwrap().count(), 3, "one for each camera");
+    std::fs::remove_dir_all(&stills).unwrap();
+    std::fs::remove_file(&file).unwrap();
+    assert_eq!(view(&opened(folder.path())), expected);
+    let anew = opened(folder.path()).prepare(&options, |_| ()).unwrap();
+    assert_eq!((anew.maps_found, anew.bytes), (11, first.bytes));
+    assert_eq!(std::fs::read(&file).unwrap(), before);
 }
 
 #[test]

@@ -21,8 +21,8 @@ use crate::registration::{
     GainMethod, GainSamples, Gains, MatchedLight, RegistrationOptions, halved,
 };
 use crate::scene_flow::{
-    Estimation, FlowFrame, FlowMap, MappedFrame, MatchingImage, PyramidFrame, confirmed_by,
-    local_contrast,
+    EstimatedFrame, Estimation, FlowFrame, FlowMap, MappedFrame, MatchingImage, PyramidFrame,
+    confirmed_by, local_contrast,
 };
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -160,12 +160,13 @@ impl ComparedFrames {
         let frames: BTreeMap<FrameId, SmallFrame> = needed.par_iter().filter_map(read).collect();
         let of = |id: &FrameId| Some(frames.get(id)?.with_pyramid());
         let with_matched = |(id, matched): (&FrameId, &Vec<FrameId>)| {
-            Some((*id, (of(id)?, matched.iter().filter_map(of).collect::<Vec<_>>())))
+            let others = matched.iter().filter_map(of).collect();
+            Some((*id, EstimatedFrame { frame: of(id)?, others, background: None }))
         };
         let (compared, list): (Vec<FrameId>, Vec<_>) =
             middle.iter().zip(&matched).filter_map(with_matched).unzip();
         let side =
-            list.iter().flat_map(|(f, _)| [f.frame.view.width, f.frame.view.height]).max()?;
+            list.iter().map(|f| &f.frame.frame.view).flat_map(|v| [v.width, v.height]).max()?;
         let range = field.common_range(place, compared.iter().map(|id| id.0))?;
         let limits = search_range(range, side);
         let baseline_m = field.matching_baseline_m();

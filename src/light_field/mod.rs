@@ -24,7 +24,8 @@
 //! | `geometry.rs` | the depth map of a view, and the cameras' depth maps for occlusion |
 //! | `view.rs` | §6: the blended view |
 //! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, estimated for groups of frames, and views from them |
-//! | `wide.rs`, `still_content.rs` | depth ranges for cameras around the scene; the static background of each camera |
+//! | `wide.rs` | depth ranges for cameras around the scene |
+//! | `still_content.rs`, `still_depth.rs` | the static background of each camera, and its depth |
 //! | `gains.rs` | exposure gains of the cameras, also of cameras around the scene |
 //! | `flow_frames.rs` | frames with their scene flow (depth and motion), for callers that render views by themselves |
 //! | `all_cameras.rs` | a camera's image at an instant, blended from the images of all cameras |
@@ -53,6 +54,7 @@ mod scene_flow;
 mod slots;
 mod stages;
 mod still_content;
+mod still_depth;
 mod timeline;
 mod trail;
 mod view;

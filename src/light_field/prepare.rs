@@ -1,12 +1,13 @@
 //! Preparation of a light field: results that depend only on frames are computed beforehand, and stored on disk for
 //! later views. These results are the feature tracks of all pairs of successive frames, and the cameras' exposure
-//! gains. For views by scene flow, they include depth and motion of all frames.
+//! gains. For views by scene flow, they include depth and motion of all frames, and the depth of the static background.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, StoredStage};
 use super::scene_flow::store_slot;
 use super::slots::Slots;
-use super::stages::{FlowOptions, FrameFlow, PairTracks};
+use super::stages::{FlowOptions, FrameFlow, PairTracks, StillDepth};
+use super::still_depth::stored_bytes;
 use super::{Context, RenderError};
 use crate::options::{ProxyMethod, RenderOptions};
 use crate::registration::{Gains, Track};
@@ -18,7 +19,8 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 const ENTRY_BYTES: usize = 64;
 
 /// Names of the kinds of results that [`LightField::prepare`] stores in a capture's cache on disk.
-pub const PREPARED: [&str; 3] = [PairTracks::KIND.name, Gains::KIND.name, FrameFlow::KIND.name];
+pub const PREPARED: [&str; 4] =
+    [PairTracks::KIND.name, Gains::KIND.name, FrameFlow::KIND.name, StillDepth::KIND.name];
 
 /// Counts and total size of the results that [`LightField::prepare`] has stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -50,7 +52,8 @@ impl LightField {
             for (c, filmed) in self.capture().cameras.iter().enumerate() {
                 let frames = self.times_s(c).len();
                 steps += frames;
-                bytes += frames * FlowMap::max_stored_bytes(&filmed.camera);
+                // The static background has a map too.
+                bytes += (frames + 1) * FlowMap::max_stored_bytes(&filmed.camera);
             }
         }
         (steps, bytes as u64)
@@ -132,6 +135,7 @@ impl LightField {
             }
             progress(prepared.maps);
         }
+        prepared.bytes += stored_bytes(self, options);
         Ok(())
     }
 }

@@ -8,6 +8,7 @@ use super::slots::{FrameId, Slot, Slots};
 use super::stages::{
     FlowAgreements, FlowConfidences, FlowOptions, FrameFlow, Instant, StillContent, Undistorted,
 };
+use super::still_depth::{StillCameras, still_cameras, store_still_cameras};
 use super::wide::union;
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
@@ -16,10 +17,11 @@ use crate::host::CacheKind;
 use crate::lumigraph::DepthMap;
 use crate::raster::Image;
 use crate::scene_flow::{
-    Agreements, Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, MatchingImage,
-    PyramidFrame, agreements, blend, confidence,
+    Agreements, Background, EstimatedFrame, Estimation, FlowFrame, FlowMap, FlowView, Limits,
+    MappedFrame, MatchingImage, PyramidFrame, agreements, blend, confidence,
 };
 use rayon::prelude::*;
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -41,7 +43,7 @@ impl Stage for Undistorted<'_> {
 }
 
 impl Undistorted<'_> {
-    fn get(&self, field: &LightField) -> Result<Arc<FlowFrame>, RenderError> {
+    pub(super) fn get(&self, field: &LightField) -> Result<Arc<FlowFrame>, RenderError> {
         if let Some(cached) = field.cached(self) {
             return Ok(cached);
         }
@@ -65,11 +67,12 @@ impl Undistorted<'_> {
 /// The frames of a [`Slot`], each with its map of depth and motion.
 type SlotMaps = Vec<(FrameId, Arc<FlowMap>)>;
 
-/// Estimates the maps of depth and motion of all frames of a [`Slot`] together. `None` if the range of the scene's
-/// depths is unknown.
+/// Estimates the maps of depth and motion of all frames of a [`Slot`] together. `stills` is the static background of its
+/// cameras. `None` if the range of the scene's depths is unknown.
 fn slot_maps(
     slots: &Slots,
     slot: Slot,
+    stills: &StillCameras,
     options: FlowOptions,
     context: &Context,
 ) -> Result<Option<SlotMaps>, RenderError> {
@@ -96,11 +99,16 @@ fn slot_maps(
         let (frame, levels) = &frames[id];
         PyramidFrame { frame, levels }
     };
-    let list: Vec<(PyramidFrame, Vec<PyramidFrame>)> = mapped
-        .iter()
-        .zip(&others)
-        .map(|(id, others)| (with_pyramid(id), others.iter().map(with_pyramid).collect()))
-        .collect();
+    let estimated = |(id, others): (&FrameId, &Vec<FrameId>)| {
+        let frame = with_pyramid(id);
+        let of_camera = stills.get(&id.0);
+        EstimatedFrame {
+            frame,
+            others: others.iter().map(with_pyramid).collect(),
+            background: of_camera.map(|s| Background::new(frame.frame, &s.still, &s.map)),
+        }
+    };
+    let list: Vec<EstimatedFrame> = mapped.par_iter().zip(&others).map(estimated).collect();
     let baseline_m = field.matching_baseline_m();
     let proceed = || context.check().is_ok();
     let maps = Estimation { frames: &list, limits, baseline_m }.run(&proceed);
@@ -118,7 +126,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 11 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 12 };
 }
 
 impl Stage for FlowConfidences<'_> {
@@ -185,7 +193,10 @@ pub(super) fn store_slot(
     let flow = |frame: FrameId| FrameFlow { frame, options };
     if !frames.iter().all(|&frame| field.stored(&flow(frame)).is_some()) {
         // Without a range of depths there are no maps, and views are rendered by other methods.
-        let Some(maps) = slot_maps(slots, slot, options, context)? else { return Ok(Vec::new()) };
+        let stills = still_cameras(slots, slot, options, context)?;
+        store_still_cameras(field, &stills, options)?;
+        let maps = slot_maps(slots, slot, &stills, options, context)?;
+        let Some(maps) = maps else { return Ok(Vec::new()) };
         for (frame, map) in maps {
             field.insert(&flow(frame), map);
         }
@@ -229,13 +240,20 @@ pub(super) fn load(
     let stored: Vec<Option<Arc<FlowMap>>> = frames.par_iter().map(stored).collect();
     let slots = stored.contains(&None).then(|| Slots::new(field));
     let mut computed: BTreeMap<FrameId, Arc<FlowMap>> = BTreeMap::new();
+    let mut stills: BTreeMap<usize, StillCameras> = BTreeMap::new();
     let mut all = Vec::with_capacity(frames.len());
     for (&id, stored) in frames.iter().zip(stored) {
         if let Some(slots) = &slots
             && stored.is_none()
             && !computed.contains_key(&id)
         {
-            let maps = slot_maps(slots, slots.of(id), options, context)?;
+            let slot = slots.of(id);
+            // The static background is kept here, since computing a slot may evict it from the cache.
+            let of_group = match stills.entry(slot.group) {
+                Entry::Occupied(found) => found.into_mut(),
+                Entry::Vacant(new) => new.insert(still_cameras(slots, slot, options, context)?),
+            };
+            let maps = slot_maps(slots, slot, of_group, options, context)?;
             let Some(maps) = maps else { return Ok(None) };
             computed.extend(maps);
         }
@@ -256,7 +274,7 @@ pub(super) fn load(
 /// points, at the time of the frame in the middle of the list. If the cameras stand around the scene, the range comes
 /// instead from the volume that at least half of the cameras see. `None` if the range of depths is unknown, because no
 /// points are found or because all cameras stand at one place.
-fn limits(
+pub(super) fn limits(
     field: &LightField,
     frames: &[FrameId],
     options: FlowOptions,
@@ -296,17 +314,21 @@ pub(super) fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<
     let count = field.times_s(camera).len();
     let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];
     let mut matched: Vec<FrameId> = own.into_iter().flatten().map(|k| (camera, k)).collect();
-    let filmed = &field.capture().cameras;
-    let others: Vec<usize> =
-        (0..filmed.len()).filter(|&c| c != camera && !field.times_s(c).is_empty()).collect();
     let time_s = field.times_s(camera)[frame];
-    for other in nearest(field.capture(), &others, filmed[camera].camera.center())
-        .into_iter()
-        .take(MAX_PARTNERS)
-    {
+    for other in partners(field, camera) {
         matched.extend(field.nearest_frame(other, time_s).map(|k| (other, k)));
     }
     matched
+}
+
+/// Returns the other cameras with whose frames those of a camera are matched: the nearest of them.
+pub(super) fn partners(field: &LightField, camera: usize) -> Vec<usize> {
+    let filmed = &field.capture().cameras;
+    let others: Vec<usize> =
+        (0..filmed.len()).filter(|&c| c != camera && !field.times_s(c).is_empty()).collect();
+    let mut partners = nearest(field.capture(), &others, filmed[camera].camera.center());
+    partners.truncate(MAX_PARTNERS);
+    partners
 }
 
 /// Renders the view of the camera `target` by scene flow, from the frames of [`LightField::frames_of_view`].

@@ -15,7 +15,7 @@ const MAX_GROUP: usize = 12;
 pub(super) struct Slot {
     /// Index of the time interval. Interval 0 begins at the capture's start.
     interval: i64,
-    group: usize,
+    pub group: usize,
 }
 
 /// Division of a light field's frames into slots ([`Slot`]).
@@ -49,6 +49,12 @@ impl<'a> Slots<'a> {
         let mut frames = self.all_frames();
         frames.retain(|id| self.of(*id) == slot);
         frames
+    }
+
+    /// Returns the cameras of a slot's group whose clocks are known, in ascending order.
+    pub fn cameras(&self, slot: Slot) -> Vec<usize> {
+        let is_of = |&c: &usize| self.groups[c] == slot.group && !self.field.times_s(c).is_empty();
+        (0..self.groups.len()).filter(is_of).collect()
     }
 
     /// Returns all slots, in order of time.

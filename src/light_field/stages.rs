@@ -293,6 +293,14 @@ pub(super) struct StillContent<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
+/// Inputs of the stage that estimates the depth of a camera's static background. The cameras of a group are estimated
+/// together.
+#[derive(Clone, Copy, Serialize)]
+pub(super) struct StillDepth<'a> {
+    pub camera: usize,
+    pub options: FlowOptions<'a>,
+}
+
 /// Inputs of the stage that estimates the depth and motion of one frame. All frames of a slot ([`super::slots::Slot`])
 /// are estimated together.
 #[derive(Serialize)]

@@ -10,6 +10,13 @@ use std::sync::Arc;
 /// Maximum number of frames that are compared to find a camera's static background. The frames are spread evenly over
 /// the recording.
 const MAX_FRAMES: usize = 15;
+/// Minimum fraction of the frames that show the background colour of a pixel, if the cameras stand around the scene. If the
+/// fraction were larger, a background that is hidden for most of the recording would stay unknown. If it were smaller, a
+/// textureless body that passes slowly would count as background.
+const MIN_SUPPORT: f64 = 1.0 / 3.0;
+/// The same fraction for other cameras, whose static background only saves time. Larger: less time is saved. Smaller:
+/// plain bodies that move slowly are taken for background.
+const MIN_SUPPORT_OF_DEPTH: f64 = 0.6;
 /// Memory per pixel of a static background, bytes: its colour, or the mark that the colour is unknown.
 const PIXEL_BYTES: usize = 4;
 
@@ -41,6 +48,8 @@ impl StillContent<'_> {
         };
         let frames: Vec<CompactImage> =
             (0..used).into_par_iter().map(read).collect::<Result<_, RenderError>>()?;
-        Ok(field.insert(self, StillImage::new(&frames)))
+        let is_wide = field.common_place().is_some();
+        let min_support = if is_wide { MIN_SUPPORT } else { MIN_SUPPORT_OF_DEPTH };
+        Ok(field.insert(self, StillImage::new(&frames, min_support)))
     }
 }

@@ -118,7 +118,7 @@ impl BlockMap {
         let depths = || elements.iter().map(|e| e.inverse_depth);
         let range = [depths().fold(f32::INFINITY, f32::min), depths().fold(0.0, f32::max)];
         let costs = vec![0.0; elements.len()];
-        let map = ElementMap { width, height, scale: 1.0, elements, costs };
+        let map = ElementMap { width, height, scale: 1.0, elements, costs, given: Vec::new() };
         FlowMap::new(&map, range, self.disparity_px)
     }
 

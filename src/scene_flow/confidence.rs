@@ -284,6 +284,7 @@ mod tests {
             scale: 1.0,
             elements,
             costs: vec![0.0; pixels],
+            given: Vec::new(),
         };
         FlowMap::new(&all, [0.0, 2.0], DISPARITY_PX)
     }

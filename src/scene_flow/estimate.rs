@@ -1,7 +1,8 @@
 //! Estimates the maps of depth and motion of several frames together, from coarse to fine.
 
+use super::background::Background;
 use super::consistency::{OtherMaps, Snapshot};
-use super::element::Element;
+use super::element::{Element, ElementErrors};
 use super::frame::{FlowFrame, PyramidFrame};
 use super::map::{ElementMap, FlowMap};
 use super::matching::{Observations, PatchMatcher};
@@ -26,12 +27,20 @@ const FINEST_SMOOTHED: usize = 1;
 /// sampling would change everywhere, and views would become better or worse by chance.
 const EXTENDED_LEVEL: usize = 0;
 
+/// A frame whose scene flow map is estimated.
+pub struct EstimatedFrame<'a> {
+    pub frame: PyramidFrame<'a>,
+    /// The frames with which the frame is matched. At most 16 of them are used.
+    pub others: Vec<PyramidFrame<'a>>,
+    /// Static background, whose surface elements are given. `None` if it isn't known.
+    pub background: Option<Background<'a>>,
+}
+
 /// Joint estimation of the scene flow maps of several frames. Surface elements of one map are proposed for the other
 /// maps.
 pub struct Estimation<'a> {
-    /// The frames whose scene flow maps are estimated. Each is paired with the frames with which it is matched. At most
-    /// 16 of these are used.
-    pub frames: &'a [(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)],
+    /// The frames whose scene flow maps are estimated.
+    pub frames: &'a [EstimatedFrame<'a>],
     pub limits: Limits,
     /// Baseline to which all disparities refer, metres: twice the distance between neighbouring cameras.
     pub baseline_m: f64,
@@ -42,11 +51,11 @@ impl Estimation<'_> {
     /// depend on the number of threads. `proceed` is called before every pass. If it returns false, the estimation
     /// ends with an empty result.
     pub fn run(&self, proceed: &(dyn Fn() -> bool + Sync)) -> Vec<FlowMap> {
-        let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| f.frame).collect();
+        let frames: Vec<&FlowFrame> = self.frames.iter().map(|f| f.frame.frame).collect();
         let disparities_px: Vec<f32> = frames.iter().map(|f| self.disparity_px(f)).collect();
         let observations: Vec<Observations> = self.frames.iter().map(observations).collect();
         // Images of different sizes have different numbers of pyramid levels. The smallest number is used for all.
-        let levels = self.frames.iter().flat_map(|(f, others)| others.iter().chain([f]));
+        let levels = self.frames.iter().flat_map(|f| f.others.iter().chain([&f.frame]));
         let levels = levels.map(|f| f.levels.len()).min().unwrap_or(0);
         let mut maps: Vec<ElementMap> = Vec::new();
         for level in (0..levels).rev() {
@@ -72,7 +81,7 @@ impl Estimation<'_> {
                         if is_last && level >= FINEST_SMOOTHED {
                             matcher.smooth(map);
                         }
-                        if is_last && level == EXTENDED_LEVEL {
+                        if is_last && level == EXTENDED_LEVEL && map.given.is_empty() {
                             matcher.extend_planes(map, self.limits.inverse_depth);
                         }
                         let others = || OtherMaps::new(&frames, &snapshots, f, disparity_px);
@@ -94,11 +103,24 @@ impl Estimation<'_> {
         }
         let packed = |(f, map): (usize, &mut ElementMap)| {
             let matcher = self.matcher(f, 0, &observations[f]);
-            let errors = matcher.errors(map);
-            matcher.extend_planes(map, self.limits.inverse_depth);
-            FlowMap::new(map, self.limits.inverse_depth, disparities_px[f]).with_errors(&errors)
+            let background = self.frames[f].background.as_ref();
+            let errors = with_background(matcher.errors(map), map, background);
+            if map.given.is_empty() {
+                matcher.extend_planes(map, self.limits.inverse_depth);
+            }
+            let range = self.range_with(background);
+            FlowMap::new(map, range, disparities_px[f]).with_errors(&errors)
         };
         maps.par_iter_mut().enumerate().map(packed).collect()
+    }
+
+    /// Returns the smallest range of inverse depths, 1/m, that contains the search range and that of a background.
+    fn range_with(&self, background: Option<&Background>) -> [f32; 2] {
+        let [min, max] = self.limits.inverse_depth;
+        background.map_or([min, max], |b| {
+            let [from, to] = b.map().inverse_depth;
+            [min.min(from), max.max(to)]
+        })
     }
 
     fn matcher<'b>(
@@ -107,7 +129,7 @@ impl Estimation<'_> {
         level: usize,
         observations: &'b Observations<'b>,
     ) -> PatchMatcher<'b> {
-        let PyramidFrame { frame, levels } = self.frames[f].0;
+        let PyramidFrame { frame, levels } = self.frames[f].frame;
         PatchMatcher {
             own: &levels[level],
             observations,
@@ -123,14 +145,22 @@ impl Estimation<'_> {
     }
 
     /// Returns the initial scene flow map of frame `f` at a pyramid level. Its surface elements are those of the
-    /// coarser level. At the coarsest level, they have random depths and no motion.
+    /// coarser level. At the coarsest level, they have random depths and no motion. Where the frame certainly shows static
+    /// background, they are those of the background.
     fn begin(&self, f: usize, level: usize, coarser: Option<&ElementMap>) -> ElementMap {
-        let image = &self.frames[f].0.levels[level];
+        let EstimatedFrame { frame, background, .. } = &self.frames[f];
+        let image = &frame.levels[level];
         let (width, height) = (image.width, image.height);
         let scale = (1 << level) as f32;
         let mut random = Random::new(f as u64);
         let [min, max] = self.limits.inverse_depth;
+        let pixels = if background.is_some() { width * height } else { 0 };
+        let of_background = |k| background.as_ref()?.element(level, [k % width, k / width]);
+        let given: Vec<Option<Element>> = (0..pixels).map(of_background).collect();
         let element = |k: usize| {
+            if let Some(given) = given.get(k).copied().flatten() {
+                return given;
+            }
             let Some(coarser) = coarser else {
                 let inverse_depth = min + (max - min) * random.unit() as f32;
                 return Element { inverse_depth, ..Element::default() };
@@ -143,13 +173,28 @@ impl Estimation<'_> {
         // The coarser level's costs are needed to decide which pixels already have a good surface element.
         let cost = |k: usize| coarser.map_or(0.0, |c| c.costs[parent(c, k % width, k / width)]);
         let costs = (0..width * height).map(cost).collect();
-        ElementMap { width, height, scale, elements, costs }
+        let given = given.iter().map(Option::is_some).collect();
+        ElementMap { width, height, scale, elements, costs, given }
     }
 }
 
+/// Returns standard errors of a map's surface elements, in which those of given elements are the background's.
+fn with_background(
+    mut errors: Vec<ElementErrors>,
+    map: &ElementMap,
+    background: Option<&Background>,
+) -> Vec<ElementErrors> {
+    if let Some(background) = background {
+        let pixels = errors.iter_mut().zip(background.map().pixels()).enumerate();
+        let given = pixels.filter(|(k, _)| map.is_given(*k));
+        given.for_each(|(_, (errors, pixel))| *errors = pixel.errors());
+    }
+    errors
+}
+
 /// Returns the frames with which frame `f` is matched.
-fn observations<'a>((f, others): &(PyramidFrame<'a>, Vec<PyramidFrame<'a>>)) -> Observations<'a> {
-    Observations::new(others.iter().filter_map(|o| ObservingFrame::new(*f, *o)))
+fn observations<'a>(of: &EstimatedFrame<'a>) -> Observations<'a> {
+    Observations::new(of.others.iter().filter_map(|o| ObservingFrame::new(of.frame, *o)))
 }
 
 /// Returns the index of the pixel of a coarser scene flow map that contains pixel `(x, y)` of the next finer level.

@@ -2,7 +2,7 @@
 
 use super::lens_grid::LensGrid;
 use super::matching_image::MatchingImage;
-use super::still::{CompactImage, StillImage};
+use super::still::{CompactImage, StillImage, TOLERANCE};
 use crate::camera::{Camera, CameraModel};
 use crate::raster::{Image, Sampling, sample};
 use nalgebra::Point2;
@@ -86,7 +86,7 @@ impl FlowFrame {
         if still.is_empty() {
             return self;
         }
-        let still = Some(still.shown_in(&CompactImage::new(&self.image)));
+        let still = Some(still.shown_in(&CompactImage::new(&self.image), TOLERANCE));
         Self { still, ..self }
     }
 

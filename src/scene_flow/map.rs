@@ -13,9 +13,17 @@ pub struct ElementMap {
     pub elements: Vec<Element>,
     /// Matching cost of each surface element, without the smoothness and consistency costs.
     pub costs: Vec<f32>,
+    /// For each pixel, whether its surface element is given: that of the static background. Empty if none is.
+    pub given: Vec<bool>,
 }
 
 impl ElementMap {
+    /// Returns whether the surface element of pixel `k` is given, and isn't estimated.
+    #[inline(always)]
+    pub fn is_given(&self, k: usize) -> bool {
+        self.given.get(k).copied().unwrap_or(false)
+    }
+
     /// Returns the centre of the map's pixel `k`, in pixels of the full-resolution image.
     pub fn center(&self, k: usize) -> [f32; 2] {
         [k % self.width, k / self.width].map(|v| (v as f32 + 0.5) * self.scale)
@@ -53,6 +61,8 @@ const JUMP_FRAMES: f32 = 0.5;
 
 /// Number of quantization steps per doubling of a standard error.
 const STEPS_PER_OCTAVE: f32 = 2.0;
+/// Code of the standard errors of a surface element that isn't known. It is larger than that of any error.
+const UNKNOWN: u8 = u8::MAX;
 /// Smallest standard error that can be stored, pixels.
 const MIN_ERROR_PX: f32 = 1.0 / 256.0;
 
@@ -135,6 +145,11 @@ impl FlowPixel {
         ElementErrors { disparity_px, velocity_px }
     }
 
+    /// Returns whether the pixel's surface element is known.
+    pub fn is_known(&self) -> bool {
+        self.errors != [UNKNOWN; 2]
+    }
+
     /// Returns whether the neighbouring pixel on a side belongs to another surface. `side` is 0 for left, 1 for
     /// right, 2 for above, 3 for below.
     pub fn is_edge(&self, side: usize) -> bool {
@@ -179,6 +194,14 @@ impl FlowMap {
         for (pixel, errors) in self.pixels.iter_mut().zip(errors) {
             pixel.errors = [errors.disparity_px, errors.velocity_px].map(code_from_error);
         }
+        self
+    }
+
+    /// Returns the map with the surface elements of some pixels marked as unknown: those for whose indices `is_known` is
+    /// false.
+    pub fn known_where(mut self, is_known: impl Fn(usize) -> bool) -> Self {
+        let pixels = self.pixels.iter_mut().enumerate();
+        pixels.filter(|(k, _)| !is_known(*k)).for_each(|(_, pixel)| pixel.errors = [UNKNOWN; 2]);
         self
     }
 

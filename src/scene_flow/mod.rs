@@ -24,7 +24,6 @@
 //! | `geometry.rs` | projection of a pixel with inverse depth from one camera into another |
 //! | `timing.rs` | the time between pixels of two frames, with rolling shutters |
 //! | `contrast.rs` | an image that doesn't depend on the exposure |
-//! | `still.rs` | the static background of a camera |
 //! | `element.rs` | a surface element: the depth, path and slant of the surface at a pixel |
 //! | `observing_frame.rs` | another frame, in which elements are observed |
 //! | `patch.rs`, `footprint.rs` | the pixels around a pixel, and where other frames see them |
@@ -37,6 +36,7 @@
 //! | `estimate.rs` | the order of these steps, for several frames together |
 //! | `uncertainty.rs` | standard errors of depth and velocity |
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
+//! | `still.rs`, `background.rs` | the static background of a camera; its depth in frames |
 //! | `confidence.rs` | the fraction of the other maps that agree with an element |
 //! | `splat.rs`, `composite.rs`, `blend.rs` | rendering of a view from several maps |
 //! | `pixels.rs` | the pixels of a view, and how its holes are closed and filled |
@@ -44,6 +44,7 @@
 //! | `motion.rs` | the motion of the surfaces in a view |
 
 mod affine_fit;
+mod background;
 mod blend;
 mod composite;
 mod confidence;
@@ -80,11 +81,12 @@ mod uncertainty;
 #[cfg(test)]
 mod tests;
 
+pub use background::Background;
 pub use blend::{Detail, FlowView, blend};
 pub use confidence::{Agreements, agreements, confidence, confidences, confirmed_by};
 pub use contrast::local_contrast;
 pub use element::{Element, ElementErrors};
-pub use estimate::Estimation;
+pub use estimate::{EstimatedFrame, Estimation};
 pub use frame::{FlowFrame, PyramidFrame, pinhole};
 pub use geometry::{Projection, distorted, undistorted};
 pub use map::{ElementMap, FlowMap, MappedFrame};

@@ -27,6 +27,8 @@ const COLOR: f32 = 0.04;
 const ITERATIONS: usize = 30;
 /// Minimum information about each unknown, 1/px². It makes the information matrices positive definite.
 const MIN_INFORMATION: f64 = 1e-6;
+/// Information about each unknown of an element that is given, 1/px².
+const GIVEN_INFORMATION: f64 = 1e4;
 /// Minimum distance ([`PatchMatcher::distance`]) between a pixel's element and the smooth one for a replacement, pixels
 /// of the pyramid level.
 const MIN_CHANGE_PX: f32 = 0.5;
@@ -82,7 +84,7 @@ impl PatchMatcher<'_> {
         let mut costs = [0.0; MAX_OBSERVATIONS];
         for (k, smooth) in smoothed(&known, map.width).into_iter().enumerate() {
             let element = smooth.element(self.disparity_px);
-            if self.distance(&element, &map.elements[k]) < MIN_CHANGE_PX {
+            if map.is_given(k) || self.distance(&element, &map.elements[k]) < MIN_CHANGE_PX {
                 continue;
             }
             let pixel = (k % map.width, k / map.width);
@@ -99,10 +101,13 @@ impl PatchMatcher<'_> {
         let mut patch = Patch::empty();
         let mut known = |k: usize| {
             let pixel @ (x, y) = (k % map.width, k / map.width);
+            let information = match map.is_given(k) {
+                true => Matrix3::from_diagonal_element(GIVEN_INFORMATION),
+                false => self.information(map, pixel, &mut patch),
+            };
             Known {
                 present: Unknowns::of(&map.elements[k], self.disparity_px),
-                information: self.information(map, pixel, &mut patch)
-                    + Matrix3::from_diagonal_element(MIN_INFORMATION),
+                information: information + Matrix3::from_diagonal_element(MIN_INFORMATION),
                 weights: [(x + 1, y), (x, y + 1)].map(|beside| self.smoothness(pixel, beside)),
             }
         };

@@ -1,5 +1,5 @@
 //! Static background of a camera (a background model), computed from frames of the camera's whole recording. A pixel
-//! has a static background if at least a third of the frames show one colour there. Where a frame shows another colour,
+//! has a static background if sufficiently many frames show one colour there. Where a frame shows another colour,
 //! a moving body is in front of the background.
 
 use super::grid::neighbors;
@@ -8,17 +8,13 @@ use rayon::prelude::*;
 
 /// Maximum difference in each channel between the background colour and that of a pixel that shows it, in steps of
 /// 1/255. Larger than noise, so that faint shadows on the background count as background.
-const TOLERANCE: u8 = 10;
+pub(super) const TOLERANCE: u8 = 10;
 /// Minimum tolerance with which frames support a background colour, in steps of 1/255. In frames without noise, a larger
 /// one lets textures of a body pass for background where the body is always in front.
 const MIN_SUPPORT_TOLERANCE: u8 = 3;
 /// Tolerance with which frames support a background colour, as a multiple of the median difference between two frames.
 /// With normally distributed noise, it is 2.7 standard deviations of this difference.
 const SUPPORT_TOLERANCE_BY_NOISE: usize = 4;
-/// Minimum fraction of the frames that show the background colour of a pixel. If the fraction were larger, a background
-/// that is hidden for most of the recording would stay unknown. If it were smaller, a textureless body that passes
-/// slowly would count as background.
-const MIN_SUPPORT: f64 = 1.0 / 3.0;
 /// Minimum number of moving pixels in the 3×3 neighbourhood of a moving pixel, the pixel included. If there are fewer,
 /// the difference from the background is noise, and the pixel counts as background.
 const MIN_MOVING: usize = 3;
@@ -28,19 +24,21 @@ const MIN_MOVING: usize = 3;
 const MAX_ISLAND: f64 = 5e-4;
 
 /// Colour with 8 bits per channel: red, green, blue.
-type Rgb8 = [u8; 3];
+pub(super) type Rgb8 = [u8; 3];
 
 /// Static background of a camera: one colour for each pixel of its image, row by row.
 pub struct StillImage {
-    width: usize,
-    /// Background colour of each pixel; `None` if less than a third of the frames show one colour there.
-    colors: Vec<Option<Rgb8>>,
+    pub(super) width: usize,
+    /// Background colour of each pixel; `None` if too few frames show one colour there.
+    pub(super) colors: Vec<Option<Rgb8>>,
+    /// Maximum difference in each channel between the frames' colours of one background, in steps of 1/255.
+    pub(super) tolerance: u8,
 }
 
 /// Image with 8 bits per channel, compact since many images are compared at once.
 pub struct CompactImage {
     width: usize,
-    pixels: Vec<Rgb8>,
+    pub(super) pixels: Vec<Rgb8>,
 }
 
 impl CompactImage {
@@ -76,13 +74,24 @@ fn support_tolerance(frames: &[CompactImage]) -> u8 {
     tolerance.clamp(MIN_SUPPORT_TOLERANCE.into(), TOLERANCE.into()) as u8
 }
 
+/// Returns the mean colour of pixel `k` of frames; black without frames.
+fn mean_color<'a>(frames: impl Iterator<Item = &'a CompactImage>, k: usize) -> Rgb8 {
+    let (mut sum, mut count) = ([0usize; 3], 0);
+    for frame in frames {
+        (0..3).for_each(|c| sum[c] += usize::from(frame.pixels[k][c]));
+        count += 1;
+    }
+    sum.map(|s| ((s + count / 2) / count.max(1)) as u8) // at most 255
+}
+
 impl StillImage {
-    /// Computes the static background from frames of one camera, spread over its recording. With fewer than three
-    /// frames, no pixel has a background.
-    pub fn new(frames: &[CompactImage]) -> Self {
+    /// Computes the static background from frames of one camera, spread over its recording. `min_support` is the minimum
+    /// fraction of the frames that show the background colour of a pixel. With fewer than three frames, no pixel has a
+    /// background.
+    pub fn new(frames: &[CompactImage], min_support: f64) -> Self {
         let width = frames.first().map_or(0, |f| f.width);
         let pixels = frames.first().map_or(0, |f| f.pixels.len());
-        let needed = ((MIN_SUPPORT * frames.len() as f64).ceil() as usize).max(2);
+        let needed = ((min_support * frames.len() as f64).ceil() as usize).max(2);
         let tolerance = support_tolerance(frames);
         let color = |k: usize| {
             let is_support = |f: &&CompactImage, of| is_equal(f.pixels[k], of, tolerance);
@@ -98,11 +107,11 @@ impl StillImage {
                     break; // no other colour has more
                 }
             }
-            best.map(|(_, color)| color)
+            best.map(|(_, color)| mean_color(frames.iter().filter(|f| is_support(f, color)), k))
         };
         let is_enough = frames.len() > 2;
         let color = |k: usize| if is_enough { color(k) } else { None };
-        Self { width, colors: (0..pixels).into_par_iter().map(color).collect() }
+        Self { width, colors: (0..pixels).into_par_iter().map(color).collect(), tolerance }
     }
 
     /// Returns whether no pixel has a known background.
@@ -115,16 +124,17 @@ impl StillImage {
         self.colors.len()
     }
 
-    /// Returns, for each pixel of a frame, whether it shows static background. A pixel with unknown background counts
+    /// Returns, for each pixel of a frame, whether it shows static background. `tolerance` is the maximum difference in each
+    /// channel between the background's colour and the frame's, in steps of 1/255. A pixel with unknown background counts
     /// as a moving body. A moving pixel with fewer than two moving neighbours counts as background, and an island of
     /// background in a body as body. The mask of a moving body is not dilated by the pixels beside it. These may mix the
     /// colours of body and background, but as part of the mask they would widen the body's outline.
-    pub fn shown_in(&self, frame: &CompactImage) -> Vec<bool> {
+    pub fn shown_in(&self, frame: &CompactImage, tolerance: u8) -> Vec<bool> {
         let moving: Vec<bool> = self
             .colors
             .iter()
             .zip(&frame.pixels)
-            .map(|(still, own)| still.is_none_or(|still| !is_equal(still, *own, TOLERANCE)))
+            .map(|(still, own)| still.is_none_or(|still| !is_equal(still, *own, tolerance)))
             .collect();
         let is_noise = |k: usize| self.moving_around(&moving, k) < MIN_MOVING;
         let mut still: Vec<bool> = (0..moving.len()).map(|k| !moving[k] || is_noise(k)).collect();
@@ -189,9 +199,9 @@ mod tests {
     #[test]
     fn a_body_that_passes_is_not_still_and_what_it_hides_is_known_from_other_frames() {
         let frames = frames(7);
-        let still = StillImage::new(&frames);
+        let still = StillImage::new(&frames, 1.0 / 3.0);
         assert!(still.colors.iter().all(|c| c.is_some_and(|[r, _, _]| r < 100)));
-        let shown = still.shown_in(&frames[2]);
+        let shown = still.shown_in(&frames[2], TOLERANCE);
         let at = |x: usize, y: usize| shown[y * 40 + x];
         // The body in frame 2 covers the columns 8 to 13.
         assert!(!at(8, 8) && !at(13, 5) && !at(8, 5) && !at(13, 11));
@@ -201,8 +211,8 @@ mod tests {
     #[test]
     fn in_two_frames_nothing_is_known_to_stand_still() {
         let frames = frames(2);
-        let still = StillImage::new(&frames);
-        assert!(still.shown_in(&frames[0]).iter().all(|s| !s));
+        let still = StillImage::new(&frames, 1.0 / 3.0);
+        assert!(still.shown_in(&frames[0], TOLERANCE).iter().all(|s| !s));
     }
 
     /// Returns frames of one grey value each at every pixel but the first, at which the values are `first`.
@@ -219,15 +229,17 @@ mod tests {
     fn a_texture_that_passes_is_no_background_unless_noise_is_as_strong() {
         // A dark body is always in front of the first pixel, and its texture is dark in each frame.
         let texture = [10, 16, 22, 28, 34, 40];
-        let without_noise = StillImage::new(&plain_frames(&[100; 6], &texture));
+        let without_noise = StillImage::new(&plain_frames(&[100; 6], &texture), 1.0 / 3.0);
         assert_eq!((without_noise.colors[0], without_noise.colors[1]), (None, Some([100; 3])));
-        let with_noise = StillImage::new(&plain_frames(&[100, 102, 100, 102, 100, 102], &texture));
+        let with_noise =
+            StillImage::new(&plain_frames(&[100, 102, 100, 102, 100, 102], &texture), 1.0 / 3.0);
         assert!(with_noise.colors[0].is_some() && with_noise.colors[1].is_some());
     }
 
     #[test]
     fn a_small_island_in_a_body_is_body_and_a_large_gap_is_background() {
-        let still = StillImage { width: 100, colors: vec![Some([100; 3]); 100 * 100] };
+        let colors = vec![Some([100; 3]); 100 * 100];
+        let still = StillImage { width: 100, colors, tolerance: TOLERANCE };
         // A body from column 10 to 49, with an island of 2 × 2 pixels and a gap of 4 × 4.
         let is_body = |x: usize, y: usize| {
             let is_island = (20..22).contains(&x) && (30..32).contains(&y);
@@ -236,7 +248,7 @@ mod tests {
         };
         let pixel = |k: usize| if is_body(k % 100, k / 100) { [200; 3] } else { [100; 3] };
         let frame = CompactImage { width: 100, pixels: (0..100 * 100).map(pixel).collect() };
-        let shown = still.shown_in(&frame);
+        let shown = still.shown_in(&frame, TOLERANCE);
         let at = |x: usize, y: usize| shown[y * 100 + x];
         assert!(!at(20, 30) && !at(21, 31) && !at(15, 50));
         assert!(at(30, 30) && at(33, 33) && at(5, 50) && at(60, 0) && at(99, 99));

@@ -65,7 +65,7 @@ const NEARNESS: f32 = 0.01;
 pub struct Limits {
     /// Minimum and maximum of the inverse depth, 1/m.
     pub inverse_depth: [f32; 2],
-    /// Maximum speed, pixels per frame.
+    /// Maximum speed, pixels per frame. If it is 0, nothing moves.
     pub max_speed: f32,
 }
 
@@ -127,10 +127,11 @@ impl Best<'_, '_> {
     /// total cost: the sum of the costs of matching, smoothness, consistency and static background.
     #[inline(always)]
     fn consider(&mut self, proposal: Element) {
+        let is_static = self.is_still == Some(true) || self.limits.max_speed == 0.0;
+        let proposal = if is_static { proposal.still() } else { proposal };
         if !self.limits.contain(&proposal) {
             return;
         }
-        let proposal = if self.is_still == Some(true) { proposal.still() } else { proposal };
         let (x, y) = self.pixel;
         let roughness = self.matcher.roughness(&self.around, &proposal);
         let center = self.map.center(y * self.map.width + x);
@@ -373,7 +374,8 @@ impl PatchMatcher<'_> {
         for k in 0..pixels {
             let k = if pass.is_backward() { pixels - 1 - k } else { k };
             let (x, y) = (k % width, k / width);
-            if !self.own.films_pixel(x, y) || self.level == 0 && self.is_inherited(x, y) {
+            let is_skipped = map.is_given(k) || self.level == 0 && self.is_inherited(x, y);
+            if is_skipped || !self.own.films_pixel(x, y) {
                 continue;
             }
             let difference =

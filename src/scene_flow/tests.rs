@@ -1,5 +1,6 @@
 //! Tests on scenes in closed form: textured walls that move, filmed by cameras that are not synchronized.
 
+mod background;
 mod views;
 
 use super::frame::levels;
@@ -16,6 +17,8 @@ use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion};
 const SIZE: [usize; 2] = [96, 72];
 const FOCAL_PX: f64 = 100.0;
 const SPACING_M: f64 = 0.1;
+/// Maximum speed that is searched, pixels per frame.
+const MAX_SPEED: f32 = 12.0;
 
 fn camera_at(x: f64, y: f64) -> Camera {
     Camera {
@@ -110,11 +113,15 @@ fn maps(recording: &[[FlowFrame; 3]]) -> Vec<FlowMap> {
         (&own[1], [&own[0], &own[2]].into_iter().chain(nearest).collect())
     };
     let frames: Vec<(&FlowFrame, Vec<&FlowFrame>)> = (0..recording.len()).map(matched).collect();
-    estimated(&frames, &|| true)
+    estimated(&frames, &[], MAX_SPEED, &|| true)
 }
 
+/// Returns the scene flow maps of frames that are matched with others. `stills` is the static background of each frame's
+/// camera with its map, or empty. The maximum speed is in pixels per frame.
 fn estimated(
     frames: &[(&FlowFrame, Vec<&FlowFrame>)],
+    stills: &[(&StillImage, &FlowMap)],
+    max_speed: f32,
     proceed: &(dyn Fn() -> bool + Sync),
 ) -> Vec<FlowMap> {
     let all = frames.iter().map(|(f, others)| [&[*f], &others[..]].concat());
@@ -122,13 +129,15 @@ fn estimated(
     let levels: Vec<Vec<Vec<MatchingImage>>> =
         all.iter().map(|f| f.iter().map(|f| f.pyramid()).collect()).collect();
     let mut list = Vec::new();
-    for (frames, levels) in all.iter().zip(&levels) {
+    for (k, (frames, levels)) in all.iter().zip(&levels).enumerate() {
         let mut both =
             frames.iter().zip(levels).map(|(frame, levels)| PyramidFrame { frame, levels });
-        let own = both.next().unwrap();
-        list.push((own, both.collect()));
+        let frame = both.next().unwrap();
+        let of_camera = stills.get(k);
+        let background = of_camera.map(|(still, map)| Background::new(frame.frame, still, map));
+        list.push(EstimatedFrame { frame, others: both.collect(), background });
     }
-    let limits = Limits { inverse_depth: [0.2, 1.0], max_speed: 12.0 };
+    let limits = Limits { inverse_depth: [0.2, 1.0], max_speed };
     Estimation { frames: &list, limits, baseline_m: 2.0 * SPACING_M }.run(proceed)
 }
 
@@ -212,7 +221,14 @@ fn smoothing_draws_a_wrong_motion_on_a_plain_surface_towards_its_surroundings() 
         matcher.cost(&elements[k], pixel, &patch, f32::INFINITY, &mut costs)
     };
     let costs = pixels().map(cost).collect();
-    let mut map = ElementMap { width: SIZE[0], height: SIZE[1], scale: 1.0, elements, costs };
+    let mut map = ElementMap {
+        width: SIZE[0],
+        height: SIZE[1],
+        scale: 1.0,
+        elements,
+        costs,
+        given: Vec::new(),
+    };
     matcher.smooth(&mut map);
     assert!(pixels().any(is_plain));
     for k in pixels().filter(|&k| is_plain(k)) {
@@ -297,7 +313,7 @@ fn an_outline_leaves_plain_background_beside_it_uncertain() {
     let element = Element { inverse_depth: 0.5, ..Element::default() };
     let [width, height] = SIZE;
     let (elements, costs) = (vec![element; width * height], vec![0.0; width * height]);
-    let map = ElementMap { width, height, scale: 1.0, elements, costs };
+    let map = ElementMap { width, height, scale: 1.0, elements, costs, given: Vec::new() };
     // In the second camera, the body covers the columns 28 to 57 and the rows 21 to 50.
     let error_px = |errors: &[ElementErrors], x: usize| {
         median((26..46).map(|y| f64::from(errors[y * width + x].disparity_px)).collect())
@@ -322,7 +338,7 @@ fn any_number_of_threads_gives_the_same_maps() {
 fn an_estimation_that_may_not_go_on_has_no_maps() {
     let recording = recording(&[STILL]);
     let frames = [(&recording[0][1], vec![&recording[1][1]])];
-    assert!(estimated(&frames, &|| false).is_empty());
+    assert!(estimated(&frames, &[], MAX_SPEED, &|| false).is_empty());
 }
 
 #[test]

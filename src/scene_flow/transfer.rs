@@ -96,7 +96,8 @@ impl Proposals {
             let is_turned = frames[to].view.axis().angle(&frames[from].view.axis()) > TURNED_RAD;
             for (k, element) in map.elements.iter().enumerate() {
                 let [x, y] = map.center(k);
-                if !frames[from].films([x, y]) {
+                // Elements that are given aren't proposed: where the background is unknown, they tell nothing.
+                if map.is_given(k) || !frames[from].films([x, y]) {
                     continue;
                 }
                 let dt = time.of_element(element, (x, y), &projection);

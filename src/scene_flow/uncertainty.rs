@@ -26,7 +26,8 @@ const SCALE: [f64; 2] = [0.6, 0.4];
 const BY_ACCELERATION: f32 = 0.05;
 
 impl PatchMatcher<'_> {
-    /// Returns the standard errors of all surface elements of a scene flow map of this pyramid level, row by row.
+    /// Returns the standard errors of all surface elements of a scene flow map of this pyramid level, row by row; 0 for
+    /// elements that are given.
     pub fn errors(&self, map: &ElementMap) -> Vec<ElementErrors> {
         self.errors_by_block(map, 1, &|_| true)
     }
@@ -118,6 +119,9 @@ impl PatchMatcher<'_> {
     ) -> ElementErrors {
         let k = y * map.width + x;
         let element = &map.elements[k];
+        if map.is_given(k) {
+            return ElementErrors::default();
+        }
         let mut information = self.information_of(map, (x, y), patch, used);
         let [disparity, velocity] = PRIOR_PX.map(|e| 1.0 / (e * e));
         // The prior makes the matrix positive definite.

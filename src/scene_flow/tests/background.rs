@@ -1,0 +1,109 @@
+//! Tests of the static background, whose depth is found once for a recording.
+
+use super::*;
+
+/// A wall that passes before the static one. It moves by 10 pixels per frame.
+const PASSING: Wall = Wall { depth_m: 2.0, velocity: [0.2, 0.0], half_m: 0.2, plain_m: 0.0 };
+/// Number of frames of each camera.
+const FRAMES: usize = 7;
+
+/// Returns the frames of four cameras in a line while a wall passes, which is in the middle at time 0.
+fn passing() -> Vec<Vec<FlowFrame>> {
+    let frames = |c: usize| {
+        let camera = camera_at(SPACING_M * c as f64, 0.0);
+        let frame = |k: usize| {
+            let time = k as f64 - 3.0 + 0.25 * [0.0, 2.0, 1.0, 3.0][c];
+            FlowFrame::new(&camera, &filmed(&camera, &[PASSING, STILL], time), time)
+        };
+        (0..FRAMES).map(frame).collect()
+    };
+    (0..4).map(frames).collect()
+}
+
+/// Returns the static background of the cameras, and its maps.
+fn stills(recording: &[Vec<FlowFrame>]) -> (Vec<StillImage>, Vec<FlowMap>) {
+    let compact = |frames: &Vec<FlowFrame>| {
+        let all: Vec<_> = frames.iter().map(|f| CompactImage::new(&f.image)).collect();
+        StillImage::new(&all, 0.6)
+    };
+    let stills: Vec<StillImage> = recording.iter().map(compact).collect();
+    let frames: Vec<FlowFrame> =
+        stills.iter().zip(recording).map(|(still, f)| still.frame(&f[0])).collect();
+    let with_others = |c: usize| {
+        let others = frames.iter().enumerate().filter(|(k, _)| *k != c).map(|(_, f)| f).collect();
+        (&frames[c], others)
+    };
+    let list: Vec<(&FlowFrame, Vec<&FlowFrame>)> = (0..frames.len()).map(with_others).collect();
+    let maps = estimated(&list, &[], 0.0, &|| true);
+    (stills, maps)
+}
+
+fn error_px(map: &FlowMap, k: usize, depth_m: f64) -> f64 {
+    let element = map.element(&map.pixels()[k]);
+    ((f64::from(element.inverse_depth) - 1.0 / depth_m) * f64::from(map.disparity_px)).abs()
+}
+
+#[test]
+fn the_background_has_its_depth_where_a_body_passes_and_no_motion() {
+    let (_, maps) = stills(&passing());
+    for map in &maps {
+        let errors = (0..map.pixels().len()).map(|k| error_px(map, k, STILL.depth_m)).collect();
+        assert!(median(errors) < 0.05);
+        assert!(map.pixels().iter().all(|p| map.element(p).speed() == 0.0));
+    }
+}
+
+#[test]
+fn a_frame_takes_the_background_as_given_and_finds_depth_and_motion_of_the_body() {
+    let recording = passing();
+    let (stills, still_maps) = stills(&recording);
+    let middle = FRAMES / 2;
+    let matched = |c: usize| {
+        let own = &recording[c];
+        let others = (0..4).filter(|&other| other != c).map(|other| &recording[other][middle]);
+        (&own[middle], [&own[middle - 1], &own[middle + 1]].into_iter().chain(others).collect())
+    };
+    let frames: Vec<(&FlowFrame, Vec<&FlowFrame>)> = (0..4).map(matched).collect();
+    let backgrounds: Vec<_> = stills.iter().zip(&still_maps).collect();
+    let maps = estimated(&frames, &backgrounds, MAX_SPEED, &|| true);
+    let plain = estimated(&frames, &[], MAX_SPEED, &|| true);
+    for (c, map) in maps.iter().enumerate() {
+        let frame = &recording[c][middle];
+        let (mut errors, mut motion, mut given) = (Vec::new(), Vec::new(), 0);
+        let background = Background::new(frame, &stills[c], &still_maps[c]);
+        for k in 0..map.pixels().len() {
+            let place = [k % SIZE[0], k / SIZE[0]];
+            let is_body =
+                PASSING.hit(&frame.view, place.map(|v| v as f64 + 0.5), frame.time).is_some();
+            if let Some(element) = background.element(0, place) {
+                assert!(!is_body, "camera {c}: {place:?} is in the body");
+                let found = map.element(&map.pixels()[k]);
+                assert!((found.inverse_depth - element.inverse_depth).abs() < 1e-4);
+                assert_eq!(found.speed(), 0.0);
+                given += 1;
+            } else if is_body {
+                errors.push(error_px(map, k, PASSING.depth_m));
+                motion.push((f64::from(map.element(&map.pixels()[k]).velocity[0]) - 10.0).abs());
+            }
+        }
+        assert!(2 * given > map.pixels().len(), "camera {c}: {given} pixels are given");
+        let [disparity, motion] = [errors, motion].map(median);
+        assert!(disparity < 0.1 && motion < 0.3, "camera {c}: {disparity} px, {motion} px");
+        assert!(map != &plain[c], "the background changes the map");
+    }
+}
+
+#[test]
+fn pixels_of_unknown_depth_are_not_given() {
+    let recording = passing();
+    let (stills, maps) = stills(&recording);
+    let map = maps[0].clone().known_where(|k| k % SIZE[0] >= 48);
+    assert!(!map.pixels()[0].is_known() && map.pixels()[48].is_known());
+    let background = Background::new(&recording[0][0], &stills[0], &map);
+    let last = SIZE[1] - 1;
+    assert!((0..48).all(|x| background.element(0, [x, last]).is_none()));
+    assert!((48..SIZE[0]).all(|x| background.element(0, [x, last]).is_some()));
+    // A pixel of a coarser level is given if all of it is.
+    assert!(background.element(2, [20, last / 4]).is_some());
+    assert!(background.element(2, [2, last / 4]).is_none());
+}
