@@ -10,8 +10,8 @@
 
 use super::RenderError;
 use super::graph::{LightField, Stage, StoredStage};
+use super::matched_frames::{matched_with, search_range};
 use super::points::nearest;
-use super::scene_flow::{matched_with, search_range};
 use super::slots::FrameId;
 use super::stages::WideGains;
 use super::wide::CommonPlace;

@@ -23,7 +23,7 @@
 //! | `depth.rs` | depth per pixel of the cameras, by stereo matching |
 //! | `geometry.rs` | the depth map of a view, and the cameras' depth maps for occlusion |
 //! | `view.rs` | §6: the blended view |
-//! | `scene_flow.rs`, `slots.rs` | depth and motion of frames, estimated for groups of frames, and views from them |
+//! | `scene_flow.rs`, `slots.rs`, `matched_frames.rs` | depth and motion of frames, estimated for groups of frames, and views from them |
 //! | `wide.rs` | depth ranges for cameras around the scene |
 //! | `still_content.rs`, `still_depth.rs` | the static background of each camera, and its depth |
 //! | `gains.rs` | exposure gains of the cameras, also of cameras around the scene |
@@ -46,6 +46,7 @@ mod gains;
 mod geometry;
 mod graph;
 mod image_motion;
+mod matched_frames;
 mod points;
 mod prepare;
 mod render;

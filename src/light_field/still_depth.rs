@@ -1,7 +1,7 @@
 //! Depth of the cameras' static background. It is estimated once, from what doesn't change over the whole recording.
 
 use super::graph::{LightField, Stage, StoredStage};
-use super::scene_flow::{limits, partners};
+use super::matched_frames::{limits, partners};
 use super::slots::{FrameId, Slot, Slots};
 use super::stages::{FlowOptions, StillContent, StillDepth, Undistorted};
 use super::{Context, RenderError};
@@ -120,8 +120,9 @@ fn estimated(
     let read = |&camera: &usize| {
         context.check()?;
         let still = StillContent { camera, registration: options.registration }.get(field)?;
-        let undistorted = Undistorted { camera, frame: 0, registration: options.registration };
-        let frame = still.frame(&*undistorted.get(field)?);
+        let registration = options.registration;
+        let first = Undistorted { camera, frame: 0, registration }.get(field)?;
+        let frame = still.frame(&first);
         let pyramid = frame.pyramid();
         Ok((camera, (frame, pyramid)))
     };
