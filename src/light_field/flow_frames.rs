@@ -5,6 +5,7 @@ use super::points::nearest;
 use super::scene_flow::{LoadedFrame, load, store_slot};
 use super::slots::{FrameId, Slot, Slots};
 use super::stages::{FlowOptions, FrameFlow};
+use super::still_depth::Stills;
 use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::options::RenderOptions;
@@ -68,9 +69,9 @@ impl LightField {
     ) -> Result<(), RenderError> {
         let (slots, options) = (Slots::new(self), FlowOptions::new(options));
         let needed: BTreeSet<Slot> = frames.iter().map(|&frame| slots.of(frame)).collect();
-        let mut done = 0;
+        let (mut done, mut stills) = (0, Stills::default());
         for slot in needed {
-            let stored = store_slot(&slots, slot, options, &Context::unattended())?;
+            let stored = store_slot(&slots, slot, &mut stills, options, &Context::unattended())?;
             if stored.is_empty() {
                 return Err(RenderError::NoPoints);
             }

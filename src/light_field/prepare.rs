@@ -7,7 +7,7 @@ use super::graph::{LightField, StoredStage};
 use super::scene_flow::store_slot;
 use super::slots::Slots;
 use super::stages::{FlowOptions, FrameFlow, PairTracks, StillDepth};
-use super::still_depth::stored_bytes;
+use super::still_depth::{Stills, stored_bytes};
 use super::{Context, RenderError};
 use crate::options::{ProxyMethod, RenderOptions};
 use crate::registration::{Gains, Track};
@@ -127,8 +127,9 @@ impl LightField {
         progress: impl Fn(usize) + Sync,
     ) -> Result<(), RenderError> {
         let (slots, options) = (Slots::new(self), FlowOptions::new(options));
+        let mut stills = Stills::default();
         for slot in slots.all() {
-            for stored in store_slot(&slots, slot, options, &Context::unattended())? {
+            for stored in store_slot(&slots, slot, &mut stills, options, &Context::unattended())? {
                 prepared.maps += 1;
                 prepared.maps_found += usize::from(stored.was_there);
                 prepared.bytes += stored.bytes;

@@ -5,7 +5,7 @@ use super::graph::{LightField, Stage, StoredStage};
 use super::matched_frames::{limits, matched_with};
 use super::slots::{FrameId, Slot, Slots};
 use super::stages::{FlowAgreements, FlowConfidences, FlowOptions, FrameFlow, Undistorted};
-use super::still_depth::{StillCameras, still_cameras, store_still_cameras};
+use super::still_depth::{StillCameras, Stills, store_still_cameras};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::Stored;
@@ -17,7 +17,6 @@ use crate::scene_flow::{
     MatchingImage, PyramidFrame, agreements, blend, confidence,
 };
 use rayon::prelude::*;
-use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -139,10 +138,11 @@ impl FlowAgreements<'_> {
 
 /// Stores the maps of depth and motion of a [`Slot`]'s frames on disk, unless they are there already. For each frame,
 /// returns the size of its map on disk, and whether the map was there already. The result is empty if the range of the
-/// scene's depths is unknown.
+/// scene's depths is unknown. `stills` keeps the static background for further slots.
 pub(super) fn store_slot(
     slots: &Slots,
     slot: Slot,
+    stills: &mut Stills,
     options: FlowOptions,
     context: &Context,
 ) -> Result<Vec<Stored>, RenderError> {
@@ -150,9 +150,9 @@ pub(super) fn store_slot(
     let flow = |frame: FrameId| FrameFlow { frame, options };
     if !frames.iter().all(|&frame| field.stored(&flow(frame)).is_some()) {
         // Without a range of depths there are no maps, and views are rendered by other methods.
-        let stills = still_cameras(slots, slot, options, context)?;
-        store_still_cameras(field, &stills, options)?;
-        let maps = slot_maps(slots, slot, &stills, options, context)?;
+        let stills = stills.of(slots, slot, options, context)?;
+        store_still_cameras(field, stills, options)?;
+        let maps = slot_maps(slots, slot, stills, options, context)?;
         let Some(maps) = maps else { return Ok(Vec::new()) };
         for (frame, map) in maps {
             field.insert(&flow(frame), map);
@@ -197,7 +197,7 @@ pub(super) fn load(
     let stored: Vec<Option<Arc<FlowMap>>> = frames.par_iter().map(stored).collect();
     let slots = stored.contains(&None).then(|| Slots::new(field));
     let mut computed: BTreeMap<FrameId, Arc<FlowMap>> = BTreeMap::new();
-    let mut stills: BTreeMap<usize, StillCameras> = BTreeMap::new();
+    let mut stills = Stills::default();
     let mut all = Vec::with_capacity(frames.len());
     for (&id, stored) in frames.iter().zip(stored) {
         if let Some(slots) = &slots
@@ -205,11 +205,7 @@ pub(super) fn load(
             && !computed.contains_key(&id)
         {
             let slot = slots.of(id);
-            // The static background is kept here, since computing a slot may evict it from the cache.
-            let of_group = match stills.entry(slot.group) {
-                Entry::Occupied(found) => found.into_mut(),
-                Entry::Vacant(new) => new.insert(still_cameras(slots, slot, options, context)?),
-            };
+            let of_group = stills.of(slots, slot, options, context)?;
             let maps = slot_maps(slots, slot, of_group, options, context)?;
             let Some(maps) = maps else { return Ok(None) };
             computed.extend(maps);

@@ -11,6 +11,7 @@ use crate::scene_flow::{
     StillImage, confidences,
 };
 use rayon::prelude::*;
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -40,10 +41,31 @@ pub(super) struct StillCamera {
 /// Static background of cameras, by camera.
 pub(super) type StillCameras = BTreeMap<usize, StillCamera>;
 
+/// Static background of the cameras of slots, by group. It is kept while several slots are computed, since computing a
+/// slot may evict it from the cache.
+#[derive(Default)]
+pub(super) struct Stills(BTreeMap<usize, StillCameras>);
+
+impl Stills {
+    /// Returns the static background of the cameras that filmed a slot ([`still_cameras`]).
+    pub(super) fn of(
+        &mut self,
+        slots: &Slots,
+        slot: Slot,
+        options: FlowOptions,
+        context: &Context,
+    ) -> Result<&StillCameras, RenderError> {
+        Ok(match self.0.entry(slot.group) {
+            Entry::Occupied(found) => found.into_mut(),
+            Entry::Vacant(new) => new.insert(still_cameras(slots, slot, options, context)?),
+        })
+    }
+}
+
 /// Returns the static background of the cameras that filmed a slot. The result is empty if it isn't known: because nothing
 /// is known to be static, or because the range of the scene's depths isn't known. It is also empty if the cameras stand
 /// around the scene, whose static parts are told from bodies otherwise ([`FlowFrame::with_still`]).
-pub(super) fn still_cameras(
+fn still_cameras(
     slots: &Slots,
     slot: Slot,
     options: FlowOptions,
@@ -119,8 +141,8 @@ fn estimated(
     let needed: BTreeSet<usize> = cameras.iter().chain(others.iter().flatten()).copied().collect();
     let read = |&camera: &usize| {
         context.check()?;
-        let still = StillContent { camera, registration: options.registration }.get(field)?;
         let registration = options.registration;
+        let still = StillContent { camera, registration }.get(field)?;
         let first = Undistorted { camera, frame: 0, registration }.get(field)?;
         let frame = still.frame(&first);
         let pyramid = frame.pyramid();
