@@ -82,7 +82,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 12 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 13 };
 }
 
 impl Stage for FlowConfidences<'_> {

@@ -63,8 +63,7 @@ impl Stills {
 }
 
 /// Returns the static background of the cameras that filmed a slot. The result is empty if it isn't known: because nothing
-/// is known to be static, or because the range of the scene's depths isn't known. It is also empty if the cameras stand
-/// around the scene, whose static parts are told from bodies otherwise ([`FlowFrame::with_still`]).
+/// is known to be static, or because the range of the scene's depths isn't known.
 fn still_cameras(
     slots: &Slots,
     slot: Slot,
@@ -73,9 +72,6 @@ fn still_cameras(
 ) -> Result<StillCameras, RenderError> {
     let field = slots.field;
     let nothing = Ok(StillCameras::new());
-    if field.common_place().is_some() {
-        return nothing;
-    }
     let cameras = slots.cameras(slot);
     let with_still = |&camera: &usize| {
         let still = StillContent { camera, registration: options.registration }.get(field)?;

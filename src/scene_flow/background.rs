@@ -25,9 +25,13 @@ pub struct Background<'a> {
 
 impl<'a> Background<'a> {
     /// Finds the pixels of a frame that certainly show the static background `still` of its camera. They keep a distance
-    /// from moving bodies. A plain surface that borders on something moving isn't certain, since a plain body may move
-    /// without a change inside its outline. `map` has the depth of the background.
+    /// from moving bodies. `map` has the depth of the background. If the frame has no mask of the background, a plain
+    /// surface that borders on something moving isn't certain, since a plain body may move without a change inside its
+    /// outline.
     pub fn new(frame: &FlowFrame, still: &StillImage, map: &'a FlowMap) -> Self {
+        if let Some(shown) = &frame.still {
+            return Self { map, is_shown: eroded(shown, map.width, MARGIN_PX) };
+        }
         let image = CompactImage::new(&frame.image);
         let shown = still.shown_in(&image, still.tolerance);
         let mut is_shown = eroded(&shown, map.width, MARGIN_PX);
@@ -57,7 +61,8 @@ impl<'a> Background<'a> {
 
 impl StillImage {
     /// Returns the static background as a frame of its camera, at time 0. `of` is any frame of the camera. Pixels whose
-    /// background is unknown count as not filmed. They have the colour of a pixel nearby.
+    /// background is unknown count as not filmed. They have the colour of a pixel nearby. If `of` has a mask of the
+    /// background, so has the result.
     pub fn frame(&self, of: &FlowFrame) -> FlowFrame {
         let mut colors = self.colors.clone();
         let mut known: Vec<usize> = (0..colors.len()).filter(|&k| colors[k].is_some()).collect();
@@ -77,9 +82,11 @@ impl StillImage {
         let image = Image::from_data(view.width, view.height, 3, data);
         let is_filmed = |k: usize| of.is_filmed.as_ref().is_none_or(|filmed| filmed[k]);
         let known = (0..self.colors.len()).map(|k| self.colors[k].is_some() && is_filmed(k));
+        let known: Vec<bool> = known.collect();
         FlowFrame {
             is_color: *is_color,
-            is_filmed: Some(known.collect()),
+            still: of.still.is_some().then(|| known.clone()),
+            is_filmed: Some(known),
             ..FlowFrame::new(view, &image, 0.0)
         }
     }

@@ -90,6 +90,12 @@ impl FlowFrame {
         Self { still, ..self }
     }
 
+    /// Returns whether pixel `k` of a pyramid level shows static background and the level, with pixels of `scale` pixels
+    /// of the image, is the finest. Such a pixel keeps the surface element of the coarser level.
+    pub(super) fn keeps_element(&self, k: usize, scale: f32) -> bool {
+        scale == 1.0 && self.still.as_ref().is_some_and(|still| still[k])
+    }
+
     /// Returns the pyramid of the frame's image, finest level first.
     pub fn pyramid(&self) -> Vec<MatchingImage> {
         let levels = levels(self.view.width, self.view.height);

@@ -97,7 +97,8 @@ impl Proposals {
             for (k, element) in map.elements.iter().enumerate() {
                 let [x, y] = map.center(k);
                 // Elements that are given aren't proposed: where the background is unknown, they tell nothing.
-                if map.is_given(k) || !frames[from].films([x, y]) {
+                let is_proposed = !map.is_given(k) && !frames[from].keeps_element(k, map.scale);
+                if !is_proposed || !frames[from].films([x, y]) {
                     continue;
                 }
                 let dt = time.of_element(element, (x, y), &projection);

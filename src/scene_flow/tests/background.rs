@@ -20,13 +20,18 @@ fn passing() -> Vec<Vec<FlowFrame>> {
     (0..4).map(frames).collect()
 }
 
-/// Returns the static background of the cameras, and its maps.
-fn stills(recording: &[Vec<FlowFrame>]) -> (Vec<StillImage>, Vec<FlowMap>) {
+/// Returns the static background of the cameras.
+fn still_images(recording: &[Vec<FlowFrame>]) -> Vec<StillImage> {
     let compact = |frames: &Vec<FlowFrame>| {
         let all: Vec<_> = frames.iter().map(|f| CompactImage::new(&f.image)).collect();
         StillImage::new(&all, 0.6)
     };
-    let stills: Vec<StillImage> = recording.iter().map(compact).collect();
+    recording.iter().map(compact).collect()
+}
+
+/// Returns the static background of the cameras, and its maps.
+fn stills(recording: &[Vec<FlowFrame>]) -> (Vec<StillImage>, Vec<FlowMap>) {
+    let stills = still_images(recording);
     let frames: Vec<FlowFrame> =
         stills.iter().zip(recording).map(|(still, f)| still.frame(&f[0])).collect();
     let with_others = |c: usize| {
@@ -55,8 +60,24 @@ fn the_background_has_its_depth_where_a_body_passes_and_no_motion() {
 
 #[test]
 fn a_frame_takes_the_background_as_given_and_finds_depth_and_motion_of_the_body() {
-    let recording = passing();
-    let (stills, still_maps) = stills(&recording);
+    assert_given(&passing());
+}
+
+#[test]
+fn a_frame_with_a_mask_of_the_background_takes_it_as_given_too() {
+    let stills = still_images(&passing());
+    let masked = |(frames, still): (Vec<FlowFrame>, &StillImage)| {
+        frames.into_iter().map(|frame| frame.with_still(still)).collect()
+    };
+    let recording: Vec<Vec<FlowFrame>> = passing().into_iter().zip(&stills).map(masked).collect();
+    assert!(recording.iter().flatten().all(|frame| frame.still.is_some()));
+    assert_given(&recording);
+}
+
+/// Asserts that maps of the middle frames have the background's depth where it is given, and the body's depth and motion
+/// in the body.
+fn assert_given(recording: &[Vec<FlowFrame>]) {
+    let (stills, still_maps) = stills(recording);
     let middle = FRAMES / 2;
     let matched = |c: usize| {
         let own = &recording[c];
