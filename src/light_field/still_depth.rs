@@ -60,6 +60,25 @@ impl Stills {
             Entry::Vacant(new) => new.insert(still_cameras(slots, slot, options, context)?),
         })
     }
+
+    /// Makes the static background of all cameras the most recently used in the cache, for further views. Computing a slot
+    /// may have evicted it.
+    pub(super) fn keep(&self, field: &LightField, options: FlowOptions) {
+        for camera in 0..field.capture().cameras.len() {
+            let content = StillContent { camera, registration: options.registration };
+            let depth = StillDepth { camera, options };
+            match self.0.values().find_map(|of_group| of_group.get(&camera)) {
+                Some(StillCamera { still, map }) => {
+                    field.insert(&content, still.clone());
+                    field.insert(&depth, map.clone());
+                }
+                None => {
+                    field.cached(&content);
+                    field.cached(&depth);
+                }
+            }
+        }
+    }
 }
 
 /// Returns the static background of the cameras that filmed a slot. The result is empty if it isn't known: because nothing
