@@ -212,7 +212,7 @@ pub(super) fn load(
         }
         all.extend(stored.or_else(|| computed.get(&id).cloned()).map(|map| (id, map)));
     }
-    // Both are inserted after all slots are computed, since computing a slot evicts much of the cache.
+    // Backgrounds and maps are inserted after all slots are computed, since computing a slot evicts much of the cache.
     stills.keep(field, options);
     for (frame, map) in computed {
         field.insert(&FrameFlow { frame, options }, map);

@@ -91,7 +91,7 @@ impl FlowFrame {
     }
 
     /// Returns whether pixel `k` of a pyramid level shows static background and the level, with pixels of `scale` pixels
-    /// of the image, is the finest. Such a pixel keeps the surface element of the coarser level.
+    /// of the image, is the finest. There, background keeps the surface element of the coarser level, except beside bodies.
     pub(super) fn keeps_element(&self, k: usize, scale: f32) -> bool {
         scale == 1.0 && self.still.as_ref().is_some_and(|still| still[k])
     }

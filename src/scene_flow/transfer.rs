@@ -96,7 +96,8 @@ impl Proposals {
             let is_turned = frames[to].view.axis().angle(&frames[from].view.axis()) > TURNED_RAD;
             for (k, element) in map.elements.iter().enumerate() {
                 let [x, y] = map.center(k);
-                // Elements that are given aren't proposed: where the background is unknown, they tell nothing.
+                // Elements that are given aren't proposed: where the background is unknown, they tell nothing. Those
+                // that are kept were proposed at the coarser level.
                 let is_proposed = !map.is_given(k) && !frames[from].keeps_element(k, map.scale);
                 if !is_proposed || !frames[from].films([x, y]) {
                     continue;
