@@ -104,20 +104,7 @@ fn cubic_rgb_avx2(data: &[f32], w: usize, left: f32, top: f32) -> [f32; 4] {
     use std::arch::x86_64::*;
     let (i, j) = (left as usize, top as usize);
     let first = ((j - 1) * w + i - 1) * 3;
-    let weights = |t: f32| {
-        let t = _mm_set1_ps(t);
-        let [c3, c2, c1, c0] = [
-            _mm_setr_ps(-0.5, 1.5, -1.5, 0.5),
-            _mm_setr_ps(1.0, -2.5, 2.0, -0.5),
-            _mm_setr_ps(-0.5, 0.0, 0.5, 0.0),
-            _mm_setr_ps(0.0, 1.0, 0.0, 0.0),
-        ];
-        _mm_fmadd_ps(_mm_fmadd_ps(_mm_fmadd_ps(c3, t, c2), t, c1), t, c0)
-    };
-    let (x, y) = (weights(left - i as f32), weights(top - j as f32));
-    let rows: [&[f32; 12]; 4] = [0, 1, 2, 3].map(|row| {
-        data[first + 3 * w * row..].first_chunk().expect("the filter is inside the image")
-    });
+    let (x, y) = (weights_avx2(left - i as f32), weights_avx2(top - j as f32));
     let of_rows = [
         _mm256_broadcastss_ps(y),
         _mm256_broadcastss_ps(_mm_permute_ps::<0b01>(y)),
@@ -126,7 +113,9 @@ fn cubic_rgb_avx2(data: &[f32], w: usize, left: f32, top: f32) -> [f32; 4] {
     ];
     // Channels of the four summed pixels: `near` has r g b r g b r g, and `far` has b r g b.
     let (mut near, mut far) = (_mm256_setzero_ps(), _mm_setzero_ps());
-    for (row, weight) in rows.into_iter().zip(of_rows) {
+    for (row, weight) in of_rows.into_iter().enumerate() {
+        let cells = data[first + 3 * w * row..].first_chunk();
+        let row: &[f32; 12] = cells.expect("the filter is inside the image");
         // Safe: a row has twelve values.
         let (a, b) = unsafe { (_mm256_loadu_ps(row.as_ptr()), _mm_loadu_ps(row[8..].as_ptr())) };
         near = _mm256_fmadd_ps(weight, a, near);
@@ -145,6 +134,23 @@ fn cubic_rgb_avx2(data: &[f32], w: usize, left: f32, top: f32) -> [f32; 4] {
     // Safe: `out` has space for four values.
     unsafe { _mm_storeu_ps(out.as_mut_ptr(), sum) };
     out
+}
+
+/// Returns the weights of four pixels in a row or column by Catmull–Rom splines. `t` is the distance from the second one,
+/// pixels.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+#[inline]
+fn weights_avx2(t: f32) -> std::arch::x86_64::__m128 {
+    use std::arch::x86_64::*;
+    let t = _mm_set1_ps(t);
+    let [c3, c2, c1, c0] = [
+        _mm_setr_ps(-0.5, 1.5, -1.5, 0.5),
+        _mm_setr_ps(1.0, -2.5, 2.0, -0.5),
+        _mm_setr_ps(-0.5, 0.0, 0.5, 0.0),
+        _mm_setr_ps(0.0, 1.0, 0.0, 0.0),
+    ];
+    _mm_fmadd_ps(_mm_fmadd_ps(_mm_fmadd_ps(c3, t, c2), t, c1), t, c0)
 }
 
 #[inline(always)]

@@ -1,13 +1,16 @@
 //! Blends the scene flow maps of several frames, splatted into a view, to the view's image.
 
-use super::composite::{ColorCandidate, Pixel, mean_pixel, pixel_of, shows_motion};
+use super::agreed::blend_agreed;
+use super::area::{Area, QUARTERS, doubled};
+use super::composite::{Pixel, pixel_of};
 use super::frame::FlowFrame;
 use super::geometry::{Projection, undistorted};
 use super::map::MappedFrame;
 use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
-use super::pixels::{Pixels, Shown};
+use super::pixels::{Band, Pixels, Shown};
+use super::placement::{Placement, squared_error};
 use super::robust_mean::WeightedColors;
-use super::splat::{Area, QUARTERS, Splat, SplatPixel, squared_error};
+use super::splat::Splats;
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::Image;
@@ -17,15 +20,9 @@ use std::ops::Range;
 /// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates (surface elements of
 /// different scene flow maps) for the same surface at a pixel of the view.
 const CLUSTER_PX: f32 = 1.5;
-/// Maximum number of a view's pixels that are blended at once. With eight scene flow maps, blending them takes about
-/// 60 MB.
-const BAND_PIXELS: usize = 5 << 16;
-/// Minimum number of pixels of a large view. To save memory, a large view is blended in bands of half of
-/// [`BAND_PIXELS`].
-const LARGE_PIXELS: usize = 1 << 23;
-/// Maximum number of pixels at outlines whose quarters are blended at once. With eight scene flow maps, blending them
-/// takes about 50 MB.
-const QUARTERED_PIXELS: usize = 1 << 16;
+/// Maximum number of pixels of a band: of the rows of a view that a thread blends at once. With eight scene flow maps,
+/// blending them takes about 6 MB.
+const BAND_PIXELS: usize = 1 << 15;
 /// Maximum distance between a frame's camera and a view that count as being at the same place, metres.
 const SAME_PLACE_M: f64 = 1e-9;
 /// Maximum angle between a frame's camera and a view that count as having the same direction, radians.
@@ -35,8 +32,6 @@ const SAME_TIME: f64 = 1e-6;
 
 /// Number of scene flow maps from which a quick view ([`Detail::Quick`]) is blended where they agree.
 const QUICK_MAPS: usize = 3;
-/// Minimum number of scene flow maps that must show a pixel of a quick view for the others to be left out.
-const MIN_AGREEING: usize = 2;
 /// Speed for which the maps of a quick view are chosen, pixels per frame: that of a body of moderate motion.
 const TYPICAL_SPEED_PX: f32 = 10.0;
 /// One pixel in this many is used for the mean inverse depth of a scene flow map.
@@ -61,26 +56,15 @@ pub struct FlowView {
     pub motions: Option<MotionMap>,
 }
 
-/// The scene flow map of a frame from which a view is blended, with the confidences of its pixels.
-#[derive(Clone, Copy)]
-struct Source<'a> {
-    mapped: &'a MappedFrame<'a>,
-    confidences: &'a [u8],
-}
-
-/// The sources of a view.
+/// The placed scene flow maps from which a view is blended.
 #[derive(Clone, Copy)]
 struct Sources<'a> {
-    /// The sources that are splatted at all pixels.
-    first: &'a [Source<'a>],
-    /// The sources that are splatted only where the first ones don't agree.
-    others: &'a [Source<'a>],
-    /// Instant of the view, in frame periods of the reference camera since the capture's start.
-    time: f64,
+    /// The maps that are splatted at all pixels.
+    first: &'a [Placement<'a>],
+    /// The maps that are splatted only where the first ones don't agree.
+    others: &'a [Placement<'a>],
     /// Half-width of a cluster in inverse depth, 1/m.
     reach: f32,
-    /// Whether outlines are antialiased. They are not if the view is one of the frames, whose own outlines are kept.
-    antialiases: bool,
 }
 
 /// Returns whether a view at `time` is the frame: from the same place, in the same direction, at the frame's time.
@@ -92,141 +76,94 @@ fn is_frame(frame: &FlowFrame, view: &Camera, time: f64) -> bool {
         && (frame.time - time).abs() < SAME_TIME
 }
 
-/// The scene flow maps, splatted into one area of a view.
-struct Splats<'a>(Vec<(&'a MappedFrame<'a>, Splat)>);
-
-impl<'a> Splats<'a> {
-    fn new(sources: &[Source<'a>], area: &Area, time: f64) -> Self {
-        let splat = |&Source { mapped, confidences }: &Source<'a>| {
-            Some((mapped, Splat::new(*mapped, confidences, area, time)?))
-        };
-        Splats(sources.par_iter().filter_map(splat).collect())
+/// Blends a band of a view, as [`blend`] describes. Outlines are not antialiased.
+fn blend_band(sources: Sources, view: &Camera, mut band: Band) {
+    let splats = Splats::new(sources.first, &Area::of_rows(view, band.rows.clone()));
+    if sources.others.is_empty() {
+        blend_all(&mut band, &splats, sources.reach);
+    } else {
+        let open = blend_agreed(&mut band, &splats, view.width, sources.reach);
+        blend_open(sources, (&splats, &open), view, &mut band);
     }
+}
 
-    /// Adds the surface elements that the maps show at part `k` of the area to `candidates`.
-    fn collect(&self, k: usize, candidates: &mut Vec<ColorCandidate<'a>>) {
-        for (mapped, splat) in &self.0 {
-            let SplatPixel { inverse_depth, source, weight, .. } = splat.pixels[k];
-            if weight > 0.0 {
-                let is_moving = shows_motion(mapped.frame, source);
-                let frame = mapped.frame;
-                candidates.push(ColorCandidate { frame, inverse_depth, source, weight, is_moving });
-            }
+/// Blends all pixels of a band from all maps.
+fn blend_all(band: &mut Band, splats: &Splats, reach: f32) {
+    let (mut candidates, mut room) = (Vec::new(), WeightedColors::default());
+    for k in 0..band.colors.len() {
+        candidates.clear();
+        splats.collect(k, &mut candidates);
+        let Some(found) = pixel_of(&candidates, reach, &mut room) else { continue };
+        band.set(k, &found);
+        if let Some((motions, disparity_px)) = &mut band.motions {
+            let motion = motion_of(splats, k, (found.inverse_depth, reach));
+            motions[k] = QuantizedMotion::new(motion, *disparity_px);
         }
     }
 }
 
-/// One row of the view: colours, inverse depths, and what each pixel shows.
-type BlendedRow<'a> = (&'a mut [[f32; 3]], &'a mut [f32], &'a mut [Shown]);
-
-/// Blends the rows `rows` of a view into `pixels`, as [`blend`] describes.
-fn blend_rows(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut Pixels) {
-    let splats = Splats::new(sources.first, &Area::of_rows(view, rows.clone()), sources.time);
-    let (width, reach, is_quick) = (view.width, sources.reach, !sources.others.is_empty());
-    let band = rows.start * width..rows.end * width;
-    let colors = pixels.colors[band.clone()].par_chunks_mut(width);
-    let depths = pixels.inverse_depths[band.clone()].par_chunks_mut(width);
-    let shown = pixels.shown[band.clone()].par_chunks_mut(width);
-    let motions = pixels.motions.as_ref();
-    let row = |(y, (color, depth, shown)): (usize, BlendedRow)| {
-        let mut candidates = Vec::with_capacity(splats.0.len());
-        let mut room = WeightedColors::default();
-        let mut row = vec![QuantizedMotion::default(); motions.map_or(0, |_| width)];
-        let mut open = Vec::new();
-        for x in 0..width {
-            let k = y * width + x;
-            candidates.clear();
-            splats.collect(k, &mut candidates);
-            if is_quick && !agree(&candidates, reach) {
-                // A band has less than 2³² pixels.
-                open.push(k as u32);
-                continue;
-            }
-            let found = match is_quick {
-                true => mean_pixel(&candidates),
-                false => pixel_of(&candidates, reach, &mut room),
-            };
-            if let Some(found) = found {
-                (color[x], depth[x], shown[x]) =
-                    (found.color, found.inverse_depth, Shown::of(&found));
-                if let Some(motions) = motions {
-                    let of = splats.0.iter().filter(|(_, splat)| splat.pixels[k].weight > 0.0);
-                    row[x] = motions.quantized(motion_of(of, k, (found.inverse_depth, reach)));
-                }
-            }
-        }
-        (row, open)
-    };
-    let (motions, open): (Vec<Vec<QuantizedMotion>>, Vec<Vec<u32>>) =
-        (colors, depths, shown).into_par_iter().enumerate().map(row).unzip();
-    pixels.motions.iter_mut().for_each(|m| m.extend(motions.iter().flatten().copied()));
-    blend_open(sources, &splats, (view, rows.clone(), &open.concat()), pixels);
-    drop(splats);
-    if sources.antialiases {
-        antialias(sources, view, rows, pixels);
-    }
-}
-
-/// Returns whether the surface elements that the first maps show at a pixel belong to one surface, and are sufficiently
-/// many.
-fn agree(candidates: &[ColorCandidate], reach: f32) -> bool {
-    let depths = || candidates.iter().map(|c| c.inverse_depth);
-    let [min, max] =
-        [depths().fold(f32::INFINITY, f32::min), depths().fold(f32::NEG_INFINITY, f32::max)];
-    candidates.len() >= MIN_AGREEING && max - min < reach
-}
-
-/// Blends single pixels from all maps: those at which the first maps, `splats`, don't agree. `open` are the indices of
-/// these pixels in the rows `rows` of the view.
-fn blend_open(
-    sources: Sources,
-    splats: &Splats,
-    (view, rows, open): (&Camera, Range<usize>, &[u32]),
-    pixels: &mut Pixels,
-) {
+/// Blends single pixels from all maps: those at which the first maps don't agree. `splats` are the first maps, and
+/// `open` are the indices of these pixels in the band.
+fn blend_open(sources: Sources, (splats, open): (&Splats, &[u32]), view: &Camera, band: &mut Band) {
     if open.is_empty() {
         return;
     }
-    let start = rows.start * view.width;
-    let others = Splats::new(sources.others, &Area::of_pixels(view, rows, open), sources.time);
-    let blended = |(i, &k): (usize, &u32)| {
-        let (mut candidates, mut room) = (Vec::new(), WeightedColors::default());
-        splats.collect(k as usize, &mut candidates);
-        others.collect(i, &mut candidates);
-        pixel_of(&candidates, sources.reach, &mut room)
-    };
-    let blended: Vec<Option<Pixel>> = open.par_iter().enumerate().map(blended).collect();
-    for (&k, found) in open.iter().zip(blended) {
-        let k = start + k as usize;
-        if let Some(found) = found {
-            (pixels.colors[k], pixels.inverse_depths[k]) = (found.color, found.inverse_depth);
-            pixels.shown[k] = Shown::of(&found);
-        }
-    }
-}
-
-/// Antialiases outlines in the rows `rows` of a view: blends the quarters of their pixels.
-fn antialias(sources: Sources, view: &Camera, rows: Range<usize>, pixels: &mut Pixels) {
-    let (width, reach) = (view.width, sources.reach);
-    let band = rows.start * width..rows.end * width;
-    let outline = outline(&pixels.inverse_depths[band.clone()], width, reach);
-    for outline in outline.chunks(QUARTERED_PIXELS) {
-        let area = Area::of_quarters(view, rows.clone(), outline);
-        let splats = Splats::new(sources.first, &area, sources.time);
-        let color = |i: usize| mean_of_quarters(&splats, i, reach);
-        let colors: Vec<_> = (0..outline.len()).into_par_iter().map(color).collect();
-        for (&k, color) in outline.iter().zip(colors) {
-            let color_of = &mut pixels.colors[band.start + k as usize];
-            *color_of = color.unwrap_or(*color_of);
-        }
-    }
-}
-
-/// Returns the indices of the pixels at outlines: those with another inverse depth than one of their four neighbours.
-/// `inverse_depths` are those of some rows of a view, 0 where they are unknown.
-fn outline(inverse_depths: &[f32], width: usize, reach: f32) -> Vec<u32> {
-    let is_outline = |&k: &u32| {
+    let area = Area::of_pixels(view, band.rows.clone(), open);
+    let others = Splats::new(sources.others, &area);
+    let (mut candidates, mut room) = (Vec::new(), WeightedColors::default());
+    for (i, &k) in open.iter().enumerate() {
         let k = k as usize;
+        candidates.clear();
+        splats.collect(k, &mut candidates);
+        others.collect(i, &mut candidates);
+        if let Some(found) = pixel_of(&candidates, sources.reach, &mut room) {
+            band.set(k, &found);
+        }
+    }
+}
+
+/// Antialiases the outlines of a view: blends the quarters of their pixels. `placements` are those in the view with twice
+/// the width and height, `doubled`. `rows_at_once` is the number of rows of a band.
+fn antialias(
+    placements: &[Placement],
+    doubled: &Camera,
+    (reach, rows_at_once): (f32, usize),
+    pixels: &mut Pixels,
+) {
+    let width = doubled.width / 2;
+    let Pixels { colors, inverse_depths, .. } = pixels;
+    let bands = colors.par_chunks_mut((rows_at_once * width).max(1)).enumerate();
+    bands.for_each(|(band, colors)| {
+        let first = band * rows_at_once;
+        let rows = first..first + colors.len() / width;
+        let outline = outline(inverse_depths, rows.clone(), width, reach);
+        if outline.is_empty() {
+            return;
+        }
+        let splats = Splats::new(placements, &Area::of_quarters(doubled, rows, &outline));
+        let (mut candidates, mut room) = (Vec::new(), WeightedColors::default());
+        for (i, &k) in outline.iter().enumerate() {
+            let (mut sum, mut count) = ([0.0; 3], 0.0);
+            for quarter in QUARTERS * i..QUARTERS * (i + 1) {
+                candidates.clear();
+                splats.collect(quarter, &mut candidates);
+                if let Some(found) = pixel_of(&candidates, reach, &mut room) {
+                    (0..3).for_each(|c| sum[c] += found.color[c]);
+                    count += 1.0;
+                }
+            }
+            if count > 0.0 {
+                colors[k as usize] = sum.map(|v| v / count);
+            }
+        }
+    });
+}
+
+/// Returns the pixels at outlines in some rows of a view: those with another inverse depth than one of their four
+/// neighbours. They are indices in these rows. `inverse_depths` are those of the view, 0 where they are unknown.
+fn outline(inverse_depths: &[f32], rows: Range<usize>, width: usize, reach: f32) -> Vec<u32> {
+    let first = rows.start * width;
+    let is_outline = |&k: &usize| {
         let own = inverse_depths[k];
         let x = k % width;
         let left = if x > 0 { inverse_depths[k - 1] } else { own };
@@ -237,22 +174,7 @@ fn outline(inverse_depths: &[f32], width: usize, reach: f32) -> Vec<u32> {
         own > 0.0 && [left, right, above, below].into_iter().any(differs)
     };
     // A band has less than 2³² pixels.
-    (0..inverse_depths.len() as u32).into_par_iter().filter(is_outline).collect()
-}
-
-/// Returns the mean colour of the quarters of the `i`-th pixel of an area. `None` if no map covers them.
-fn mean_of_quarters(splats: &Splats, i: usize, reach: f32) -> Option<[f32; 3]> {
-    let (mut candidates, mut room) = (Vec::new(), WeightedColors::default());
-    let (mut sum, mut count) = ([0.0; 3], 0.0);
-    for k in QUARTERS * i..QUARTERS * (i + 1) {
-        candidates.clear();
-        splats.collect(k, &mut candidates);
-        if let Some(found) = pixel_of(&candidates, reach, &mut room) {
-            (0..3).for_each(|c| sum[c] += found.color[c]);
-            count += 1.0;
-        }
-    }
-    (count > 0.0).then(|| sum.map(|v| v / count))
+    (first..rows.end * width).filter(is_outline).map(|k| (k - first) as u32).collect()
 }
 
 /// Returns the disparity of a point at a depth of 1 m, pixels, at the maps' baseline of twice the distance between
@@ -263,18 +185,15 @@ fn disparity_px(mapped: &[MappedFrame]) -> f32 {
 
 /// Returns the weighted mean motion of the surface that pixel `k` of the blended rows shows. It is the mean over
 /// surface elements whose inverse depth differs from `inverse_depth` by less than `reach`, both in 1/m.
-fn motion_of<'a>(
-    splats: impl Iterator<Item = &'a (&'a MappedFrame<'a>, Splat)>,
-    k: usize,
-    (inverse_depth, reach): (f32, f32),
-) -> SurfaceMotion {
+fn motion_of(splats: &Splats, k: usize, (inverse_depth, reach): (f32, f32)) -> SurfaceMotion {
     let (mut sum, mut weights) = (SurfaceMotion::default(), 0.0);
-    for (mapped, splat) in splats {
+    for (placement, splat) in &splats.0 {
         let pixel = splat.pixels[k];
-        if (pixel.inverse_depth - inverse_depth).abs() >= reach {
+        let weight = pixel.weight;
+        if weight <= 0.0 || (pixel.inverse_depth - inverse_depth).abs() >= reach {
             continue;
         }
-        let (weight, motion) = (pixel.weight, splat.motion(mapped.map, pixel.source));
+        let motion = placement.motion(pixel.source);
         (0..2).for_each(|c| sum.velocity[c] += weight * motion.velocity[c]);
         sum.inverse_depth_rate += weight * motion.inverse_depth_rate;
         weights += weight;
@@ -300,26 +219,29 @@ pub fn blend(
 ) -> FlowView {
     let (width, height) = (view.width, view.height);
     let motions = (detail == Detail::WithMotion)
-        .then(|| MotionMap::empty(disparity_px(mapped), width * height));
+        .then(|| MotionMap::still(disparity_px(mapped), width * height));
     let mut pixels = Pixels::new(width * height, motions);
-    // The pixels of a large view need much memory, so its bands are smaller.
-    let band_pixels = if width * height < LARGE_PIXELS { BAND_PIXELS } else { BAND_PIXELS / 2 };
-    let rows_at_once = (band_pixels / width.max(1)).max(1);
+    let rows_at_once = (BAND_PIXELS / width.max(1)).max(1);
     let reach = CLUSTER_PX / disparity_px(mapped).max(f32::MIN_POSITIVE);
     let is_quick = detail == Detail::Quick;
+    // A view that is one of the frames keeps the frame's outlines.
     let antialiases = !is_quick && !mapped.iter().any(|m| is_frame(m.frame, view, time));
-    let source = |(mapped, confidences)| Source { mapped, confidences };
-    let mut all: Vec<Source> =
-        mapped.iter().zip(confidences.iter().map(Vec::as_slice)).map(source).collect();
+    let placed = |camera: &Camera| -> Vec<Placement> {
+        let maps = mapped.par_iter().zip(confidences);
+        maps.filter_map(|(mapped, of)| Placement::new(*mapped, of, (camera, time))).collect()
+    };
+    let mut all = placed(view);
     let at_once = if is_quick { QUICK_MAPS.min(all.len()) } else { all.len() };
     if is_quick {
         sort_by_error(&mut all, view, time);
     }
     let (first, others) = all.split_at(at_once);
-    let sources = Sources { first, others, time, reach, antialiases };
-    for first in (0..height).step_by(rows_at_once) {
-        let rows = first..(first + rows_at_once).min(height);
-        blend_rows(sources, view, rows, &mut pixels);
+    let sources = Sources { first, others, reach };
+    let bands = pixels.bands(width, rows_at_once);
+    bands.into_par_iter().for_each(|band| blend_band(sources, view, band));
+    if antialiases {
+        let doubled = doubled(view);
+        antialias(&placed(&doubled), &doubled, (reach, rows_at_once), &mut pixels);
     }
     if mapped.iter().any(|m| m.frame.still.is_some()) {
         pixels.close(width);
@@ -361,17 +283,17 @@ fn color_holes(mapped: &[MappedFrame], view: &Camera, pixels: &mut Pixels) {
     });
 }
 
-/// Sorts sources by the expected error of a surface element at a typical depth, in typical motion.
-fn sort_by_error(sources: &mut [Source], view: &Camera, time: f64) {
-    let error = |source: &Source| {
-        let MappedFrame { frame, map } = source.mapped;
+/// Sorts placed maps by the expected error of a surface element at a typical depth, in typical motion.
+fn sort_by_error(placements: &mut [Placement], view: &Camera, time: f64) {
+    let error = |placement: &Placement| {
+        let MappedFrame { frame, map } = placement.mapped;
         let depths = map.pixels().iter().step_by(DEPTH_SAMPLES);
         let depths: Vec<f32> = depths.map(|pixel| map.element(pixel).inverse_depth).collect();
         let mean = depths.iter().sum::<f32>() / depths.len().max(1) as f32;
         squared_error(frame, (view, time), (mean, TYPICAL_SPEED_PX))
     };
     // Squares are not negative, so that their bits have the order of the numbers.
-    sources.sort_by_cached_key(|source| error(source).to_bits());
+    placements.sort_by_cached_key(|placement| error(placement).to_bits());
 }
 
 /// Frames that give the background colours with which holes of the view are filled.

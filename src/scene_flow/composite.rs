@@ -102,26 +102,6 @@ pub fn pixel_of(
     Some(pixel)
 }
 
-/// Returns the weighted mean of the colours and inverse depths of candidates for one surface. It is faster than
-/// [`pixel_of`], and not robust. `None` without candidates.
-pub fn mean_pixel(candidates: &[ColorCandidate]) -> Option<Pixel> {
-    // Grey cameras are left out if a colour camera contributes.
-    let has_color = candidates.iter().any(|c| c.frame.is_color);
-    let (mut color, mut depths, mut weights, mut moving) = ([0.0; 3], 0.0, 0.0, 0.0);
-    for c in candidates.iter().filter(|c| c.frame.is_color == has_color) {
-        let own = c.frame.color(c.source);
-        (0..3).for_each(|k| color[k] += c.weight * own[k]);
-        depths += c.weight * c.inverse_depth;
-        weights += c.weight;
-        moving += if c.is_moving { c.weight } else { 0.0 };
-    }
-    // Candidates have positive weights.
-    let inverse = 1.0 / weights;
-    let color = color.map(|c| (c * inverse).clamp(0.0, 1.0));
-    let pixel = Pixel { color, inverse_depth: depths * inverse, is_moving: 2.0 * moving > weights };
-    (weights > 0.0).then_some(pixel)
-}
-
 /// Returns the mean colour and inverse depth of the candidates whose inverse depths differ from `q` by less than
 /// `reach`, both in 1/m. The mean of the colours is robust ([`WeightedColors::robust_mean`]). `colors` is a reusable buffer.
 /// `None` if there are no such candidates.

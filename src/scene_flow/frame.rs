@@ -4,7 +4,7 @@ use super::lens_grid::LensGrid;
 use super::matching_image::MatchingImage;
 use super::still::{CompactImage, StillImage, TOLERANCE};
 use crate::camera::{Camera, CameraModel};
-use crate::raster::{Image, Sampling, sample};
+use crate::raster::{Image, Sampling, sample, sample_each};
 use nalgebra::Point2;
 
 /// Frame of a camera at its own time, resampled to a pinhole camera.
@@ -119,6 +119,19 @@ impl FlowFrame {
                     place.map_or((&self.image, [x, y]), |place| (&original.image, place));
                 sample(image, x, y, Sampling::Cubic)
             }
+        }
+    }
+
+    /// Interpolates colours at many positions, as [`Self::color`] does. Each element of `places` is a position, pixels, and
+    /// any value of the caller. For each, `put` is called with the caller's value and the colour.
+    pub fn colors<T>(
+        &self,
+        places: impl Iterator<Item = ([f32; 2], T)>,
+        mut put: impl FnMut(T, [f32; 3]),
+    ) {
+        match &self.original {
+            None => sample_each(&self.image, places, Sampling::Cubic, put),
+            Some(_) => places.for_each(|(place, with)| put(with, self.color(place))),
         }
     }
 

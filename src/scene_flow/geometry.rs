@@ -34,16 +34,36 @@ impl Projection {
     /// v, q]`. A point behind the camera gets a pixel far outside the image, and the inverse depth 0.
     #[inline(always)]
     pub fn project(&self, x: f32, y: f32, q: f32) -> [f32; 3] {
+        let [u, v, q, _] = self.project_and_near(x, y, q);
+        [u, v, q]
+    }
+
+    /// Like [`Self::project`]. Returns also the ratio of the inverse depth in the other camera to `q`, which is 0 behind
+    /// it: `[u, v, q, ratio]`.
+    #[inline(always)]
+    pub fn project_and_near(&self, x: f32, y: f32, q: f32) -> [f32; 4] {
+        let [u, v, w] = self.homogeneous(x, y, q);
+        let is_behind = w < MIN_RATIO;
+        // Where the ratio is too small for a division, the quotients aren't used. Selections are vectorized; a return
+        // isn't.
+        let inverse = 1.0 / w;
+        let select = |value: f32, behind: f32| if is_behind { behind } else { value };
+        [
+            select(u * inverse, BEHIND_PX),
+            select(v * inverse, BEHIND_PX),
+            select(q * inverse, 0.0),
+            select(inverse, 0.0),
+        ]
+    }
+
+    /// Returns the homogeneous pixel in the other camera of a pixel with inverse depth `q`.
+    #[inline(always)]
+    pub fn homogeneous(&self, x: f32, y: f32, q: f32) -> [f32; 3] {
         let row = |i: usize| {
             let [a, b, c] = self.a[i];
             a * x + b * y + c + q * self.b[i]
         };
-        let [u, v, w] = [row(0), row(1), row(2)];
-        if w < MIN_RATIO {
-            return [BEHIND_PX, BEHIND_PX, 0.0];
-        }
-        let inverse = 1.0 / w;
-        [u * inverse, v * inverse, q * inverse]
+        [row(0), row(1), row(2)]
     }
 }
 

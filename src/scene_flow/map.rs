@@ -81,7 +81,12 @@ pub struct FlowMap {
     /// Search range of inverse depths: minimum and maximum, 1/m.
     pub(super) inverse_depth: [f32; 2],
     pub(super) pixels: Vec<FlowPixel>,
+    /// For each tile, row by row, the smallest and the largest values of its surface elements.
+    tiles: Vec<[FlowPixel; 2]>,
 }
+
+/// Width and height of a map's tiles, pixels. Tiles at the right and lower borders may be smaller.
+pub const TILE_PX: [usize; 2] = [16, 4];
 
 /// Quantized surface element of one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -90,8 +95,7 @@ pub struct FlowPixel {
     velocity: [i16; 2],
     acceleration: [i16; 2],
     rate: i16,
-    /// Bit mask of the sides on which the neighbouring pixel belongs to another surface: bit 0 for left, 1 for right, 2
-    /// for above, 3 for below.
+    /// The bit mask that [`Self::edges`] returns.
     edges: u8,
     /// Standard errors of the disparity and of the velocity, as codes on a logarithmic scale.
     errors: [u8; 2],
@@ -145,15 +149,31 @@ impl FlowPixel {
         ElementErrors { disparity_px, velocity_px }
     }
 
+    /// Extends a range of depth and motion, whose two pixels hold the smallest and the largest values, by this pixel.
+    #[inline(always)]
+    fn extend(&self, [min, max]: &mut [Self; 2]) {
+        min.inverse_depth = min.inverse_depth.min(self.inverse_depth);
+        max.inverse_depth = max.inverse_depth.max(self.inverse_depth);
+        for c in 0..2 {
+            min.velocity[c] = min.velocity[c].min(self.velocity[c]);
+            max.velocity[c] = max.velocity[c].max(self.velocity[c]);
+            min.acceleration[c] = min.acceleration[c].min(self.acceleration[c]);
+            max.acceleration[c] = max.acceleration[c].max(self.acceleration[c]);
+        }
+        min.rate = min.rate.min(self.rate);
+        max.rate = max.rate.max(self.rate);
+    }
+
     /// Returns whether the pixel's surface element is known.
     pub fn is_known(&self) -> bool {
         self.errors != [UNKNOWN; 2]
     }
 
-    /// Returns whether the neighbouring pixel on a side belongs to another surface. `side` is 0 for left, 1 for
+    /// Returns a bit mask of the sides on which the neighbouring pixel belongs to another surface: bit 0 for left, 1 for
     /// right, 2 for above, 3 for below.
-    pub fn is_edge(&self, side: usize) -> bool {
-        self.edges & (1 << side) != 0
+    #[inline(always)]
+    pub fn edges(&self) -> u8 {
+        self.edges
     }
 }
 
@@ -186,7 +206,31 @@ impl FlowMap {
             }
         };
         let pixels = map.elements.iter().enumerate().map(pixel).collect();
-        Self { width: map.width, height: map.height, disparity_px, inverse_depth, pixels }
+        Self::of_pixels([map.width, map.height], disparity_px, inverse_depth, pixels)
+    }
+
+    /// Returns the map of these pixels, row by row. `size` is its width and height; the other arguments are the fields
+    /// of these names.
+    pub(super) fn of_pixels(
+        [width, height]: [usize; 2],
+        disparity_px: f32,
+        inverse_depth: [f32; 2],
+        pixels: Vec<FlowPixel>,
+    ) -> Self {
+        let [tile_width, tile_height] = TILE_PX;
+        let (columns, rows) = (width.div_ceil(tile_width), height.div_ceil(tile_height));
+        let mut tiles = Vec::with_capacity(columns * rows);
+        for tile in 0..columns * rows {
+            let (left, top) = (tile % columns * tile_width, tile / columns * tile_height);
+            let first = pixels[top * width + left];
+            let mut range = [FlowPixel { edges: 0, errors: [0; 2], ..first }; 2];
+            for y in top..(top + tile_height).min(height) {
+                let row = &pixels[y * width..][left..(left + tile_width).min(width)];
+                row.iter().for_each(|pixel| pixel.extend(&mut range));
+            }
+            tiles.push(range);
+        }
+        Self { width, height, disparity_px, inverse_depth, pixels, tiles }
     }
 
     /// Returns the map with the given standard errors of its surface elements, one for each pixel, row by row.
@@ -209,6 +253,17 @@ impl FlowMap {
         &self.pixels
     }
 
+    /// Returns the numbers of tiles in a row, and in a column.
+    pub fn tiles(&self) -> [usize; 2] {
+        [self.width.div_ceil(TILE_PX[0]), self.height.div_ceil(TILE_PX[1])]
+    }
+
+    /// Returns two elements between which all surface elements of a tile lie, value by value: one has the smallest
+    /// values, the other the largest. `tile` is the index of the tile, row by row.
+    pub fn range(&self, tile: usize) -> [Element; 2] {
+        self.tiles[tile].each_ref().map(|pixel| self.element(pixel))
+    }
+
     /// Returns the centre of pixel `k`, pixels.
     pub fn center(&self, k: usize) -> [f32; 2] {
         [(k % self.width) as f32 + 0.5, (k / self.width) as f32 + 0.5]
@@ -226,9 +281,9 @@ impl FlowMap {
         }
     }
 
-    /// Returns the size of the map's pixels in memory, bytes.
+    /// Returns the size in memory, bytes.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.pixels.as_slice())
+        size_of_val(self.pixels.as_slice()) + size_of_val(self.tiles.as_slice())
     }
 }
 

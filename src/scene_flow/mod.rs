@@ -38,12 +38,16 @@
 //! | `map.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
 //! | `still.rs`, `background.rs` | the static background of a camera; its depth in frames |
 //! | `confidence.rs` | the fraction of the other maps that agree with an element |
-//! | `splat.rs`, `composite.rs`, `blend.rs` | rendering of a view from several maps |
+//! | `area.rs`, `tile_bounds.rs` | the parts of a view that are splatted, and which tiles of a map can cover them |
+//! | `placement.rs`, `splat.rs`, `composite.rs`, `blend.rs` | rendering of a view from several maps |
+//! | `agreed.rs` | pixels at which a few maps agree, for quick views |
 //! | `pixels.rs` | the pixels of a view, and how its holes are closed and filled |
 //! | `robust_mean.rs` | the mean of the colours that several maps show at a pixel |
 //! | `motion.rs` | the motion of the surfaces in a view |
 
 mod affine_fit;
+mod agreed;
+mod area;
 mod background;
 mod blend;
 mod composite;
@@ -68,12 +72,14 @@ mod observing_frame;
 mod packed;
 mod patch;
 mod pixels;
+mod placement;
 mod planes;
 mod robust_mean;
 mod smoothing;
 mod splat;
 mod still;
 mod sweep;
+mod tile_bounds;
 mod timing;
 mod transfer;
 mod uncertainty;

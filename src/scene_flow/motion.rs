@@ -32,28 +32,33 @@ pub struct MotionMap {
     pixels: Vec<QuantizedMotion>,
 }
 
+impl QuantizedMotion {
+    /// `disparity_px` is [`MotionMap::disparity_px`].
+    pub fn new(motion: SurfaceMotion, disparity_px: f32) -> Self {
+        // Casts saturate.
+        let [[a, b], [c, d]] = motion.velocity.map(|v| ((STEPS * v).round() as i16).to_le_bytes());
+        let rate = (RATE_STEPS * disparity_px * motion.inverse_depth_rate).round() as i8;
+        Self([a, b, c, d, rate as u8])
+    }
+}
+
 impl MotionMap {
-    /// Creates a map without pixels, with memory for `count` pixels. `disparity_px` is the disparity, in pixels, of a
-    /// point at a depth of 1 m, at a baseline of twice the distance between neighbouring cameras.
-    pub fn empty(disparity_px: f32, count: usize) -> Self {
+    /// Creates a map of `count` pixels without motion. `disparity_px` is the disparity, in pixels, of a point at a depth
+    /// of 1 m, at a baseline of twice the distance between neighbouring cameras.
+    pub fn still(disparity_px: f32, count: usize) -> Self {
         let disparity_px = disparity_px.max(f32::MIN_POSITIVE);
-        Self { disparity_px, pixels: Vec::with_capacity(count) }
+        Self { disparity_px, pixels: vec![QuantizedMotion::default(); count] }
     }
 
-    pub fn extend(&mut self, more: impl IntoIterator<Item = QuantizedMotion>) {
-        self.pixels.extend(more);
+    /// Returns the map's pixels, row by row, and the factor with which their motion is quantized
+    /// ([`QuantizedMotion::new`]).
+    pub(super) fn pixels_mut(&mut self) -> (&mut [QuantizedMotion], f32) {
+        (&mut self.pixels, self.disparity_px)
     }
 
     /// Copies the motion of pixel `from` to pixel `to`.
     pub fn copy(&mut self, from: usize, to: usize) {
         self.pixels[to] = self.pixels[from];
-    }
-
-    pub fn quantized(&self, motion: SurfaceMotion) -> QuantizedMotion {
-        // Casts saturate.
-        let [[a, b], [c, d]] = motion.velocity.map(|v| ((STEPS * v).round() as i16).to_le_bytes());
-        let rate = (RATE_STEPS * self.disparity_px * motion.inverse_depth_rate).round() as i8;
-        QuantizedMotion([a, b, c, d, rate as u8])
     }
 
     /// Returns the motion of pixel `k`.

@@ -76,7 +76,7 @@ impl PackedMap {
             FlowPixel::new(*c, std::array::from_fn(|channel| bytes[channel * count + k]))
         };
         let pixels = channels.iter().enumerate().map(pixel).collect();
-        Some(FlowMap { width, height, disparity_px, inverse_depth, pixels })
+        Some(FlowMap::of_pixels([width, height], disparity_px, inverse_depth, pixels))
     }
 }
 

@@ -2,8 +2,9 @@
 
 use super::composite::Pixel;
 use super::grid::neighbors;
-use super::motion::MotionMap;
+use super::motion::{MotionMap, QuantizedMotion};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Minimum number, of a pixel's eight neighbours, that must show a nearer moving body for the pixel to count as a hole
 /// in the body.
@@ -41,6 +42,26 @@ pub struct Pixels {
     pub motions: Option<MotionMap>,
 }
 
+/// The pixels of some rows of a view.
+pub struct Band<'a> {
+    pub rows: Range<usize>,
+    pub colors: &'a mut [[f32; 3]],
+    inverse_depths: &'a mut [f32],
+    shown: &'a mut [Shown],
+    /// Motion, if it is requested, and the factor with which it is quantized ([`QuantizedMotion::new`]).
+    pub motions: Option<(&'a mut [QuantizedMotion], f32)>,
+}
+
+impl Band<'_> {
+    /// Sets the `k`-th pixel of the band.
+    #[inline(always)]
+    pub fn set(&mut self, k: usize, pixel: &Pixel) {
+        self.colors[k] = pixel.color;
+        self.inverse_depths[k] = pixel.inverse_depth;
+        self.shown[k] = Shown::of(pixel);
+    }
+}
+
 impl Pixels {
     pub fn new(count: usize, motions: Option<MotionMap>) -> Self {
         Self {
@@ -49,6 +70,26 @@ impl Pixels {
             inverse_depths: vec![0.0; count],
             shown: vec![Shown::Nothing; count],
         }
+    }
+
+    /// Divides the pixels into bands of `rows_at_once` rows; the last one may have less. `width` is the width of the view,
+    /// pixels.
+    pub fn bands(&mut self, width: usize, rows_at_once: usize) -> Vec<Band<'_>> {
+        let count = (width * rows_at_once).max(1);
+        let colors = self.colors.chunks_mut(count);
+        let depths = self.inverse_depths.chunks_mut(count).zip(self.shown.chunks_mut(count));
+        let mut motions = self.motions.as_mut().map(|map| {
+            let (pixels, disparity_px) = map.pixels_mut();
+            (pixels.chunks_mut(count), disparity_px)
+        });
+        let mut bands = Vec::new();
+        for (k, (colors, (inverse_depths, shown))) in colors.zip(depths).enumerate() {
+            let first = k * rows_at_once;
+            let rows = first..first + colors.len() / width;
+            let motions = motions.as_mut().and_then(|(chunks, px)| Some((chunks.next()?, *px)));
+            bands.push(Band { rows, colors, inverse_depths, shown, motions });
+        }
+        bands
     }
 
     /// Closes holes in moving bodies: pixels that show a farther surface, although most of their neighbours show the
@@ -100,6 +141,7 @@ impl Pixels {
         // Views have less than 2³² pixels.
         let is_empty = |shown: &[Shown], k: usize| shown[k] == Shown::Nothing;
         let mut ring: Vec<u32> = (0..self.shown.len() as u32)
+            .into_par_iter()
             .filter(|&k| {
                 is_empty(&self.shown, k as usize) && around(k).any(|n| !is_empty(&self.shown, n))
             })

@@ -1,6 +1,8 @@
 //! Views of the scenes.
 
-use super::super::splat::{Area, Splat};
+use super::super::area::Area;
+use super::super::placement::Placement;
+use super::super::splat::Splat;
 use super::*;
 
 /// PSNR inside a border of 8 pixels, dB.
@@ -79,12 +81,50 @@ fn single_pixels_are_splatted_as_all_pixels_are() {
     let confidences = confidences(&mapped);
     let rows = 10..60;
     let pixels: Vec<u32> = (0..(rows.len() * SIZE[0]) as u32).step_by(7).collect();
-    let splat = |area: &Area| Splat::new(mapped[0], &confidences[0], area, time).unwrap();
+    let placement = Placement::new(mapped[0], &confidences[0], (&view, time)).unwrap();
+    let splat = |area: &Area| Splat::new(&placement, area);
     let all = splat(&Area::of_rows(&view, rows.clone()));
     let some = splat(&Area::of_pixels(&view, rows, &pixels));
     assert!(all.pixels.iter().filter(|p| p.weight > 0.0).count() > all.pixels.len() / 2);
     for (pixel, &k) in some.pixels.iter().zip(&pixels) {
         assert_eq!(pixel, &all.pixels[k as usize]);
+    }
+}
+
+/// Tiles whose bounds lie outside an area are left out. None of them would cover a part of the area.
+#[test]
+fn rows_are_splatted_alone_as_together() {
+    let recording = recording(&[MOVING, STILL]);
+    let mut maps = maps(&recording);
+    let rolling = recording[1][1].view.clone();
+    let image = recording[1][1].image.clone();
+    let rolling = FlowFrame::new(&rolling, &image, recording[1][1].time).with_row_time(0.01);
+    let mapped = MappedFrame { frame: &rolling, map: &maps.remove(1) };
+    let confidences = vec![200; SIZE[0] * SIZE[1]];
+    let (near, time) = (camera_at(0.15, 0.02), 1.9);
+    let turned = |roll: f64, forward_m: f64| {
+        let mut view = near.clone();
+        view.cam_from_world = Isometry3::from_parts(
+            Translation3::new(0.0, 0.0, -forward_m),
+            UnitQuaternion::from_euler_angles(0.05, -0.1, roll),
+        ) * view.cam_from_world;
+        view
+    };
+    let distorted = Camera {
+        model: CameraModel::SimpleRadial { f: FOCAL_PX, cx: 48.0, cy: 36.0, k: -0.15 },
+        ..turned(0.3, 0.0)
+    };
+    for view in
+        [turned(0.0, 0.0), turned(1.2, -0.4), turned(-2.5, 1.0), turned(0.4, 2.5), distorted]
+    {
+        let placement = Placement::new(mapped, &confidences, (&view, time)).unwrap();
+        let all = Splat::new(&placement, &Area::of_rows(&view, 0..SIZE[1])).pixels;
+        assert!(all.iter().filter(|p| p.weight > 0.0).count() > all.len() / 9);
+        for first in (0..SIZE[1]).step_by(7) {
+            let rows = first..(first + 7).min(SIZE[1]);
+            let alone = Splat::new(&placement, &Area::of_rows(&view, rows.clone())).pixels;
+            assert!(alone == all[rows.start * SIZE[0]..rows.end * SIZE[0]], "{rows:?}");
+        }
     }
 }
 
