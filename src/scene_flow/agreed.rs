@@ -5,8 +5,7 @@ use super::frame::FlowFrame;
 use super::pixels::Band;
 use super::splat::{SplatPixel, Splats};
 
-/// Minimum number of scene flow maps that must show a pixel of a quick view for the others to be left out. So many of
-/// them, with the largest weights, contribute to the pixel.
+/// Minimum number of scene flow maps that must show a pixel of a quick view for the others to be left out.
 const MIN_AGREEING: usize = 2;
 
 /// Which maps contribute to a pixel.
@@ -24,7 +23,8 @@ enum Contributing {
 #[derive(Clone, Copy)]
 struct Sums {
     contributing: Contributing,
-    /// Minimum weight of a contributing map.
+    /// Minimum weight of a contributing map: the second largest one. Interpolation of a third colour takes more time than
+    /// it gains.
     min_weight: f32,
     color: [f32; 3],
     weights: f32,
@@ -42,7 +42,8 @@ impl Sums {
         let mut heaviest = [[0.0f32; 2]; 2];
         for (placement, splat) in &splats.0 {
             let pixel = &splat.pixels[k];
-            if pixel.weight > 0.0 {
+            // A subnormal weight has no reciprocal.
+            if pixel.weight >= f32::MIN_POSITIVE {
                 (min, max) = (min.min(pixel.inverse_depth), max.max(pixel.inverse_depth));
                 let [first, second] = &mut heaviest[usize::from(placement.mapped.frame.is_color)];
                 *second = second.max(pixel.weight.min(*first));

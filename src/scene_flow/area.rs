@@ -1,6 +1,6 @@
 //! Parts of a view into which scene flow maps are splatted.
 
-use super::geometry::undistorted;
+use super::geometry::{samples, stretch, undistorted};
 use super::tile_bounds::{Bounds, EVERYWHERE};
 use crate::camera::Camera;
 use std::ops::Range;
@@ -11,7 +11,7 @@ pub const QUARTERS: usize = 4;
 const NO_PARTS: u32 = u32::MAX;
 /// Binary logarithm of the side of a cell ([`Parts::has_parts`]), pixels.
 const CELL_LOG2: u32 = 3;
-/// Margin of bounds for what lies between the pixels at which lens distortion is computed, pixels.
+/// Margin of bounds for what lies between the positions at which lens distortion is computed, pixels of the view.
 const LENS_MARGIN_PX: f32 = 2.0;
 
 /// Parts of a view into which scene flow maps are splatted: all pixels of some rows, some of these pixels, or the
@@ -132,8 +132,8 @@ fn bounds(view: &Camera, rows: &Range<usize>) -> Bounds {
         return [[0.0, right], [top, bottom]];
     }
     // The border of the rows is the border of what they see.
-    let across = (0..=view.width).flat_map(|x| [[x as f32, top], [x as f32, bottom]]);
-    let down = (rows.start..=rows.end).flat_map(|y| [[0.0, y as f32], [right, y as f32]]);
+    let across = samples(0..view.width).flat_map(|x| [[x, top], [x, bottom]]);
+    let down = samples(rows.clone()).flat_map(|y| [[0.0, y], [right, y]]);
     let mut bounds = [[f32::INFINITY, f32::NEG_INFINITY]; 2];
     for place in across.chain(down) {
         let Some(place) = undistorted(view, place) else { return EVERYWHERE };
@@ -141,5 +141,6 @@ fn bounds(view: &Camera, rows: &Range<usize>) -> Bounds {
             (*min, *max) = (min.min(at), max.max(at));
         }
     }
-    bounds.map(|[min, max]| [min - LENS_MARGIN_PX, max + LENS_MARGIN_PX])
+    let margin = LENS_MARGIN_PX * stretch(view);
+    bounds.map(|[min, max]| [min - margin, max + margin])
 }

@@ -20,9 +20,12 @@ use std::ops::Range;
 /// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates (surface elements of
 /// different scene flow maps) for the same surface at a pixel of the view.
 const CLUSTER_PX: f32 = 1.5;
-/// Maximum number of pixels of a band: of the rows of a view that a thread blends at once. With eight scene flow maps,
-/// blending them takes about 6 MB.
+/// Maximum number of pixels of a band, the rows of a view that a thread blends at once; but at least one row. With eight
+/// scene flow maps, blending them takes about 6 MB a thread, and antialiasing up to four times as much if all pixels are at
+/// outlines.
 const BAND_PIXELS: usize = 1 << 15;
+/// Minimum number of bands of a view, for as many threads.
+const MIN_BANDS: usize = 8;
 /// Maximum distance between a frame's camera and a view that count as being at the same place, metres.
 const SAME_PLACE_M: f64 = 1e-9;
 /// Maximum angle between a frame's camera and a view that count as having the same direction, radians.
@@ -221,7 +224,7 @@ pub fn blend(
     let motions = (detail == Detail::WithMotion)
         .then(|| MotionMap::still(disparity_px(mapped), width * height));
     let mut pixels = Pixels::new(width * height, motions);
-    let rows_at_once = (BAND_PIXELS / width.max(1)).max(1);
+    let rows_at_once = (BAND_PIXELS / width.max(1)).min(height.div_ceil(MIN_BANDS)).max(1);
     let reach = CLUSTER_PX / disparity_px(mapped).max(f32::MIN_POSITIVE);
     let is_quick = detail == Detail::Quick;
     // A view that is one of the frames keeps the frame's outlines.

@@ -2,6 +2,7 @@
 
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2};
+use std::ops::Range;
 
 /// Mapping of a pixel `(x, y)` with inverse depth `q` from one pinhole camera to another. The homogeneous pixel in the
 /// other camera is `A (x, y, 1) + q b`. A and b are computed in f64 and stored in f32. With f32, positions in an image
@@ -15,6 +16,8 @@ pub struct Projection {
 /// Smallest third homogeneous coordinate of a valid projected point. A point with a smaller one is behind the camera
 /// or almost in its principal plane, and outside every image.
 pub const MIN_RATIO: f32 = 1e-6;
+/// Distance between positions at which lens distortion is computed to bound its effect, pixels.
+const SAMPLE_STEP: usize = 8;
 /// Both coordinates of an invalid projected point, pixels.
 pub const BEHIND_PX: f32 = -1e9;
 
@@ -81,6 +84,37 @@ pub fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
     let (fx, fy, cx, cy) = view.model.intrinsics();
     let ray = view.ray(&Point2::new(f64::from(x), f64::from(y)))?;
     Some([(cx + fx * ray.x) as f32, (cy + fy * ray.y) as f32])
+}
+
+/// Returns the largest ratio of a distance in a view without lens distortion to the same distance with it; 1 for a pinhole
+/// camera. It is that of short distances near the border of the view. Infinite where the lens model can't be inverted.
+pub fn stretch(view: &Camera) -> f32 {
+    if view.model.is_pinhole() {
+        return 1.0;
+    }
+    let [width, height] = [view.width, view.height].map(|side| side as f32);
+    let (across, down) = (samples(0..view.width), samples(0..view.height));
+    let across = across.flat_map(|x| [[x, 0.0], [x, height]]);
+    let down = down.flat_map(|y| [[0.0, y], [width, y]]);
+    across.chain(down).fold(1.0f32, |stretch, [x, y]| {
+        // A pixel towards the middle.
+        let step = |at: f32, size: f32| at + if 2.0 * at < size { 1.0 } else { -1.0 };
+        let place = undistorted(view, [x, y]);
+        let beside = [[step(x, width), y], [x, step(y, height)]].map(|at| undistorted(view, at));
+        let distance = |beside: Option<[f32; 2]>| {
+            let ([u, v], [a, b]) = (place?, beside?);
+            Some((u - a).hypot(v - b))
+        };
+        stretch.max(
+            beside.map(|b| distance(b).unwrap_or(f32::INFINITY)).into_iter().fold(0.0, f32::max),
+        )
+    })
+}
+
+/// Returns positions from the start to the end of a range, both included, at most [`SAMPLE_STEP`] pixels apart.
+pub fn samples(range: Range<usize>) -> impl Iterator<Item = f32> {
+    let end = range.end;
+    range.step_by(SAMPLE_STEP).chain([end]).map(|at| at as f32)
 }
 
 /// Applies a view's lens distortion to a position of a pinhole camera with the same intrinsics. This is the inverse

@@ -67,7 +67,7 @@ const UNKNOWN: u8 = u8::MAX;
 const MIN_ERROR_PX: f32 = 1.0 / 256.0;
 
 /// Depth and motion of a frame with their standard errors, quantized for rendering and storage. A pixel takes 16
-/// bytes in memory, and about a third of that on disk.
+/// bytes in memory, tiles aside, and about a third of that on disk.
 ///
 /// Velocities, accelerations and rates of disparity are rounded to 1/64 pixel, inverse depths to 1/65535 of the
 /// search range, and standard errors to a power of √2.

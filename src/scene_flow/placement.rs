@@ -3,7 +3,7 @@
 use super::area::Area;
 use super::element::Element;
 use super::frame::FlowFrame;
-use super::geometry::{Projection, distorted};
+use super::geometry::{Projection, distorted, stretch};
 use super::map::{FlowPixel, MappedFrame, TILE_PX};
 use super::motion::SurfaceMotion;
 use super::tile_bounds::{Bounds, Tile};
@@ -35,7 +35,8 @@ const ERROR_BY_CURVATURE: f32 = 0.1;
 /// consists of the parts due to the distance of the cameras and to the time between the frame and the view's instant. A
 /// view at a camera's own position and a frame's own time thus shows this frame.
 const EXACT_PX: f32 = 0.01;
-/// Rounding errors of a position in a view, pixels, are below this.
+/// Rounding errors of a position in a view, pixels, are below this, unless an element is a hundred times nearer to the view
+/// than to the frame.
 const ROUNDING_PX: f32 = 0.1;
 
 /// Placement of a frame's surface elements in a view at an instant.
@@ -51,6 +52,8 @@ pub struct Placement<'a> {
     zoom: f32,
     /// Expected error of the position of a point at a depth of 1 m, due to the distance between the cameras, pixels.
     place_error: f32,
+    /// Largest ratio of a distance in the view without lens distortion to the same distance with it.
+    stretch: f32,
     /// For each tile of the map, row by row, bounds that contain the splats of its surface elements in a view without
     /// lens distortion.
     tiles: Vec<Bounds>,
@@ -64,7 +67,7 @@ pub struct PlacedRow {
     pub inverse_depth: Vec<f32>,
     /// Size of each splat, relative to its size in the frame.
     pub scale: Vec<f32>,
-    /// Blending weight of each element; 0 if it isn't in the view.
+    /// Blending weight of each element; 0 if it is behind the view, or wasn't filmed.
     pub weight: Vec<f32>,
     /// The pixels that each splat covers: its first column, the column after the last one, its first row, and the row
     /// after the last one.
@@ -97,6 +100,7 @@ impl<'a> Placement<'a> {
             row_dt: (0..map.height).map(|y| until(frame, time, y as f32 + 0.5)).collect(),
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
             place_error: place_error(frame, view),
+            stretch: stretch(view),
             tiles: Vec::new(),
         };
         let [columns, rows] = map.tiles();
@@ -114,7 +118,7 @@ impl<'a> Placement<'a> {
         let tile = Tile { corner, range: map.range(tile), dt: [a.min(b), a.max(b)] };
         let (bounds, nearing) = tile.bounds(&self.projection);
         // A splat covers pixels whose centres are at most half its width away.
-        let margin = HALF_WIDTH * self.scale(nearing) + 0.5 + ROUNDING_PX;
+        let margin = self.stretch * (HALF_WIDTH * self.scale(nearing) + 0.5) + ROUNDING_PX;
         bounds.map(|[min, max]| [min - margin, max + margin])
     }
 
@@ -252,8 +256,8 @@ multiversion! {
     fn cover_row(row: &mut PlacedRow, pixels: &[FlowPixel], area: &Area) = cover
 }
 
-/// Returns the first pixel whose centre isn't before a position, inside a range of pixels or at its end: the nearest
-/// integer.
+/// Returns the first pixel whose centre isn't before a position, inside a range of pixels or at its end. It is the nearest
+/// integer. Halfway between two, it is the even one, and the same for all splats that end or begin there.
 #[inline(always)]
 fn first_pixel(at: f32, first: f32, end: f32) -> i32 {
     // The sum's last bits are the integer, as for all below 2²². Unlike a cast, this is fast in SIMD. The maximum of NaN

@@ -1,6 +1,6 @@
 //! Views of the scenes.
 
-use super::super::area::Area;
+use super::super::area::{Area, QUARTERS, doubled};
 use super::super::placement::Placement;
 use super::super::splat::Splat;
 use super::*;
@@ -80,14 +80,60 @@ fn single_pixels_are_splatted_as_all_pixels_are() {
     let (mapped, view, time) = between(&recording, &maps);
     let confidences = confidences(&mapped);
     let rows = 10..60;
-    let pixels: Vec<u32> = (0..(rows.len() * SIZE[0]) as u32).step_by(7).collect();
-    let placement = Placement::new(mapped[0], &confidences[0], (&view, time)).unwrap();
-    let splat = |area: &Area| Splat::new(&placement, area);
-    let all = splat(&Area::of_rows(&view, rows.clone()));
-    let some = splat(&Area::of_pixels(&view, rows, &pixels));
-    assert!(all.pixels.iter().filter(|p| p.weight > 0.0).count() > all.pixels.len() / 2);
-    for (pixel, &k) in some.pixels.iter().zip(&pixels) {
-        assert_eq!(pixel, &all.pixels[k as usize]);
+    // Some pixels far apart, and some together, with empty places between them.
+    let apart = (0..(20 * SIZE[0]) as u32).step_by(171);
+    let together = (30..33).flat_map(|y| (40..50).map(move |x| (y * SIZE[0] + x) as u32));
+    let pixels: Vec<u32> = apart.chain(together).collect();
+    let splat = |camera: &Camera, area: &Area| {
+        let placement = Placement::new(mapped[0], &confidences[0], (camera, time)).unwrap();
+        Splat::new(&placement, area).pixels
+    };
+    let all = splat(&view, &Area::of_rows(&view, rows.clone()));
+    let some = splat(&view, &Area::of_pixels(&view, rows.clone(), &pixels));
+    assert!(all.iter().filter(|p| p.weight > 0.0).count() > all.len() / 2);
+    for (pixel, &k) in some.iter().zip(&pixels) {
+        assert_eq!(pixel, &all[k as usize]);
+    }
+    let doubled = doubled(&view);
+    let all = splat(&doubled, &Area::of_rows(&doubled, 2 * rows.start..2 * rows.end));
+    let quarters = splat(&doubled, &Area::of_quarters(&doubled, rows, &pixels));
+    for (quarters, &k) in quarters.chunks_exact(QUARTERS).zip(&pixels) {
+        let [x, y] = [k as usize % SIZE[0], k as usize / SIZE[0]].map(|at| 2 * at);
+        for (n, quarter) in quarters.iter().enumerate() {
+            assert_eq!(quarter, &all[(y + n / 2) * doubled.width + x + n % 2]);
+        }
+    }
+}
+
+/// A view is blended in bands. Where they are cut makes no difference.
+#[test]
+fn a_part_of_a_view_is_as_in_the_whole() {
+    let recording = recording(&[MOVING, STILL]);
+    let maps = maps(&recording);
+    let (mapped, view, time) = between(&recording, &maps);
+    let confidences = confidences(&mapped);
+    let large = |first: f64, height: usize| Camera {
+        width: 320,
+        height,
+        model: CameraModel::Pinhole { fx: 333.0, fy: 333.0, cx: 160.0, cy: 120.0 - first },
+        ..view.clone()
+    };
+    for detail in [Detail::WithMotion, Detail::Quick] {
+        let of = |camera: Camera| blend(&mapped, &confidences, &camera, time, detail);
+        let (whole, part) = (of(large(0.0, 240)), of(large(70.0, 100)));
+        // What holes are filled with depends on their surroundings.
+        let mut differing = 0;
+        for (x, y) in (8..92).flat_map(|y| (0..320).map(move |x| (x, y))) {
+            let colors = [part.rendered.image.pixel(x, y), whole.rendered.image.pixel(x, y + 70)];
+            let differs = |c: usize| (colors[0][c] - colors[1][c]).abs() > 0.01;
+            differing += usize::from((0..3).any(differs));
+            if let (Some(a), Some(b)) = (&part.motions, &whole.motions) {
+                let [a, b] =
+                    [a.motion(y * 320 + x), b.motion((y + 70) * 320 + x)].map(|m| m.velocity);
+                differing += usize::from((0..2).any(|c| (a[c] - b[c]).abs() > 0.05));
+            }
+        }
+        assert!(differing < 30, "{detail:?}: {differing}");
     }
 }
 
@@ -114,9 +160,13 @@ fn rows_are_splatted_alone_as_together() {
         model: CameraModel::SimpleRadial { f: FOCAL_PX, cx: 48.0, cy: 36.0, k: -0.15 },
         ..turned(0.3, 0.0)
     };
-    for view in
-        [turned(0.0, 0.0), turned(1.2, -0.4), turned(-2.5, 1.0), turned(0.4, 2.5), distorted]
-    {
+    // At its corners, lengths are halved.
+    let strongly_distorted = Camera {
+        model: CameraModel::SimpleRadial { f: 80.0, cx: 48.0, cy: 36.0, k: -0.2 },
+        ..turned(0.1, 1.2)
+    };
+    let pinhole = [turned(0.0, 0.0), turned(1.2, -0.4), turned(-2.5, 1.0), turned(0.4, 2.5)];
+    for view in pinhole.into_iter().chain([distorted, strongly_distorted]) {
         let placement = Placement::new(mapped, &confidences, (&view, time)).unwrap();
         let all = Splat::new(&placement, &Area::of_rows(&view, 0..SIZE[1])).pixels;
         assert!(all.iter().filter(|p| p.weight > 0.0).count() > all.len() / 9);
