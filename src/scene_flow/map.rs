@@ -209,8 +209,8 @@ impl FlowMap {
         Self::of_pixels([map.width, map.height], disparity_px, inverse_depth, pixels)
     }
 
-    /// Returns the map of these pixels, row by row. `size` is its width and height; the other arguments are the fields
-    /// of these names.
+    /// Creates a map from its width and height, pixels, and its pixels, row by row. The other arguments are the fields of these
+    /// names.
     pub(super) fn of_pixels(
         [width, height]: [usize; 2],
         disparity_px: f32,

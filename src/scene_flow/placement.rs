@@ -43,7 +43,7 @@ const ROUNDING_PX: f32 = 0.1;
 pub struct Placement<'a> {
     pub mapped: MappedFrame<'a>,
     /// The confidences of the map's pixels.
-    pub confidences: &'a [u8],
+    confidences: &'a [u8],
     projection: Projection,
     /// For each row of the scene flow map, the time from the row to the view's instant, in frame periods of the
     /// reference camera.
@@ -52,8 +52,6 @@ pub struct Placement<'a> {
     zoom: f32,
     /// Expected error of the position of a point at a depth of 1 m, due to the distance between the cameras, pixels.
     place_error: f32,
-    /// Largest ratio of a distance in the view without lens distortion to the same distance with it.
-    stretch: f32,
     /// For each tile of the map, row by row, bounds that contain the splats of its surface elements in a view without
     /// lens distortion.
     tiles: Vec<Bounds>,
@@ -100,16 +98,17 @@ impl<'a> Placement<'a> {
             row_dt: (0..map.height).map(|y| until(frame, time, y as f32 + 0.5)).collect(),
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
             place_error: place_error(frame, view),
-            stretch: stretch(view),
             tiles: Vec::new(),
         };
         let [columns, rows] = map.tiles();
-        placement.tiles = (0..columns * rows).map(|tile| placement.tile_bounds(tile)).collect();
+        let stretch = stretch(view);
+        let bounds = |tile| placement.tile_bounds(tile, stretch);
+        placement.tiles = (0..columns * rows).map(bounds).collect();
         Some(placement)
     }
 
-    /// Returns bounds that contain the splats of a tile.
-    fn tile_bounds(&self, tile: usize) -> Bounds {
+    /// Returns bounds that contain the splats of a tile. `stretch` is that of the view ([`stretch`]).
+    fn tile_bounds(&self, tile: usize, stretch: f32) -> Bounds {
         let map = self.mapped.map;
         let [columns, _] = map.tiles();
         let corner = [tile % columns * TILE_PX[0], tile / columns * TILE_PX[1]];
@@ -118,7 +117,7 @@ impl<'a> Placement<'a> {
         let tile = Tile { corner, range: map.range(tile), dt: [a.min(b), a.max(b)] };
         let (bounds, nearing) = tile.bounds(&self.projection);
         // A splat covers pixels whose centres are at most half its width away.
-        let margin = self.stretch * (HALF_WIDTH * self.scale(nearing) + 0.5) + ROUNDING_PX;
+        let margin = stretch * (HALF_WIDTH * self.scale(nearing) + 0.5) + ROUNDING_PX;
         bounds.map(|[min, max]| [min - margin, max + margin])
     }
 
