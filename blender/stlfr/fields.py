@@ -66,6 +66,14 @@ def render(request: Request, proceed: Callable[[int, int], bool]) -> Samples:
         )
 
 
+def load_preview(request: Request) -> bool:
+    """Load into memory what `preview` needs for the requested image; whether `preview` can render it."""
+    with _own_errors():
+        return _capture(request.capture).load_preview(
+            request.time_s, camera=request.camera, options=request.options
+        )
+
+
 def preview(request: Request) -> Samples | None:
     """Render the requested image quickly by scene flow; None if this method isn't chosen or its results aren't there."""
     with _own_errors():

@@ -11,6 +11,7 @@ use crate::camera::Camera;
 use crate::capture::Stored;
 use crate::host::CacheKind;
 use crate::lumigraph::DepthMap;
+use crate::options::RenderOptions;
 use crate::raster::Image;
 use crate::scene_flow::{
     Agreements, Background, EstimatedFrame, Estimation, FlowFrame, FlowMap, FlowView, MappedFrame,
@@ -82,7 +83,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 13 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 14 };
 }
 
 impl Stage for FlowConfidences<'_> {
@@ -111,7 +112,8 @@ impl FlowConfidences<'_> {
             let agreements: Vec<Arc<Option<Agreements>>> = agreements.collect();
             let comparable: Vec<&Agreements> =
                 agreements.iter().filter_map(|a| a.as_ref().as_ref()).collect();
-            confidence(&mapped[k], &comparable)
+            let map = mapped[k].map;
+            confidence([map.width, map.height], &comparable)
         };
         let confidences: Vec<Vec<u8>> =
             (0..frames.len()).into_par_iter().map(confidence_of).collect();
@@ -194,11 +196,21 @@ pub(super) fn load(
     context: &Context,
 ) -> Result<Option<Vec<LoadedFrame>>, RenderError> {
     let stored = |&frame: &FrameId| field.found(&FrameFlow { frame, options });
-    let stored: Vec<Option<Arc<FlowMap>>> = frames.par_iter().map(stored).collect();
+    let image = |&(camera, frame): &FrameId| {
+        Undistorted { camera, frame, registration: options.registration }.get(field)
+    };
+    // Gains are computed once here, before threads request them in parallel.
+    field.gains(options.registration);
+    let (stored, images): (Vec<Option<Arc<FlowMap>>>, Result<Vec<Arc<FlowFrame>>, RenderError>) =
+        rayon::join(
+            || frames.par_iter().map(stored).collect(),
+            || frames.par_iter().map(image).collect(),
+        );
+    let images = images?;
     let slots = stored.contains(&None).then(|| Slots::new(field));
     let mut computed: BTreeMap<FrameId, Arc<FlowMap>> = BTreeMap::new();
     let mut stills = Stills::default();
-    let mut all = Vec::with_capacity(frames.len());
+    let mut maps = Vec::with_capacity(frames.len());
     for (&id, stored) in frames.iter().zip(stored) {
         if let Some(slots) = &slots
             && stored.is_none()
@@ -206,26 +218,60 @@ pub(super) fn load(
         {
             let slot = slots.of(id);
             let of_group = stills.of(slots, slot, options, context)?;
-            let maps = slot_maps(slots, slot, of_group, options, context)?;
-            let Some(maps) = maps else { return Ok(None) };
-            computed.extend(maps);
+            let of_slot = slot_maps(slots, slot, of_group, options, context)?;
+            let Some(of_slot) = of_slot else { return Ok(None) };
+            computed.extend(of_slot);
         }
-        all.extend(stored.or_else(|| computed.get(&id).cloned()).map(|map| (id, map)));
+        maps.extend(stored.or_else(|| computed.get(&id).cloned()));
     }
     // Backgrounds and maps are inserted after all slots are computed, since computing a slot evicts much of the cache.
     stills.keep(field, options);
     for (frame, map) in computed {
         field.insert(&FrameFlow { frame, options }, map);
     }
-    let load = |((camera, frame), map): (FrameId, Arc<FlowMap>)| {
-        let undistorted = Undistorted { camera, frame, registration: options.registration };
-        Ok(LoadedFrame { frame: undistorted.get(field)?, map })
-    };
-    Ok(Some(all.into_par_iter().map(load).collect::<Result<_, RenderError>>()?))
+    let loaded = |(frame, map)| LoadedFrame { frame, map };
+    Ok(Some(images.into_iter().zip(maps).map(loaded).collect()))
 }
 
-/// Renders the view of the camera `target` by scene flow, from the frames of [`LightField::frames_of_view`].
-/// `None` if the range of the scene's depths is unknown.
+/// The frames from which a view by scene flow is blended, with the confidences of their maps' pixels.
+struct Blended {
+    frames: Vec<LoadedFrame>,
+    confidences: Arc<Vec<Vec<u8>>>,
+}
+
+/// Loads the frames of [`LightField::frames_of_view`], and compares their maps. `None` if the range of the scene's depths is
+/// unknown.
+fn blended(
+    field: &LightField,
+    (target, time_s): (&Camera, f64),
+    options: &RenderOptions,
+    context: &Context,
+) -> Result<Option<Blended>, RenderError> {
+    let ids = field.frames_of_view(target, time_s);
+    let options = FlowOptions::new(options);
+    let Some(frames) = load(field, &ids, options, context)? else { return Ok(None) };
+    let mapped: Vec<MappedFrame> = frames.iter().map(LoadedFrame::mapped).collect();
+    let stage = FlowConfidences { frames: &ids, options, mapped: &mapped };
+    let confidences = stage.get(field, context)?;
+    Ok(Some(Blended { frames, confidences }))
+}
+
+#[cfg(feature = "python")]
+impl LightField {
+    /// Loads into memory what a view by scene flow is rendered from. Returns false if depth and motion of its frames would have
+    /// to be estimated ([`Self::has_flow`]).
+    pub(crate) fn load_flow(
+        &self,
+        target: &Camera,
+        time_s: f64,
+        options: &RenderOptions,
+    ) -> Result<bool, RenderError> {
+        let is_there = self.has_flow(target, time_s, options);
+        Ok(is_there && blended(self, (target, time_s), options, &Context::unattended())?.is_some())
+    }
+}
+
+/// Renders the view of the camera `target` by scene flow. `None` if the range of the scene's depths is unknown.
 pub(super) fn flow_view(
     field: &LightField,
     target: &Camera,
@@ -233,13 +279,12 @@ pub(super) fn flow_view(
     context: &Context,
 ) -> Result<Option<FlowView>, RenderError> {
     let &Request { time_s, options, .. } = request;
-    let frames = field.frames_of_view(target, time_s);
-    let options = FlowOptions::new(options);
-    let Some(loaded) = load(field, &frames, options, context)? else { return Ok(None) };
-    let mapped: Vec<MappedFrame> = loaded.iter().map(LoadedFrame::mapped).collect();
-    let stage = FlowConfidences { frames: &frames, options, mapped: &mapped };
-    let confidences = stage.get(field, context)?;
+    let Some(Blended { frames, confidences }) = blended(field, (target, time_s), options, context)?
+    else {
+        return Ok(None);
+    };
     context.check()?;
+    let mapped: Vec<MappedFrame> = frames.iter().map(LoadedFrame::mapped).collect();
     let time = field.in_frames(time_s);
     Ok(Some(blend(&mapped, &confidences, target, time, request.detail)))
 }

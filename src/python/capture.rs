@@ -1,11 +1,11 @@
 //! The Python function `stlfr.open`, and the classes `stlfr.Capture` and `stlfr.Moment`.
 
 use super::convert::{
-    camera_to_python, checked, file_error, from_python, image_to_python, to_python, value_error,
-    view_to_python,
+    camera_to_python, checked, file_error, image_to_python, to_python, value_error, view_to_python,
 };
 use super::path::{PathKeys, PathSettings};
-use crate::camera::{Camera, ViewFormat};
+use super::view_settings::{ViewSettings, camera_of};
+use crate::camera::Camera;
 use crate::capture::{Capture, NamedView, Opening};
 use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
 use crate::offset::offsets_from_images;
@@ -23,6 +23,14 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
+
+/// What a preview requires.
+struct Previewed {
+    camera: Camera,
+    options: RenderOptions,
+    field: Arc<LightField>,
+    alpha: Option<bool>,
+}
 
 /// Opens and checks a capture's folder.
 ///
@@ -318,29 +326,39 @@ impl PyCapture {
         time_s: f64,
         settings: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Option<Bound<'py, PyAny>>> {
-        let settings = ViewSettings::of("preview", settings)?;
-        let ViewSettings { camera, like: None, options, alpha, proceed: None } = settings else {
-            return Err(PyTypeError::new_err("preview() has no arguments 'like' and 'proceed'"));
-        };
-        let camera = camera.ok_or_else(|| value_error("camera must be given"))?;
-        let Some(Opened { resolved, field, .. }) = self.opened_before(&options) else {
+        let previewed = self.previewed("preview", settings)?;
+        let Some(Previewed { camera, options, field, alpha }) = previewed else {
             return Ok(None);
         };
-        let options = RenderOptions { trail: TrailOptions::default(), ..resolved };
         let time_s = time_s - self.capture.time_origin_s;
         let rendered = py.detach(|| {
-            if options.proxy.method != ProxyMethod::SceneFlow
-                || !field.has_flow(&camera, time_s, &options)
-            {
+            if !field.has_flow(&camera, time_s, &options) {
                 return Ok(None);
             }
-            field.enlarge_cache();
             let request = Request::new(Viewpoint::View(&camera), time_s, &options);
             let request = Request { detail: Detail::Quick, ..request };
             render(&field, &request, &Context::unattended()).map(Some)
         });
         let rendered = rendered.map_err(value_error)?;
         rendered.map(|seen| view_to_python(py, &seen, self.capture.bit_depth(), alpha)).transpose()
+    }
+
+    /// Loads into memory what `preview` needs for this view. Returns whether `preview` can then render it; the arguments are
+    /// the same. Loading takes as long for a small view as for a large one.
+    #[pyo3(
+        signature = (time_s, **settings),
+        text_signature = "($self, time_s, *, camera, options=None, preset=None)"
+    )]
+    fn load_preview(
+        &self,
+        py: Python<'_>,
+        time_s: f64,
+        settings: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<bool> {
+        let previewed = self.previewed("load_preview", settings)?;
+        let Some(Previewed { camera, options, field, .. }) = previewed else { return Ok(false) };
+        let time_s = time_s - self.capture.time_origin_s;
+        py.detach(|| field.load_flow(&camera, time_s, &options)).map_err(value_error)
     }
 
     fn __repr__(&self) -> String {
@@ -373,48 +391,6 @@ impl PyMoment {
         let rendered = py.detach(|| render(&self.field, &request, &Context::unattended()));
         view_to_python(py, &rendered.map_err(value_error)?, self.depth, alpha)
     }
-}
-
-/// Keyword arguments of the Python methods `Capture.render` and `Capture.preview`.
-struct ViewSettings {
-    camera: Option<Camera>,
-    like: Option<String>,
-    options: RenderOptions,
-    alpha: Option<bool>,
-    proceed: Option<Py<PyAny>>,
-}
-
-impl ViewSettings {
-    /// Reads the arguments of the method `method`.
-    fn of(method: &str, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-        let (mut camera, mut like, mut options, mut preset) = (None, None, None, None);
-        let (mut alpha, mut proceed) = (None, None);
-        for (name, value) in settings.into_iter().flatten() {
-            if value.is_none() {
-                continue;
-            }
-            match &*name.extract::<String>()? {
-                "camera" => camera = Some(camera_of(&value)?),
-                "like" => like = Some(value.extract()?),
-                "options" => options = Some(value),
-                "preset" => preset = Some(value.extract::<String>()?),
-                "alpha" => alpha = Some(value.extract()?),
-                "proceed" => proceed = Some(value.unbind()),
-                other => {
-                    let sentence = format!("{method}() has no argument '{other}'");
-                    return Err(PyTypeError::new_err(sentence));
-                }
-            }
-        }
-        let options = checked(options.as_ref(), preset.as_deref())?;
-        Ok(Self { camera, like, options, alpha, proceed })
-    }
-}
-
-/// Converts a Python dict to a camera. The dict has the form of a camera in `capture.json`.
-fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
-    let format: ViewFormat = from_python(object, "camera")?;
-    format.camera().map_err(|e| value_error(format!("camera: {e}")))
 }
 
 /// Projects world points (N, 3), in metres, to pixels (N, 2) of a camera. `camera` is a dict in the form that
@@ -483,6 +459,28 @@ impl PyCapture {
         cached.insert(0, opened.clone());
         cached.truncate(MAX_OPENED);
         Ok(opened)
+    }
+
+    /// Returns what a preview requires, from the arguments of the Python method `method`. `None` if no light field is open for the
+    /// options, or they don't choose scene flow.
+    fn previewed(
+        &self,
+        method: &str,
+        settings: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Option<Previewed>> {
+        let settings = ViewSettings::of(method, settings)?;
+        let ViewSettings { camera, like: None, options, alpha, proceed: None } = settings else {
+            let sentence = format!("{method}() has no arguments 'like' and 'proceed'");
+            return Err(PyTypeError::new_err(sentence));
+        };
+        let camera = camera.ok_or_else(|| value_error("camera must be given"))?;
+        let opened = self.opened_before(&options);
+        let opened = opened.filter(|o| o.resolved.proxy.method == ProxyMethod::SceneFlow);
+        Ok(opened.map(|Opened { resolved, field, .. }| {
+            field.enlarge_cache();
+            let options = RenderOptions { trail: TrailOptions::default(), ..resolved };
+            Previewed { camera, options, field, alpha }
+        }))
     }
 
     /// Returns what [`Self::opened`] has cached for these options. `None` if there is nothing, or if another thread

@@ -6,6 +6,7 @@ mod capture;
 mod convert;
 mod functions;
 mod path;
+mod view_settings;
 
 use pyo3::prelude::*;
 

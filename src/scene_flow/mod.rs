@@ -35,9 +35,10 @@
 //! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of differing from these maps |
 //! | `estimate.rs` | the order of these steps, for several frames together |
 //! | `uncertainty.rs` | standard errors of depth and velocity |
-//! | `map.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
+//! | `map.rs`, `flow_pixel.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
+//! | `element_lanes.rs` | eight surface elements side by side, for SIMD |
 //! | `still.rs`, `background.rs` | the static background of a camera; its depth in frames |
-//! | `confidence.rs` | the fraction of the other maps that agree with an element |
+//! | `agreements.rs`, `confidence.rs` | whether other maps agree with an element; the fraction of those that do |
 //! | `area.rs`, `tile_bounds.rs` | the parts of a view that are splatted, and which tiles of a map can cover them |
 //! | `placement.rs`, `splat.rs`, `composite.rs`, `blend.rs` | rendering of a view from several maps |
 //! | `agreed.rs` | pixels at which a few maps agree, for quick views |
@@ -47,6 +48,7 @@
 
 mod affine_fit;
 mod agreed;
+mod agreements;
 mod area;
 mod background;
 mod blend;
@@ -55,8 +57,10 @@ mod confidence;
 mod consistency;
 mod contrast;
 mod element;
+mod element_lanes;
 mod estimate;
 mod extension;
+mod flow_pixel;
 mod footprint;
 mod frame;
 mod gauss_newton;
@@ -87,9 +91,10 @@ mod uncertainty;
 #[cfg(test)]
 mod tests;
 
+pub use agreements::{Agreements, agreements, confirmed_by};
 pub use background::Background;
 pub use blend::{Detail, FlowView, blend};
-pub use confidence::{Agreements, agreements, confidence, confidences, confirmed_by};
+pub use confidence::{confidence, confidences};
 pub use contrast::local_contrast;
 pub use element::{Element, ElementErrors};
 pub use estimate::{EstimatedFrame, Estimation};

@@ -1,83 +1,95 @@
 //! Stored form of a scene flow map, compressed without loss.
 
+use super::flow_pixel::FlowPixel;
 use super::frame::pinhole;
-use super::map::{FlowMap, FlowPixel};
+use super::map::FlowMap;
 use crate::camera::Camera;
 use flate2::Compression;
 use flate2::read::DeflateDecoder;
 use flate2::write::DeflateEncoder;
+use rayon::prelude::*;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::io::{Read, Write};
 
 /// Compression level of Deflate. Higher levels take three times as long, and reduce the size by a twentieth.
 const LEVEL: u32 = 3;
+/// Number of channels of a pixel, 16-bit and 8-bit ones.
+const ALL_CHANNELS: usize = FlowPixel::CHANNELS + FlowPixel::BYTE_CHANNELS;
 
-/// Scene flow map with compressed pixels. The pixels are compressed in planes, channel by channel. A 16-bit channel has
-/// all its low bytes before all its high bytes, and each value is stored as the difference from the previous pixel's
-/// value. The 8-bit channels follow, without differences.
+/// Scene flow map with compressed pixels.
 #[derive(Serialize, Deserialize)]
 struct PackedMap {
     width: usize,
     height: usize,
     disparity_px: f32,
     inverse_depth: [f32; 2],
-    deflated: Vec<u8>,
+    /// Channels of the pixels, each compressed on its own, so that they are decompressed in parallel. A 16-bit channel has all
+    /// its low bytes before all its high bytes, and each value is stored as the difference from the previous pixel's
+    /// value. The 8-bit channels follow, without differences.
+    channels: Vec<Vec<u8>>,
 }
 
 impl PackedMap {
     fn new(map: &FlowMap) -> Self {
-        let mut planes = Vec::with_capacity(map.pixels.len() * FlowPixel::BYTES);
-        for channel in 0..FlowPixel::CHANNELS {
-            let mut before = 0u16;
-            let differences: Vec<u16> = map
-                .pixels
-                .iter()
-                .map(|p| {
+        let pixels = &map.pixels;
+        let channel = |channel: usize| {
+            let Some(of_bytes) = channel.checked_sub(FlowPixel::CHANNELS) else {
+                let mut before = 0i16;
+                let mut difference = |p: &FlowPixel| {
                     let value = p.channels()[channel];
-                    value.wrapping_sub(std::mem::replace(&mut before, value))
-                })
-                .collect();
-            planes.extend(differences.iter().map(|d| d.to_le_bytes()[0]));
-            planes.extend(differences.iter().map(|d| d.to_le_bytes()[1]));
-        }
-        for channel in 0..FlowPixel::BYTE_CHANNELS {
-            planes.extend(map.pixels.iter().map(|p| p.byte_channels()[channel]));
-        }
-        let mut encoder = DeflateEncoder::new(Vec::new(), Compression::new(LEVEL));
-        // Writing to memory can't fail.
-        let deflated = encoder.write_all(&planes).and_then(|()| encoder.finish());
+                    value.wrapping_sub(std::mem::replace(&mut before, value)).to_le_bytes()
+                };
+                let differences: Vec<[u8; 2]> = pixels.iter().map(&mut difference).collect();
+                let halves = [0, 1].map(|half| differences.iter().map(move |bytes| bytes[half]));
+                return deflated(&halves.into_iter().flatten().collect::<Vec<u8>>());
+            };
+            deflated(&pixels.iter().map(|p| p.byte_channels()[of_bytes]).collect::<Vec<u8>>())
+        };
+        let channels = (0..ALL_CHANNELS).into_par_iter().map(channel).collect();
         let &FlowMap { width, height, disparity_px, inverse_depth, .. } = map;
-        Self { width, height, disparity_px, inverse_depth, deflated: deflated.unwrap_or_default() }
+        Self { width, height, disparity_px, inverse_depth, channels }
     }
 
     /// Returns the decompressed scene flow map. `None` if the bytes are damaged.
     fn unpacked(self) -> Option<FlowMap> {
-        let Self { width, height, disparity_px, inverse_depth, deflated } = self;
-        let count = width.checked_mul(height)?;
-        let expected = count.checked_mul(FlowPixel::BYTES)?;
-        let mut planes = Vec::new();
-        let mut decoder = DeflateDecoder::new(&*deflated).take(expected as u64 + 1);
-        decoder.read_to_end(&mut planes).ok()?;
-        if planes.len() != expected {
+        let Self { width, height, disparity_px, inverse_depth, channels } = self;
+        if channels.len() != ALL_CHANNELS {
             return None;
         }
-        let mut channels = vec![[0u16; FlowPixel::CHANNELS]; count];
-        let (words, bytes) = planes.split_at(2 * FlowPixel::CHANNELS * count);
-        for (channel, bytes) in words.chunks_exact(2 * count.max(1)).enumerate() {
-            let (low, high) = bytes.split_at(count);
-            let mut value = 0u16;
-            for ((pixel, low), high) in channels.iter_mut().zip(low).zip(high) {
-                value = value.wrapping_add(u16::from_le_bytes([*low, *high]));
-                pixel[channel] = value;
-            }
-        }
-        let pixel = |(k, c): (usize, &[u16; FlowPixel::CHANNELS])| {
-            FlowPixel::new(*c, std::array::from_fn(|channel| bytes[channel * count + k]))
+        let count = width.checked_mul(height)?;
+        let bytes = |(channel, deflated): (usize, &Vec<u8>)| {
+            let size = if channel < FlowPixel::CHANNELS { count.checked_mul(2)? } else { count };
+            inflated(deflated, size)
         };
-        let pixels = channels.iter().enumerate().map(pixel).collect();
+        let planes: Vec<Vec<u8>> =
+            channels.par_iter().enumerate().map(bytes).collect::<Option<_>>()?;
+        let (words, bytes) = planes.split_at(FlowPixel::CHANNELS);
+        let mut values = [0i16; FlowPixel::CHANNELS];
+        let pixel = |k: usize| {
+            for (value, plane) in values.iter_mut().zip(words) {
+                let difference = i16::from_le_bytes([plane[k], plane[count + k]]);
+                *value = value.wrapping_add(difference);
+            }
+            FlowPixel::new(values, std::array::from_fn(|channel| bytes[channel][k]))
+        };
+        let pixels = (0..count).map(pixel).collect();
         Some(FlowMap::of_pixels([width, height], disparity_px, inverse_depth, pixels))
     }
+}
+
+fn deflated(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = DeflateEncoder::new(Vec::new(), Compression::new(LEVEL));
+    // Writing to memory can't fail.
+    encoder.write_all(bytes).and_then(|()| encoder.finish()).unwrap_or_default()
+}
+
+/// Returns the decompressed bytes. `None` if they aren't `size` bytes.
+fn inflated(deflated: &[u8], size: usize) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let mut decoder = DeflateDecoder::new(deflated).take(size as u64 + 1);
+    decoder.read_to_end(&mut bytes).ok()?;
+    (bytes.len() == size).then_some(bytes)
 }
 
 impl FlowMap {

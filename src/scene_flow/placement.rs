@@ -1,15 +1,16 @@
 //! Placement of surface elements in a view: they are moved to the view's instant and projected.
 
 use super::area::Area;
-use super::element::Element;
+use super::element_lanes::{COLUMNS, ElementLanes, eight, length};
+use super::flow_pixel::FlowPixel;
 use super::frame::FlowFrame;
 use super::geometry::{Projection, distorted, stretch};
-use super::map::{FlowPixel, MappedFrame, TILE_PX};
+use super::map::MappedFrame;
 use super::motion::SurfaceMotion;
-use super::tile_bounds::{Bounds, Tile};
+use super::tile_bounds::{Bounds, ROUNDING_PX, TILE_PX, TileBounds};
 use super::timing::until;
 use crate::camera::Camera;
-use crate::simd::multiversion;
+use crate::simd::{F32x8, LANES, multiversion};
 use std::ops::Range;
 
 /// Half-width of a splat, pixels of the frame. Splats of neighbouring pixels overlap slightly.
@@ -35,9 +36,6 @@ const ERROR_BY_CURVATURE: f32 = 0.1;
 /// consists of the parts due to the distance of the cameras and to the time between the frame and the view's instant. A
 /// view at a camera's own position and a frame's own time thus shows this frame.
 const EXACT_PX: f32 = 0.01;
-/// Rounding errors of a position in a view, pixels, are below this, unless an element is a hundred times nearer to the view
-/// than to the frame.
-const ROUNDING_PX: f32 = 0.1;
 
 /// Placement of a frame's surface elements in a view at an instant.
 pub struct Placement<'a> {
@@ -73,10 +71,11 @@ pub struct PlacedRow {
 }
 
 impl PlacedRow {
+    /// All but `covered` are padded to whole SIMD vectors.
     fn resize(&mut self, count: usize) {
         let Self { x, y, inverse_depth, scale, weight, covered } = self;
         for values in [x, y, inverse_depth, scale, weight] {
-            values.resize(count, 0.0);
+            values.resize(count.next_multiple_of(LANES), 0.0);
         }
         covered.resize(count, [0; 4]);
     }
@@ -100,25 +99,25 @@ impl<'a> Placement<'a> {
             place_error: place_error(frame, view),
             tiles: Vec::new(),
         };
-        let [columns, rows] = map.tiles();
         let stretch = stretch(view);
-        let bounds = |tile| placement.tile_bounds(tile, stretch);
-        placement.tiles = (0..columns * rows).map(bounds).collect();
+        let [_, rows] = map.tiles();
+        placement.tiles = (0..rows).flat_map(|row| placement.tile_bounds(row, stretch)).collect();
         Some(placement)
     }
 
-    /// Returns bounds that contain the splats of a tile. `stretch` is that of the view ([`stretch`]).
-    fn tile_bounds(&self, tile: usize, stretch: f32) -> Bounds {
+    /// Returns, for each tile of a row of tiles, bounds that contain its splats. `stretch` is that of the view ([`stretch`]).
+    fn tile_bounds(&self, row: usize, stretch: f32) -> Vec<Bounds> {
         let map = self.mapped.map;
-        let [columns, _] = map.tiles();
-        let corner = [tile % columns * TILE_PX[0], tile / columns * TILE_PX[1]];
-        let last = (corner[1] + TILE_PX[1]).min(map.height) - 1;
-        let [a, b] = [self.row_dt[corner[1]], self.row_dt[last]];
-        let tile = Tile { corner, range: map.range(tile), dt: [a.min(b), a.max(b)] };
-        let (bounds, nearing) = tile.bounds(&self.projection);
-        // A splat covers pixels whose centres are at most half its width away.
-        let margin = stretch * (HALF_WIDTH * self.scale(nearing) + 0.5) + ROUNDING_PX;
-        bounds.map(|[min, max]| [min - margin, max + margin])
+        let top = row * TILE_PX[1];
+        let last = (top + TILE_PX[1]).min(map.height) - 1;
+        let [a, b] = [self.row_dt[top], self.row_dt[last]];
+        let tiles = map.tile_row(row, [a.min(b), a.max(b)]).bounds(&self.projection);
+        let of_splats = |tile: TileBounds| {
+            // A splat covers pixels whose centres are at most half its width away.
+            let margin = stretch * (HALF_WIDTH * self.scale(tile.nearing) + 0.5) + ROUNDING_PX;
+            tile.place.map(|[min, max]| [min - margin, max + margin])
+        };
+        tiles.into_iter().map(of_splats).collect()
     }
 
     /// Returns the columns of the map whose surface elements may cover parts of the area, for a row of tiles.
@@ -176,43 +175,56 @@ impl<'a> Placement<'a> {
         self.zoom * nearing.clamp(SCALES[0], SCALES[1])
     }
 
-    /// Returns the blending weight of a surface element. `inverse_depth` is that in the view.
+    /// Returns the blending weights of eight surface elements. `inverse_depth` is that in the view.
     #[inline(always)]
-    fn weight(&self, element: &Element, (inverse_depth, dt): (f32, f32), confidence: u8) -> f32 {
-        let [a, b] = element.acceleration;
-        let place = self.place_error * inverse_depth;
-        let motion = dt.abs() * (ERROR_BY_TIME[0] + ERROR_BY_TIME[1] * element.speed())
-            + ERROR_BY_CURVATURE * dt * dt * (a * a + b * b).sqrt();
-        let error = (place * place + motion * motion).max(f32::EPSILON);
-        let exact = 1.0 + EXACT_PX * EXACT_PX / error;
-        let confidence = f32::from(confidence) / 255.0;
-        let weight = confidence * confidence * exact / (ERROR_PX * ERROR_PX + error);
+    fn weights<V: F32x8>(
+        &self,
+        elements: &ElementLanes<V>,
+        inverse_depth: V,
+        dt: f32,
+        confidence: V,
+    ) -> V {
+        let place = V::splat(self.place_error) * inverse_depth;
+        let [constant, by_speed] = V::splats(ERROR_BY_TIME);
+        let motion = V::splat(dt.abs()) * (constant + by_speed * elements.speed())
+            + V::splat(ERROR_BY_CURVATURE * dt * dt) * length(elements.acceleration);
+        let error = (place * place + motion * motion).simd_max(V::splat(f32::EPSILON));
+        let exact = V::splat(1.0) + V::splat(EXACT_PX * EXACT_PX) / error;
+        let confidence = confidence / V::splat(255.0);
+        let weight = confidence * confidence * exact / (V::splat(ERROR_PX * ERROR_PX) + error);
         // Negative inverse depths, which the rate can cause, are behind the camera.
-        if inverse_depth > 0.0 { weight } else { 0.0 }
+        V::zero().if_below(inverse_depth, weight, V::zero())
     }
 }
 
 #[inline(always)]
-fn place(row: &mut PlacedRow, placement: &Placement, columns: &Range<usize>, y: usize) {
-    let (map, n) = (placement.mapped.map, columns.len());
-    let pixels = &map.pixels()[y * map.width..][columns.start..][..n];
-    let confidences = &placement.confidences[y * map.width..][columns.start..][..n];
-    let (x, y_px, inverse_depth) = (&mut row.x[..n], &mut row.y[..n], &mut row.inverse_depth[..n]);
-    let (scale, weight) = (&mut row.scale[..n], &mut row.weight[..n]);
-    let dt = placement.row_dt[y];
-    for k in 0..n {
-        let element = map.element(&pixels[k]);
-        let place = [(columns.start + k) as f32 + 0.5, y as f32 + 0.5];
-        let [mx, my, q] = element.moved(place[0], place[1], dt);
-        let [u, v, q_there, nearing] = placement.projection.project_and_near(mx, my, q);
-        (x[k], y_px[k], inverse_depth[k]) = (u, v, q_there);
-        scale[k] = placement.scale(nearing);
-        weight[k] = placement.weight(&element, (q_there, dt), confidences[k]);
+fn place<V: F32x8>(row: &mut PlacedRow, placement: &Placement, columns: &Range<usize>, y: usize) {
+    let map = placement.mapped.map;
+    let pixels = &map.pixels()[y * map.width..][columns.clone()];
+    let confidences = &placement.confidences[y * map.width..][columns.clone()];
+    let (scales, dt) = (map.scales(), placement.row_dt[y]);
+    let ([least, most], zoom) = (V::splats(SCALES), V::splat(placement.zoom));
+    let mut x = V::from_array(&COLUMNS) + V::splat(columns.start as f32);
+    for first in (0..pixels.len()).step_by(LANES) {
+        let elements = ElementLanes::<V>::new(&eight(pixels, first), &scales);
+        let mut confidence = [0.0; LANES];
+        for (lane, code) in confidence.iter_mut().zip(eight(confidences, first)) {
+            *lane = f32::from(code);
+        }
+        let moved = elements.moved([x, V::splat(y as f32 + 0.5)], V::splat(dt));
+        let [u, v, inverse_depth, nearing] = placement.projection.project_lanes(moved);
+        u.store(&mut row.x, first);
+        v.store(&mut row.y, first);
+        inverse_depth.store(&mut row.inverse_depth, first);
+        (zoom * nearing.simd_max(least).simd_min(most)).store(&mut row.scale, first);
+        let weights = placement.weights(&elements, inverse_depth, dt, V::from_array(&confidence));
+        weights.store(&mut row.weight, first);
+        x = x + V::splat(LANES as f32);
     }
 }
 
 multiversion! {
-    fn place_row(row: &mut PlacedRow, placement: &Placement, columns: &Range<usize>, y: usize) = place
+    fn place_row(row: &mut PlacedRow, placement: &Placement, columns: &Range<usize>, y: usize) = place::<V>
 }
 
 /// For each combination of edges ([`FlowPixel::edges`]), the positions of a splat's left, right, upper and lower borders
@@ -268,7 +280,7 @@ fn first_pixel(at: f32, first: f32, end: f32) -> i32 {
 /// Applies the view's lens distortion to the positions in `row`, which are those of a pinhole camera. Positions beyond
 /// the range in which the lens model is monotonic get the weight 0.
 fn distort(row: &mut PlacedRow, view: &Camera) {
-    for x in 0..row.x.len() {
+    for x in 0..row.covered.len() {
         match distorted(view, [row.x[x], row.y[x]]) {
             Some(place) => [row.x[x], row.y[x]] = place,
             None => row.weight[x] = 0.0,

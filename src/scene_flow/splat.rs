@@ -3,8 +3,8 @@
 
 use super::area::Area;
 use super::composite::{ColorCandidate, shows_motion};
-use super::map::TILE_PX;
 use super::placement::{PlacedRow, Placement};
+use super::tile_bounds::TILE_PX;
 use crate::simd::multiversion;
 
 /// Minimum difference in disparity for a nearer surface element to occlude a farther one, pixels. Elements with a

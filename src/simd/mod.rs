@@ -172,6 +172,20 @@ pub trait F32x8:
         }))
     }
 
+    /// Transposes eight records of eight values. Element l of vector k of the result is value k of record l.
+    #[inline(always)]
+    fn transposed(records: &[[i16; 8]; LANES]) -> [Self; 8] {
+        let mut all = [Self::zero(); 8];
+        for (k, vector) in all.iter_mut().enumerate() {
+            let mut lanes = [0.0; LANES];
+            for (lane, record) in lanes.iter_mut().zip(records) {
+                *lane = f32::from(record[k]);
+            }
+            *vector = Self::from_array(&lanes);
+        }
+        all
+    }
+
     /// Loads the eight values of `row` that start at index `at`.
     ///
     /// # Panics
@@ -327,12 +341,59 @@ mod avx2 {
         }
 
         #[inline(always)]
+        fn abs(self) -> Self {
+            unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
+        }
+
+        #[inline(always)]
+        fn sqrt(self) -> Self {
+            unsafe { Self(_mm256_sqrt_ps(self.0)) }
+        }
+
+        #[inline(always)]
         fn floor_and_fraction(self) -> ([i32; LANES], Self) {
             let mut whole = [0; LANES];
             unsafe {
                 let floor = _mm256_floor_ps(self.0);
                 _mm256_storeu_si256(whole.as_mut_ptr().cast(), _mm256_cvttps_epi32(floor));
                 (whole, Self(_mm256_sub_ps(self.0, floor)))
+            }
+        }
+
+        #[inline(always)]
+        fn transposed(records: &[[i16; 8]; LANES]) -> [Self; 8] {
+            unsafe {
+                let mut rows = [_mm_setzero_si128(); LANES];
+                for (row, record) in rows.iter_mut().zip(records) {
+                    *row = _mm_loadu_si128(record.as_ptr().cast());
+                }
+                let [a, b, c, d, e, f, g, h] = rows;
+                // Pairs of records, then fours, then all eight, beside each other.
+                let (ab, ab_high) = (_mm_unpacklo_epi16(a, b), _mm_unpackhi_epi16(a, b));
+                let (cd, cd_high) = (_mm_unpacklo_epi16(c, d), _mm_unpackhi_epi16(c, d));
+                let (ef, ef_high) = (_mm_unpacklo_epi16(e, f), _mm_unpackhi_epi16(e, f));
+                let (gh, gh_high) = (_mm_unpacklo_epi16(g, h), _mm_unpackhi_epi16(g, h));
+                let (first, first_high) = (_mm_unpacklo_epi32(ab, cd), _mm_unpackhi_epi32(ab, cd));
+                let (last, last_high) = (_mm_unpacklo_epi32(ef, gh), _mm_unpackhi_epi32(ef, gh));
+                let (third, third_high) =
+                    (_mm_unpacklo_epi32(ab_high, cd_high), _mm_unpackhi_epi32(ab_high, cd_high));
+                let (fourth, fourth_high) =
+                    (_mm_unpacklo_epi32(ef_high, gh_high), _mm_unpackhi_epi32(ef_high, gh_high));
+                let columns = [
+                    _mm_unpacklo_epi64(first, last),
+                    _mm_unpackhi_epi64(first, last),
+                    _mm_unpacklo_epi64(first_high, last_high),
+                    _mm_unpackhi_epi64(first_high, last_high),
+                    _mm_unpacklo_epi64(third, fourth),
+                    _mm_unpackhi_epi64(third, fourth),
+                    _mm_unpacklo_epi64(third_high, fourth_high),
+                    _mm_unpackhi_epi64(third_high, fourth_high),
+                ];
+                let mut all = [Self(_mm256_setzero_ps()); 8];
+                for (vector, column) in all.iter_mut().zip(columns) {
+                    vector.0 = _mm256_cvtepi32_ps(_mm256_cvtepi16_epi32(column));
+                }
+                all
             }
         }
 
@@ -408,6 +469,26 @@ mod tests {
 
     multiversion! {
         fn exact(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] = exact_by::<V>
+    }
+
+    #[inline(always)]
+    fn transposed_by<V: F32x8>(records: &[[i16; 8]; LANES]) -> [[f32; LANES]; 8] {
+        V::transposed(records).map(V::to_array)
+    }
+
+    multiversion! {
+        fn transposed(records: &[[i16; 8]; LANES]) -> [[f32; LANES]; 8] = transposed_by::<V>
+    }
+
+    #[test]
+    fn records_are_transposed() {
+        let records: [[i16; 8]; LANES] =
+            std::array::from_fn(|l| std::array::from_fn(|k| (4000 * l + k) as i16 - 16000));
+        for all in [transposed_by::<Scalar>(&records), transposed(&records)] {
+            for (k, lanes) in all.iter().enumerate() {
+                assert_eq!(*lanes, std::array::from_fn(|l| f32::from(records[l][k])));
+            }
+        }
     }
 
     #[test]

@@ -105,6 +105,7 @@ class Module:
         self.stopped = 0
         self.error: Exception | None = None
         self.is_prepared = False
+        self.loading_s = 0.0
 
     def render(self, request: Any, proceed: Callable[[int, int], bool]) -> Any:
         self.asked.append(("render", request.time_s, request.options))
@@ -120,9 +121,11 @@ class Module:
             np.uint8,
         )
 
+    def load_preview(self, request: Any) -> bool:
+        time.sleep(self.loading_s)
+        return self.is_prepared
+
     def preview(self, request: Any) -> Any:
-        if not self.is_prepared:
-            return None
         self.asked.append(("preview", request.time_s, request.options))
         return np.zeros((16, 16, 3), np.uint8)
 
@@ -139,7 +142,7 @@ class Module:
 @pytest.fixture
 def module(monkeypatch: pytest.MonkeyPatch) -> Module:
     fake = Module()
-    for name in ("render", "preview", "moment", "seen"):
+    for name in ("render", "load_preview", "preview", "moment", "seen"):
         monkeypatch.setattr(fields, name, getattr(fake, name))
     return fake
 
@@ -244,6 +247,14 @@ def test_scene_flow_is_shown_in_motion_once_it_is_there(
         ("render", 2.0, CHOSEN),
     ]
     assert viewer.counts.fast == viewer.counts.final == 2
+
+
+def test_loading_does_not_lower_the_resolution(viewer: Any, module: Module) -> None:
+    module.is_prepared, module.loading_s = True, 1.5 * live.SLOW_S
+    viewer.want(request(1.0))
+    until(lambda: not viewer.is_busy)
+    assert viewer.counts.fast == 1
+    assert viewer._preview_pace.factor == 1.0
 
 
 def test_a_capture_that_is_written_anew_is_shown_anew(

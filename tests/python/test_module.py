@@ -434,7 +434,9 @@ def test_a_preview_is_nearly_the_view_once_its_depth_and_motion_are_there(
     time_s = float(np.mean(capture.times("cam3")))
     options = {"proxy": "scene-flow"}
     assert capture.preview(time_s, camera=camera, options=options) is None
+    assert not capture.load_preview(time_s, camera=camera, options=options)
     whole = capture.render(time_s, camera=camera, options=options)
+    assert capture.load_preview(time_s, camera=camera, options=options)
     quick = capture.preview(time_s, camera=camera, options=options)
     assert quick is not None
     assert quick.shape == whole.shape and quick.dtype == whole.dtype
@@ -444,6 +446,7 @@ def test_a_preview_is_nearly_the_view_once_its_depth_and_motion_are_there(
     assert 0.0 < rms < 0.03, rms
     capture.render(time_s, camera=camera, preset="draft")
     assert capture.preview(time_s, camera=camera, preset="draft") is None
+    assert not capture.load_preview(time_s, camera=camera, preset="draft")
     preview: Any = capture.preview
     with pytest.raises(ValueError, match="camera must be given"):
         preview(time_s, options=options)

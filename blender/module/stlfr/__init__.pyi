@@ -259,6 +259,19 @@ class Capture:
         Otherwise, the result is None.
         """
 
+    def load_preview(
+        self,
+        time_s: float,
+        *,
+        camera: dict[str, Any],
+        options: dict[str, Any] | None = None,
+        preset: str | None = None,
+    ) -> bool:
+        """Load into memory what `preview` needs for this view. Returns whether `preview` can then render it.
+
+        Loading takes as long for a small view as for a large one.
+        """
+
     def moment(
         self,
         time_s: float,
