@@ -267,7 +267,8 @@ class Live:
         if fields.load_preview(small):
             start_s = time.monotonic()
             samples = fields.preview(small)
-            self._took(start_s, pace)
+            if samples is not None:
+                self._took(start_s, pace)
         if samples is None:
             samples = self._draft(request)
         self.counts.ready(time.monotonic())

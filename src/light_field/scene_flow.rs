@@ -10,6 +10,8 @@ use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::Stored;
 use crate::host::CacheKind;
+#[cfg(feature = "python")]
+use crate::host::on_workers;
 use crate::lumigraph::DepthMap;
 use crate::options::RenderOptions;
 use crate::raster::Image;
@@ -196,21 +198,11 @@ pub(super) fn load(
     context: &Context,
 ) -> Result<Option<Vec<LoadedFrame>>, RenderError> {
     let stored = |&frame: &FrameId| field.found(&FrameFlow { frame, options });
-    let image = |&(camera, frame): &FrameId| {
-        Undistorted { camera, frame, registration: options.registration }.get(field)
-    };
-    // Gains are computed once here, before threads request them in parallel.
-    field.gains(options.registration);
-    let (stored, images): (Vec<Option<Arc<FlowMap>>>, Result<Vec<Arc<FlowFrame>>, RenderError>) =
-        rayon::join(
-            || frames.par_iter().map(stored).collect(),
-            || frames.par_iter().map(image).collect(),
-        );
-    let images = images?;
+    let stored: Vec<Option<Arc<FlowMap>>> = frames.par_iter().map(stored).collect();
     let slots = stored.contains(&None).then(|| Slots::new(field));
     let mut computed: BTreeMap<FrameId, Arc<FlowMap>> = BTreeMap::new();
     let mut stills = Stills::default();
-    let mut maps = Vec::with_capacity(frames.len());
+    let mut all = Vec::with_capacity(frames.len());
     for (&id, stored) in frames.iter().zip(stored) {
         if let Some(slots) = &slots
             && stored.is_none()
@@ -218,19 +210,22 @@ pub(super) fn load(
         {
             let slot = slots.of(id);
             let of_group = stills.of(slots, slot, options, context)?;
-            let of_slot = slot_maps(slots, slot, of_group, options, context)?;
-            let Some(of_slot) = of_slot else { return Ok(None) };
-            computed.extend(of_slot);
+            let maps = slot_maps(slots, slot, of_group, options, context)?;
+            let Some(maps) = maps else { return Ok(None) };
+            computed.extend(maps);
         }
-        maps.extend(stored.or_else(|| computed.get(&id).cloned()));
+        all.extend(stored.or_else(|| computed.get(&id).cloned()).map(|map| (id, map)));
     }
     // Backgrounds and maps are inserted after all slots are computed, since computing a slot evicts much of the cache.
     stills.keep(field, options);
     for (frame, map) in computed {
         field.insert(&FrameFlow { frame, options }, map);
     }
-    let loaded = |(frame, map)| LoadedFrame { frame, map };
-    Ok(Some(images.into_iter().zip(maps).map(loaded).collect()))
+    let load = |((camera, frame), map): (FrameId, Arc<FlowMap>)| {
+        let undistorted = Undistorted { camera, frame, registration: options.registration };
+        Ok(LoadedFrame { frame: undistorted.get(field)?, map })
+    };
+    Ok(Some(all.into_par_iter().map(load).collect::<Result<_, RenderError>>()?))
 }
 
 /// The frames from which a view by scene flow is blended, with the confidences of their maps' pixels.
@@ -258,16 +253,23 @@ fn blended(
 
 #[cfg(feature = "python")]
 impl LightField {
-    /// Loads into memory what a view by scene flow is rendered from. Returns false if depth and motion of its frames would have
-    /// to be estimated ([`Self::has_flow`]).
+    /// Loads into memory what a view by scene flow is rendered from. Returns false if depth and motion of a frame would have to
+    /// be estimated.
     pub(crate) fn load_flow(
         &self,
         target: &Camera,
         time_s: f64,
         options: &RenderOptions,
     ) -> Result<bool, RenderError> {
-        let is_there = self.has_flow(target, time_s, options);
-        Ok(is_there && blended(self, (target, time_s), options, &Context::unattended())?.is_some())
+        let flow = FlowOptions::new(options);
+        let frames = self.frames_of_view(target, time_s);
+        let is_there = |&frame: &FrameId| self.found(&FrameFlow { frame, options: flow }).is_some();
+        on_workers(|| {
+            if frames.is_empty() || !frames.par_iter().all(is_there) {
+                return Ok(false);
+            }
+            Ok(blended(self, (target, time_s), options, &Context::unattended())?.is_some())
+        })
     }
 }
 

@@ -335,6 +335,7 @@ impl PyCapture {
             if !field.has_flow(&camera, time_s, &options) {
                 return Ok(None);
             }
+            field.enlarge_cache();
             let request = Request::new(Viewpoint::View(&camera), time_s, &options);
             let request = Request { detail: Detail::Quick, ..request };
             render(&field, &request, &Context::unattended()).map(Some)
@@ -343,8 +344,8 @@ impl PyCapture {
         rendered.map(|seen| view_to_python(py, &seen, self.capture.bit_depth(), alpha)).transpose()
     }
 
-    /// Loads into memory what `preview` needs for this view. Returns whether `preview` can then render it; the arguments are
-    /// the same. Loading takes as long for a small view as for a large one.
+    /// Loads into memory what `preview` needs for this view. Returns whether `preview` can then render it. The arguments
+    /// are the same; `alpha` makes no difference. Loading takes as long for a small view as for a large one.
     #[pyo3(
         signature = (time_s, **settings),
         text_signature = "($self, time_s, *, camera, options=None, preset=None)"
@@ -358,6 +359,7 @@ impl PyCapture {
         let previewed = self.previewed("load_preview", settings)?;
         let Some(Previewed { camera, options, field, .. }) = previewed else { return Ok(false) };
         let time_s = time_s - self.capture.time_origin_s;
+        field.enlarge_cache();
         py.detach(|| field.load_flow(&camera, time_s, &options)).map_err(value_error)
     }
 
@@ -477,7 +479,6 @@ impl PyCapture {
         let opened = self.opened_before(&options);
         let opened = opened.filter(|o| o.resolved.proxy.method == ProxyMethod::SceneFlow);
         Ok(opened.map(|Opened { resolved, field, .. }| {
-            field.enlarge_cache();
             let options = RenderOptions { trail: TrailOptions::default(), ..resolved };
             Previewed { camera, options, field, alpha }
         }))

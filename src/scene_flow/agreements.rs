@@ -4,7 +4,7 @@ use super::element_lanes::{COLUMNS, ElementLanes, eight, length};
 use super::flow_pixel::FlowPixel;
 use super::geometry::Projection;
 use super::map::{FlowMap, MappedFrame};
-use super::tile_bounds::{ROUNDING_PX, TILE_PX, TileBounds};
+use super::tile_bounds::{ROUNDING_PX, TILE_PX, TileBounds, columns_of};
 use super::timing::TimeBetween;
 use crate::simd::{F32x8, LANES, multiversion};
 use std::ops::Range;
@@ -20,12 +20,13 @@ const MAX_MOTION_ERROR_PX: f32 = 2.0;
 /// Proportional part of the maximum difference in velocity between a surface element and an element of another scene
 /// flow map that confirms it, as a fraction of the element's speed.
 const MAX_MOTION_ERROR: f32 = 0.15;
-/// Codes of how another scene flow map agrees with a surface element; whole numbers for SIMD. The element projects outside the
-/// other frame.
+/// Code of a surface element that projects outside the other frame. Codes are whole numbers; SIMD selects between floats.
 const OUTSIDE: f32 = 0.0;
+/// Code of a surface element with which the other map agrees.
 const CONFIRMED: f32 = 1.0;
+/// Code of a surface element with which the other map disagrees.
 const CONTRADICTED: f32 = 2.0;
-/// The element is occluded in the other map.
+/// Code of a surface element that is occluded in the other map.
 const HIDDEN: f32 = 3.0;
 
 /// How another scene flow map agrees with each pixel of a map, row by row. Four pixels of a row take a byte.
@@ -113,17 +114,8 @@ impl<'a> Comparison<'a> {
 
     /// Returns the columns of a row of tiles without those of tiles that the other map confirms as a whole.
     fn undecided_columns(&self, tile_row: usize) -> Vec<Range<usize>> {
-        let mut runs: Vec<Range<usize>> = Vec::new();
         let confirmed = self.confirmed_tiles(tile_row);
-        for (column, _) in confirmed.iter().enumerate().filter(|(_, confirmed)| !**confirmed) {
-            let left = column * TILE_PX[0];
-            let end = (left + TILE_PX[0]).min(self.own.width);
-            match runs.last_mut() {
-                Some(run) if run.end == left => run.end = end,
-                _ => runs.push(left..end),
-            }
-        }
-        runs
+        columns_of(self.own.width, |tile| !confirmed[tile])
     }
 
     /// Returns, for each tile of a row of tiles, whether the other map certainly confirms all its surface elements, by the

@@ -18,7 +18,7 @@ const PRIOR_ALL: f32 = 0.5;
 
 /// Maximum number of maps with which a map is compared for its confidences.
 const MAX_COUNTED: usize = (1 << COUNT_BITS) - 1;
-/// Number of bits that hold the number of maps with one [`Agreement`].
+/// Number of bits that hold the number of maps that agree in one way.
 const COUNT_BITS: usize = 5;
 /// Number of combinations of three such numbers: of confirming, contradicting and hiding maps.
 const COMBINATIONS: usize = 1 << (3 * COUNT_BITS);

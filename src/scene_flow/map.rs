@@ -149,14 +149,17 @@ impl FlowMap {
     }
 
     /// Returns whether all surface elements of a tile are slow ([`FlowPixel::is_slow`]).
-    pub fn is_slow(&self, tile: usize) -> bool {
+    fn is_slow(&self, tile: usize) -> bool {
         self.tiles[tile].iter().all(FlowPixel::is_slow)
     }
 
     /// Returns the smallest and the largest inverse depth, 1/m, of the tiles in a box of the map, pixels. `None` if the box
     /// isn't inside of the map, or one of these tiles has an element that isn't slow.
     pub(super) fn slow_depths(&self, [columns, rows]: Bounds) -> Option<[f32; 2]> {
-        let is_inside = |[min, max]: [f32; 2], size: usize| min >= 0.0 && max < size as f32;
+        let is_inside = |[min, max]: [f32; 2], size: usize| {
+            // An empty box isn't inside.
+            min >= 0.0 && min <= max && max < size as f32
+        };
         if !is_inside(columns, self.width) || !is_inside(rows, self.height) {
             return None;
         }

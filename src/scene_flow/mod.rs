@@ -39,7 +39,8 @@
 //! | `element_lanes.rs` | eight surface elements side by side, for SIMD |
 //! | `still.rs`, `background.rs` | the static background of a camera; its depth in frames |
 //! | `agreements.rs`, `confidence.rs` | whether other maps agree with an element; the fraction of those that do |
-//! | `area.rs`, `tile_bounds.rs` | the parts of a view that are splatted, and which tiles of a map can cover them |
+//! | `tile_bounds.rs` | tiles of a map, and where a view or another frame can see them |
+//! | `area.rs` | the parts of a view that are splatted |
 //! | `placement.rs`, `splat.rs`, `composite.rs`, `blend.rs` | rendering of a view from several maps |
 //! | `agreed.rs` | pixels at which a few maps agree, for quick views |
 //! | `pixels.rs` | the pixels of a view, and how its holes are closed and filled |

@@ -58,9 +58,9 @@ impl PackedMap {
             return None;
         }
         let count = width.checked_mul(height)?;
+        count.checked_mul(FlowPixel::BYTES)?;
         let bytes = |(channel, deflated): (usize, &Vec<u8>)| {
-            let size = if channel < FlowPixel::CHANNELS { count.checked_mul(2)? } else { count };
-            inflated(deflated, size)
+            inflated(deflated, if channel < FlowPixel::CHANNELS { 2 * count } else { count })
         };
         let planes: Vec<Vec<u8>> =
             channels.par_iter().enumerate().map(bytes).collect::<Option<_>>()?;

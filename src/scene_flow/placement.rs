@@ -7,7 +7,7 @@ use super::frame::FlowFrame;
 use super::geometry::{Projection, distorted, stretch};
 use super::map::MappedFrame;
 use super::motion::SurfaceMotion;
-use super::tile_bounds::{Bounds, ROUNDING_PX, TILE_PX, TileBounds};
+use super::tile_bounds::{Bounds, ROUNDING_PX, TILE_PX, TileBounds, columns_of};
 use super::timing::until;
 use crate::camera::Camera;
 use crate::simd::{F32x8, LANES, multiversion};
@@ -123,20 +123,9 @@ impl<'a> Placement<'a> {
     /// Returns the columns of the map whose surface elements may cover parts of the area, for a row of tiles.
     pub fn columns(&self, tile_row: usize, area: &Area) -> Vec<Range<usize>> {
         let map = self.mapped.map;
-        let [width, _] = map.tiles();
-        let mut runs: Vec<Range<usize>> = Vec::new();
-        for (column, bounds) in self.tiles[tile_row * width..][..width].iter().enumerate() {
-            if !area.may_overlap(bounds) {
-                continue;
-            }
-            let left = column * TILE_PX[0];
-            let end = (left + TILE_PX[0]).min(map.width);
-            match runs.last_mut() {
-                Some(run) if run.end == left => run.end = end,
-                _ => runs.push(left..end),
-            }
-        }
-        runs
+        let [count, _] = map.tiles();
+        let tiles = &self.tiles[tile_row * count..][..count];
+        columns_of(map.width, |tile| area.may_overlap(&tiles[tile]))
     }
 
     /// Places the surface elements of row `y` and of these columns of the map.

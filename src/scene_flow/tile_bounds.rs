@@ -1,9 +1,10 @@
-//! Bounds of a map's tiles in a view: which part of the view the splats of a tile can cover.
+//! Tiles of a map, and bounds of their surface elements in a view or in another frame.
 
 use super::element_lanes::{ElementLanes, eight};
 use super::flow_pixel::{FlowPixel, Scales};
 use super::geometry::{MIN_RATIO, Projection};
 use crate::simd::{F32x8, LANES, multiversion};
+use std::ops::Range;
 
 /// Width and height of a map's tiles, pixels. Tiles at the right and lower borders may be smaller.
 pub const TILE_PX: [usize; 2] = [16, 4];
@@ -16,6 +17,21 @@ pub type Bounds = [[f32; 2]; 2];
 pub const ROUNDING_PX: f32 = 0.1;
 /// Bounds that contain every position.
 pub const EVERYWHERE: Bounds = [[f32::NEG_INFINITY, f32::INFINITY]; 2];
+
+/// Returns the columns of some tiles of a row as ranges, in order. `width` is that of the map, pixels, and `counts` returns whether
+/// the tile with a number in the row is one of them.
+pub fn columns_of(width: usize, counts: impl Fn(usize) -> bool) -> Vec<Range<usize>> {
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    for tile in (0..width.div_ceil(TILE_PX[0])).filter(|tile| counts(*tile)) {
+        let left = tile * TILE_PX[0];
+        let end = (left + TILE_PX[0]).min(width);
+        match runs.last_mut() {
+            Some(run) if run.end == left => run.end = end,
+            _ => runs.push(left..end),
+        }
+    }
+    runs
+}
 
 /// A row of a scene flow map's tiles.
 pub struct TileRow<'a> {
@@ -126,8 +142,14 @@ fn bounds<V: F32x8>(all: &mut [TileBounds], row: &TileRow, projection: &Projecti
             least[3] = w.simd_min(least[3]);
             nearing = inverse.simd_max(nearing);
         }
-        let [min_u, min_v, min_q, min_w] = least.map(V::to_array);
-        let [max_u, max_v, max_q] = most.map(V::to_array);
+        let (mut mins, mut maxes) = ([[0.0; LANES]; 4], [[0.0; LANES]; 3]);
+        for (min, least) in mins.iter_mut().zip(least) {
+            *min = least.to_array();
+        }
+        for (max, most) in maxes.iter_mut().zip(most) {
+            *max = most.to_array();
+        }
+        let ([min_u, min_v, min_q, min_w], [max_u, max_v, max_q]) = (mins, maxes);
         let nearing = nearing.to_array();
         for (l, bounds) in all[first..].iter_mut().take(LANES).enumerate() {
             if min_w[l] >= MIN_RATIO {

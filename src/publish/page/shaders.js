@@ -1,7 +1,7 @@
 "use strict";
 
-// Shaders with the computations of confidence.rs, splat.rs and blend.rs in src/scene_flow. Constants have the same
-// names as there.
+// Shaders with the computations of agreements.rs, confidence.rs, placement.rs, splat.rs and blend.rs in src/scene_flow. Constants
+// have the same names as there.
 
 const MAX_SOURCES = 8;
 // Margin around a view in the texture of candidates, pixels. A splat whose centre is outside of the texture is not
