@@ -25,9 +25,9 @@ type Error = Box<dyn std::error::Error>;
 /// Within this distance, pixels, another point that differs by more than [`EDGE_PX`] makes an edge.
 const NEAR_PX: f64 = 12.0;
 const EDGE_PX: f64 = 2.0;
-/// Upper bounds of the classes of speed, pixels per frame.
 /// One-sided velocities may differ by this many pixels per frame, and by this part of the speed.
 const MAX_JUMP: [f64; 2] = [2.0, 0.5];
+/// Upper bounds of the classes of speed, pixels per frame.
 const SPEEDS_PX: [f64; 4] = [0.3, 5.0, 20.0, f64::INFINITY];
 
 /// A tracked point at a frame.
