@@ -20,6 +20,7 @@ const MAX_MOTION_ERROR_PX: f32 = 2.0;
 /// Proportional part of the maximum difference in velocity between a surface element and an element of another scene
 /// flow map that confirms it, as a fraction of the element's speed.
 const MAX_MOTION_ERROR: f32 = 0.15;
+
 /// Code of a surface element that projects outside the other frame. Codes are whole numbers; SIMD selects between floats.
 const OUTSIDE: f32 = 0.0;
 /// Code of a surface element with which the other map agrees.
@@ -128,20 +129,21 @@ impl<'a> Comparison<'a> {
             return vec![false; columns];
         }
         let tiles = self.own.tile_row(tile_row, [self.time.frames(); 2]);
+        // The margin is for rounding: only what is certain is decided.
         let max = (MAX_DISPARITY_ERROR_PX - ROUNDING_PX) / self.own.disparity_px;
         let is_confirmed = |(range, tile): (&[FlowPixel; 2], TileBounds)| {
             let place = tile.place.map(|[a, b]| [a - ROUNDING_PX, b + ROUNDING_PX]);
             range.iter().all(FlowPixel::is_slow)
-                && other.slow_depths(place).is_some_and(|[min, max_there]| {
-                    let [nearest, farthest] = [tile.inverse_depth[1], tile.inverse_depth[0]];
-                    min - nearest > -max && max_there - farthest < max
+                && other.slow_depths(place).is_some_and(|[farthest_there, nearest_there]| {
+                    let [farthest, nearest] = tile.inverse_depth;
+                    farthest_there - nearest > -max && nearest_there - farthest < max
                 })
         };
         tiles.ranges.iter().zip(tiles.bounds(&self.projection)).map(is_confirmed).collect()
     }
 
-    /// Returns the times from the exposures of eight surface elements to their exposures in the other frame. `x` are the
-    /// columns of the first.
+    /// Returns the times from the exposures of eight surface elements to their exposures in the other frame. `x` is the
+    /// column of the first.
     #[inline(always)]
     fn times(&self, pixels: &[FlowPixel; LANES], (x, y): (usize, usize)) -> [f32; LANES] {
         let mut times = [self.time.frames(); LANES];
