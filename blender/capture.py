@@ -142,7 +142,7 @@ def add_film(parser: Parser) -> None:
         type=count(1),
         default=16,
         metavar="N",
-        help="samples per pixel (16), four times as many for truth",
+        help="samples per pixel (16), by Cycles four times as many for truth",
     )
     parser.add_argument(
         "--engine",

@@ -136,6 +136,57 @@ fn views_by_prepared_maps_are_the_same_bytes() {
 }
 
 #[test]
+fn damaged_maps_and_backgrounds_are_estimated_anew() {
+    let folder = filmed();
+    let mut options = RenderOptions::default();
+    options.proxy.method = ProxyMethod::SceneFlow;
+    let prepare = || opened(folder.path()).prepare(&options, |_| ()).unwrap();
+    let view = || {
+        let field = opened(folder.path());
+        let time_s = 1.6 / 30.0 - field.capture().time_origin_s;
+        field.view(&field.capture().cameras[1].camera, time_s, &options).expect("a view").image
+    };
+    prepare();
+    let expected = view();
+    let entries = |kind: &str| {
+        let entries = std::fs::read_dir(folder.path().join(".stlfr/cache").join(kind)).unwrap();
+        let mut entries: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+        entries.sort();
+        entries.into_iter().map(|file| (std::fs::read(&file).unwrap(), file)).collect::<Vec<_>>()
+    };
+    let [maps, backgrounds] = [2, 3].map(|kind| entries(PREPARED[kind]));
+    let flipped = |bytes: &[u8], at: usize| {
+        let mut bytes = bytes.to_vec();
+        bytes[at] ^= 4;
+        bytes
+    };
+    type Damage<'a> = &'a dyn Fn(&[u8]) -> Vec<u8>;
+    for kind in [&maps, &backgrounds] {
+        let of_another = &kind[0].0;
+        let damages: [Damage; 3] = [
+            &|whole| flipped(whole, whole.len() / 2),
+            &|whole| whole[..whole.len() / 2].to_vec(),
+            &|_| of_another.clone(),
+        ];
+        for (n, damage) in damages.into_iter().enumerate() {
+            for (whole, file) in &kind[1..] {
+                std::fs::write(file, damage(whole)).unwrap();
+            }
+            if std::ptr::eq(kind, &backgrounds) {
+                // Only maps that are missing need the background.
+                maps.iter().for_each(|(_, file)| drop(std::fs::remove_file(file)));
+            }
+            assert_eq!(view(), expected, "damage {n} of {}", kind[1].1.display());
+        }
+        // Prepared anew, they are whole again.
+        prepare();
+        for (whole, file) in maps.iter().chain(&backgrounds) {
+            assert!(std::fs::read(file).unwrap() == *whole, "{}", file.display());
+        }
+    }
+}
+
+#[test]
 fn gains_are_kept_and_their_damage_is_noticed() {
     let folder = filmed();
     let expected = gains(folder.path());

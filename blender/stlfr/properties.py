@@ -389,7 +389,7 @@ class StlfrScene(bpy.types.PropertyGroup):
     )
     film_truth: BoolProperty(
         name="Truth",
-        description="Also render what the light field should show, to compare with: it takes four times the samples",
+        description="Also render what the light field should show, to compare with: by Cycles it takes four times the samples",
         default=True,
     )
     film_instants: IntProperty(

@@ -56,7 +56,7 @@ pub struct SceneArgs {
     /// Number of frames of the reference camera; the other cameras film for the same time [default: 9].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
-    /// Samples per pixel; ground-truth images have four times as many [default: 16].
+    /// Samples per pixel; by Cycles, ground-truth images have four times as many [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     samples: Option<u32>,
     /// Blender's render engine. Workbench is many times faster, and lacks shadows, highlights and

@@ -52,6 +52,17 @@ def read_picture(path: Path) -> np.ndarray[Any, Any]:
     return np.asarray(picture, dtype=np.float64) / 255
 
 
+def test_truth_by_workbench_is_antialiased_like_the_frames(tmp_path: Path) -> None:
+    rig_file = write_rig(tmp_path / "rig.json", rig_camera("ref"), rig_camera("other"))
+    capture = tmp_path / "capture"
+    film = ("--scene", "still", "--engine", "workbench", "--frames", 4)
+    filmed_by_script(rig_file, *film, "--instants", 1, "-o", capture)
+    for camera_id in ("ref", "other"):
+        frame = read_picture(capture / camera_id / "0000.png")
+        true = read_picture(capture / "truth" / "views" / f"t0-{camera_id}.png")
+        assert true.std() > 0.05 and np.mean(frame == true) > 0.9
+
+
 def test_a_moving_disc_is_where_the_shutter_times_say(
     moving_disc: Path, tmp_path: Path
 ) -> None:
