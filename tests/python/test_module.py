@@ -447,11 +447,14 @@ def test_a_preview_is_nearly_the_view_once_its_depth_and_motion_are_there(
     capture.render(time_s, camera=camera, preset="draft")
     assert capture.preview(time_s, camera=camera, preset="draft") is None
     assert not capture.load_preview(time_s, camera=camera, preset="draft")
-    preview: Any = capture.preview
-    with pytest.raises(ValueError, match="camera must be given"):
-        preview(time_s, options=options)
-    with pytest.raises(TypeError, match="no arguments 'like' and 'proceed'"):
-        preview(time_s, camera=camera, like="cam3")
+    methods: list[Any] = [capture.preview, capture.load_preview]
+    for method in methods:
+        with pytest.raises(ValueError, match="camera must be given"):
+            method(time_s, options=options)
+        with pytest.raises(TypeError, match="no arguments 'like' and 'proceed'"):
+            method(time_s, camera=camera, like="cam3")
+        with pytest.raises(TypeError, match="has no argument 'speed'"):
+            method(time_s, camera=camera, speed=2)
 
 
 def test_comparing_is_the_command_lines(own_capture: Path, program: Path) -> None:
