@@ -4,7 +4,7 @@
 use super::graph::{LightField, Stage, StoredStage};
 use super::matched_frames::{limits, matched_with};
 use super::slots::{FrameId, Slot, Slots};
-use super::stages::{FlowAgreements, FlowConfidences, FlowOptions, FrameFlow, Undistorted};
+use super::stages::{FlowAgreements, FlowConfidence, FlowOptions, FrameFlow, Undistorted};
 use super::still_depth::{StillCameras, Stills, store_still_cameras};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
@@ -16,8 +16,9 @@ use crate::lumigraph::DepthMap;
 use crate::options::RenderOptions;
 use crate::raster::Image;
 use crate::scene_flow::{
-    Agreements, Background, EstimatedFrame, Estimation, FlowFrame, FlowMap, FlowView, MappedFrame,
-    MatchingImage, PyramidFrame, agreements, blend, confidence,
+    Agreements, Background, Detail, EstimatedFrame, Estimation, FlowFrame, FlowMap, FlowView,
+    MappedFrame, MatchingImage, PyramidFrame, agreements, blend, confidence, quick_maps,
+    uncompared,
 };
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -88,38 +89,32 @@ impl StoredStage for FrameFlow<'_> {
     const KIND: CacheKind = CacheKind { name: "scene-flow", version: 14 };
 }
 
-impl Stage for FlowConfidences<'_> {
-    /// For each frame, the confidences in the depth and motion of its pixels, from 1 to 255, row by row.
-    type Output = Vec<Vec<u8>>;
+impl Stage for FlowConfidence<'_> {
+    /// The confidences in the depth and motion of the frame's pixels, from 1 to 255, row by row.
+    type Output = Vec<u8>;
     const NAME: &'static str = "confidences";
 
     fn bytes(confidences: &Self::Output) -> usize {
-        confidences.iter().map(Vec::len).sum()
+        confidences.len()
     }
 }
 
-impl FlowConfidences<'_> {
-    fn get(&self, field: &LightField, context: &Context) -> Result<Arc<Vec<Vec<u8>>>, RenderError> {
+impl FlowConfidence<'_> {
+    fn get(&self, field: &LightField) -> Arc<Vec<u8>> {
         if let Some(cached) = field.cached(self) {
-            return Ok(cached);
+            return cached;
         }
-        context.check()?;
-        let &Self { frames, options, mapped } = self;
-        let confidence_of = |k: usize| {
-            let others = (0..frames.len()).filter(|&other| other != k);
-            let agreements = others.map(|other| {
-                let [of, by] = [frames[k], frames[other]];
-                FlowAgreements { of, by, options, mapped: [&mapped[k], &mapped[other]] }.get(field)
-            });
-            let agreements: Vec<Arc<Option<Agreements>>> = agreements.collect();
-            let comparable: Vec<&Agreements> =
-                agreements.iter().filter_map(|a| a.as_ref().as_ref()).collect();
-            let map = mapped[k].map;
-            confidence([map.width, map.height], &comparable)
-        };
-        let confidences: Vec<Vec<u8>> =
-            (0..frames.len()).into_par_iter().map(confidence_of).collect();
-        Ok(field.insert(self, confidences))
+        let &Self { of, frames, options, mapped } = self;
+        let others = (0..frames.len()).into_par_iter().filter(|&other| other != of);
+        let agreements = others.map(|other| {
+            let mapped = [&mapped[of], &mapped[other]];
+            FlowAgreements { of: frames[of], by: frames[other], options, mapped }.get(field)
+        });
+        let agreements: Vec<Arc<Option<Agreements>>> = agreements.collect();
+        let comparable: Vec<&Agreements> =
+            agreements.iter().filter_map(|a| a.as_ref().as_ref()).collect();
+        let map = mapped[of].map;
+        field.insert(self, confidence([map.width, map.height], &comparable))
     }
 }
 
@@ -231,30 +226,39 @@ pub(super) fn load(
 /// The frames from which a view by scene flow is blended, with the confidences of their maps' pixels.
 struct Blended {
     frames: Vec<LoadedFrame>,
-    confidences: Arc<Vec<Vec<u8>>>,
+    confidences: Vec<Arc<Vec<u8>>>,
 }
 
-/// Loads the frames of [`LightField::frames_of_view`], and compares their maps. `None` if the range of the scene's depths is
-/// unknown.
+/// Loads the frames of [`LightField::frames_of_view`], and compares their maps as far as the view needs it. `None` if the range of
+/// the scene's depths is unknown.
 fn blended(
     field: &LightField,
-    (target, time_s): (&Camera, f64),
+    target: &Camera,
+    (time_s, detail): (f64, Detail),
     options: &RenderOptions,
     context: &Context,
 ) -> Result<Option<Blended>, RenderError> {
     let ids = field.frames_of_view(target, time_s);
     let options = FlowOptions::new(options);
     let Some(frames) = load(field, &ids, options, context)? else { return Ok(None) };
+    context.check()?;
     let mapped: Vec<MappedFrame> = frames.iter().map(LoadedFrame::mapped).collect();
-    let stage = FlowConfidences { frames: &ids, options, mapped: &mapped };
-    let confidences = stage.get(field, context)?;
+    let compared: Vec<usize> = match detail {
+        Detail::Quick => quick_maps(&mapped, target, field.in_frames(time_s)),
+        Detail::Full | Detail::WithMotion => (0..ids.len()).collect(),
+    };
+    let confidence = |of: usize| match compared.contains(&of) {
+        true => FlowConfidence { of, frames: &ids, options, mapped: &mapped }.get(field),
+        false => Arc::new(uncompared(mapped[of].map)),
+    };
+    let confidences = (0..ids.len()).into_par_iter().map(confidence).collect();
     Ok(Some(Blended { frames, confidences }))
 }
 
 #[cfg(feature = "python")]
 impl LightField {
-    /// Loads into memory what a view by scene flow is rendered from. Returns false if depth and motion of a frame would have to
-    /// be estimated.
+    /// Loads into memory what a quick view by scene flow is rendered from. Returns false if depth and motion of a frame would
+    /// have to be estimated.
     pub(crate) fn load_flow(
         &self,
         target: &Camera,
@@ -268,7 +272,8 @@ impl LightField {
             if frames.is_empty() || !frames.par_iter().all(is_there) {
                 return Ok(false);
             }
-            Ok(blended(self, (target, time_s), options, &Context::unattended())?.is_some())
+            let quick = (time_s, Detail::Quick);
+            Ok(blended(self, target, quick, options, &Context::unattended())?.is_some())
         })
     }
 }
@@ -280,15 +285,14 @@ pub(super) fn flow_view(
     request: &Request,
     context: &Context,
 ) -> Result<Option<FlowView>, RenderError> {
-    let &Request { time_s, options, .. } = request;
-    let Some(Blended { frames, confidences }) = blended(field, (target, time_s), options, context)?
-    else {
-        return Ok(None);
-    };
+    let &Request { time_s, options, detail, .. } = request;
+    let blended = blended(field, target, (time_s, detail), options, context)?;
+    let Some(Blended { frames, confidences }) = blended else { return Ok(None) };
     context.check()?;
     let mapped: Vec<MappedFrame> = frames.iter().map(LoadedFrame::mapped).collect();
+    let confidences: Vec<&[u8]> = confidences.iter().map(|of| of.as_slice()).collect();
     let time = field.in_frames(time_s);
-    Ok(Some(blend(&mapped, &confidences, target, time, request.detail)))
+    Ok(Some(blend(&mapped, &confidences, target, time, detail)))
 }
 
 /// Computes the image of a recording camera at the request's time. If the camera has a frame at exactly this time, the

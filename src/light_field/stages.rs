@@ -309,9 +309,11 @@ pub(super) struct FrameFlow<'a> {
     pub options: FlowOptions<'a>,
 }
 
-/// Inputs of the stage that computes the confidences of the depth and motion maps from which a view is blended.
+/// Inputs of the stage that computes the confidences of one of the depth and motion maps from which a view is blended.
 #[derive(Serialize)]
-pub(super) struct FlowConfidences<'a> {
+pub(super) struct FlowConfidence<'a> {
+    /// Index of the map's frame in `frames`.
+    pub of: usize,
     /// The frames from which the view is blended, as (camera index, frame index), ascending.
     pub frames: &'a [FrameId],
     pub options: FlowOptions<'a>,

@@ -209,13 +209,14 @@ fn motion_of(splats: &Splats, k: usize, (inverse_depth, reach): (f32, f32)) -> S
 }
 
 /// Renders the view at `time`, in frame periods of the reference camera since the capture's start. `confidences` are
-/// the confidences of the scene flow maps, as [`confidences`](super::confidences) returns them.
+/// the confidences of the scene flow maps, as [`confidences`](super::confidences) returns them. A quick view needs only those
+/// of [`quick_maps`]; the others may be [`uncompared`](super::uncompared).
 ///
 /// A hole that lies inside at least one camera's image is filled with the background beside it. Pixels outside all
 /// images stay black and have no depth.
-pub fn blend(
+pub fn blend<C: AsRef<[u8]> + Sync>(
     mapped: &[MappedFrame],
-    confidences: &[Vec<u8>],
+    confidences: &[C],
     view: &Camera,
     time: f64,
     detail: Detail,
@@ -229,22 +230,20 @@ pub fn blend(
     let is_quick = detail == Detail::Quick;
     // A view that is one of the frames keeps the frame's outlines.
     let antialiases = !is_quick && !mapped.iter().any(|m| is_frame(m.frame, view, time));
-    let placed = |camera: &Camera| -> Vec<Placement> {
-        let maps = mapped.par_iter().zip(confidences);
-        maps.filter_map(|(mapped, of)| Placement::new(*mapped, of, (camera, time))).collect()
+    let all: Vec<usize> = (0..mapped.len()).collect();
+    let at_once = if is_quick { quick_maps(mapped, view, time) } else { all.clone() };
+    let later: Vec<usize> = all.iter().copied().filter(|k| !at_once.contains(k)).collect();
+    let placed = |camera: &Camera, maps: &[usize]| -> Vec<Placement> {
+        let place = |&k: &usize| Placement::new(mapped[k], confidences[k].as_ref(), (camera, time));
+        maps.par_iter().filter_map(place).collect()
     };
-    let mut all = placed(view);
-    let at_once = if is_quick { QUICK_MAPS.min(all.len()) } else { all.len() };
-    if is_quick {
-        sort_by_error(&mut all, view, time);
-    }
-    let (first, others) = all.split_at(at_once);
-    let sources = Sources { first, others, reach };
+    let (first, others) = (placed(view, &at_once), placed(view, &later));
+    let sources = Sources { first: &first, others: &others, reach };
     let bands = pixels.bands(width, rows_at_once);
     bands.into_par_iter().for_each(|band| blend_band(sources, view, band));
     if antialiases {
         let doubled = doubled(view);
-        antialias(&placed(&doubled), &doubled, (reach, rows_at_once), &mut pixels);
+        antialias(&placed(&doubled, &all), &doubled, (reach, rows_at_once), &mut pixels);
     }
     if mapped.iter().any(|m| m.frame.still.is_some()) {
         pixels.close(width);
@@ -286,17 +285,21 @@ fn color_holes(mapped: &[MappedFrame], view: &Camera, pixels: &mut Pixels) {
     });
 }
 
-/// Sorts placed maps by the expected error of a surface element at a typical depth, in typical motion.
-fn sort_by_error(placements: &mut [Placement], view: &Camera, time: f64) {
-    let error = |placement: &Placement| {
-        let MappedFrame { frame, map } = placement.mapped;
+/// Returns the indices of the maps from which a quick view at `time` is blended where they agree: those with the smallest
+/// expected error of a surface element at a typical depth, in typical motion.
+pub fn quick_maps(mapped: &[MappedFrame], view: &Camera, time: f64) -> Vec<usize> {
+    let error = |&k: &usize| {
+        let MappedFrame { frame, map } = mapped[k];
         let depths = map.pixels().iter().step_by(DEPTH_SAMPLES);
         let depths: Vec<f32> = depths.map(|pixel| map.element(pixel).inverse_depth).collect();
         let mean = depths.iter().sum::<f32>() / depths.len().max(1) as f32;
         squared_error(frame, (view, time), (mean, TYPICAL_SPEED_PX))
     };
+    let mut maps: Vec<usize> = (0..mapped.len()).collect();
     // Squares are not negative, so that their bits have the order of the numbers.
-    placements.sort_by_cached_key(|placement| error(placement).to_bits());
+    maps.sort_by_cached_key(|k| error(k).to_bits());
+    maps.truncate(QUICK_MAPS);
+    maps
 }
 
 /// Frames that give the background colours with which holes of the view are filled.

@@ -2,7 +2,7 @@
 //! frames' scene flow maps that agree with the element.
 
 use super::agreements::{Agreements, agreements};
-use super::map::MappedFrame;
+use super::map::{FlowMap, MappedFrame};
 use rayon::prelude::*;
 use std::sync::LazyLock;
 
@@ -60,6 +60,11 @@ pub fn confidences(mapped: &[MappedFrame]) -> Vec<Vec<u8>> {
         confidence([of.map.width, of.map.height], &agreements.iter().collect::<Vec<_>>())
     };
     mapped.par_iter().enumerate().map(of).collect()
+}
+
+/// Returns the confidences of the pixels of a map that isn't compared with others.
+pub fn uncompared(map: &FlowMap) -> Vec<u8> {
+    confidence([map.width, map.height], &[])
 }
 
 /// Returns the confidence of each pixel of a scene flow map of this width and height, from 1 to 255. `agreements` are those of

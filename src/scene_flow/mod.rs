@@ -94,8 +94,8 @@ mod tests;
 
 pub use agreements::{Agreements, agreements, confirmed_by};
 pub use background::Background;
-pub use blend::{Detail, FlowView, blend};
-pub use confidence::{confidence, confidences};
+pub use blend::{Detail, FlowView, blend, quick_maps};
+pub use confidence::{confidence, confidences, uncompared};
 pub use contrast::local_contrast;
 pub use element::{Element, ElementErrors};
 pub use estimate::{EstimatedFrame, Estimation};
