@@ -36,9 +36,12 @@ fn prepared(field: &LightField) -> Preparation {
 }
 
 fn view(field: &LightField) -> Image {
-    let (target, options) = (&field.capture().cameras[1].camera, RenderOptions::default());
+    view_by(field, &RenderOptions::default())
+}
+
+fn view_by(field: &LightField, options: &RenderOptions) -> Image {
     let time_s = 1.6 / 30.0 - field.capture().time_origin_s;
-    field.view(target, time_s, &options).expect("a view").image
+    field.view(&field.capture().cameras[1].camera, time_s, options).expect("a view").image
 }
 
 fn tracks(folder: &Path) -> Arc<Vec<Track>> {
@@ -100,10 +103,7 @@ fn views_by_prepared_maps_are_the_same_bytes() {
     let folder = filmed();
     let mut options = RenderOptions::default();
     options.proxy.method = ProxyMethod::SceneFlow;
-    let view = |field: &LightField| {
-        let time_s = 1.6 / 30.0 - field.capture().time_origin_s;
-        field.view(&field.capture().cameras[1].camera, time_s, &options).expect("a view").image
-    };
+    let view = |field: &LightField| view_by(field, &options);
     let expected = view(&opened(folder.path()));
     let field = opened(folder.path());
     let (steps, bytes) = field.preparation_size(&options);
@@ -141,11 +141,7 @@ fn damaged_maps_and_backgrounds_are_estimated_anew() {
     let mut options = RenderOptions::default();
     options.proxy.method = ProxyMethod::SceneFlow;
     let prepare = || opened(folder.path()).prepare(&options, |_| ()).unwrap();
-    let view = || {
-        let field = opened(folder.path());
-        let time_s = 1.6 / 30.0 - field.capture().time_origin_s;
-        field.view(&field.capture().cameras[1].camera, time_s, &options).expect("a view").image
-    };
+    let view = || view_by(&opened(folder.path()), &options);
     prepare();
     let expected = view();
     let entries = |kind: &str| {

@@ -64,7 +64,7 @@ pub fn confidences(mapped: &[MappedFrame]) -> Vec<Vec<u8>> {
 
 /// Returns the confidences of the pixels of a map that isn't compared with others.
 pub fn uncompared(map: &FlowMap) -> Vec<u8> {
-    confidence([map.width, map.height], &[])
+    vec![confidence([1, 1], &[])[0]; map.width * map.height]
 }
 
 /// Returns the confidence of each pixel of a scene flow map of this width and height, from 1 to 255. `agreements` are those of
