@@ -8,12 +8,17 @@ use super::points::nearest;
 use super::slots::FrameId;
 use super::stages::{FlowOptions, Instant, StillContent, Undistorted};
 use super::wide::union;
-use crate::scene_flow::{FlowFrame, Limits};
+use crate::scene_flow::{FlowFrame, Limits, SIMULTANEOUS};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Maximum number of other cameras whose frames are matched with a frame to estimate its depth and motion.
 const MAX_PARTNERS: usize = 7;
+/// Maximum number of frames with which a frame is matched.
+const MAX_MATCHED: usize = 16;
+/// Minimum number of other cameras whose nearest frame is of another time, so that no more frames are needed to tell
+/// motion.
+const MIN_OTHER_TIMES: usize = 3;
 /// Maximum motion that scene flow searches for, per frame interval, as a fraction of the image's longer side.
 const MAX_SPEED: f64 = 0.125;
 /// Factor by which the searched range of inverse depths is widened at both ends: the minimum is divided by it, and the
@@ -90,14 +95,25 @@ pub(super) fn search_range(inverse_depth: [f64; 2], side: usize) -> Limits {
 }
 
 /// Returns the frames with which a given frame is matched: the previous and the next frame of its own camera, and of
-/// each of the nearest other cameras, the frame nearest in time to the given frame.
+/// each of the nearest other cameras, the frame nearest in time to the given frame. If nearly all of these are of the same
+/// time, since the cameras are synchronized, also the frames before and after them, of the nearest cameras first.
 pub(super) fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
-    let count = field.times_s(camera).len();
-    let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];
-    let mut matched: Vec<FrameId> = own.into_iter().flatten().map(|k| (camera, k)).collect();
+    let beside = |(camera, frame): FrameId| {
+        let count = field.times_s(camera).len();
+        let two = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];
+        two.into_iter().flatten().map(move |k| (camera, k))
+    };
     let time_s = field.times_s(camera)[frame];
-    for other in partners(field, camera) {
-        matched.extend(field.nearest_frame(other, time_s).map(|k| (other, k)));
+    let partners = partners(field, camera).into_iter();
+    let nearest = partners.filter_map(|c| field.nearest_frame(c, time_s).map(|k| (c, k)));
+    let nearest: Vec<FrameId> = nearest.collect();
+    let is_other_time =
+        |&&(c, k): &&FrameId| field.in_frames((field.times_s(c)[k] - time_s).abs()) >= SIMULTANEOUS;
+    let mut matched: Vec<FrameId> =
+        beside((camera, frame)).chain(nearest.iter().copied()).collect();
+    if nearest.iter().filter(is_other_time).count() < MIN_OTHER_TIMES.min(nearest.len()) {
+        matched.extend(nearest.into_iter().flat_map(beside));
+        matched.truncate(MAX_MATCHED);
     }
     matched
 }

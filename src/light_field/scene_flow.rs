@@ -86,7 +86,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 14 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 15 };
 }
 
 impl Stage for FlowConfidence<'_> {

@@ -24,12 +24,17 @@ const OUTSIDE_COST: f32 = 0.19;
 /// Cost that is added for a surface element outside the images of all observing frames. If the element is outside
 /// some of the images, the same fraction of this cost is added.
 const OUTSIDE_PENALTY: f32 = 0.02;
+/// Reciprocal of the fraction of observing frames of the same time above which they are averaged apart.
+const MANY: usize = 3;
 /// Maximum number of observing frames for each matched frame.
 pub const MAX_OBSERVATIONS: usize = 16;
 
-/// The frames with which a frame is matched.
+/// The frames with which a frame is matched. Frames of the same time match whatever the motion is. If many are such, their
+/// costs are averaged apart from those of the others, so that the motion counts.
 pub struct Observations<'a> {
     pub frames: Vec<ObservingFrame<'a>>,
+    /// Number of frames, from the first on, that are averaged apart from the others.
+    apart: usize,
     /// Their projections. Empty if a shutter is rolling.
     lanes: Vec<ProjectionLanes>,
 }
@@ -37,9 +42,15 @@ pub struct Observations<'a> {
 impl<'a> Observations<'a> {
     /// Takes the first [`MAX_OBSERVATIONS`] of these frames.
     pub fn new(frames: impl IntoIterator<Item = ObservingFrame<'a>>) -> Self {
-        let frames: Vec<_> = frames.into_iter().take(MAX_OBSERVATIONS).collect();
+        let mut frames: Vec<_> = frames.into_iter().take(MAX_OBSERVATIONS).collect();
+        let mut apart = frames.iter().filter(|o| o.is_simultaneous()).count();
+        if MANY * apart > frames.len() {
+            frames.sort_by_key(|o| !o.is_simultaneous());
+        } else {
+            apart = 0;
+        }
         let lanes = ProjectionLanes::all(&frames);
-        Self { frames, lanes }
+        Self { frames, apart, lanes }
     }
 }
 
@@ -68,8 +79,9 @@ pub struct PatchMatcher<'a> {
     pub disparity_px: f32,
 }
 
-/// Matching costs of a surface element in the observing frames evaluated so far, ascending.
+/// Matching costs of a surface element in those of `all` observing frames that are evaluated so far, ascending.
 struct SortedCosts {
+    all: usize,
     sorted: [f32; MAX_OBSERVATIONS],
     count: usize,
     /// Number of observing frames evaluated so far whose image contains the surface element.
@@ -77,6 +89,11 @@ struct SortedCosts {
 }
 
 impl SortedCosts {
+    #[inline(always)]
+    fn none_of(all: usize) -> Self {
+        Self { all, sorted: [0.0; MAX_OBSERVATIONS], count: 0, inside: 0 }
+    }
+
     #[inline(always)]
     fn add(&mut self, cost: f32) {
         let mut j = self.count;
@@ -89,15 +106,14 @@ impl SortedCosts {
         self.inside += usize::from(cost < OUTSIDE);
     }
 
-    /// Returns the mean of the smallest costs among all `n` observing frames, plus the cost [`OUTSIDE_PENALTY`] for
-    /// frames with the element outside their image. The costs of such frames are replaced by [`OUTSIDE_COST`]. At the
-    /// finest level, all other costs are truncated to this value. Frames that are not evaluated yet are assumed to cost
-    /// 0, so that the result is a lower bound.
+    /// Returns the sum of the smallest costs, their number, and the number of frames with the element outside their image.
+    /// The costs of such frames are replaced by [`OUTSIDE_COST`]. At the finest level, all other costs are truncated to
+    /// this value. Frames that are not evaluated yet are assumed to cost 0, so that the sum is a lower bound.
     #[inline(always)]
-    fn mean(&self, n: usize, is_finest: bool) -> f32 {
-        let free = n - self.count;
+    fn smallest(&self, is_finest: bool) -> (f32, usize, usize) {
+        let free = self.all - self.count;
         let inside = self.inside + free;
-        let best = ((inside as f32 * BEST_FRACTION).round() as usize).max(MIN_BEST).min(n);
+        let best = ((inside as f32 * BEST_FRACTION).round() as usize).max(MIN_BEST).min(self.all);
         let mut sum = 0.0;
         let mut k = 0;
         while k + free < best {
@@ -108,9 +124,19 @@ impl SortedCosts {
             sum += if counts { cost } else { cost.min(OUTSIDE_COST) };
             k += 1;
         }
-        let outside = (n - inside) as f32 / n.max(1) as f32;
-        sum / best.max(1) as f32 + OUTSIDE_PENALTY * outside
+        (sum, best, self.all - inside)
     }
+}
+
+/// Returns the mean of the smallest costs of two groups of observing frames, plus the cost [`OUTSIDE_PENALTY`] for frames
+/// with the element outside their image.
+#[inline(always)]
+fn mean(groups: &[SortedCosts; 2], is_finest: bool) -> f32 {
+    let [(a, best_a, outside_a), (b, best_b, outside_b)] =
+        [groups[0].smallest(is_finest), groups[1].smallest(is_finest)];
+    let n = groups[0].all + groups[1].all;
+    let outside = (outside_a + outside_b) as f32 / n.max(1) as f32;
+    (a + b) / (best_a + best_b).max(1) as f32 + OUTSIDE_PENALTY * outside
 }
 
 /// Computes the matching cost of a surface element, as [`PatchMatcher::cost`] does.
@@ -122,9 +148,9 @@ fn cost<V: F32x8>(
     limit: f32,
     costs: &mut Costs,
 ) -> f32 {
-    let Observations { frames, lanes } = matcher.observations;
+    let Observations { frames, lanes, apart } = matcher.observations;
     let (n, is_finest) = (frames.len(), matcher.level == 0);
-    let mut sorted = SortedCosts { sorted: [0.0; MAX_OBSERVATIONS], count: 0, inside: 0 };
+    let mut groups = [SortedCosts::none_of(*apart), SortedCosts::none_of(n - apart)];
     let mut footprints = None;
     let mut k = 0;
     while k < n {
@@ -142,13 +168,13 @@ fn cost<V: F32x8>(
         } else {
             2.0 * OUTSIDE
         };
-        sorted.add(costs[k]);
+        groups[usize::from(k >= *apart)].add(costs[k]);
         k += 1;
-        if 2 * k > n && k < n && sorted.mean(n, is_finest) > limit {
+        if 2 * k > n && k < n && mean(&groups, is_finest) > limit {
             return f32::INFINITY;
         }
     }
-    sorted.mean(n, is_finest)
+    mean(&groups, is_finest)
 }
 
 /// Returns the weighted sum of truncated absolute differences between a patch's samples and an image sampled at the

@@ -104,5 +104,6 @@ pub use geometry::{Projection, distorted, undistorted};
 pub use map::{ElementMap, FlowMap, MappedFrame};
 pub use matching_image::MatchingImage;
 pub use motion::MotionMap;
+pub use observing_frame::SIMULTANEOUS;
 pub use still::{CompactImage, StillImage};
 pub use sweep::Limits;

@@ -9,6 +9,10 @@ use super::timing::TimeBetween;
 /// which occlusions cause, are truncated.
 const TRUNCATION: [f32; 4] = [0.12, 0.084, 0.084, 0.084];
 
+/// Time between two frames from which on they are not of the same time, frame periods of the reference camera. Larger: frames
+/// that show fast motion count as not showing it. Smaller: synchronized cameras with jitter count as not synchronized.
+pub const SIMULTANEOUS: f64 = 0.1;
+
 /// Another frame, in which surface elements of the matched frame are observed.
 pub struct ObservingFrame<'a> {
     /// Time from a pixel of the matched frame to a pixel of this frame.
@@ -33,5 +37,10 @@ impl<'a> ObservingFrame<'a> {
             levels: by.levels,
             truncation,
         })
+    }
+
+    /// Returns whether the two frames are of about the same time, so that they say nothing of motion.
+    pub fn is_simultaneous(&self) -> bool {
+        f64::from(self.time.frames().abs()) < SIMULTANEOUS
     }
 }
