@@ -8,14 +8,12 @@ use super::points::nearest;
 use super::slots::FrameId;
 use super::stages::{FlowOptions, Instant, StillContent, Undistorted};
 use super::wide::union;
-use crate::scene_flow::{FlowFrame, Limits, SIMULTANEOUS};
+use crate::scene_flow::{FlowFrame, Limits, MAX_OBSERVATIONS, SIMULTANEOUS};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Maximum number of other cameras whose frames are matched with a frame to estimate its depth and motion.
 const MAX_PARTNERS: usize = 7;
-/// Maximum number of frames with which a frame is matched.
-const MAX_MATCHED: usize = 16;
 /// Minimum number of other cameras whose nearest frame is of another time, so that no more frames are needed to tell
 /// motion.
 const MIN_OTHER_TIMES: usize = 3;
@@ -113,7 +111,7 @@ pub(super) fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<
         beside((camera, frame)).chain(nearest.iter().copied()).collect();
     if nearest.iter().filter(is_other_time).count() < MIN_OTHER_TIMES.min(nearest.len()) {
         matched.extend(nearest.into_iter().flat_map(beside));
-        matched.truncate(MAX_MATCHED);
+        matched.truncate(MAX_OBSERVATIONS);
     }
     matched
 }

@@ -33,10 +33,10 @@ pub const MAX_OBSERVATIONS: usize = 16;
 /// costs are averaged apart from those of the others, so that the motion counts.
 pub struct Observations<'a> {
     pub frames: Vec<ObservingFrame<'a>>,
-    /// Number of frames, from the first on, that are averaged apart from the others.
-    apart: usize,
     /// Their projections. Empty if a shutter is rolling.
     lanes: Vec<ProjectionLanes>,
+    /// Number of frames, from the first on, that are averaged apart from the others.
+    apart: usize,
 }
 
 impl<'a> Observations<'a> {
@@ -50,7 +50,7 @@ impl<'a> Observations<'a> {
             apart = 0;
         }
         let lanes = ProjectionLanes::all(&frames);
-        Self { frames, apart, lanes }
+        Self { frames, lanes, apart }
     }
 }
 

@@ -102,6 +102,7 @@ pub use estimate::{EstimatedFrame, Estimation};
 pub use frame::{FlowFrame, PyramidFrame, pinhole};
 pub use geometry::{Projection, distorted, undistorted};
 pub use map::{ElementMap, FlowMap, MappedFrame};
+pub use matching::MAX_OBSERVATIONS;
 pub use matching_image::MatchingImage;
 pub use motion::MotionMap;
 pub use observing_frame::SIMULTANEOUS;
