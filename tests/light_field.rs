@@ -2,13 +2,20 @@
 
 mod common;
 
+use common::bodies::{Recording, board_before_wall, pose};
 use common::scores::psnr_db;
 use common::synthetic::{self, HEIGHT, RATE_HZ, WIDTH};
+use common::worlds::line_rig;
 use common::{assert_refused, edit, run, stderr, succeed, text};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::Arc;
+use stlfr::camera::Camera;
 use stlfr::capture::Capture;
+use stlfr::light_field::LightField;
+use stlfr::offset::Offsets;
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::raster::{BitDepth, Image, read_image, write_image};
 use stlfr::raster::{encoded_from_linear, linear_from_encoded};
 use tempfile::TempDir;
@@ -109,6 +116,26 @@ fn a_new_view_is_the_closed_form() {
         let traditional = psnr_db(&read_image(&image).unwrap().0, &truth, 8);
         assert!(rendered > traditional + 6.0, "{proxy}: {rendered} dB, LFR {traditional} dB");
     }
+}
+
+/// A board moves by 5 pixels a frame before a still wall.
+#[test]
+fn synchronized_cameras_show_motion_between_their_frames_by_scene_flow() {
+    let world = board_before_wall(|frames| pose([0.0; 3], [0.04 * frames - 0.06, 0.0, 1.3]));
+    let (cameras, folder) = (line_rig(8, 160), tempfile::tempdir().unwrap());
+    Recording { world: &world, cameras: &cameras, first_frames: &[0.0; 8], frames: 4, noise: 0.0 }
+        .write(folder.path());
+    let capture = Arc::new(Capture::open(folder.path()).unwrap());
+    let field = LightField::new(capture.clone(), Offsets::known(&capture));
+    let mut options = RenderOptions::default();
+    options.proxy.method = ProxyMethod::SceneFlow;
+    let middle = Camera { cam_from_world: Default::default(), ..cameras[0].clone() };
+    let time_s = 1.4 / 30.0 - capture.time_origin_s;
+    let seen = field.view(&middle, time_s, &options).unwrap().image;
+    let db = psnr_db(&seen, &world.film(&middle, 1.4, 0.0, 1), 8);
+    let nearest = psnr_db(&world.film(&middle, 1.0, 0.0, 1), &world.film(&middle, 1.4, 0.0, 1), 8);
+    println!("{db:.1} dB, nearest frame {nearest:.1} dB");
+    assert!(db > nearest + 10.0, "{db:.1} dB, nearest frame {nearest:.1} dB");
 }
 
 #[test]

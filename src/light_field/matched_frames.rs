@@ -14,8 +14,8 @@ use std::sync::Arc;
 
 /// Maximum number of other cameras whose frames are matched with a frame to estimate its depth and motion.
 const MAX_PARTNERS: usize = 7;
-/// Minimum number of other cameras whose nearest frame is of another time, so that no more frames are needed to tell
-/// motion.
+/// Minimum number of other cameras whose nearest frame is of another time. If there are fewer, more frames of these cameras
+/// are matched.
 const MIN_OTHER_TIMES: usize = 3;
 /// Maximum motion that scene flow searches for, per frame interval, as a fraction of the image's longer side.
 const MAX_SPEED: f64 = 0.125;

@@ -24,8 +24,9 @@ const OUTSIDE_COST: f32 = 0.19;
 /// Cost that is added for a surface element outside the images of all observing frames. If the element is outside
 /// some of the images, the same fraction of this cost is added.
 const OUTSIDE_PENALTY: f32 = 0.02;
-/// Reciprocal of the fraction of observing frames of the same time above which they are averaged apart.
-const MANY: usize = 3;
+/// Frames of the same time are averaged apart if they are more than one in this many. Larger: fewer frames decide on motion
+/// where shutters are spread. Smaller: synchronized cameras say little of motion.
+const ONE_IN: usize = 3;
 /// Maximum number of observing frames for each matched frame.
 pub const MAX_OBSERVATIONS: usize = 16;
 
@@ -44,7 +45,7 @@ impl<'a> Observations<'a> {
     pub fn new(frames: impl IntoIterator<Item = ObservingFrame<'a>>) -> Self {
         let mut frames: Vec<_> = frames.into_iter().take(MAX_OBSERVATIONS).collect();
         let mut apart = frames.iter().filter(|o| o.is_simultaneous()).count();
-        if MANY * apart > frames.len() {
+        if ONE_IN * apart > frames.len() {
             frames.sort_by_key(|o| !o.is_simultaneous());
         } else {
             apart = 0;

@@ -172,19 +172,8 @@ fn median(mut values: Vec<f64>) -> f64 {
 #[test]
 fn depth_and_motion_of_two_walls_are_found() {
     let walls = [MOVING, STILL];
-    assert_are_found(&walls, &recording(&walls));
-}
-
-/// Frames of the same time alone match whatever the motion is.
-#[test]
-fn cameras_that_are_nearly_synchronized_find_motion_too() {
-    let walls = [MOVING, STILL];
-    assert_are_found(&walls, &recording_at(&walls, [0.0, 0.02, -0.03, 0.01]));
-}
-
-/// Checks that depth and motion of walls are those in the maps of the cameras' middle frames.
-fn assert_are_found(walls: &[Wall], recording: &[[FlowFrame; 3]]) {
-    let maps = maps(recording);
+    let recording = recording(&walls);
+    let maps = maps(&recording);
     for (frames, map) in recording.iter().zip(&maps) {
         let (camera, time) = (&frames[1].view, frames[1].time);
         for (of, wall) in walls.iter().enumerate() {
@@ -278,6 +267,34 @@ fn the_cost_of_noise_is_that_of_true_elements() {
     let found = median((20..76).map(&mut cost).collect());
     let expected = f64::from(levels[1][0].noise_cost());
     assert!((0.8..1.25).contains(&(found / expected)), "{found} in place of {expected}");
+}
+
+#[test]
+fn a_wrong_motion_does_not_match_where_most_frames_are_of_the_same_time() {
+    let wall = Wall { half_m: f64::INFINITY, ..MOVING };
+    let recording = recording_at(&[wall], [0.0, 0.02, -0.03, 0.01]);
+    let levels: Vec<[Vec<MatchingImage>; 3]> =
+        recording.iter().map(|frames| frames.each_ref().map(FlowFrame::pyramid)).collect();
+    let frame =
+        |c: usize, k: usize| PyramidFrame { frame: &recording[c][k], levels: &levels[c][k] };
+    let others = [(1, 0), (1, 2), (0, 1), (2, 1), (3, 1)];
+    let observing = others.map(|(c, k)| ObservingFrame::new(frame(1, 1), frame(c, k)).unwrap());
+    let observations = Observations::new(observing);
+    let disparity_px = (2.0 * SPACING_M * FOCAL_PX) as f32;
+    let own = &levels[1][1][0];
+    let matcher =
+        PatchMatcher { own, observations: &observations, level: 0, scale: 1.0, disparity_px };
+    let still = Element { inverse_depth: (1.0 / wall.depth_m) as f32, ..Element::default() };
+    let velocity = wall.velocity.map(|v| (v * FOCAL_PX / wall.depth_m) as f32);
+    let [wrong, right] = [still, Element { velocity, ..still }].map(|element| {
+        let (mut patch, mut costs) = (Patch::empty(), [0.0; MAX_OBSERVATIONS]);
+        let cost = |x: usize| {
+            matcher.fill_patch(x, 36, &mut patch);
+            f64::from(matcher.cost(&element, (x, 36), &patch, f32::INFINITY, &mut costs))
+        };
+        median((30..66).map(cost).collect())
+    });
+    assert!(wrong > 5.0 * right, "{wrong} and {right}");
 }
 
 #[test]
