@@ -49,7 +49,10 @@ fn slot_maps(
         let flow_frame = undistorted.get(field)?;
         // Each pyramid is used in two or three slots. Caching it would evict results that take longer to
         // compute.
-        let pyramid = flow_frame.pyramid();
+        let pyramid = match stills.get(&camera) {
+            Some(of_camera) => flow_frame.pyramid_before(&of_camera.still),
+            None => flow_frame.pyramid(),
+        };
         Ok(((camera, frame), (flow_frame, pyramid)))
     };
     let needed: Vec<FrameId> = needed.into_iter().collect();
@@ -86,7 +89,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 15 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 16 };
 }
 
 impl Stage for FlowConfidence<'_> {

@@ -107,6 +107,16 @@ impl FlowFrame {
         )
     }
 
+    /// Returns the pyramid with silhouettes before the static background `still` of the frame's camera. If the frame has a
+    /// mask of the background, this decides, and no silhouettes are added.
+    pub fn pyramid_before(&self, still: &StillImage) -> Vec<MatchingImage> {
+        let mut pyramid = self.pyramid();
+        if self.still.is_none() {
+            MatchingImage::add_silhouettes(&mut pyramid, still.silhouettes(self));
+        }
+        pyramid
+    }
+
     /// Returns the colour at a position, pixels, by cubic interpolation. If the lens has distortion, the original image is
     /// interpolated, so that colours are interpolated only once.
     #[inline(always)]

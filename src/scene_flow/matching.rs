@@ -6,6 +6,7 @@ use super::footprint::{Footprint, PlacedElement, ProjectionLanes};
 use super::matching_image::{MatchingImage, MatchingSample, UNITS, WEIGHTS, dequantized};
 use super::observing_frame::ObservingFrame;
 use super::patch::{Patch, WEIGHT_UNITS};
+use super::silhouette::Shown;
 use crate::simd::{F32x8, I16x16, LANES, PIXELS, multiversion};
 
 /// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
@@ -347,8 +348,8 @@ impl PatchMatcher<'_> {
     /// Returns the fraction of the observing frames that show static background at the surface element's projection.
     /// Frames with the projection outside their image are not counted.
     #[inline(always)]
-    pub fn still_fraction(&self, e: &Element, (x, y): (usize, usize)) -> f32 {
-        let (mut still, mut inside) = (0u32, 0u32);
+    pub fn background_fraction(&self, e: &Element, (x, y): (usize, usize)) -> f32 {
+        let (mut background, mut inside) = (0u32, 0u32);
         let placed = self.placed(e, x, y);
         for o in &self.observations.frames {
             let image = &o.levels[self.level];
@@ -357,10 +358,11 @@ impl PatchMatcher<'_> {
                 u >= 0.0 && v >= 0.0 && u < image.width as f32 && v < image.height as f32;
             if is_inside && image.films_pixel(u as usize, v as usize) {
                 inside += 1;
-                still += u32::from(image.is_still(u as usize, v as usize) == Some(true));
+                let shown = image.shown(u as usize, v as usize);
+                background += u32::from(shown == Shown::Background);
             }
         }
-        still as f32 / inside.max(1) as f32
+        background as f32 / inside.max(1) as f32
     }
 
     #[inline(always)]

@@ -1,6 +1,7 @@
 //! Images for matching: pyramids of brightness, colour and gradients.
 
 use super::noise;
+use super::silhouette::{Shown, halved as halved_silhouettes};
 use crate::raster::Image;
 use crate::simd::Pixel;
 use std::sync::LazyLock;
@@ -40,6 +41,8 @@ pub struct MatchingImage {
     samples: Vec<MatchingSample>,
     /// For each pixel, whether it shows only static background. Empty if this is unknown.
     still: Vec<bool>,
+    /// What each pixel shows, in a frame that has no such mask. Empty if this is unknown.
+    silhouettes: Vec<Shown>,
     /// For each pixel, whether a part of it lies inside the camera's original image. Empty if all pixels do.
     filmed: Vec<bool>,
     /// Standard deviation of the noise of brightness.
@@ -97,7 +100,27 @@ impl MatchingImage {
                 ]));
             }
         }
-        Self { width, height, samples, still: Vec::new(), filmed: Vec::new(), noise: 0.0 }
+        let [still, filmed] = [Vec::new(), Vec::new()];
+        Self { width, height, samples, still, silhouettes: Vec::new(), filmed, noise: 0.0 }
+    }
+
+    /// Adds silhouettes to a pyramid. `finest` tells what each pixel of the image shows.
+    pub fn add_silhouettes(pyramid: &mut [Self], finest: Vec<Shown>) {
+        let mut silhouettes = finest;
+        for level in pyramid {
+            let coarser = halved_silhouettes(&silhouettes, level.width);
+            level.silhouettes = std::mem::replace(&mut silhouettes, coarser);
+        }
+    }
+
+    /// Returns what a pixel shows: by the mask of static background if the frame has one, otherwise by its silhouettes.
+    #[inline(always)]
+    pub fn shown(&self, x: usize, y: usize) -> Shown {
+        match self.is_still(x, y) {
+            Some(true) => Shown::Background,
+            Some(false) => Shown::Body,
+            None => self.silhouettes.get(y * self.width + x).map_or(Shown::Unknown, |shown| *shown),
+        }
     }
 
     /// Returns whether a pixel shows only static background. `None` if this is unknown for the whole image.
@@ -134,7 +157,10 @@ impl MatchingImage {
 
     /// Returns the size of the level in memory, bytes.
     pub fn bytes(&self) -> usize {
-        size_of_val(self.samples.as_slice()) + self.still.len() + self.filmed.len()
+        size_of_val(self.samples.as_slice())
+            + self.still.len()
+            + self.silhouettes.len()
+            + self.filmed.len()
     }
 
     #[inline(always)]

@@ -38,6 +38,7 @@
 //! | `map.rs`, `flow_pixel.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
 //! | `element_lanes.rs` | eight surface elements side by side, for SIMD |
 //! | `still.rs`, `background.rs` | the static background of a camera; its depth in frames |
+//! | `silhouette.rs` | which pixels of a frame show a body, and which the static background |
 //! | `agreements.rs`, `confidence.rs` | whether other maps agree with an element; the fraction of those that do |
 //! | `tile_bounds.rs` | tiles of a map, and where a view or another frame can see them |
 //! | `area.rs` | the parts of a view that are splatted |
@@ -80,6 +81,7 @@ mod pixels;
 mod placement;
 mod planes;
 mod robust_mean;
+mod silhouette;
 mod smoothing;
 mod splat;
 mod still;

@@ -170,11 +170,16 @@ impl StillImage {
 
     /// Returns the number of moving pixels in the 3×3 neighbourhood of pixel `k`, the pixel included.
     fn moving_around(&self, moving: &[bool], k: usize) -> usize {
-        let (width, height) = (self.width, moving.len() / self.width);
+        self.around(k).filter(|&n| moving[n]).count()
+    }
+
+    /// Returns the indices of the pixels in the 3×3 neighbourhood of pixel `k`, the pixel included.
+    pub(super) fn around(&self, k: usize) -> impl Iterator<Item = usize> {
+        let (width, height) = (self.width, self.colors.len() / self.width);
         let (x, y) = (k % width, k / width);
-        let rows = y.saturating_sub(1)..(y + 2).min(height);
         let columns = x.saturating_sub(1)..(x + 2).min(width);
-        rows.map(|v| columns.clone().filter(|u| moving[v * width + u]).count()).sum()
+        let rows = y.saturating_sub(1)..(y + 2).min(height);
+        rows.flat_map(move |v| columns.clone().map(move |u| v * width + u))
     }
 }
 

@@ -8,6 +8,7 @@ use super::map::ElementMap;
 use super::matching::{Costs, MAX_OBSERVATIONS, MatchedElement, PatchMatcher};
 use super::matching_image::similarity;
 use super::patch::Patch;
+use super::silhouette::Shown;
 use super::transfer::Proposals;
 use crate::random::Random;
 
@@ -52,9 +53,15 @@ const INCONSISTENCY: f32 = 0.02;
 /// maps at which the element counts as consistent with them, pixels. No consistency cost is then added at this pixel.
 const CONSISTENT_PX: f32 = 1.5;
 
-/// Cost of a moving surface element that projects onto static background in all observing frames. If it does so in
+/// Cost of a body's surface element that projects onto static background in all observing frames. If it does so in
 /// some of them, the same fraction of this cost is added.
 const SILHOUETTE: f32 = 0.3;
+/// Number of surface elements of other pixels of bodies that are tried at a pixel of a body without a good element. Thin
+/// bodies are missing at coarse levels, so that no pixel beside them may have their depth and motion.
+const OF_BODIES: usize = 4;
+/// Maximum distance to these pixels along each axis, pixels, at the finest level. At other levels, it is larger by the
+/// square root of the level's [`PatchMatcher::scale`].
+const OF_BODIES_PX: f32 = 24.0;
 
 /// Cost of the nearest depth for a pixel that shows static background. The cost is linear in the inverse depth, and 0
 /// at the farthest depth. Textureless background that matches at many depths is thus placed behind all bodies.
@@ -120,6 +127,7 @@ struct Best<'a, 'b> {
     others: Option<&'a OtherMaps<'a>>,
     /// Whether the pixel shows static background; `None` if this is unknown.
     is_still: Option<bool>,
+    shown: Shown,
 }
 
 impl Best<'_, '_> {
@@ -151,16 +159,18 @@ impl Best<'_, '_> {
         }
     }
 
-    /// Returns the cost of a surface element due to the mask of static background. A moving element has a cost if it
-    /// projects onto static background in other frames. A static element has a cost that increases with its nearness.
-    /// The cost is 0 if the mask is unknown.
+    /// Returns the cost of a surface element due to static background. An element of a body has a cost if it projects
+    /// onto background in other frames. With a mask of the background, an element of the background has a cost that
+    /// increases with its nearness. Otherwise, the cost is 0.
     #[inline(always)]
     fn still_cost(&self, e: &Element) -> f32 {
         let [min, max] = self.limits.inverse_depth;
-        match self.is_still {
-            Some(false) => SILHOUETTE * self.matcher.still_fraction(e, self.pixel),
-            Some(true) => NEARNESS * (e.inverse_depth - min) / (max - min).max(f32::MIN_POSITIVE),
-            None => 0.0,
+        match (self.shown, self.is_still) {
+            (Shown::Body, _) => SILHOUETTE * self.matcher.background_fraction(e, self.pixel),
+            (_, Some(true)) => {
+                NEARNESS * (e.inverse_depth - min) / (max - min).max(f32::MIN_POSITIVE)
+            }
+            _ => 0.0,
         }
     }
 
@@ -195,6 +205,40 @@ impl Best<'_, '_> {
             if self.differs(&proposal) {
                 self.consider(proposal);
             }
+        }
+    }
+
+    /// Evaluates, as proposals, the surface elements of random pixels of bodies nearby, with or without extrapolation to the
+    /// pixel. In frames with a mask of the background this is skipped: its effect there isn't known.
+    fn consider_bodies(&mut self, random: &mut Random) {
+        let is_body = self.shown == Shown::Body && self.is_still.is_none();
+        if !is_body || self.matcher.is_matched(self.match_cost) {
+            return;
+        }
+        let (x, y) = self.pixel;
+        let reach = OF_BODIES_PX / self.matcher.scale.sqrt(); // pixels of the level; the scale is at least 1
+        for _ in 0..OF_BODIES {
+            let [dx, dy] = [random.signed(), random.signed()].map(|r| (r as f32 * reach) as i32);
+            let Some((u, v)) = self.matcher.neighbor(x, y, (dx, dy)) else { continue };
+            if self.matcher.own.shown(u, v) != Shown::Body {
+                continue;
+            }
+            let proposal = if random.unit() < 0.5 {
+                self.matcher.continued(self.map, (u, v), (dx, dy))
+            } else {
+                self.map.elements[v * self.map.width + u]
+            };
+            if self.differs(&proposal) {
+                self.consider(proposal);
+            }
+        }
+    }
+
+    /// Evaluates, as proposals, random surface elements, unless the pixel has a good element.
+    fn consider_chances(&mut self, pass: &Pass, random: &mut Random) {
+        let chances = if self.matcher.is_matched(self.match_cost) { 0 } else { pass.chances };
+        for _ in 0..chances {
+            self.consider(self.matcher.chance(&self.element, pass.limits, random));
         }
     }
 
@@ -412,6 +456,7 @@ impl PatchMatcher<'_> {
                 costs,
                 others,
                 is_still,
+                shown: self.own.shown(x, y),
             };
             best.cost += best.still_cost(&element);
             if !is_settled {
@@ -421,10 +466,8 @@ impl PatchMatcher<'_> {
             if !is_settled {
                 best.consider_proposals(pass, k);
             }
-            let chances = if self.is_matched(best.match_cost) { 0 } else { pass.chances };
-            for _ in 0..chances {
-                best.consider(self.chance(&best.element, pass.limits, &mut random));
-            }
+            best.consider_bodies(&mut random);
+            best.consider_chances(pass, &mut random);
             best.consider_fit(pass);
             best.step_if_due(&element, is_settled, pass);
             (map.elements[k], map.costs[k]) = (best.element, best.match_cost);

@@ -121,8 +121,8 @@ fn maps(recording: &[[FlowFrame; 3]]) -> Vec<FlowMap> {
     estimated(&frames, &[], MAX_SPEED, &|| true)
 }
 
-/// Returns the scene flow maps of frames that are matched with others. `stills` is the static background of each frame's
-/// camera with its map, or empty. The maximum speed is in pixels per frame.
+/// Returns the scene flow maps of frames that are matched with others. `stills` is the static background of each camera
+/// with its map, or empty. The maximum speed is in pixels per frame.
 fn estimated(
     frames: &[(&FlowFrame, Vec<&FlowFrame>)],
     stills: &[(&StillImage, &FlowMap)],
@@ -131,14 +131,19 @@ fn estimated(
 ) -> Vec<FlowMap> {
     let all = frames.iter().map(|(f, others)| [&[*f], &others[..]].concat());
     let all: Vec<Vec<&FlowFrame>> = all.collect();
+    let camera = |frame: &FlowFrame| (frame.view.center().x / SPACING_M).round() as usize;
+    let pyramid = |frame: &&FlowFrame| match stills.get(camera(frame)) {
+        Some((still, _)) => frame.pyramid_before(still),
+        None => frame.pyramid(),
+    };
     let levels: Vec<Vec<Vec<MatchingImage>>> =
-        all.iter().map(|f| f.iter().map(|f| f.pyramid()).collect()).collect();
+        all.iter().map(|f| f.iter().map(pyramid).collect()).collect();
     let mut list = Vec::new();
-    for (k, (frames, levels)) in all.iter().zip(&levels).enumerate() {
+    for (frames, levels) in all.iter().zip(&levels) {
         let mut both =
             frames.iter().zip(levels).map(|(frame, levels)| PyramidFrame { frame, levels });
         let frame = both.next().unwrap();
-        let of_camera = stills.get(k);
+        let of_camera = stills.get(camera(frame.frame));
         let background = of_camera.map(|(still, map)| Background::new(frame.frame, still, map));
         list.push(EstimatedFrame { frame, others: both.collect(), background });
     }
