@@ -112,7 +112,7 @@ impl FlowFrame {
     pub fn pyramid_before(&self, still: &StillImage) -> Vec<MatchingImage> {
         let mut pyramid = self.pyramid();
         if self.still.is_none() {
-            MatchingImage::add_silhouettes(&mut pyramid, still.silhouettes(self));
+            MatchingImage::add_silhouettes(&mut pyramid, still.silhouettes(&self.image));
         }
         pyramid
     }

@@ -2,8 +2,8 @@
 //! background. A point of a body is nowhere where another frame shows the background (Laurentini 1994, *The Visual Hull
 //! Concept for Silhouette-Based Image Understanding*).
 
-use super::frame::FlowFrame;
 use super::still::{CompactImage, Rgb8, StillImage};
+use crate::raster::Image;
 
 /// Minimum difference of a body's outermost pixels from the background, as a fraction of the largest difference in their
 /// 3×3 neighbourhood. If the difference is smaller, the pixel probably shows more of the background than of the body.
@@ -19,11 +19,11 @@ pub enum Shown {
 }
 
 impl StillImage {
-    /// Compares a frame of the camera with the static background. Returns what each pixel shows, row by row: background
+    /// Compares an image of the camera, without lens distortion, with the static background. Returns what each pixel shows, row by row: background
     /// if it has its colour; a body if it differs; unknown where the background is unknown, and at outlines where both
     /// are mixed.
-    pub fn silhouettes(&self, frame: &FlowFrame) -> Vec<Shown> {
-        let image = CompactImage::new(&frame.image);
+    pub fn silhouettes(&self, image: &Image) -> Vec<Shown> {
+        let image = CompactImage::new(image);
         let is_background = self.shown_in(&image, self.tolerance);
         let difference = |k: usize| match self.colors[k] {
             Some(color) if !is_background[k] => largest_difference(color, image.pixels[k]),
@@ -73,9 +73,6 @@ pub fn halved(finer: &[Shown], width: usize) -> Vec<Shown> {
 mod tests {
     use super::Shown::{Background, Body, Unknown};
     use super::*;
-    use crate::camera::{Camera, CameraModel};
-    use crate::raster::Image;
-    use nalgebra::Isometry3;
 
     #[test]
     fn outermost_pixels_of_a_body_that_are_mostly_background_are_unknown() {
@@ -84,17 +81,11 @@ mod tests {
         let row = [100, 100, 130, 200, 200, 180, 100, 100, 100];
         let value = |k: usize| if (1..4).contains(&(k / width)) { row[k % width] } else { 100 };
         let data = (0..width * height).flat_map(|k| [value(k) as f32 / 255.0; 3]).collect();
-        let camera = Camera {
-            width,
-            height,
-            model: CameraModel::Pinhole { fx: 9.0, fy: 9.0, cx: 4.5, cy: 2.5 },
-            cam_from_world: Isometry3::identity(),
-        };
-        let frame = FlowFrame::new(&camera, &Image::from_data(width, height, 3, data), 0.0);
+        let image = Image::from_data(width, height, 3, data);
         let mut colors = vec![Some([100; 3]); width * height];
         colors[0] = None;
         let still = StillImage { width, colors, tolerance: 3 };
-        let shown = still.silhouettes(&frame);
+        let shown = still.silhouettes(&image);
         let middle =
             [Background, Background, Unknown, Body, Body, Body, Background, Background, Background];
         assert_eq!(shown[2 * width..3 * width], middle);
