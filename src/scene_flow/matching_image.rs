@@ -119,7 +119,7 @@ impl MatchingImage {
         match self.is_still(x, y) {
             Some(true) => Shown::Background,
             Some(false) => Shown::Body,
-            None => self.silhouettes.get(y * self.width + x).map_or(Shown::Unknown, |shown| *shown),
+            None => self.silhouettes.get(y * self.width + x).copied().unwrap_or(Shown::Unknown),
         }
     }
 

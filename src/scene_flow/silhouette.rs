@@ -19,9 +19,9 @@ pub enum Shown {
 }
 
 impl StillImage {
-    /// Compares an image of the camera, without lens distortion, with the static background. Returns what each pixel shows, row by row: background
-    /// if it has its colour; a body if it differs; unknown where the background is unknown, and at outlines where both
-    /// are mixed.
+    /// Compares an image of the camera, without lens distortion, with the static background. Returns what each pixel shows,
+    /// row by row. A pixel with the background's colour shows background, and one that differs shows a body. Unknown is what
+    /// pixels show whose background is unknown, and those at outlines that mix body and background.
     pub fn silhouettes(&self, image: &Image) -> Vec<Shown> {
         let image = CompactImage::new(image);
         let is_background = self.shown_in(&image, self.tolerance);

@@ -56,8 +56,8 @@ const CONSISTENT_PX: f32 = 1.5;
 /// Cost of a body's surface element that projects onto static background in all observing frames. If it does so in
 /// some of them, the same fraction of this cost is added.
 const SILHOUETTE: f32 = 0.3;
-/// Number of surface elements of other pixels of bodies that are tried at a pixel of a body without a good element. Thin
-/// bodies are missing at coarse levels, so that no pixel beside them may have their depth and motion.
+/// Number of other pixels of bodies whose surface elements are tried at a pixel of a body without a good element. A thin
+/// body is missing at coarse levels, so that no adjacent pixel may have its depth and motion.
 const OF_BODIES: usize = 4;
 /// Maximum distance to these pixels along each axis, pixels, at the finest level. At other levels, it is larger by the
 /// square root of the level's [`PatchMatcher::scale`].
@@ -125,8 +125,9 @@ struct Best<'a, 'b> {
     /// Scene flow maps of the other frames, if they disagree with the pixel's initial surface element. Otherwise
     /// `None`, and the pixel has no consistency cost.
     others: Option<&'a OtherMaps<'a>>,
-    /// Whether the pixel shows static background; `None` if this is unknown.
+    /// Whether the pixel shows static background, by the frame's mask; `None` if it has none.
     is_still: Option<bool>,
+    /// What the pixel shows, by the mask or by silhouettes.
     shown: Shown,
 }
 
