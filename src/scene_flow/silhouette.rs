@@ -20,8 +20,9 @@ pub enum Shown {
 
 impl StillImage {
     /// Compares an image of the camera, without lens distortion, with the static background. Returns what each pixel shows,
-    /// row by row. A pixel with the background's colour shows background, and one that differs shows a body. Unknown is what
-    /// pixels show whose background is unknown, and those at outlines that mix body and background.
+    /// row by row. A pixel with the background's colour shows background, and one that differs by more than noise explains
+    /// shows a body. Unknown is what other pixels show, those whose background is unknown, and those at outlines that mix
+    /// body and background.
     pub fn silhouettes(&self, image: &Image) -> Vec<Shown> {
         let image = CompactImage::new(image);
         let is_background = self.shown_in(&image, self.tolerance);
@@ -41,7 +42,7 @@ impl StillImage {
         let shown = |k: usize| match self.colors[k] {
             None => Shown::Unknown,
             Some(_) if is_background[k] => Shown::Background,
-            Some(_) if is_mixed(k) => Shown::Unknown,
+            Some(_) if differences[k] <= self.noise || is_mixed(k) => Shown::Unknown,
             Some(_) => Shown::Body,
         };
         (0..is_background.len()).map(shown).collect()
@@ -84,12 +85,27 @@ mod tests {
         let image = Image::from_data(width, height, 3, data);
         let mut colors = vec![Some([100; 3]); width * height];
         colors[0] = None;
-        let still = StillImage { width, colors, tolerance: 3 };
+        let still = StillImage { width, colors, tolerance: 3, noise: 0 };
         let shown = still.silhouettes(&image);
         let middle =
             [Background, Background, Unknown, Body, Body, Body, Background, Background, Background];
         assert_eq!(shown[2 * width..3 * width], middle);
         assert_eq!((shown[0], shown[1], shown[4 * width + 4]), (Unknown, Background, Background));
+    }
+
+    #[test]
+    fn a_difference_that_noise_explains_proves_no_body() {
+        let [width, height] = [9, 9];
+        let is_body = |k: usize| (2..7).contains(&(k % width)) && (2..7).contains(&(k / width));
+        let value = |k: usize| if is_body(k) { 120 } else { 100 };
+        let data = (0..width * height).flat_map(|k| [value(k) as f32 / 255.0; 3]).collect();
+        let image = Image::from_data(width, height, 3, data);
+        let colors = vec![Some([100; 3]); width * height];
+        let center = |noise: u8| {
+            let still = StillImage { width, colors: colors.clone(), tolerance: 10, noise };
+            still.silhouettes(&image)[4 * width + 4]
+        };
+        assert_eq!([19, 20].map(center), [Body, Unknown]);
     }
 
     #[test]

@@ -12,9 +12,9 @@ pub(super) const TOLERANCE: u8 = 10;
 /// Minimum tolerance with which frames support a background colour, in steps of 1/255. In frames without noise, a larger
 /// one lets textures of a body pass for background where the body is always in front.
 const MIN_SUPPORT_TOLERANCE: u8 = 3;
-/// Tolerance with which frames support a background colour, as a multiple of the median difference between two frames.
-/// With normally distributed noise, it is 2.7 standard deviations of this difference.
-const SUPPORT_TOLERANCE_BY_NOISE: usize = 4;
+/// Maximum difference between two frames that noise explains, as a multiple of the median difference. With normally
+/// distributed noise, it is 2.7 standard deviations of this difference.
+const MAX_NOISE_BY_MEDIAN: usize = 4;
 /// Minimum number of moving pixels in the 3×3 neighbourhood of a moving pixel, the pixel included. If there are fewer,
 /// the difference from the background is noise, and the pixel counts as background.
 const MIN_MOVING: usize = 3;
@@ -33,6 +33,9 @@ pub struct StillImage {
     pub(super) colors: Vec<Option<Rgb8>>,
     /// Maximum difference in each channel between the frames' colours of one background, in steps of 1/255.
     pub(super) tolerance: u8,
+    /// Maximum difference in each channel between two frames that noise explains, in steps of 1/255. If more than half of all
+    /// pixels move, it is large, so that no difference proves a body.
+    pub(super) noise: u8,
 }
 
 /// Image with 8 bits per channel, compact since many images are compared at once.
@@ -54,9 +57,9 @@ fn is_equal(a: Rgb8, b: Rgb8, tolerance: u8) -> bool {
     (0..3).all(|c| a[c].abs_diff(b[c]) <= tolerance)
 }
 
-/// Returns the maximum difference in each channel between two frames' colours of one background, in steps of 1/255. It
-/// follows from the noise: the median difference between successive frames, if at least half of all pixels are static.
-fn support_tolerance(frames: &[CompactImage]) -> u8 {
+/// Returns the maximum difference in each channel between two frames that noise explains, in steps of 1/255. It follows from
+/// the median difference between successive frames, if at least half of all pixels are static.
+fn noise(frames: &[CompactImage]) -> u8 {
     let mut histogram = [0usize; 256];
     for pair in frames.windows(2) {
         for (a, b) in pair[0].pixels.iter().zip(&pair[1].pixels) {
@@ -70,8 +73,7 @@ fn support_tolerance(frames: &[CompactImage]) -> u8 {
         up_to > half
     };
     let median = histogram.iter().position(is_median).unwrap_or(0);
-    let tolerance = SUPPORT_TOLERANCE_BY_NOISE * median;
-    tolerance.clamp(MIN_SUPPORT_TOLERANCE.into(), TOLERANCE.into()) as u8
+    (MAX_NOISE_BY_MEDIAN * median).min(u8::MAX.into()) as u8
 }
 
 /// Returns the mean colour of pixel `k` of frames; black without frames.
@@ -92,7 +94,8 @@ impl StillImage {
         let width = frames.first().map_or(0, |f| f.width);
         let pixels = frames.first().map_or(0, |f| f.pixels.len());
         let needed = ((min_support * frames.len() as f64).ceil() as usize).max(2);
-        let tolerance = support_tolerance(frames);
+        let noise = noise(frames);
+        let tolerance = noise.clamp(MIN_SUPPORT_TOLERANCE, TOLERANCE);
         let color = |k: usize| {
             let is_support = |f: &&CompactImage, of| is_equal(f.pixels[k], of, tolerance);
             let support = |of: Rgb8| frames.iter().filter(|f| is_support(f, of)).count();
@@ -111,7 +114,7 @@ impl StillImage {
         };
         let is_enough = frames.len() > 2;
         let color = |k: usize| if is_enough { color(k) } else { None };
-        Self { width, colors: (0..pixels).into_par_iter().map(color).collect(), tolerance }
+        Self { width, colors: (0..pixels).into_par_iter().map(color).collect(), tolerance, noise }
     }
 
     /// Returns whether no pixel has a known background.
@@ -244,7 +247,7 @@ mod tests {
     #[test]
     fn a_small_island_in_a_body_is_body_and_a_large_gap_is_background() {
         let colors = vec![Some([100; 3]); 100 * 100];
-        let still = StillImage { width: 100, colors, tolerance: TOLERANCE };
+        let still = StillImage { width: 100, colors, tolerance: TOLERANCE, noise: 0 };
         // A body from column 10 to 49, with an island of 2 × 2 pixels and a gap of 4 × 4.
         let is_body = |x: usize, y: usize| {
             let is_island = (20..22).contains(&x) && (30..32).contains(&y);
