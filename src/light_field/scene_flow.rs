@@ -68,7 +68,7 @@ fn slot_maps(
         EstimatedFrame {
             frame,
             others: others.iter().map(with_pyramid).collect(),
-            background: of_camera.map(|s| Background::new(frame.frame, &s.still, &s.map)),
+            background: of_camera.map(|s| Background::new(frame, &s.map)),
         }
     };
     let list: Vec<EstimatedFrame> = mapped.par_iter().zip(&others).map(estimated).collect();

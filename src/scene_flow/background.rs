@@ -2,9 +2,10 @@
 //! have its depth, and aren't estimated again in every frame.
 
 use super::element::Element;
-use super::frame::FlowFrame;
+use super::frame::{FlowFrame, PyramidFrame};
 use super::grid::neighbors;
 use super::map::FlowMap;
+use super::silhouette::Shown;
 use super::still::{CompactImage, Rgb8, StillImage};
 use crate::raster::Image;
 
@@ -24,18 +25,18 @@ pub struct Background<'a> {
 }
 
 impl<'a> Background<'a> {
-    /// Finds the pixels of a frame that certainly show the static background `still` of its camera. They keep a distance
-    /// from moving bodies. `map` has the depth of the background. If the frame has no mask of the background, a plain
-    /// surface that borders on something moving isn't certain, since a plain body may move without a change inside its
-    /// outline.
-    pub fn new(frame: &FlowFrame, still: &StillImage, map: &'a FlowMap) -> Self {
-        if let Some(shown) = &frame.still {
-            return Self { map, is_shown: eroded(shown, map.width, MARGIN_PX) };
+    /// Finds the pixels of a frame that certainly show the static background of its camera. They keep a distance from moving
+    /// bodies. The frame's pyramid is that of [`FlowFrame::pyramid_before`]. `map` has the depth of the background. If the
+    /// frame has no mask of the background, a plain surface that borders on something moving isn't certain, since a plain
+    /// body may move without a change inside its outline.
+    pub fn new(PyramidFrame { frame, levels }: PyramidFrame, map: &'a FlowMap) -> Self {
+        let (width, pixels) = (map.width, map.pixels().len());
+        let shows = |k: usize| levels[0].shown(k % width, k / width) == Shown::Background;
+        let shown: Vec<bool> = (0..pixels).map(shows).collect();
+        let mut is_shown = eroded(&shown, width, MARGIN_PX);
+        if frame.still.is_none() {
+            remove_plain(&mut is_shown, &CompactImage::new(&frame.image).pixels, width);
         }
-        let image = CompactImage::new(&frame.image);
-        let shown = still.shown_in(&image, still.tolerance);
-        let mut is_shown = eroded(&shown, map.width, MARGIN_PX);
-        remove_plain(&mut is_shown, &image.pixels, map.width);
         Self { map, is_shown }
     }
 

@@ -144,7 +144,7 @@ fn estimated(
             frames.iter().zip(levels).map(|(frame, levels)| PyramidFrame { frame, levels });
         let frame = both.next().unwrap();
         let of_camera = stills.get(camera(frame.frame));
-        let background = of_camera.map(|(still, map)| Background::new(frame.frame, still, map));
+        let background = of_camera.map(|(_, map)| Background::new(frame, map));
         list.push(EstimatedFrame { frame, others: both.collect(), background });
     }
     let limits = Limits { inverse_depth: [0.2, 1.0], max_speed };

@@ -102,7 +102,8 @@ fn assert_given(recording: &[Vec<FlowFrame>]) {
     for (c, map) in maps.iter().enumerate() {
         let frame = &recording[c][middle];
         let (mut errors, mut motion, mut given) = (Vec::new(), Vec::new(), 0);
-        let background = Background::new(frame, &stills[c], &still_maps[c]);
+        let levels = frame.pyramid_before(&stills[c]);
+        let background = Background::new(PyramidFrame { frame, levels: &levels }, &still_maps[c]);
         for k in 0..map.pixels().len() {
             let place = [k % SIZE[0], k / SIZE[0]];
             let is_body =
@@ -131,7 +132,9 @@ fn pixels_of_unknown_depth_are_not_given() {
     let (stills, maps) = stills(&recording);
     let map = maps[0].clone().known_where(|k| k % SIZE[0] >= 48);
     assert!(!map.pixels()[0].is_known() && map.pixels()[48].is_known());
-    let background = Background::new(&recording[0][0], &stills[0], &map);
+    let frame = &recording[0][0];
+    let levels = frame.pyramid_before(&stills[0]);
+    let background = Background::new(PyramidFrame { frame, levels: &levels }, &map);
     let last = SIZE[1] - 1;
     assert!((0..48).all(|x| background.element(0, [x, last]).is_none()));
     assert!((48..SIZE[0]).all(|x| background.element(0, [x, last]).is_some()));
