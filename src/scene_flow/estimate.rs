@@ -21,8 +21,6 @@ const CHANCES: [usize; 4] = [1, 2, 10, 50];
 /// Coarsest pyramid level at which the scene flow maps of different frames are compared with each other
 /// ([`OtherMaps`]); level 0 is the finest. The comparison is part of the last pass at a level.
 const COARSEST_COMPARED: usize = 1;
-/// Finest pyramid level at which the scene flow maps are smoothed, before the last pass.
-const FINEST_SMOOTHED: usize = 1;
 /// Pyramid level at which planes are extended, before and after the last pass. At coarser levels, the results of random
 /// sampling would change everywhere, and views would become better or worse by chance.
 const EXTENDED_LEVEL: usize = 0;
@@ -78,7 +76,7 @@ impl Estimation<'_> {
                     |(f, (map, proposals))| {
                         let disparity_px = disparities_px[f];
                         let matcher = self.matcher(f, level, &observations[f]);
-                        if is_last && level >= FINEST_SMOOTHED {
+                        if is_last {
                             matcher.smooth(map);
                         }
                         if is_last && level == EXTENDED_LEVEL && map.given.is_empty() {
@@ -104,6 +102,7 @@ impl Estimation<'_> {
         let packed = |(f, map): (usize, &mut ElementMap)| {
             let matcher = self.matcher(f, 0, &observations[f]);
             let background = self.frames[f].background.as_ref();
+            matcher.smooth(map);
             let errors = with_background(matcher.errors(map), map, background);
             if map.given.is_empty() {
                 matcher.extend_planes(map, self.limits.inverse_depth);

@@ -29,7 +29,7 @@
 //! | `patch.rs`, `footprint.rs` | the pixels around a pixel, and where other frames see them |
 //! | `matching.rs` | the matching cost of an element over all frames |
 //! | `gauss_newton.rs`, `affine_fit.rs` | refinement of an element by image gradients, and by its neighbours |
-//! | `smoothing.rs` | interpolation over plain surfaces |
+//! | `smoothing.rs` | interpolation over plain surfaces, and along thin bodies |
 //! | `planes.rs`, `extension.rs` | planes of static surfaces, extended over pixels of uncertain depth |
 //! | `sweep.rs` | one pass of PatchMatch over a map |
 //! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of differing from these maps |

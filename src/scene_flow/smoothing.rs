@@ -15,6 +15,7 @@ use super::map::ElementMap;
 use super::matching::{MAX_OBSERVATIONS, PatchMatcher};
 use super::matching_image::color_difference;
 use super::patch::Patch;
+use super::silhouette::Shown;
 use nalgebra::{Matrix3, Vector3};
 
 /// Standard deviation of the difference between two neighbouring pixels of one colour, pixels of the pyramid level: of
@@ -34,6 +35,10 @@ const GIVEN_INFORMATION: f64 = 1e4;
 const MIN_CHANGE_PX: f32 = 0.5;
 /// Maximum increase of the matching cost in a replacement.
 const TOLERANCE: f32 = 0.004;
+/// Maximum further increase of the matching cost in a replacement at the finest level, as a fraction of the cost. A patch of
+/// a thin body contains mostly background, so that its cost is large for any element. Without it, pieces of
+/// a thin body move along the body by different amounts.
+const RELATIVE_TOLERANCE: f32 = 0.5;
 
 /// Unknowns of a pixel, in pixels and pixels per frame. `motion` is the disparity and the velocity. `rates` are their
 /// rates of change.
@@ -70,48 +75,71 @@ impl Unknowns {
 
 /// What is known about a pixel before smoothing.
 struct Known {
+    /// Index of the pixel in the map.
+    pixel: usize,
     present: Unknowns,
     information: Matrix3<f64>,
-    /// Weights of the differences from the neighbours to the right and below, 1/px²; 0 where there is none.
-    weights: [f64; 2],
+    /// Neighbouring pixels that are smoothed too, by their index in the list of such pixels, with the weights of the
+    /// differences from them, 1/px². A weight is 0 where there is no such pixel.
+    neighbors: [(f64, usize); 4],
 }
 
 impl PatchMatcher<'_> {
-    /// Replaces surface elements of a scene flow map by those of the smooth map, where these match as well.
+    /// Replaces surface elements of a scene flow map by those of the smooth map, where these match about as well. At the
+    /// finest level, only pixels of bodies are smoothed.
     pub fn smooth(&self, map: &mut ElementMap) {
         let known = self.known(map);
         let mut patch = Patch::empty();
         let mut costs = [0.0; MAX_OBSERVATIONS];
-        for (k, smooth) in smoothed(&known, map.width).into_iter().enumerate() {
+        let relative = if self.level == 0 { RELATIVE_TOLERANCE } else { 0.0 };
+        for (Known { pixel: k, .. }, smooth) in known.iter().zip(smoothed(&known)) {
             let element = smooth.element(self.disparity_px);
-            if map.is_given(k) || self.distance(&element, &map.elements[k]) < MIN_CHANGE_PX {
+            if map.is_given(*k) || self.distance(&element, &map.elements[*k]) < MIN_CHANGE_PX {
                 continue;
             }
             let pixel = (k % map.width, k / map.width);
             self.fill_patch(pixel.0, pixel.1, &mut patch);
-            let limit = map.costs[k] + TOLERANCE;
+            let limit = map.costs[*k] * (1.0 + relative) + TOLERANCE;
             let cost = self.cost(&element, pixel, &patch, limit, &mut costs);
             if cost <= limit {
-                (map.elements[k], map.costs[k]) = (element, cost);
+                (map.elements[*k], map.costs[*k]) = (element, cost);
             }
         }
     }
 
+    /// Returns the pixels that are smoothed, row by row.
     fn known(&self, map: &ElementMap) -> Vec<Known> {
+        let position = |k: usize| (k % map.width, k / map.width);
+        let is_smoothed = |k: &usize| {
+            let (x, y) = position(*k);
+            self.level > 0 || self.own.shown(x, y) == Shown::Body
+        };
+        let pixels: Vec<usize> = (0..map.elements.len()).filter(is_smoothed).collect();
+        let mut places = vec![None; map.elements.len()];
+        pixels.iter().enumerate().for_each(|(place, &k)| places[k] = Some(place));
         let mut patch = Patch::empty();
-        let mut known = |k: usize| {
-            let pixel @ (x, y) = (k % map.width, k / map.width);
+        let known = |&k: &usize| {
+            let pixel @ (x, y) = position(k);
             let information = match map.is_given(k) {
                 true => Matrix3::from_diagonal_element(GIVEN_INFORMATION),
                 false => self.information(map, pixel, &mut patch),
             };
+            // To the left of the first column and above the first row, the coordinates wrap to large numbers.
+            let around = [(x.wrapping_sub(1), y), (x, y.wrapping_sub(1)), (x + 1, y), (x, y + 1)];
+            let neighbor = |beside: (usize, usize)| {
+                let weight = self.smoothness(pixel, beside);
+                let place =
+                    if weight > 0.0 { places[beside.1 * map.width + beside.0] } else { None };
+                place.map_or((0.0, 0), |place| (weight, place))
+            };
             Known {
+                pixel: k,
                 present: Unknowns::of(&map.elements[k], self.disparity_px),
                 information: information + Matrix3::from_diagonal_element(MIN_INFORMATION),
-                weights: [(x + 1, y), (x, y + 1)].map(|beside| self.smoothness(pixel, beside)),
+                neighbors: around.map(neighbor),
             }
         };
-        (0..map.elements.len()).map(&mut known).collect()
+        pixels.iter().map(known).collect()
     }
 
     /// Returns the weight of the difference between two neighbouring pixels, 1/px²: 0 if the second is outside the map, if
@@ -130,42 +158,29 @@ impl PatchMatcher<'_> {
     }
 }
 
-/// Returns the smooth map's unknowns, by Gauss–Seidel iterations in alternating directions.
-fn smoothed(known: &[Known], width: usize) -> Vec<Unknowns> {
+/// Returns the smooth map's unknowns of each pixel of the list, by Gauss–Seidel iterations in alternating directions.
+fn smoothed(known: &[Known]) -> Vec<Unknowns> {
     let mut values: Vec<Unknowns> = known.iter().map(|k| k.present).collect();
     for turn in 0..ITERATIONS {
         for k in 0..values.len() {
             let k = if turn % 2 == 1 { values.len() - 1 - k } else { k };
-            values[k] = relaxed(known, &values, k, width);
+            values[k] = relaxed(&known[k], &values);
         }
     }
     values
 }
 
-/// Returns the unknowns of pixel `k` that minimize the sum while all other pixels keep theirs.
-fn relaxed(known: &[Known], values: &[Unknowns], k: usize, width: usize) -> Unknowns {
-    let Known { present, information, weights: [right, below] } = &known[k];
+/// Returns the unknowns of a pixel that minimize the sum while all other pixels keep theirs.
+fn relaxed(known: &Known, values: &[Unknowns]) -> Unknowns {
+    let Known { present, information, neighbors, .. } = known;
     let diagonal = information.diagonal();
     let (mut motion, mut rates) =
         (information * present.motion, diagonal.component_mul(&present.rates));
     let mut sum = 0.0;
-    let mut add = |neighbor: usize, weight: f64| {
+    for &(weight, neighbor) in neighbors {
         motion += weight * values[neighbor].motion;
         rates += weight * values[neighbor].rates;
         sum += weight;
-    };
-    let x = k % width;
-    if x > 0 {
-        add(k - 1, known[k - 1].weights[0]);
-    }
-    if k >= width {
-        add(k - width, known[k - width].weights[1]);
-    }
-    if x + 1 < width {
-        add(k + 1, *right);
-    }
-    if k + width < values.len() {
-        add(k + width, *below);
     }
     let normal = information + Matrix3::from_diagonal_element(sum);
     // The diagonal is at least `MIN_INFORMATION`. The matrix is singular only by rounding errors.
@@ -177,18 +192,24 @@ fn relaxed(known: &[Known], values: &[Unknowns], k: usize, width: usize) -> Unkn
 mod tests {
     use super::*;
 
-    fn known(values: &[f64], information: &[f64]) -> Vec<Known> {
+    /// Returns pixels in a row. The weight of a difference is 1, or 0 between two `parts`.
+    fn known(values: &[f64], information: &[f64], parts: &[usize]) -> Vec<Known> {
+        let weight = |k: usize, neighbor: usize| match parts.get(neighbor) {
+            Some(part) if *part == parts[k] => (1.0, neighbor),
+            _ => (0.0, 0),
+        };
         let pixel = |k: usize| Known {
+            pixel: k,
             present: Unknowns { motion: Vector3::repeat(values[k]), rates: Vector3::zeros() },
             information: Matrix3::from_diagonal_element(information[k]),
-            weights: [if k + 1 < values.len() { 1.0 } else { 0.0 }, 0.0],
+            neighbors: [weight(k, k.wrapping_sub(1)), weight(k, k + 1), (0.0, 0), (0.0, 0)],
         };
         (0..values.len()).map(pixel).collect()
     }
 
     #[test]
     fn values_without_information_are_interpolated_between_their_surroundings() {
-        let smooth = smoothed(&known(&[0.0, 50.0, 50.0, 4.5], &[1e6, 0.0, 0.0, 1e6]), 4);
+        let smooth = smoothed(&known(&[0.0, 50.0, 50.0, 4.5], &[1e6, 0.0, 0.0, 1e6], &[0; 4]));
         for (k, expected) in [0.0, 1.5, 3.0, 4.5].into_iter().enumerate() {
             let motion = smooth[k].motion;
             assert!((motion - Vector3::repeat(expected)).amax() < 1e-4, "{k}: {motion}");
@@ -197,9 +218,7 @@ mod tests {
 
     #[test]
     fn a_weight_of_zero_separates_two_surfaces() {
-        let mut known = known(&[1.0, 1.0, 8.0, 8.0], &[1e6, 0.0, 0.0, 1e6]);
-        known[1].weights[0] = 0.0;
-        let smooth = smoothed(&known, 4);
+        let smooth = smoothed(&known(&[1.0, 1.0, 8.0, 8.0], &[1e6, 0.0, 0.0, 1e6], &[0, 0, 1, 1]));
         assert!((smooth[1].motion.x - 1.0).abs() < 1e-4 && (smooth[2].motion.x - 8.0).abs() < 1e-4);
     }
 }

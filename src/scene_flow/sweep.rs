@@ -56,6 +56,9 @@ const CONSISTENT_PX: f32 = 1.5;
 /// Cost of a body's surface element that projects onto static background in all observing frames. If it does so in
 /// some of them, the same fraction of this cost is added.
 const SILHOUETTE: f32 = 0.3;
+/// Increase of a body's matching cost for each pixel per frame of speed, as a fraction of the cost. Motion along a thin body
+/// matches at many speeds; the slowest of them counts.
+const BY_SPEED: f32 = 0.004;
 /// Number of other pixels of bodies whose surface elements are tried at a pixel of a body without a good element. A thin
 /// body is missing at coarse levels, so that no adjacent pixel may have its depth and motion.
 const OF_BODIES: usize = 4;
@@ -151,13 +154,21 @@ impl Best<'_, '_> {
             return;
         }
         let mut costs = [0.0; MAX_OBSERVATIONS];
-        let match_cost =
-            self.matcher.cost(&proposal, (x, y), self.patch, self.cost - roughness, &mut costs);
-        if match_cost + roughness < self.cost {
+        let factor = self.speed_factor(&proposal);
+        let limit = (self.cost - roughness) / factor;
+        let match_cost = self.matcher.cost(&proposal, (x, y), self.patch, limit, &mut costs);
+        let cost = factor * match_cost + roughness;
+        if cost < self.cost {
             self.element = proposal;
-            (self.match_cost, self.cost) = (match_cost, match_cost + roughness);
+            (self.match_cost, self.cost) = (match_cost, cost);
             self.costs = costs;
         }
+    }
+
+    /// Returns the factor of the matching cost due to a body's speed, at least 1.
+    #[inline(always)]
+    fn speed_factor(&self, e: &Element) -> f32 {
+        if self.shown == Shown::Body { 1.0 + BY_SPEED * e.speed() } else { 1.0 }
     }
 
     /// Returns the cost of a surface element due to static background. An element of a body has a cost if it projects
@@ -443,7 +454,7 @@ impl PatchMatcher<'_> {
             };
             let inconsistency = if others.is_some() { INCONSISTENCY * difference } else { 0.0 };
             let around = self.surroundings(map, x, y);
-            let cost = match_cost + self.roughness(&around, &element) + inconsistency;
+            let cost = self.roughness(&around, &element) + inconsistency;
             let mut best = Best {
                 matcher: self,
                 map,
@@ -459,7 +470,7 @@ impl PatchMatcher<'_> {
                 is_still,
                 shown: self.own.shown(x, y),
             };
-            best.cost += best.still_cost(&element);
+            best.cost += match_cost * best.speed_factor(&element) + best.still_cost(&element);
             if !is_settled {
                 best.consider_neighbors(pass);
             }
