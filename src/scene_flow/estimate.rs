@@ -99,18 +99,21 @@ impl Estimation<'_> {
                 );
             }
         }
-        let packed = |(f, map): (usize, &mut ElementMap)| {
-            let matcher = self.matcher(f, 0, &observations[f]);
-            let background = self.frames[f].background.as_ref();
-            matcher.smooth(map);
-            let errors = with_background(matcher.errors(map), map, background);
-            if map.given.is_empty() {
-                matcher.extend_planes(map, self.limits.inverse_depth);
-            }
-            let range = self.range_with(background);
-            FlowMap::new(map, range, disparities_px[f]).with_errors(&errors)
-        };
-        maps.par_iter_mut().enumerate().map(packed).collect()
+        let finished = |(f, map): (usize, &mut ElementMap)| self.finished(f, map, &observations[f]);
+        maps.par_iter_mut().enumerate().map(finished).collect()
+    }
+
+    /// Returns the result for frame `f`, of the scene flow map after the last pass.
+    fn finished(&self, f: usize, map: &mut ElementMap, observations: &Observations) -> FlowMap {
+        let EstimatedFrame { frame, background, .. } = &self.frames[f];
+        let matcher = self.matcher(f, 0, observations);
+        matcher.smooth(map);
+        let errors = with_background(matcher.errors(map), map, background.as_ref());
+        if map.given.is_empty() {
+            matcher.extend_planes(map, self.limits.inverse_depth);
+        }
+        let range = self.range_with(background.as_ref());
+        FlowMap::new(map, range, self.disparity_px(frame.frame)).with_errors(&errors)
     }
 
     /// Returns the smallest range of inverse depths, 1/m, that contains the search range and that of a background.
