@@ -36,8 +36,8 @@ const MIN_CHANGE_PX: f32 = 0.5;
 /// Maximum increase of the matching cost in a replacement.
 const TOLERANCE: f32 = 0.004;
 /// Maximum further increase of the matching cost in a replacement at the finest level, as a fraction of the cost. A patch of
-/// a thin body contains mostly background, so that its cost is large for any element. Without it, pieces of
-/// a thin body move along the body by different amounts.
+/// a thin body contains mostly background, so that its cost is large for any element. Without this
+/// tolerance, pieces of a thin body move along it by different amounts.
 const RELATIVE_TOLERANCE: f32 = 0.5;
 
 /// Unknowns of a pixel, in pixels and pixels per frame. `motion` is the disparity and the velocity. `rates` are their
