@@ -103,7 +103,8 @@ impl Estimation<'_> {
         maps.par_iter_mut().enumerate().map(finished).collect()
     }
 
-    /// Returns the result for frame `f`, of the scene flow map after the last pass.
+    /// Completes the scene flow map of frame `f` after the last pass: smooths it, computes its standard errors and extends
+    /// planes.
     fn finished(&self, f: usize, map: &mut ElementMap, observations: &Observations) -> FlowMap {
         let EstimatedFrame { frame, background, .. } = &self.frames[f];
         let matcher = self.matcher(f, 0, observations);

@@ -8,7 +8,8 @@
 //!
 //! over the disparities and velocities `v` of all pixels `i` and of neighbours `i`, `j`. `e` are the present values,
 //! `I` their information matrices, and `w` weights that decrease with the difference in colour. Textured pixels
-//! thus keep their values, and those of plain pixels are interpolated between them.
+//! thus keep their values, and those of plain pixels are interpolated between them. At the finest level, only moving
+//! bodies are smoothed: the motion along a thin body is as uncertain as that of a plain surface.
 
 use super::element::Element;
 use super::map::ElementMap;

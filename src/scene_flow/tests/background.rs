@@ -143,14 +143,21 @@ fn pixels_of_unknown_depth_are_not_given() {
     assert!(background.element(2, [2, last / 4]).is_none());
 }
 
+/// Returns the frames of the four cameras while this wall passes, and the maps of their middle frames, with the static
+/// background known.
+fn estimated_before_background(wall: Wall) -> (Vec<Vec<FlowFrame>>, Vec<FlowMap>) {
+    let recording = passing_of(wall);
+    let (stills, still_maps) = stills(&recording);
+    let backgrounds: Vec<_> = stills.iter().zip(&still_maps).collect();
+    let maps = estimated(&middle_frames(&recording), &backgrounds, MAX_SPEED, &|| true);
+    (recording, maps)
+}
+
 #[test]
 fn a_small_body_is_found_where_other_frames_show_the_background_behind_it() {
     // A square of 6 pixels that moves by 3 pixels per frame.
     let small = Wall { half_m: [0.06; 2], velocity: [0.06, 0.0], ..PASSING };
-    let recording = passing_of(small);
-    let (stills, still_maps) = stills(&recording);
-    let backgrounds: Vec<_> = stills.iter().zip(&still_maps).collect();
-    let maps = estimated(&middle_frames(&recording), &backgrounds, MAX_SPEED, &|| true);
+    let (recording, maps) = estimated_before_background(small);
     let (mut wrong, mut all) = (0, 0);
     for (map, frames) in maps.iter().zip(&recording) {
         let FlowFrame { view, time, .. } = &frames[FRAMES / 2];
@@ -169,10 +176,7 @@ fn a_small_body_is_found_where_other_frames_show_the_background_behind_it() {
 /// Returns how much the motions along a vertical bar differ between pixels that are 6 rows apart: the 95th percentile, pixels
 /// per frame.
 fn difference_along(bar: Wall) -> f64 {
-    let recording = passing_of(bar);
-    let (stills, still_maps) = stills(&recording);
-    let backgrounds: Vec<_> = stills.iter().zip(&still_maps).collect();
-    let maps = estimated(&middle_frames(&recording), &backgrounds, MAX_SPEED, &|| true);
+    let (recording, maps) = estimated_before_background(bar);
     let mut differences = Vec::new();
     for (map, frames) in maps.iter().zip(&recording) {
         let FlowFrame { view, time, .. } = &frames[FRAMES / 2];
