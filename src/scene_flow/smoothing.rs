@@ -38,8 +38,11 @@ const MIN_CHANGE_PX: f32 = 0.5;
 const TOLERANCE: f32 = 0.004;
 /// Maximum further increase of the matching cost in a replacement at the finest level, as a fraction of the cost. A patch of
 /// a thin body contains mostly background, so that its cost is large for any element. Without this
-/// tolerance, pieces of a thin body move along it by different amounts.
+/// tolerance, pieces of a thin body move along it by different amounts. Only for a change that [`Known::is_unseen`].
 const RELATIVE_TOLERANCE: f32 = 0.5;
+/// Maximum information about a change that images don't show, as a fraction of the information about the change that they
+/// show best. Larger: small textured bodies take on the motion of their surroundings.
+const UNSEEN: f64 = 0.05;
 
 /// Unknowns of a pixel, in pixels and pixels per frame. `motion` is the disparity and the velocity. `rates` are their
 /// rates of change.
@@ -85,6 +88,15 @@ struct Known {
     neighbors: [(f64, usize); 4],
 }
 
+impl Known {
+    /// Returns whether the images hardly show a change of disparity and velocity from the present values. They don't show
+    /// motion along a thin body.
+    fn is_unseen(&self, change: &Vector3<f64>) -> bool {
+        let shown = change.dot(&(self.information * change));
+        shown <= UNSEEN * self.information.symmetric_eigenvalues().max() * change.norm_squared()
+    }
+}
+
 impl PatchMatcher<'_> {
     /// Replaces surface elements of a scene flow map by those of the smooth map, where these match about as well. At the
     /// finest level, only pixels of bodies are smoothed.
@@ -92,18 +104,21 @@ impl PatchMatcher<'_> {
         let known = self.known(map);
         let mut patch = Patch::empty();
         let mut costs = [0.0; MAX_OBSERVATIONS];
-        let relative = if self.level == 0 { RELATIVE_TOLERANCE } else { 0.0 };
-        for (Known { pixel: k, .. }, smooth) in known.iter().zip(smoothed(&known)) {
+        for (known, smooth) in known.iter().zip(smoothed(&known)) {
+            let k = known.pixel;
             let element = smooth.element(self.disparity_px);
-            if map.is_given(*k) || self.distance(&element, &map.elements[*k]) < MIN_CHANGE_PX {
+            if map.is_given(k) || self.distance(&element, &map.elements[k]) < MIN_CHANGE_PX {
                 continue;
             }
             let pixel = (k % map.width, k / map.width);
             self.fill_patch(pixel.0, pixel.1, &mut patch);
-            let limit = map.costs[*k] * (1.0 + relative) + TOLERANCE;
+            let is_tolerant =
+                self.level == 0 && known.is_unseen(&(smooth.motion - known.present.motion));
+            let relative = if is_tolerant { RELATIVE_TOLERANCE } else { 0.0 };
+            let limit = map.costs[k] * (1.0 + relative) + TOLERANCE;
             let cost = self.cost(&element, pixel, &patch, limit, &mut costs);
             if cost <= limit {
-                (map.elements[*k], map.costs[*k]) = (element, cost);
+                (map.elements[k], map.costs[k]) = (element, cost);
             }
         }
     }
@@ -215,6 +230,17 @@ mod tests {
             let motion = smooth[k].motion;
             assert!((motion - Vector3::repeat(expected)).amax() < 1e-4, "{k}: {motion}");
         }
+    }
+
+    #[test]
+    fn motion_along_a_line_is_unseen_and_motion_across_it_is_not() {
+        let mut pixel = known(&[0.0], &[1.0], &[0]).remove(0);
+        pixel.information = Matrix3::from_diagonal(&Vector3::new(50.0, 100.0, 1.0));
+        let is_unseen = |x, y, z| pixel.is_unseen(&Vector3::new(x, y, z));
+        assert!(is_unseen(0.0, 0.0, 9.0) && is_unseen(0.0, -1.0, 9.0));
+        assert!(
+            !is_unseen(1.0, 0.0, 0.0) && !is_unseen(0.0, 0.1, 0.0) && !is_unseen(0.0, 3.0, 9.0)
+        );
     }
 
     #[test]
