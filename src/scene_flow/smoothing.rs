@@ -38,11 +38,12 @@ const MIN_CHANGE_PX: f32 = 0.5;
 const TOLERANCE: f32 = 0.004;
 /// Maximum further increase of the matching cost in a replacement at the finest level, as a fraction of the cost. A patch of
 /// a thin body contains mostly background, so that its cost is large for any element. Without this
-/// tolerance, pieces of a thin body move along it by different amounts. Only for a change that [`Known::is_unseen`].
+/// tolerance, pieces of a thin body move along it by different amounts. It applies only to changes that the images hardly
+/// show ([`Known::is_unseen`]).
 const RELATIVE_TOLERANCE: f32 = 0.5;
-/// Maximum information about a change that images don't show, as a fraction of the information about the change that they
-/// show best. Larger: small textured bodies take on the motion of their surroundings.
-const UNSEEN: f64 = 0.05;
+/// Maximum information about a change that the images hardly show, as a fraction of the information about the change that
+/// they show best. Larger: small textured bodies take on the motion of their surroundings.
+const MAX_UNSEEN: f64 = 0.05;
 
 /// Unknowns of a pixel, in pixels and pixels per frame. `motion` is the disparity and the velocity. `rates` are their
 /// rates of change.
@@ -89,11 +90,11 @@ struct Known {
 }
 
 impl Known {
-    /// Returns whether the images hardly show a change of disparity and velocity from the present values. They don't show
-    /// motion along a thin body.
+    /// Returns whether the images hardly show a change of disparity and velocity from the present values. An example is a
+    /// change of the motion along a thin body. If they show nothing at all, the result is false.
     fn is_unseen(&self, change: &Vector3<f64>) -> bool {
         let shown = change.dot(&(self.information * change));
-        shown <= UNSEEN * self.information.symmetric_eigenvalues().max() * change.norm_squared()
+        shown <= MAX_UNSEEN * self.information.symmetric_eigenvalues().max() * change.norm_squared()
     }
 }
 
@@ -241,6 +242,8 @@ mod tests {
         assert!(
             !is_unseen(1.0, 0.0, 0.0) && !is_unseen(0.0, 0.1, 0.0) && !is_unseen(0.0, 3.0, 9.0)
         );
+        pixel.information = Matrix3::from_diagonal_element(MIN_INFORMATION);
+        assert!(!pixel.is_unseen(&Vector3::new(0.0, 0.0, 9.0)), "nothing is known");
     }
 
     #[test]
