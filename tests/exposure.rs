@@ -3,14 +3,13 @@
 
 mod common;
 
+use common::arc::arc_rig;
 use common::bodies::{Recording, board_before_wall, pose};
 use common::scores::psnr_db;
 use common::wall::estimate;
 use common::worlds::line_rig;
-use nalgebra::{Isometry3, Point3, Vector3};
 use std::path::Path;
 use std::sync::Arc;
-use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::{Context, LightField, Request, Viewpoint, render};
@@ -95,15 +94,8 @@ fn with_factors(folder: &Path) -> TempDir {
 /// Four cameras 15 degrees apart look at a place between a still board and a wall.
 fn filmed_around() -> TempDir {
     let world = board_before_wall(|_| pose([10.0, -15.0, 5.0], [0.0, 0.0, 1.6]));
-    let around = |camera: usize| {
-        let angle = (15.0 * (camera as f64 - 1.5)).to_radians();
-        let place = Point3::new(0.0, 0.0, 1.8);
-        let center = place + 1.6 * Vector3::new(angle.sin(), 0.0, -angle.cos());
-        let cam_from_world = Isometry3::face_towards(&center, &place, &Vector3::y()).inverse();
-        Camera { cam_from_world, ..line_rig(1, 256).remove(0) }
-    };
-    let (cameras, folder) =
-        ([0, 1, 2, 3].map(around), tempfile::tempdir().expect("a temporary folder"));
+    let cameras = arc_rig(256, 15.0, 1.8, 1.6);
+    let folder = tempfile::tempdir().expect("a temporary folder");
     Recording {
         world: &world,
         cameras: &cameras,

@@ -2,7 +2,10 @@
 
 mod common;
 
+use common::arc::arc_rig;
+use common::bodies::{Recording, board_before_wall, pose};
 use common::wall::{FRAME_S, Scene, open};
+
 use common::{assert_refused, edit, run, stderr, succeed, text, tiny_copy};
 use serde_json::{Value, json};
 use stlfr::interpolation::SyncMethod;
@@ -276,6 +279,35 @@ fn held_out_frames_decide_the_weights_and_scene_flow_if_asked() {
     assert_eq!(sync_only.options.blend.method, BlendMethod::Uniform);
     // Nothing is rendered for what isn't asked for.
     assert_choices(&by(false, false), &[("blend", "as given")]);
+}
+
+/// Four cameras film a board that moves before a still wall. They stand on a circle around the board, `angle_deg` degrees
+/// apart.
+fn arc(angle_deg: f64) -> TempDir {
+    let world = board_before_wall(|frames| {
+        let angle = 0.8 * frames;
+        pose([0.0; 3], [0.12 * angle.cos(), 0.1 * angle.sin(), 1.3])
+    });
+    let cameras = arc_rig(160, angle_deg, 1.3, 1.3);
+    let (folder, first_frames) = (tempfile::tempdir().unwrap(), &[0.0, 0.25, 0.5, 0.75]);
+    Recording { world: &world, cameras: &cameras, first_frames, frames: 6, noise: 0.004 }
+        .write(folder.path());
+    folder
+}
+
+#[test]
+fn cameras_around_the_scene_need_scene_flow_and_no_comparison() {
+    let [wide, narrow] = [15.0, 3.0].map(|angle| plan_of(&arc(angle), &auto()).0);
+    let proxy = decision(&wide, "proxy");
+    assert_eq!(wide.options.proxy.method, ProxyMethod::SceneFlow);
+    assert!(proxy.because.contains("15.0 degrees apart"), "{proxy:?}");
+    assert_choices(&wide, &[("sync", "refined"), ("blend", "as given")]);
+    let proxy = decision(&narrow, "proxy");
+    assert!(!proxy.because.contains("degrees"), "{proxy:?}");
+    // A method that is asked for is kept.
+    let mut options = auto();
+    (options.auto.proxy, options.proxy.method) = (false, ProxyMethod::Plane);
+    assert_eq!(plan_of(&arc(15.0), &options).0.options.proxy.method, ProxyMethod::Plane);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
 /// Minimum angle between neighbouring cameras of a wide array, seen from the place that all cameras look at, radians.
 /// It is the largest angle at which features of neighbouring cameras are still matched reliably.
-const MIN_ANGLE_RAD: f64 = 0.12;
+pub const MIN_WIDE_ANGLE_RAD: f64 = 0.12;
 /// Maximum, in a wide array, of the baseline with which scene flow converts inverse depths to disparities. The maximum
 /// is given as an angle in radians: the baseline divided by the distance to the place that all cameras look at.
 const MATCHING_ANGLE_RAD: f64 = 0.2;
@@ -36,14 +36,14 @@ pub(super) struct CommonPlace {
 impl CommonPlace {
     /// Finds the place that all cameras look at, if the array is wide. `None` if there is no such place, because the
     /// cameras look in parallel or away from each other. Also `None` if the angle between neighbours is at most
-    /// [`MIN_ANGLE_RAD`]. `spacing_m` is the distance between neighbours, metres.
+    /// [`MIN_WIDE_ANGLE_RAD`]. `spacing_m` is the distance between neighbours, metres.
     fn of(cameras: &[&Camera], spacing_m: f64) -> Option<Self> {
         let place = nearest_to_axes(cameras)?;
         let mut distances: Vec<f64> = cameras.iter().map(|c| (c.center() - place).norm()).collect();
         distances.sort_by(f64::total_cmp);
         let distance_m = distances[distances.len() / 2];
         let sees = |c: &&Camera| c.project(&place).is_some_and(|pixel| c.contains(&pixel));
-        let is_wide = cameras.iter().all(sees) && spacing_m > MIN_ANGLE_RAD * distance_m;
+        let is_wide = cameras.iter().all(sees) && spacing_m > MIN_WIDE_ANGLE_RAD * distance_m;
         is_wide.then_some(Self { distance_m })
     }
 
@@ -81,6 +81,13 @@ impl LightField {
     /// Returns the place that all cameras look at. `None` if the array isn't wide ([`CommonPlace::of`]).
     pub(super) fn common_place(&self) -> Option<CommonPlace> {
         CommonPlace::of(&self.filming(), self.spacing_m())
+    }
+
+    /// Returns the angle between neighbouring cameras of a wide array, radians. It is seen from the place that all cameras
+    /// look at. `None` if the array isn't wide: the angle is at most [`MIN_WIDE_ANGLE_RAD`], or there is no such place.
+    pub fn wide_angle_rad(&self) -> Option<f64> {
+        // The cameras of a wide array are away from the place, so the distance is positive.
+        self.common_place().map(|place| self.spacing_m() / place.distance_m)
     }
 
     /// Returns the baseline, metres, with which scene flow converts inverse depths to disparities in pixels: twice the

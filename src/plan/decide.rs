@@ -4,6 +4,7 @@
 use super::motion::MAX_NOISE;
 use super::{Motion, Shape};
 use crate::interpolation::SyncMethod;
+use crate::light_field::MIN_WIDE_ANGLE_RAD;
 use crate::lumigraph::BlendMethod;
 use crate::method::Method;
 use crate::options::ProxyMethod;
@@ -179,6 +180,17 @@ pub fn scene_flow(gain_db: f64, frames: &str, budget_db: f64) -> (ProxyMethod, D
         better_or_worse(gain_db)
     );
     (method, Decision::new("proxy", method.name(), because).by(gain_db, budget_db))
+}
+
+/// Chooses scene flow as the proxy in a wide array. `angle_rad` is the angle between neighbouring cameras, radians; `None`
+/// if the array isn't wide.
+pub fn wide(angle_rad: Option<f64>) -> Option<Decision> {
+    let [degrees, limit] = [angle_rad?, MIN_WIDE_ANGLE_RAD].map(f64::to_degrees);
+    let because = format!(
+        "Neighbouring cameras are {degrees:.1} degrees apart, seen from what they look at, so that features of one are \
+         hardly found in the other."
+    );
+    Some(Decision::new("proxy", ProxyMethod::SceneFlow.name(), because).by(degrees, limit))
 }
 
 fn better_or_worse(gain_db: f64) -> String {

@@ -7,6 +7,7 @@
 //! | does anything move? | motion of features, image blocks that change ([`Motion`]) | the sync method |
 //! | can refinement gain enough? | views with and without refinement, errors on held-out frames ([`Probe`]) | the sync method |
 //! | do images from all cameras gain enough? | errors on held-out frames with and without them ([`Probe`]) | the sync method |
+//! | do the cameras stand around the scene? | angle between neighbouring cameras | the proxy method |
 //! | does scene flow gain over depth per pixel? | errors on held-out frames with both ([`Probe`]) | the proxy method |
 //! | do blending weights in time gain? | errors on held-out frames with and without them ([`Probe`]) | the blending method |
 //! | does something move in every frame pair? | frame pairs in which no image block changes | whether frame pairs without motion are registered |
@@ -75,9 +76,10 @@ pub fn is_undecided(options: &RenderOptions) -> bool {
 /// Chooses the methods of all stages by measurements of a light field's capture. In the returned options, the stages
 /// that `options.auto` names have the chosen methods, and other stages have the methods of `options`.
 ///
-/// Views are rendered for comparison only if the motion in the images requires [`SyncMethod::Refined`], and
-/// [`is_undecided`] is true. Otherwise, the motion alone decides the sync method, the blending method is unchanged, and
-/// scene flow is not considered.
+/// Views are rendered for comparison only if the motion in the images requires [`SyncMethod::Refined`],
+/// [`is_undecided`] is true, and the array isn't wide. Otherwise, the motion alone decides the sync method, and the
+/// blending method is unchanged. In a wide array ([`LightField::wide_angle_rad`]), the proxy is scene flow if the motion
+/// requires refinement, or if no point could be triangulated; in other arrays, scene flow is then not considered.
 pub fn plan(
     field: &LightField,
     options: &RenderOptions,
@@ -97,8 +99,14 @@ pub fn plan(
     }
     let shape = Shape::survey(field, &decided)?;
     let (proxy, mut of_proxy) = decide::proxy(shape.as_ref(), budget_px);
+    let of_motion = if options.auto.sync { sync } else { options.sync.of_one_camera() };
     if options.auto.proxy {
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
+        // In a wide array, a mesh can't stand for bodies, so that views over it say nothing about refinement.
+        let is_needed = shape.is_none() || of_motion == SyncMethod::Refined;
+        if let Some(decision) = decide::wide(field.wide_angle_rad()).filter(|_| is_needed) {
+            (decided.proxy.method, of_proxy) = (ProxyMethod::SceneFlow, decision);
+        }
     }
     let comparison = reporter.phase("comparing methods on held-out frames");
     let ByViews { sync: (sync, of_sync), blend: (blend, of_blend), proxy } =
@@ -140,15 +148,16 @@ struct ByViews {
 
 /// Chooses the sync method, the blending method and the proxy (depth per pixel or scene flow) by comparing rendered
 /// views. The sync method and the proxy are chosen only if `options.auto` names these stages. `sync` is the sync method
-/// that the motion in the images requires, with its decision. If this method isn't [`SyncMethod::Refined`], nothing is
-/// rendered, and `sync` is returned unchanged.
+/// that the motion in the images requires, with its decision. If this method isn't [`SyncMethod::Refined`], or if
+/// scene flow is the proxy already, nothing is rendered, and `sync` is returned unchanged.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,
     mut sync: (SyncMethod, Decision),
 ) -> Result<ByViews, RenderError> {
     let AutoOptions { budget_db, .. } = options.auto;
-    let is_probed = sync.0 == SyncMethod::Refined && is_undecided(options);
+    let has_effect = options.proxy.method != ProxyMethod::SceneFlow && is_undecided(options);
+    let is_probed = sync.0 == SyncMethod::Refined && has_effect;
     let probe = if is_probed { Probe::open(field, &options.registration)? } else { None };
     let Some(probe) = probe else {
         return Ok(ByViews { sync, blend: decide::blend(None, ""), proxy: None });

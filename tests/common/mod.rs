@@ -3,6 +3,7 @@
 
 #![allow(dead_code)] // each test binary uses some of it
 
+pub mod arc;
 pub mod bodies;
 pub mod peak;
 pub mod random;
