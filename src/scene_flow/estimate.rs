@@ -4,11 +4,12 @@ use super::background::Background;
 use super::consistency::{OtherMaps, Snapshot};
 use super::element::{Element, ElementErrors};
 use super::frame::{FlowFrame, PyramidFrame};
-use super::map::{ElementMap, FlowMap};
+use super::map::{ElementMap, FlowMap, MappedFrame};
 use super::matching::{Observations, PatchMatcher};
 use super::observing_frame::ObservingFrame;
 use super::sweep::{Limits, Pass};
 use super::transfer::Proposals;
+use super::variance_factor::{Estimated, scaled_errors};
 use crate::random::Random;
 use rayon::prelude::*;
 
@@ -100,21 +101,57 @@ impl Estimation<'_> {
             }
         }
         let finished = |(f, map): (usize, &mut ElementMap)| self.finished(f, map, &observations[f]);
-        maps.par_iter_mut().enumerate().map(finished).collect()
+        let finished: Vec<(FlowMap, Vec<ElementErrors>)> =
+            maps.par_iter_mut().enumerate().map(finished).collect();
+        self.with_errors(&maps, finished)
     }
 
-    /// Completes the scene flow map of frame `f` after the last pass: smooths it, computes its standard errors and extends
-    /// planes.
-    fn finished(&self, f: usize, map: &mut ElementMap, observations: &Observations) -> FlowMap {
+    /// Completes the scene flow map of frame `f` after the last pass: smooths it and extends planes. Returns it with the
+    /// standard errors from its images.
+    fn finished(
+        &self,
+        f: usize,
+        map: &mut ElementMap,
+        observations: &Observations,
+    ) -> (FlowMap, Vec<ElementErrors>) {
         let EstimatedFrame { frame, background, .. } = &self.frames[f];
         let matcher = self.matcher(f, 0, observations);
         matcher.smooth(map);
-        let errors = with_background(matcher.errors(map), map, background.as_ref());
+        let errors = matcher.errors(map);
         if map.given.is_empty() {
             matcher.extend_planes(map, self.limits.inverse_depth);
         }
         let range = self.range_with(background.as_ref());
-        FlowMap::new(map, range, self.disparity_px(frame.frame)).with_errors(&errors)
+        (FlowMap::new(map, range, self.disparity_px(frame.frame)), errors)
+    }
+
+    /// Returns finished maps with their standard errors, scaled by how much the maps differ from each other. `maps` are the
+    /// same maps before quantization.
+    fn with_errors(
+        &self,
+        maps: &[ElementMap],
+        finished: Vec<(FlowMap, Vec<ElementErrors>)>,
+    ) -> Vec<FlowMap> {
+        let frames = self.frames.iter().map(|of| of.frame.frame);
+        let all: Vec<Estimated> = frames
+            .zip(maps)
+            .zip(&finished)
+            .map(|((frame, elements), (map, errors))| Estimated {
+                mapped: MappedFrame { frame, map },
+                elements,
+                errors,
+            })
+            .collect();
+        let scaled = |f: usize| {
+            let background = self.frames[f].background.as_ref();
+            with_background(scaled_errors(&all, f), &maps[f], background)
+        };
+        let errors: Vec<Vec<ElementErrors>> = (0..all.len()).into_par_iter().map(scaled).collect();
+        finished
+            .into_iter()
+            .zip(errors)
+            .map(|((map, _), errors)| map.with_errors(&errors))
+            .collect()
     }
 
     /// Returns the smallest range of inverse depths, 1/m, that contains the search range and that of a background.

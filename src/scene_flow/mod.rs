@@ -35,6 +35,7 @@
 //! | `transfer.rs`, `consistency.rs` | proposals from other frames' maps, and the cost of differing from these maps |
 //! | `estimate.rs` | the order of these steps, for several frames together |
 //! | `uncertainty.rs` | standard errors of depth and velocity |
+//! | `variance_factor.rs` | standard errors, scaled by how much the maps of several frames differ |
 //! | `map.rs`, `flow_pixel.rs`, `packed.rs` | a frame's depth and motion, and their stored form |
 //! | `element_lanes.rs` | eight surface elements side by side, for SIMD |
 //! | `still.rs`, `background.rs` | the static background of a camera; its depth in frames |
@@ -90,6 +91,7 @@ mod tile_bounds;
 mod timing;
 mod transfer;
 mod uncertainty;
+mod variance_factor;
 
 #[cfg(test)]
 mod tests;

@@ -331,8 +331,8 @@ fn errors_are_about_as_large_as_their_standard_errors() {
         }
     }
     let (disparity, motion) = (median(disparity), median(motion));
-    assert!((0.1..2.0).contains(&disparity), "{disparity} standard errors of the disparity");
-    assert!((0.03..2.0).contains(&motion), "{motion} standard errors of the velocity");
+    assert!((0.3..1.0).contains(&disparity), "{disparity} standard errors of the disparity");
+    assert!((0.3..1.0).contains(&motion), "{motion} standard errors of the velocity");
 }
 
 #[test]

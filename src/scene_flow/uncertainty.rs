@@ -18,9 +18,14 @@ const VISIBLE_FRACTION: f64 = 0.55;
 /// of the velocity, pixels per frame.
 const PRIOR_PX: [f64; 2] = [4.0, 8.0];
 /// Factors by which the standard errors of disparity and velocity from the covariance are multiplied. They correct for
-/// the correlation between residuals of neighbouring pixels, and for the information that smoothness adds. With these
-/// factors, the median errors on the scenes `spin`, `bounce`, `magazine` and `ball` are 0.3 to 0.9 standard errors.
+/// the correlation between residuals of neighbouring pixels, and for the information that smoothness adds. Those of
+/// finished maps are then scaled by how much the maps differ (`variance_factor.rs`).
 const SCALE: [f64; 2] = [0.6, 0.4];
+/// Standard errors of a surface element without any image gradient.
+pub const PRIOR_ERRORS: ElementErrors = ElementErrors {
+    disparity_px: (SCALE[0] * PRIOR_PX[0]) as f32,
+    velocity_px: (SCALE[1] * PRIOR_PX[1]) as f32,
+};
 /// Standard error of the velocity due to acceleration, as a multiple of the acceleration; in frame periods. It is
 /// needed since real paths are not parabolas.
 const BY_ACCELERATION: f32 = 0.05;
@@ -126,7 +131,7 @@ impl PatchMatcher<'_> {
         let [disparity, velocity] = PRIOR_PX.map(|e| 1.0 / (e * e));
         // The prior makes the matrix positive definite.
         information += Matrix3::from_diagonal(&Vector3::new(disparity, velocity, velocity));
-        let Some(covariance) = information.try_inverse() else { return unknown() };
+        let Some(covariance) = information.try_inverse() else { return PRIOR_ERRORS };
         let [u, v, uv] = [covariance[(1, 1)], covariance[(2, 2)], covariance[(1, 2)]];
         let larger = 0.5 * (u + v) + (0.25 * (u - v) * (u - v) + uv * uv).sqrt();
         // Variances are positive except for rounding errors.
@@ -137,10 +142,4 @@ impl PatchMatcher<'_> {
         let velocity_px = (velocity_px * velocity_px + a * a + b * b).sqrt();
         ElementErrors { disparity_px, velocity_px }
     }
-}
-
-/// Returns the standard errors of a surface element that no image constrains: the standard errors of the prior.
-fn unknown() -> ElementErrors {
-    let [disparity_px, velocity_px] = PRIOR_PX.map(|e| e as f32);
-    ElementErrors { disparity_px, velocity_px }
 }

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 const PREPARATIONS: CacheKind = CacheKind { name: "tradeoff-preparations", version: 2 };
-const PLANS: CacheKind = CacheKind { name: "tradeoff-plans", version: 2 };
+const PLANS: CacheKind = CacheKind { name: "tradeoff-plans", version: 3 };
 const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 3 };
 
 /// Stored measurements of one combination of options.
