@@ -49,6 +49,7 @@ WAYS = {
     "refined, depth": ["--sync", "refined", "--proxy", "depth"],
     "all-cameras, depth": ["--sync", "all-cameras", "--proxy", "depth"],
     "scene flow": ["--proxy", "scene-flow"],
+    "default": [],
 }
 """The compared combinations of methods by name, as options of `stlfr render`."""
 
