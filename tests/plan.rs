@@ -5,7 +5,6 @@ mod common;
 use common::arc::arc_rig;
 use common::bodies::{Recording, board_before_wall, pose};
 use common::wall::{FRAME_S, Scene, open};
-
 use common::{assert_refused, edit, run, stderr, succeed, text, tiny_copy};
 use serde_json::{Value, json};
 use stlfr::interpolation::SyncMethod;
@@ -304,6 +303,10 @@ fn cameras_around_the_scene_need_scene_flow_and_no_comparison() {
     assert_choices(&wide, &[("sync", "refined"), ("blend", "as given")]);
     let proxy = decision(&narrow, "proxy");
     assert!(!proxy.because.contains("degrees"), "{proxy:?}");
+    // A plane is chosen where it suffices, whatever the cameras' angles are.
+    let mut flat = auto();
+    (flat.auto.budget_px, flat.auto.sync, flat.sync) = (1e6, false, SyncMethod::Refined);
+    assert_eq!(plan_of(&arc(15.0), &flat).0.options.proxy.method, ProxyMethod::Plane);
     // A method that is asked for is kept.
     let mut options = auto();
     (options.auto.proxy, options.proxy.method) = (false, ProxyMethod::Plane);

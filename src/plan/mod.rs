@@ -77,9 +77,10 @@ pub fn is_undecided(options: &RenderOptions) -> bool {
 /// that `options.auto` names have the chosen methods, and other stages have the methods of `options`.
 ///
 /// Views are rendered for comparison only if the motion in the images requires [`SyncMethod::Refined`],
-/// [`is_undecided`] is true, and the array isn't wide. Otherwise, the motion alone decides the sync method, and the
-/// blending method is unchanged. In a wide array ([`LightField::wide_angle_rad`]), the proxy is scene flow if the motion
-/// requires refinement, or if no point could be triangulated; in other arrays, scene flow is then not considered.
+/// [`is_undecided`] is true, and scene flow isn't the proxy already. Otherwise, the motion alone decides the sync method, and
+/// the blending method is unchanged. Without a comparison, scene flow is chosen only in a wide array
+/// ([`LightField::wide_angle_rad`]): if no point could be triangulated, or if a plane doesn't suffice and the motion requires
+/// refinement.
 pub fn plan(
     field: &LightField,
     options: &RenderOptions,
@@ -103,7 +104,11 @@ pub fn plan(
     if options.auto.proxy {
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
         // In a wide array, a mesh can't stand for bodies, so that views over it say nothing about refinement.
-        let is_needed = shape.is_none() || of_motion == SyncMethod::Refined;
+        let is_needed = match proxy {
+            Some(ProxyMethod::Plane) => false,
+            Some(_) => of_motion == SyncMethod::Refined,
+            None => true,
+        };
         if let Some(decision) = decide::wide(field.wide_angle_rad()).filter(|_| is_needed) {
             (decided.proxy.method, of_proxy) = (ProxyMethod::SceneFlow, decision);
         }

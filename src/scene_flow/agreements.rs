@@ -10,10 +10,10 @@ use crate::simd::{F32x8, LANES, multiversion};
 use std::ops::Range;
 
 /// Maximum time between two frames whose scene flow maps are compared, in frame periods of the reference camera.
-const MAX_CONFIRMING_DT: f32 = 0.8;
+pub(super) const MAX_CONFIRMING_DT: f32 = 0.8;
 /// Maximum difference in disparity between a surface element and an element of another scene flow map that confirms
 /// it, pixels.
-const MAX_DISPARITY_ERROR_PX: f32 = 1.5;
+pub(super) const MAX_DISPARITY_ERROR_PX: f32 = 1.5;
 /// Constant part of the maximum difference in velocity between a surface element and an element of another scene flow
 /// map that confirms it, pixels per frame.
 const MAX_MOTION_ERROR_PX: f32 = 2.0;

@@ -4,18 +4,16 @@
 //! The covariance of a single estimate knows neither what smoothness adds, nor what surfaces lack to be plane. Both depend
 //! on the scene. The maps of other cameras, made from other patches, show both.
 
+use super::agreements::{MAX_CONFIRMING_DT, MAX_DISPARITY_ERROR_PX};
 use super::element::ElementErrors;
+use super::flow_pixel::FlowPixel;
 use super::geometry::Projection;
-use super::map::{ElementMap, FlowMap, MappedFrame};
+use super::map::{ElementMap, MappedFrame};
 use super::timing::TimeBetween;
 use super::uncertainty::PRIOR_ERRORS;
 
 /// Distance between the pixels of a map that are compared with other maps, pixels.
 const STEP_PX: usize = 4;
-/// Maximum time between two frames whose maps are compared, in frame periods of the reference camera.
-const MAX_DT: f32 = 0.8;
-/// Maximum difference in disparity of two elements of the same surface, pixels.
-const MAX_DIFFERENCE_PX: f32 = 1.5;
 /// Maximum standard error of a compared element, as a fraction of the standard error without any image gradient. Where images
 /// tell less, maps agree because neighbours and proposals do.
 const MAX_ERROR: f32 = 0.5;
@@ -50,7 +48,10 @@ impl Differences {
         let time = TimeBetween::new(of.mapped.frame, by.mapped.frame);
         let (own, other) = (of.mapped.map, by.mapped.map);
         let projection = Projection::new(&of.mapped.frame.view, &by.mapped.frame.view);
-        let Some(projection) = projection.filter(|_| time.frames().abs() <= MAX_DT) else { return };
+        let Some(projection) = projection.filter(|_| time.frames().abs() <= MAX_CONFIRMING_DT)
+        else {
+            return;
+        };
         for y in (0..own.height).step_by(STEP_PX) {
             for k in (0..own.width).step_by(STEP_PX).map(|x| y * own.width + x) {
                 let [x, y] = own.center(k);
@@ -67,7 +68,7 @@ impl Differences {
                 let [cx, cy] = other.center(n);
                 let found = other.element(&other.pixels()[n]).at(u - cx, v - cy);
                 let apart_px = (there.inverse_depth - found.inverse_depth) * own.disparity_px;
-                if apart_px.abs() > MAX_DIFFERENCE_PX {
+                if apart_px.abs() > MAX_DISPARITY_ERROR_PX {
                     continue;
                 }
                 let is_moving = e.speed() > 0.0;
@@ -117,8 +118,8 @@ pub fn scaled_errors(all: &[Estimated], of: usize) -> Vec<ElementErrors> {
     let Differences { still, moving, velocity } = differences;
     let [still, moving, velocity] = [still, moving, velocity].map(factor);
     let Estimated { mapped: MappedFrame { map, .. }, errors, .. } = &all[of];
-    let scaled = |(pixel, errors): (_, &ElementErrors)| {
-        let is_moving = FlowMap::element(map, pixel).speed() > 0.0;
+    let scaled = |(pixel, errors): (&FlowPixel, &ElementErrors)| {
+        let is_moving = map.element(pixel).speed() > 0.0;
         let by = if is_moving { moving } else { still };
         ElementErrors {
             disparity_px: scaled(errors.disparity_px, by, PRIOR_ERRORS.disparity_px),
