@@ -3,7 +3,7 @@
     .venv/bin/python tests/bench/left_out.py rig RIG CAMERA OUT
     .venv/bin/python tests/bench/left_out.py cut CAPTURE CAMERA OUT
     .venv/bin/python tests/bench/left_out.py expose CAPTURE OUT [--std STD] [--seed SEED]
-    .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--way NAME ...]
+    .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--together] [--way NAME ...]
     .venv/bin/python tests/bench/left_out.py real PROGRAM CAPTURE CAMERA PICTURES [--way NAME ...]
 
 `rig` writes the rig file OUT, in which CAMERA doesn't film. CAMERA is its only new viewpoint, with true depth.
@@ -18,7 +18,8 @@ own. Their logarithms have the standard deviations STD and STD / 5. The gains ar
 
 `score` renders each of these views with PROGRAM by each combination of methods (`--way`), in a new process with an
 empty cache. It prints the PSNR of all pixels and of the moving part, processor seconds and peak memory. It writes the
-pictures and their ground truth into PICTURES.
+pictures and their ground truth into PICTURES. With `--together`, one process renders the views of all N instants, which
+must be evenly spaced; processor seconds are those of a view.
 
 `real` does the same for a capture without ground truth, such as an imported one: it leaves CAMERA out, and compares views
 at the time of its middle frame with this frame. The times of all frames are taken as those of one clock. PSNR is over the
@@ -124,48 +125,92 @@ def run(command: list[str]) -> tuple[int, float, int]:
     return os.waitstatus_to_exitcode(status), seconds, usage.ru_maxrss // 1024
 
 
+def slug(way: str) -> str:
+    """The name of a combination of methods in file names."""
+    return way.replace(", ", "-").replace(" ", "-")
+
+
+def render(
+    program: Path, capture: Path, camera: Path, way: str, when: list[str], out: Path
+) -> tuple[float, int] | None:
+    """Render from an empty cache; returns processor seconds and peak memory in MiB. Failures are printed."""
+    shutil.rmtree(capture / ".stlfr", ignore_errors=True)
+    command = [str(program), "--quiet", "render", str(capture), "--camera", str(camera)]
+    code, seconds, mib = run([*command, *when, *WAYS[way], "-o", str(out)])
+    if code:
+        print(f"  {way:24} exit {code}")
+        return None
+    return seconds, mib
+
+
+def score_view(
+    capture: Path, view: dict[str, Any], picture: Path
+) -> tuple[float, float]:
+    """PSNR of a rendered view in dB: of all pixels, and of the moving part."""
+    true, moving = true_picture(capture, view)
+    image = read_view(picture)
+    return psnr_db(image, true, np.ones_like(moving)), psnr_db(image, true, moving)
+
+
 def score(
     program: Path, capture: Path, pictures: Path, instants: int, ways: list[str]
 ) -> None:
     """Render the held-out camera's views by each of `ways`, and print a line of results for each."""
-    views = free_views(capture)[:instants]
     pictures.mkdir(parents=True, exist_ok=True)
-    for view in views:
-        camera = pictures / f"{view['id']}.json"
+    for view in free_views(capture)[:instants]:
+        name = view["id"]
+        camera = pictures / f"{name}.json"
         camera.write_text(json.dumps(view["camera"]))
-        true, moving = true_picture(capture, view)
-        shutil.copy(
-            capture / "truth" / view["image"], pictures / f"{view['id']}-truth.png"
-        )
-        print(
-            f"{view['id']} at {view['time_s']:.4f} s, {100 * moving.mean():.1f} % moves"
-        )
+        shutil.copy(capture / "truth" / view["image"], pictures / f"{name}-truth.png")
+        moving = true_picture(capture, view)[1]
+        print(f"{name} at {view['time_s']:.4f} s, {100 * moving.mean():.1f} % moves")
         for way in ways:
-            shutil.rmtree(capture / ".stlfr", ignore_errors=True)
-            out = (
-                pictures
-                / f"{view['id']}-{way.replace(', ', '-').replace(' ', '-')}.png"
-            )
-            command = [
-                str(program),
-                "--quiet",
-                "render",
-                str(capture),
-                "--camera",
-                str(camera),
-            ]
-            command += ["--time", str(view["time_s"]), *WAYS[way], "-o", str(out)]
-            code, seconds, mib = run(command)
-            if code:
-                print(f"  {way:24} exit {code}")
+            out = pictures / f"{name}-{slug(way)}.png"
+            when = ["--time", str(view["time_s"])]
+            cost = render(program, capture, camera, way, when, out)
+            if cost is None:
                 continue
-            image = read_view(out)
-            everywhere = np.ones_like(moving)
-            whole, part = psnr_db(image, true, everywhere), psnr_db(image, true, moving)
+            whole, part = score_view(capture, view, out)
+            seconds, mib = cost
             print(
                 f"  {way:24} {whole:6.2f} {part:6.2f} dB {seconds:7.1f} s {mib:5} MiB"
             )
             sys.stdout.flush()
+
+
+def score_together(
+    program: Path, capture: Path, pictures: Path, instants: int, ways: list[str]
+) -> None:
+    """Render the held-out camera's views of all instants in one process by each of `ways`, and print the results."""
+    pictures.mkdir(parents=True, exist_ok=True)
+    views = free_views(capture)[:instants]
+    times_s = [view["time_s"] for view in views]
+    if not np.allclose(
+        times_s, np.linspace(times_s[0], times_s[-1], len(views)), atol=1e-5
+    ):
+        raise SystemExit(
+            f"{capture}: the ground truth isn't evenly spaced in time: {times_s}"
+        )
+    camera = pictures / "left-out.json"
+    camera.write_text(json.dumps(views[0]["camera"]))
+    when = ["--times", f"{times_s[0]}:{times_s[-1]}:{len(views)}"]
+    for way in ways:
+        folder = pictures / slug(way)
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        cost = render(program, capture, camera, way, when, folder / "%04d.png")
+        if cost is None:
+            continue
+        rendered = sorted(folder.glob("*.png"))
+        scores = [
+            score_view(capture, *pair) for pair in zip(views, rendered, strict=True)
+        ]
+        for time_s, (whole, part) in zip(times_s, scores, strict=True):
+            print(f"  {way:24} at {time_s:.4f} s {whole:6.2f} {part:6.2f} dB")
+        whole, part = np.mean(scores, axis=0)
+        a_view = cost[0] / len(views)
+        print(f"  {way:24} mean {whole:6.2f} {part:6.2f} dB {a_view:7.1f} s a view")
+        sys.stdout.flush()
 
 
 def middle_frame(capture: Path, camera: dict[str, Any]) -> npt.NDArray[np.uint8]:
@@ -211,7 +256,7 @@ def score_real(
         shutil.copytree(capture, cut, copy_function=os.link, ignore=skipped)
         (cut / "capture.json").write_text(json.dumps(content))
         for way in ways:
-            out = pictures / f"{way.replace(', ', '-').replace(' ', '-')}.png"
+            out = pictures / f"{slug(way)}.png"
             command = [
                 str(program),
                 "--quiet",
@@ -266,6 +311,7 @@ def main() -> None:
     scoring.add_argument("capture", type=Path)
     scoring.add_argument("pictures", type=Path)
     scoring.add_argument("--instants", type=int, default=1)
+    scoring.add_argument("--together", action="store_true")
     scoring.add_argument("--way", action="append", choices=WAYS)
     real = commands.add_parser("real")
     real.add_argument("program", type=Path)
@@ -285,7 +331,8 @@ def main() -> None:
         score_real(a.program, a.capture, a.camera, a.pictures, a.way or list(WAYS))
     else:
         a = arguments
-        score(a.program, a.capture, a.pictures, a.instants, a.way or list(WAYS))
+        scorer = score_together if a.together else score
+        scorer(a.program, a.capture, a.pictures, a.instants, a.way or list(WAYS))
 
 
 if __name__ == "__main__":
