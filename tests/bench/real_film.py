@@ -44,7 +44,7 @@ def recordings(folder: Path, scratch: Path) -> list[tuple[str, list[str | Path]]
     array = folder / "camera_array.toml"
     if array.exists():
         for times in sorted(folder.glob("*/*/timestamps.csv")):
-            name = "-".join(times.parent.relative_to(folder).parts)
+            name = "-".join((folder.name, *times.parent.relative_to(folder).parts))
             found.append((name, [array, "--images", times.parent]))
     configs = sorted((folder / "config_camera").glob("*.json"))
     if configs:
