@@ -213,22 +213,36 @@ def score_together(
         sys.stdout.flush()
 
 
-def middle_frame(capture: Path, camera: dict[str, Any]) -> npt.NDArray[np.uint8]:
-    """The middle frame of a camera of a capture, (H, W, 3) in RGB."""
+def frame_times_s(capture: Path, camera: dict[str, Any]) -> list[float]:
+    """The times of all frames of a camera, from its clock."""
+    clock = camera["clock"]
+    if "times_s" in clock:
+        return list(clock["times_s"])
     frames = capture / camera["frames"]
-    middle = len(camera["clock"]["times_s"]) // 2
+    if frames.is_file():
+        count = int(cv2.VideoCapture(str(frames)).get(cv2.CAP_PROP_FRAME_COUNT))
+    else:
+        count = len(list(frames.parent.glob("*")))
+    return [clock["first_s"] + n / clock["rate_hz"] for n in range(count)]
+
+
+def read_frame(
+    capture: Path, camera: dict[str, Any], number: int
+) -> npt.NDArray[np.uint8]:
+    """A frame of a camera of a capture, (H, W, 3) in RGB."""
+    frames = capture / camera["frames"]
     if frames.is_file():
         video = cv2.VideoCapture(str(frames))
-        for _ in range(middle + 1):
+        for _ in range(number + 1):
             is_read, image = video.read()
             if not is_read:
-                raise SystemExit(f"{frames}: there is no frame {middle}")
+                raise SystemExit(f"{frames}: there is no frame {number}")
     else:
         read = cv2.imread(
-            str(sorted(frames.parent.glob("*"))[middle]), cv2.IMREAD_COLOR
+            str(sorted(frames.parent.glob("*"))[number]), cv2.IMREAD_COLOR
         )
         if read is None:
-            raise SystemExit(f"{frames}: there is no frame {middle}")
+            raise SystemExit(f"{frames}: there is no frame {number}")
         image = read
     return np.asarray(image[..., ::-1], np.uint8)
 
@@ -240,9 +254,10 @@ def score_real(
     pictures.mkdir(parents=True, exist_ok=True)
     content = json.loads((capture / "capture.json").read_text())
     [ours] = [c for c in content["cameras"] if c["id"] == name]
-    true = middle_frame(capture, ours)
+    times_s = frame_times_s(capture, ours)
+    middle = len(times_s) // 2
+    true, time_s = read_frame(capture, ours, middle), times_s[middle]
     cv2.imwrite(str(pictures / "true.png"), true[..., ::-1])
-    time_s = ours["clock"]["times_s"][len(ours["clock"]["times_s"]) // 2]
     lens = ("width", "height", "model", "params", "cam_from_world")
     camera = pictures / "camera.json"
     camera.write_text(json.dumps({key: ours[key] for key in lens}))
