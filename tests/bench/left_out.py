@@ -184,6 +184,8 @@ def score_together(
     """Render the held-out camera's views of all instants in one process by each of `ways`, and print the results."""
     pictures.mkdir(parents=True, exist_ok=True)
     views = free_views(capture)[:instants]
+    if not views:
+        raise SystemExit(f"{capture}: there is no ground truth of a new viewpoint")
     times_s = [view["time_s"] for view in views]
     if not np.allclose(
         times_s, np.linspace(times_s[0], times_s[-1], len(views)), atol=1e-5
@@ -272,19 +274,11 @@ def score_real(
         (cut / "capture.json").write_text(json.dumps(content))
         for way in ways:
             out = pictures / f"{slug(way)}.png"
-            command = [
-                str(program),
-                "--quiet",
-                "render",
-                str(cut),
-                "--camera",
-                str(camera),
-            ]
-            command += ["--time", str(time_s), *WAYS[way], "-o", str(out)]
-            code, seconds, mib = run(command)
-            if code:
-                print(f"{way:24} exit {code}")
+            when = ["--time", str(time_s)]
+            cost = render(program, cut, camera, way, when, out)
+            if cost is None:
                 continue
+            seconds, mib = cost
             image = np.asarray(cv2.imread(str(out), cv2.IMREAD_UNCHANGED), np.float64)
             is_seen = (
                 image[..., 3] > 0
