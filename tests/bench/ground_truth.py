@@ -20,7 +20,10 @@ Mask = npt.NDArray[np.bool_]
 
 def truth_of(capture: Path) -> dict[str, Any]:
     """The content of a capture's truth.json."""
-    content: dict[str, Any] = json.loads((capture / "truth/truth.json").read_text())
+    file = capture / "truth/truth.json"
+    if not file.is_file():
+        raise SystemExit(f"{file}: is missing, so there is nothing to compare with")
+    content: dict[str, Any] = json.loads(file.read_text())
     return content
 
 

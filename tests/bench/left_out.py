@@ -131,12 +131,14 @@ def slug(way: str) -> str:
 
 
 def render(
-    program: Path, capture: Path, camera: Path, way: str, when: list[str], out: Path
+    program: Path, capture: Path, view: list[str], way: str, out: Path
 ) -> tuple[float, int] | None:
-    """Render from an empty cache; returns processor seconds and peak memory in MiB. Failures are printed."""
+    """Render from an empty cache; returns processor seconds and peak memory in MiB. Failures are printed. `view` holds
+    the options that state viewpoint and time.
+    """
     shutil.rmtree(capture / ".stlfr", ignore_errors=True)
-    command = [str(program), "--quiet", "render", str(capture), "--camera", str(camera)]
-    code, seconds, mib = run([*command, *when, *WAYS[way], "-o", str(out)])
+    command = [str(program), "--quiet", "render", str(capture)]
+    code, seconds, mib = run([*command, *view, *WAYS[way], "-o", str(out)])
     if code:
         print(f"  {way:24} exit {code}")
         return None
@@ -166,8 +168,8 @@ def score(
         print(f"{name} at {view['time_s']:.4f} s, {100 * moving.mean():.1f} % moves")
         for way in ways:
             out = pictures / f"{name}-{slug(way)}.png"
-            when = ["--time", str(view["time_s"])]
-            cost = render(program, capture, camera, way, when, out)
+            where = ["--camera", str(camera), "--time", str(view["time_s"])]
+            cost = render(program, capture, where, way, out)
             if cost is None:
                 continue
             whole, part = score_view(capture, view, out)
@@ -195,12 +197,13 @@ def score_together(
         )
     camera = pictures / "left-out.json"
     camera.write_text(json.dumps(views[0]["camera"]))
-    when = ["--times", f"{times_s[0]}:{times_s[-1]}:{len(views)}"]
+    when = f"{times_s[0]}:{times_s[-1]}:{len(views)}"
+    where = ["--camera", str(camera), "--times", when]
     for way in ways:
         folder = pictures / slug(way)
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        cost = render(program, capture, camera, way, when, folder / "%04d.png")
+        cost = render(program, capture, where, way, folder / "%04d.png")
         if cost is None:
             continue
         rendered = sorted(folder.glob("*.png"))
@@ -274,8 +277,8 @@ def score_real(
         (cut / "capture.json").write_text(json.dumps(content))
         for way in ways:
             out = pictures / f"{slug(way)}.png"
-            when = ["--time", str(time_s)]
-            cost = render(program, cut, camera, way, when, out)
+            where = ["--camera", str(camera), "--time", str(time_s)]
+            cost = render(program, cut, where, way, out)
             if cost is None:
                 continue
             seconds, mib = cost
