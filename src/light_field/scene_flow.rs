@@ -89,7 +89,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 19 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 20 };
 }
 
 impl Stage for FlowConfidence<'_> {

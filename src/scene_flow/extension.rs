@@ -2,7 +2,11 @@
 //! where one camera alone films a surface, on plain surfaces, and where image edges are parallel to the line of cameras.
 //!
 //! An uncertain pixel probably belongs to the surface to which it is connected without a change of colour. If this
-//! surface is a plane, the pixel gets its depth from the plane, unless this contradicts the images.
+//! surface is a plane, the pixel gets its depth from the plane, unless this contradicts the images, or the plane is less
+//! certain there than the pixel's own depth.
+//!
+//! Planes are found among certain depths. Where there are none, as on a plain wall, they are found among all depths of which the
+//! images tell something: many uncertain depths make a certain plane.
 
 use super::element::{Element, ElementErrors};
 use super::grid::neighbors;
@@ -17,6 +21,11 @@ use std::collections::BinaryHeap;
 
 /// Standard error of the disparity from which on a pixel's depth is uncertain, pixels of the pyramid level.
 const UNCERTAIN_PX: f32 = 0.1;
+/// Standard error of the disparity up to which a pixel can be used to find a plane if no certain pixels around are on a plane,
+/// pixels of the pyramid level.
+const USABLE_PX: f32 = 0.6;
+/// Standard error of a plane's disparity up to which it is used where no element matches, pixels of the pyramid level.
+const MAX_ERROR_PX: f32 = 1.0;
 /// Side of the blocks of pixels that share the standard errors by which pixels are certain or uncertain, pixels.
 /// Larger: less time, but thin parts are missed.
 const ERROR_BLOCK: usize = 2;
@@ -55,6 +64,9 @@ const SAME_PLACE: f32 = 1e-3;
 enum Knowledge {
     /// Static surface whose depth the images tell.
     Certain,
+    /// Static surface beside a strong edge, whose depth the images tell by gradients near this edge alone. The depth may be that
+    /// of the other side.
+    Beside,
     /// Static surface whose depth the images hardly tell.
     Uncertain,
     /// No element matches.
@@ -63,10 +75,99 @@ enum Knowledge {
     Other,
 }
 
-impl Knowledge {
-    /// Returns whether the pixel may get its depth from a plane.
-    fn is_open(&self) -> bool {
-        matches!(self, Self::Uncertain | Self::Unmatched)
+/// Role of a pixel when planes are continued from pixel to pixel.
+#[derive(Clone, Copy, PartialEq)]
+enum Role {
+    /// Its value is continued.
+    Source,
+    /// It gets the value of a source.
+    Open,
+    /// It has no value, and none passes it.
+    Closed,
+}
+
+/// What is known of the depths of all pixels of a map.
+struct Depths<'a> {
+    map: &'a ElementMap,
+    states: Vec<Knowledge>,
+    /// Standard errors from the textures of surfaces, without the gradients at strong edges and beside them.
+    errors: Vec<ElementErrors>,
+    disparity_px: f32,
+}
+
+impl Depths<'_> {
+    fn is_certain(&self, k: usize) -> bool {
+        self.states[k] == Knowledge::Certain
+    }
+
+    /// Returns whether the depth of a pixel can be used to find a plane where no depths are certain.
+    fn is_usable(&self, k: usize) -> bool {
+        let is_usable = self.errors[k].disparity_px < USABLE_PX * self.map.scale;
+        self.is_certain(k) || self.states[k] == Knowledge::Uncertain && is_usable
+    }
+
+    fn position(&self, k: usize) -> [f64; 2] {
+        self.map.center(k).map(f64::from)
+    }
+
+    fn disparity(&self, k: usize) -> f64 {
+        f64::from(self.map.elements[k].inverse_depth * self.disparity_px)
+    }
+
+    fn tolerance(&self) -> f64 {
+        PLANE_TOLERANCE_PX * f64::from(self.map.scale)
+    }
+
+    /// Returns the planes of the map's tiles, found among `used` pixels.
+    fn tiles(&self, used: impl Fn(usize) -> bool) -> TilePlanes {
+        let map = self.map;
+        let sample = |[x, y]: [f64; 2]| {
+            let k = map.index([x as f32, y as f32]).filter(|&k| used(k))?;
+            let error = f64::from(self.errors[k].disparity_px).max(MIN_ERROR_PX);
+            Some(DisparitySample {
+                position: self.position(k),
+                disparity: self.disparity(k),
+                error,
+            })
+        };
+        let sides = [map.width, map.height].map(|side| side as f64 * f64::from(map.scale));
+        TilePlanes::new(sides, self.tolerance(), sample)
+    }
+
+    /// Returns, for each pixel of the map, the plane on which it certainly lies; `None` if it lies on none.
+    fn planes(&self) -> Vec<Option<Plane>> {
+        let certain = self.tiles(|k| self.is_certain(k));
+        let usable = self.tiles(|k| self.is_usable(k));
+        let plane = |k: usize| {
+            let at = self.position(k);
+            let of_certain = certain.around(at);
+            let (planes, is_used) = match of_certain.is_empty() {
+                true => (usable.around(at), self.is_usable(k)),
+                false => (of_certain, self.is_certain(k)),
+            };
+            let off = |plane: &&Plane| (plane.at(at) - self.disparity(k)).abs();
+            let nearest =
+                planes.iter().filter(|_| is_used).min_by(|a, b| off(a).total_cmp(&off(b)));
+            nearest.filter(|plane| off(plane) < SAME_PLANE * self.tolerance()).copied()
+        };
+        (0..self.states.len()).map(plane).collect()
+    }
+
+    /// Returns the role of pixel `k`, which lies on `plane`.
+    fn role(&self, k: usize, plane: &Option<Plane>) -> Role {
+        match self.states[k] {
+            Knowledge::Uncertain | Knowledge::Unmatched if plane.is_none() => Role::Open,
+            Knowledge::Beside => Role::Closed,
+            _ => Role::Source,
+        }
+    }
+
+    /// Returns the maximum standard error of a plane's disparity with which it may replace the depth of pixel `k`, pixels.
+    fn max_error(&self, k: usize) -> f64 {
+        match self.states[k] {
+            Knowledge::Unmatched => f64::from(MAX_ERROR_PX * self.map.scale),
+            _ => self.errors[k].disparity_px.into(),
+        }
     }
 }
 
@@ -74,55 +175,67 @@ impl PatchMatcher<'_> {
     /// Replaces uncertain surface elements by static elements of the plane to which their pixels are connected, where these
     /// match as well. `inverse_depths` is the search range, 1/m.
     pub fn extend_planes(&self, map: &mut ElementMap, inverse_depths: [f32; 2]) {
-        let errors = self.surface_errors(map);
-        let is_certain = |k: usize| errors[k].disparity_px < UNCERTAIN_PX * self.scale;
-        let states: Vec<Knowledge> = (0..map.elements.len())
-            .map(|k| match (self.is_unmatched(map, k), self.is_static(map, k)) {
-                _ if !self.own.films_pixel(k % map.width, k / map.width) => Knowledge::Other,
-                (true, _) => Knowledge::Unmatched,
-                (false, false) => Knowledge::Other,
-                (false, true) if is_certain(k) => Knowledge::Certain,
-                (false, true) => Knowledge::Uncertain,
-            })
-            .collect();
-        let planes = self.planes(map, &errors, |k| states[k] == Knowledge::Certain);
-        let is_open: Vec<bool> = states.iter().map(Knowledge::is_open).collect();
+        let depths = self.depths(map);
+        let planes = depths.planes();
+        let roles: Vec<Role> = planes.iter().enumerate().map(|(k, p)| depths.role(k, p)).collect();
         let step = |k: usize, n: usize| self.step_length(map, k, n);
-        let planes = continued(planes, map.width, &is_open, step);
+        let planes = continued(planes, map.width, &roles, step);
+        let is_open = |k: usize| roles[k] == Role::Open;
+        let is_accurate =
+            |k: usize, plane: &Plane| plane.error_at(depths.position(k)) <= depths.max_error(k);
         let [min, max] = inverse_depths;
-        let mut patch = Patch::empty();
+        let mut found: Vec<(usize, Element, bool)> = Vec::new();
         for (k, plane) in planes.iter().enumerate() {
-            let Some(plane) = plane.filter(|_| is_open[k]) else { continue };
-            let disparity = plane.at(map.center(k).map(f64::from));
+            let Some(plane) = plane.filter(|plane| is_open(k) && is_accurate(k, plane)) else {
+                continue;
+            };
             let per_px = |disparity: f64| disparity as f32 / self.disparity_px;
             let element = Element {
-                inverse_depth: per_px(disparity),
+                inverse_depth: per_px(plane.at(depths.position(k))),
                 inverse_depth_gradient: plane.gradient.map(per_px),
                 ..Element::default()
             };
-            if !(min..=max).contains(&element.inverse_depth) {
-                continue;
+            let is_new = self.distance(&element, &map.elements[k]) >= SAME_PX;
+            if is_new && (min..=max).contains(&element.inverse_depth) {
+                found.push((k, element, depths.states[k] == Knowledge::Unmatched));
             }
-            if self.distance(&element, &map.elements[k]) < SAME_PX {
-                continue;
-            }
-            let must_rest = states[k] == Knowledge::Unmatched;
+        }
+        let mut patch = Patch::empty();
+        for (k, element, must_rest) in found {
             if let Some(cost) = self.cost_as_good(map, k, &element, must_rest, &mut patch) {
                 (map.elements[k], map.costs[k]) = (element, cost);
             }
         }
     }
 
+    /// Returns what is known of the depths of a map's pixels.
+    fn depths<'a>(&self, map: &'a ElementMap) -> Depths<'a> {
+        let [errors, inner] = [0, 1].map(|margin| self.surface_errors(map, margin));
+        let is_certain = |errors: &ElementErrors| errors.disparity_px < UNCERTAIN_PX * self.scale;
+        let state = |k: usize| match (self.is_unmatched(map, k), self.is_static(map, k)) {
+            _ if !self.own.films_pixel(k % map.width, k / map.width) => Knowledge::Other,
+            (true, _) => Knowledge::Unmatched,
+            (false, false) => Knowledge::Other,
+            (false, true) if is_certain(&inner[k]) => Knowledge::Certain,
+            (false, true) if is_certain(&errors[k]) => Knowledge::Beside,
+            (false, true) => Knowledge::Uncertain,
+        };
+        let states = (0..map.elements.len()).map(state).collect();
+        Depths { map, states, errors: inner, disparity_px: self.disparity_px }
+    }
+
     /// Returns the standard errors of the surface elements from the textures of their surfaces. The gradients at strong
-    /// edges are left out: beside an outline, the depth of the nearer surface would be certain on the farther one.
-    pub fn surface_errors(&self, map: &ElementMap) -> Vec<ElementErrors> {
-        let is_edge: Vec<bool> = (0..map.elements.len())
-            .map(|k| {
-                let pixel = |k: usize| self.own.pixel(k % map.width, k / map.width);
-                let mut around = neighbors(k, map.width, map.elements.len());
-                around.any(|n| color_difference(&pixel(n), &pixel(k)) > EDGE)
-            })
-            .collect();
+    /// edges, and up to `margin` pixels from them, are left out: beside an outline, the depth of the nearer surface would be
+    /// certain on the farther one.
+    pub fn surface_errors(&self, map: &ElementMap, margin: usize) -> Vec<ElementErrors> {
+        let count = map.elements.len();
+        let around = |k: usize| neighbors(k, map.width, count);
+        let pixel = |k: usize| self.own.pixel(k % map.width, k / map.width);
+        let is_edge = |k| around(k).any(|n| color_difference(&pixel(n), &pixel(k)) > EDGE);
+        let mut is_edge: Vec<bool> = (0..count).map(is_edge).collect();
+        for _ in 0..margin {
+            is_edge = (0..count).map(|k| is_edge[k] || around(k).any(|n| is_edge[n])).collect();
+        }
         self.errors_by_block(map, ERROR_BLOCK, &|k| !is_edge[k])
     }
 
@@ -154,32 +267,6 @@ impl PatchMatcher<'_> {
         (cost <= limit && (!must_rest || rests())).then_some(cost)
     }
 
-    /// Returns, for each pixel of the map that `is_known`, the plane on which it lies; `None` if it lies on none.
-    fn planes(
-        &self,
-        map: &ElementMap,
-        errors: &[ElementErrors],
-        is_known: impl Fn(usize) -> bool,
-    ) -> Vec<Option<Plane>> {
-        let position = |k: usize| map.center(k).map(f64::from);
-        let disparity = |k: usize| f64::from(map.elements[k].inverse_depth * self.disparity_px);
-        let sample = |[x, y]: [f64; 2]| {
-            let k = map.index([x as f32, y as f32]).filter(|&k| is_known(k))?;
-            let error = f64::from(errors[k].disparity_px).max(MIN_ERROR_PX);
-            Some(DisparitySample { position: position(k), disparity: disparity(k), error })
-        };
-        let sides = [map.width, map.height].map(|side| side as f64 * f64::from(self.scale));
-        let tolerance = PLANE_TOLERANCE_PX * f64::from(self.scale);
-        let tiles = TilePlanes::new(sides, tolerance, sample);
-        let nearest = |k: usize| {
-            let at = position(k);
-            let off = |plane: &&Plane| (plane.at(at) - disparity(k)).abs();
-            let nearest = tiles.around(at).iter().min_by(|a, b| off(a).total_cmp(&off(b)));
-            nearest.filter(|plane| off(plane) < SAME_PLANE * tolerance).copied()
-        };
-        (0..map.elements.len()).map(|k| is_known(k).then(|| nearest(k)).flatten()).collect()
-    }
-
     /// Returns whether no element was found that matches at pixel `k`.
     fn is_unmatched(&self, map: &ElementMap, k: usize) -> bool {
         map.costs[k] > UNMATCHED + self.own.noise_cost()
@@ -206,19 +293,20 @@ impl PatchMatcher<'_> {
     }
 }
 
-/// Continues the values of an image's pixels into open pixels. Each open pixel gets the value of the nearest pixel that
-/// isn't open, along the shortest path over open pixels (Dijkstra's algorithm). `step` returns the length of the step
-/// between two neighbouring pixels, which must not be negative.
+/// Continues the values of an image's sources into open pixels. Each open pixel gets the value of the nearest source, along the
+/// shortest path over open pixels (Dijkstra's algorithm). `step` returns the length of the step between two neighbouring
+/// pixels, which must not be negative.
 fn continued<T: Copy>(
     mut values: Vec<Option<T>>,
     width: usize,
-    is_open: &[bool],
+    roles: &[Role],
     step: impl Fn(usize, usize) -> f32,
 ) -> Vec<Option<T>> {
+    let is_source = |k: usize| roles[k] == Role::Source;
     let mut distances: Vec<f32> =
-        is_open.iter().map(|open| if *open { f32::INFINITY } else { 0.0 }).collect();
-    let around = |k: usize| neighbors(k, width, is_open.len()).filter(|&n| is_open[n]);
-    let first = (0..is_open.len()).filter(|&k| !is_open[k] && around(k).next().is_some());
+        (0..roles.len()).map(|k| if is_source(k) { 0.0 } else { f32::INFINITY }).collect();
+    let around = |k: usize| neighbors(k, width, roles.len()).filter(|&n| roles[n] == Role::Open);
+    let first = (0..roles.len()).filter(|&k| is_source(k) && around(k).next().is_some());
     // Numbers that are not negative have the order of their bits.
     let mut queue: BinaryHeap<Reverse<(u32, usize)>> = first.map(|k| Reverse((0, k))).collect();
     while let Some(Reverse((bits, k))) = queue.pop() {
@@ -241,33 +329,72 @@ fn continued<T: Copy>(
 mod tests {
     use super::*;
 
-    #[test]
-    fn values_continue_to_the_next_change_of_colour() {
-        let colors = [0, 0, 0, 1, 1, 1];
-        let is_open = [false, true, true, true, true, false];
-        let step = |k: usize, n: usize| if colors[k] == colors[n] { 0.1 } else { 10.0 };
-        let values = vec![Some('a'), None, None, None, None, Some('b')];
-        let expected = ['a', 'a', 'a', 'b', 'b', 'b'].map(Some);
-        assert_eq!(continued(values, 6, &is_open, step), expected);
+    /// Returns roles by letters: `s` source, `.` open, `x` closed.
+    fn roles(letters: &str) -> Vec<Role> {
+        let role = |letter: char| match letter {
+            's' => Role::Source,
+            '.' => Role::Open,
+            _ => Role::Closed,
+        };
+        letters.chars().map(role).collect()
     }
 
     #[test]
-    fn a_known_pixel_without_value_gives_none_and_nothing_passes_an_infinite_step() {
-        let is_open = [false, true, true, true, false];
+    fn many_uncertain_depths_give_a_plane_where_none_is_certain() {
+        let (width, height) = (64, 64);
+        let element = |k: usize| {
+            let noise = 0.1 * (k as f32 * 1.7).sin();
+            Element { inverse_depth: (5.0 + noise) / 100.0, ..Element::default() }
+        };
+        let elements: Vec<Element> = (0..width * height).map(element).collect();
+        let costs = vec![0.0; elements.len()];
+        let map = ElementMap { width, height, scale: 1.0, elements, costs, given: Vec::new() };
+        let on_plane = |disparity_px: f32, corner: Knowledge| {
+            let errors = vec![ElementErrors { disparity_px, velocity_px: 0.0 }; width * height];
+            let is_corner = |k: usize| k % width < 40 && k / width < 40;
+            let state = |k: usize| if is_corner(k) { corner } else { Knowledge::Uncertain };
+            let states = (0..width * height).map(state).collect();
+            let depths = Depths { map: &map, states, errors, disparity_px: 100.0 };
+            depths.planes().iter().flatten().count()
+        };
+        assert_eq!(on_plane(0.3, Knowledge::Uncertain), width * height);
+        assert_eq!(on_plane(0.8, Knowledge::Uncertain), 0);
+        // Certain depths give the plane, and uncertain pixels get it when it is continued.
+        assert_eq!(on_plane(0.3, Knowledge::Certain), 40 * 40);
+    }
+
+    #[test]
+    fn values_continue_to_the_next_change_of_colour() {
+        let colors = [0, 0, 0, 1, 1, 1];
+        let step = |k: usize, n: usize| if colors[k] == colors[n] { 0.1 } else { 10.0 };
+        let values = vec![Some('a'), None, None, None, None, Some('b')];
+        let expected = ['a', 'a', 'a', 'b', 'b', 'b'].map(Some);
+        assert_eq!(continued(values, 6, &roles("s....s"), step), expected);
+    }
+
+    #[test]
+    fn a_source_without_value_gives_none_and_nothing_passes_an_infinite_step() {
+        let all = roles("s...s");
         let step = |k: usize, n: usize| if [k, n].contains(&3) { f32::INFINITY } else { 1.0 };
         let values = vec![None, None, None, None, Some('b')];
-        assert_eq!(continued(values, 5, &is_open, step), [None, None, None, None, Some('b')]);
-        let beside = continued(vec![Some('a'), None, None, None, None], 5, &is_open, step);
+        assert_eq!(continued(values, 5, &all, step), [None, None, None, None, Some('b')]);
+        let beside = continued(vec![Some('a'), None, None, None, None], 5, &all, step);
         assert_eq!(beside, [Some('a'), Some('a'), Some('a'), None, None]);
+    }
+
+    #[test]
+    fn a_closed_pixel_gives_nothing_and_lets_nothing_pass() {
+        let values = vec![Some('a'), None, Some('c'), None, None];
+        let found = continued(values, 5, &roles("s.x.."), |_, _| 1.0);
+        assert_eq!(found, [Some('a'), Some('a'), Some('c'), None, None]);
     }
 
     #[test]
     fn a_path_may_turn_around_what_is_known() {
         // In the second row, the pixel in the middle is known, and has another value.
-        let is_open = [false, true, true, true, false, true];
         let values = vec![Some('a'), None, None, None, Some('b'), None];
         let step = |k: usize, n: usize| if [k, n].contains(&4) { 5.0 } else { 1.0 };
         let expected = ['a', 'a', 'a', 'a', 'b', 'a'].map(Some);
-        assert_eq!(continued(values, 3, &is_open, step), expected);
+        assert_eq!(continued(values, 3, &roles("s...s."), step), expected);
     }
 }

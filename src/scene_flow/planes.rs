@@ -22,6 +22,13 @@ const MAX_GRADIENT: f64 = 1.6;
 /// positions along two axes. If it is smaller, the samples lie on a line.
 const MIN_DETERMINANT: f64 = 1.0;
 
+/// Standard error of a sample that its neighbours share, so that more samples don't reduce it, pixels. Without it, a plane
+/// through the outline of a body would seem accurate far from the body.
+const SHARED_ERROR: f64 = 0.05;
+/// Number of samples that are as good as one independent sample: samples are closer to each other than the patches are wide
+/// from which disparities are found.
+const DEPENDENT: f64 = 4.0;
+
 /// A plane in space, as the disparities of its points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
@@ -29,6 +36,8 @@ pub struct Plane {
     disparity: f64,
     /// Change of the disparity, pixels: per pixel to the right, and per pixel down.
     pub gradient: [f64; 2],
+    /// Covariance of the disparity at the centre and of the gradient's components.
+    covariance: Matrix3<f64>,
 }
 
 impl Plane {
@@ -37,6 +46,29 @@ impl Plane {
         let [gx, gy] = self.gradient;
         self.disparity + gx * (x - self.center[0]) + gy * (y - self.center[1])
     }
+
+    /// Returns the standard error of the disparity at a position, pixels. It grows with the distance from the samples.
+    pub fn error_at(&self, position: [f64; 2]) -> f64 {
+        let place = place(position, self.center);
+        place.dot(&(self.covariance * place)).max(0.0).sqrt() // not negative but for rounding errors
+    }
+
+    /// Returns the plane with the covariance that follows from the standard errors of samples. `None` if these lie on a line.
+    fn with_covariance(mut self, samples: &[DisparitySample], tolerance: f64) -> Option<Self> {
+        let mut information = Matrix3::<f64>::zeros();
+        for s in samples {
+            let variance = s.error.powi(2) + SHARED_ERROR.powi(2); // positive
+            let place = place(s.position, self.center);
+            information += closeness(&self, s, tolerance) / variance * place * place.transpose();
+        }
+        self.covariance = information.try_inverse()? * DEPENDENT;
+        Some(self)
+    }
+}
+
+/// Returns the derivatives of a plane's disparity at a position by its disparity at the centre and its gradient.
+fn place([x, y]: [f64; 2], center: [f64; 2]) -> Vector3<f64> {
+    Vector3::new(1.0, x - center[0], y - center[1])
 }
 
 /// Disparity at a position of the image, with its standard error; all in pixels of the full-resolution image.
@@ -94,6 +126,7 @@ fn planes(mut samples: Vec<DisparitySample>, tolerance: f64, random: &mut Random
             let weight = |s: &DisparitySample| closeness(&plane, s, tolerance) / s.error.powi(2);
             plane = fitted(samples.iter().map(|s| (s, weight(s)))).unwrap_or(plane);
         }
+        let Some(plane) = plane.with_covariance(&samples, tolerance) else { break };
         let before = samples.len();
         samples.retain(|s| closeness(&plane, s, tolerance) == 0.0);
         if before - samples.len() < MIN_INLIERS {
@@ -134,7 +167,7 @@ fn fitted<'a>(samples: impl Iterator<Item = (&'a DisparitySample, f64)> + Clone)
     let center = [mean(0), mean(1)];
     let (mut normal, mut right) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
     for (s, weight) in samples {
-        let place = Vector3::new(1.0, s.position[0] - center[0], s.position[1] - center[1]);
+        let place = place(s.position, center);
         normal += weight / sum * place * place.transpose();
         right += weight / sum * s.disparity * place;
     }
@@ -144,7 +177,8 @@ fn fitted<'a>(samples: impl Iterator<Item = (&'a DisparitySample, f64)> + Clone)
     let solution = normal.try_inverse()? * right;
     let gradient = [solution.y, solution.z];
     let is_steep = gradient.iter().any(|g| g.abs() > MAX_GRADIENT);
-    (!is_steep).then_some(Plane { center, disparity: solution.x, gradient })
+    let covariance = Matrix3::zeros();
+    (!is_steep).then_some(Plane { center, disparity: solution.x, gradient, covariance })
 }
 
 #[cfg(test)]
@@ -177,6 +211,20 @@ mod tests {
         let few = |at @ [x, y]: [f64; 2]| (x.min(y) > 0.0 && x + y < 20.0).then(|| sample(at, 5.0));
         assert!(TilePlanes::new([64.0, 64.0], 0.15, line).around([32.0, 32.0]).is_empty());
         assert!(TilePlanes::new([64.0, 64.0], 0.15, few).around([32.0, 32.0]).is_empty());
+    }
+
+    #[test]
+    fn a_plane_through_a_narrow_strip_is_uncertain_beside_it() {
+        let strip = |at @ [x, _]: [f64; 2]| (x < 14.0).then(|| sample(at, 5.0));
+        let all = |at: [f64; 2]| Some(sample(at, 5.0));
+        let errors = |known: &dyn Fn([f64; 2]) -> Option<DisparitySample>| {
+            let tiles = TilePlanes::new([64.0, 64.0], 0.15, known);
+            [[5.0, 32.0], [250.0, 32.0]].map(|at| tiles.around([32.0; 2])[0].error_at(at))
+        };
+        let is_strip = |at: [f64; 2]| if at[0] > 0.0 && at[1] > 0.0 { strip(at) } else { None };
+        let [narrow, wide] = [errors(&is_strip), errors(&all)];
+        assert!(narrow[0] < 0.05 && narrow[1] > 0.5, "{narrow:?}");
+        assert!(wide[0] < 0.02 && wide[1] < 0.1, "{wide:?}");
     }
 
     #[test]

@@ -363,7 +363,7 @@ fn an_outline_leaves_plain_background_beside_it_uncertain() {
     let error_px = |errors: &[ElementErrors], x: usize| {
         median((26..46).map(|y| f64::from(errors[y * width + x].disparity_px)).collect())
     };
-    let (all, of_surface) = (matcher.errors(&map), matcher.surface_errors(&map));
+    let (all, of_surface) = (matcher.errors(&map), matcher.surface_errors(&map, 0));
     let [beside, inside] = [60, 44].map(|x| [&all, &of_surface].map(|e| error_px(e, x)));
     assert!(beside[0] < 0.2 && beside[1] > 1.0, "{beside:?}");
     assert!(inside[1] < 0.2, "{inside:?}");
