@@ -78,7 +78,7 @@ enum Knowledge {
 /// Role of a pixel when planes are continued from pixel to pixel.
 #[derive(Clone, Copy, PartialEq)]
 enum Role {
-    /// Its value is continued.
+    /// Its value is continued, also if it is `None`.
     Source,
     /// It gets the value of a source.
     Open,
@@ -134,7 +134,8 @@ impl Depths<'_> {
         TilePlanes::new(sides, self.tolerance(), sample)
     }
 
-    /// Returns, for each pixel of the map, the plane on which it certainly lies; `None` if it lies on none.
+    /// Returns, for each pixel of the map, the plane on which its depth lies: a plane of certain depths, or of all usable ones in
+    /// tiles without such a plane. `None` if it lies on none, or its own depth is less certain than those of its tile's planes.
     fn planes(&self) -> Vec<Option<Plane>> {
         let certain = self.tiles(|k| self.is_certain(k));
         let usable = self.tiles(|k| self.is_usable(k));
@@ -153,7 +154,7 @@ impl Depths<'_> {
         (0..self.states.len()).map(plane).collect()
     }
 
-    /// Returns the role of pixel `k`, which lies on `plane`.
+    /// Returns the role of pixel `k`. `plane` is the plane on which it lies; `None` if it lies on none.
     fn role(&self, k: usize, plane: &Option<Plane>) -> Role {
         match self.states[k] {
             Knowledge::Uncertain | Knowledge::Unmatched if plane.is_none() => Role::Open,

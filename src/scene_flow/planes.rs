@@ -22,12 +22,12 @@ const MAX_GRADIENT: f64 = 1.6;
 /// positions along two axes. If it is smaller, the samples lie on a line.
 const MIN_DETERMINANT: f64 = 1.0;
 
-/// Standard error of a sample that its neighbours share, so that more samples don't reduce it, pixels. Without it, a plane
-/// through the outline of a body would seem accurate far from the body.
-const SHARED_ERROR: f64 = 0.05;
-/// Number of samples that are as good as one independent sample: samples are closer to each other than the patches are wide
-/// from which disparities are found.
-const DEPENDENT: f64 = 4.0;
+/// Standard error that is added to that of each sample when the covariance of a plane is computed, pixels, since surfaces
+/// aren't exactly plane. If it is 0, a plane through the outline of a body seems accurate far from the body.
+const UNEVENNESS: f64 = 0.05;
+/// Number of samples that tell as much as one independent sample. Patches from which disparities are found are wider than the
+/// distance between samples, so that neighbouring samples have errors in common.
+const SAMPLES_PER_INDEPENDENT: f64 = 4.0;
 
 /// A plane in space, as the disparities of its points.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +36,7 @@ pub struct Plane {
     disparity: f64,
     /// Change of the disparity, pixels: per pixel to the right, and per pixel down.
     pub gradient: [f64; 2],
-    /// Covariance of the disparity at the centre and of the gradient's components.
+    /// Covariance of the disparity at the centre and of the gradient's components; 0 until a plane is chosen.
     covariance: Matrix3<f64>,
 }
 
@@ -57,11 +57,11 @@ impl Plane {
     fn with_covariance(mut self, samples: &[DisparitySample], tolerance: f64) -> Option<Self> {
         let mut information = Matrix3::<f64>::zeros();
         for s in samples {
-            let variance = s.error.powi(2) + SHARED_ERROR.powi(2); // positive
+            let variance = s.error.powi(2) + UNEVENNESS.powi(2); // positive
             let place = place(s.position, self.center);
             information += closeness(&self, s, tolerance) / variance * place * place.transpose();
         }
-        self.covariance = information.try_inverse()? * DEPENDENT;
+        self.covariance = information.try_inverse()? * SAMPLES_PER_INDEPENDENT;
         Some(self)
     }
 }
