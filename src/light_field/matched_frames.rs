@@ -43,9 +43,14 @@ impl Undistorted<'_> {
         let filmed = &field.capture().cameras[camera];
         let own_s = filmed.clock.times_s[frame];
         let image = gains.corrected(camera, own_s, &image).unwrap_or(image);
-        let time = field.in_frames(field.times_s(camera)[frame]);
+        let times_s = field.times_s(camera);
+        let time = |k: Option<usize>| Some(field.in_frames(*times_s.get(k?)?));
+        let before = time(frame.checked_sub(1)).unwrap_or(f64::NEG_INFINITY);
+        let after = time(Some(frame + 1)).unwrap_or(f64::INFINITY);
         let row_time = field.in_frames(filmed.row_times().s_per_px());
-        let flow_frame = FlowFrame::new(&filmed.camera, &image, time).with_row_time(row_time);
+        let flow_frame = FlowFrame::new(&filmed.camera, &image, field.in_frames(times_s[frame]))
+            .with_neighbors([before, after])
+            .with_row_time(row_time);
         if field.common_place().is_none() {
             return Ok(field.insert(self, flow_frame));
         }

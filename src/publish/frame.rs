@@ -61,6 +61,7 @@ impl PublishedFrame {
         let frame = FlowFrame {
             view: self.view.clone(),
             time: self.time,
+            neighbors: [f64::NEG_INFINITY, f64::INFINITY], // the page doesn't fade frames
             row_time: 0.0, // the page doesn't render rolling shutters
             is_color: self.is_color,
             image: Image::from_data(width, height, 3, data),

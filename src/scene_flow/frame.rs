@@ -15,6 +15,9 @@ pub struct FlowFrame {
     /// Time since the capture's start, in frame periods of the reference camera. With a rolling shutter, it is the
     /// time of the middle row.
     pub time: f64,
+    /// Times of the camera's frames before and after this one, in frame periods of the reference camera; infinite where
+    /// there is none.
+    pub neighbors: [f64; 2],
     /// Time from one row to the next, in frame periods of the reference camera; 0 for a global shutter. The rows are
     /// those of the pinhole camera, so the time is only approximate for a lens with distortion.
     pub row_time: f64,
@@ -59,7 +62,7 @@ pub fn levels(width: usize, height: usize) -> usize {
 
 impl FlowFrame {
     /// Creates a frame from a camera's image. The image must already be corrected to the reference camera's exposure.
-    /// `time` is in frame periods of the reference camera. The shutter is global.
+    /// `time` is in frame periods of the reference camera. The shutter is global, and the camera has no other frames.
     pub fn new(camera: &Camera, image: &Image, time: f64) -> Self {
         let view = pinhole(camera);
         let is_color = image.channels() > 1;
@@ -71,7 +74,24 @@ impl FlowFrame {
             let lens = LensGrid::new(camera, &view);
             (resampled, Some(is_filmed), Some(OriginalImage { image, lens }))
         };
-        Self { view, time, row_time: 0.0, is_color, image, is_filmed, original, still: None }
+        let neighbors = [f64::NEG_INFINITY, f64::INFINITY];
+        Self {
+            view,
+            time,
+            neighbors,
+            row_time: 0.0,
+            is_color,
+            image,
+            is_filmed,
+            original,
+            still: None,
+        }
+    }
+
+    /// Returns the frame with the times of the camera's frames before and after it, in frame periods of the reference
+    /// camera; infinite where there is none.
+    pub fn with_neighbors(self, neighbors: [f64; 2]) -> Self {
+        Self { neighbors, ..self }
     }
 
     /// Returns the frame with a rolling shutter. `row_time` is the time from one row to the next, in frame periods of

@@ -36,6 +36,11 @@ const ERROR_BY_CURVATURE: f32 = 0.1;
 /// consists of the parts due to the distance of the cameras and to the time between the frame and the view's instant. A
 /// view at a camera's own position and a frame's own time thus shows this frame.
 const EXACT_PX: f32 = 0.01;
+/// Part of the time between two frames of a camera over which a frame fades. It has faded at the middle, where views change
+/// from one frame to the other, so that they change smoothly. Larger: fewer frames make a view. Smaller: textures jump.
+const FADING: f64 = 0.2;
+/// Factor of the weights of a frame that has faded. It is positive, so that what this frame alone shows is shown.
+const FADED: f64 = 1e-3;
 
 /// Placement of a frame's surface elements in a view at an instant.
 pub struct Placement<'a> {
@@ -50,6 +55,8 @@ pub struct Placement<'a> {
     zoom: f32,
     /// Expected error of the position of a point at a depth of 1 m, due to the distance between the cameras, pixels.
     place_error: f32,
+    /// Factor of all weights, by the time until the camera's next frame takes over.
+    fading: f32,
     /// For each tile of the map, row by row, bounds that contain the splats of its surface elements in a view without
     /// lens distortion.
     tiles: Vec<Bounds>,
@@ -97,6 +104,7 @@ impl<'a> Placement<'a> {
             row_dt: (0..map.height).map(|y| until(frame, time, y as f32 + 0.5)).collect(),
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
             place_error: place_error(frame, view),
+            fading: fading(frame, time),
             tiles: Vec::new(),
         };
         let stretch = stretch(view);
@@ -180,7 +188,8 @@ impl<'a> Placement<'a> {
         let error = (place * place + motion * motion).simd_max(V::splat(f32::EPSILON));
         let exact = V::splat(1.0) + V::splat(EXACT_PX * EXACT_PX) / error;
         let confidence = confidence / V::splat(255.0);
-        let weight = confidence * confidence * exact / (V::splat(ERROR_PX * ERROR_PX) + error);
+        let confident = V::splat(self.fading) * confidence * confidence;
+        let weight = confident * exact / (V::splat(ERROR_PX * ERROR_PX) + error);
         // Negative inverse depths, which the rate can cause, are behind the camera.
         V::zero().if_below(inverse_depth, weight, V::zero())
     }
@@ -290,6 +299,17 @@ pub fn squared_error(
     place * place + motion * motion
 }
 
+/// Returns the factor of a frame's weights in a view at `time`: 1 near the frame, and [`FADED`] from the middle on between it
+/// and another frame of its camera.
+fn fading(frame: &FlowFrame, time: f64) -> f32 {
+    let dt = time - frame.time;
+    let interval = (frame.neighbors[usize::from(dt >= 0.0)] - frame.time).abs();
+    if interval == 0.0 {
+        return 1.0; // frames of one time, as those of a static light field, have no middle
+    }
+    ((0.5 - dt.abs() / interval) / FADING).clamp(FADED, 1.0) as f32
+}
+
 /// Returns the expected error of the position of a point at a depth of 1 m, due to the distance between a frame's
 /// camera and a view, pixels.
 fn place_error(frame: &FlowFrame, view: &Camera) -> f32 {
@@ -299,7 +319,36 @@ fn place_error(frame: &FlowFrame, view: &Camera) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::first_pixel;
+    use super::{FADED, FADING, FlowFrame, fading, first_pixel};
+    use crate::camera::{Camera, CameraModel};
+    use crate::raster::Image;
+    use nalgebra::Isometry3;
+
+    #[test]
+    fn a_frame_fades_until_the_middle_between_it_and_its_neighbour() {
+        let camera = Camera {
+            width: 8,
+            height: 8,
+            model: CameraModel::Pinhole { fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0 },
+            cam_from_world: Isometry3::identity(),
+        };
+        let frame = || FlowFrame::new(&camera, &Image::filled(8, 8, 3, 0.5), 5.0);
+        let between = frame().with_neighbors([4.0, 7.0]);
+        for (time, expected) in [
+            (5.0, 1.0),
+            (4.8, 1.0),
+            (4.6, 0.1 / FADING),
+            (4.5, FADED),
+            (4.0, FADED),
+            (5.5, 1.0),
+            (5.9, 0.05 / FADING),
+            (6.0, FADED),
+        ] {
+            assert!((fading(&between, time) - expected as f32).abs() < 1e-6, "{time}");
+        }
+        assert_eq!(fading(&frame(), 90.0), 1.0);
+        assert_eq!(fading(&frame().with_neighbors([5.0, 5.0]), 5.0), 1.0);
+    }
 
     #[test]
     fn splats_beyond_a_border_have_no_pixels_but_stay_inside_the_range() {
