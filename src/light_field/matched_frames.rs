@@ -44,11 +44,11 @@ impl Undistorted<'_> {
         let own_s = filmed.clock.times_s[frame];
         let image = gains.corrected(camera, own_s, &image).unwrap_or(image);
         let times_s = field.times_s(camera);
-        let time = |k: Option<usize>| Some(field.in_frames(*times_s.get(k?)?));
-        let before = time(frame.checked_sub(1)).unwrap_or(f64::NEG_INFINITY);
-        let after = time(Some(frame + 1)).unwrap_or(f64::INFINITY);
+        let time = |k: usize| field.in_frames(times_s[k]);
+        let before = frame.checked_sub(1).map_or(f64::NEG_INFINITY, time);
+        let after = if frame + 1 < times_s.len() { time(frame + 1) } else { f64::INFINITY };
         let row_time = field.in_frames(filmed.row_times().s_per_px());
-        let flow_frame = FlowFrame::new(&filmed.camera, &image, field.in_frames(times_s[frame]))
+        let flow_frame = FlowFrame::new(&filmed.camera, &image, time(frame))
             .with_neighbors([before, after])
             .with_row_time(row_time);
         if field.common_place().is_none() {
