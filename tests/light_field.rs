@@ -138,6 +138,29 @@ fn synchronized_cameras_show_motion_between_their_frames_by_scene_flow() {
     assert!(db > nearest + 10.0, "{db:.1} dB, nearest frame {nearest:.1} dB");
 }
 
+/// Noise makes the frames of a still wall differ. Halfway between two frames of a camera, the later one takes over.
+#[test]
+fn a_view_by_scene_flow_does_not_jump_where_another_frame_takes_over() {
+    let world = board_before_wall(|frames| pose([0.0; 3], [0.02 * frames, 0.0, 1.3]));
+    let (cameras, folder) = (line_rig(4, 160), tempfile::tempdir().unwrap());
+    let first_frames = &[0.0, 0.25, 0.5, 0.75];
+    Recording { world: &world, cameras: &cameras, first_frames, frames: 4, noise: 0.02 }
+        .write(folder.path());
+    let capture = Arc::new(Capture::open(folder.path()).unwrap());
+    let field = LightField::new(capture.clone(), Offsets::known(&capture));
+    let mut options = RenderOptions::default();
+    options.proxy.method = ProxyMethod::SceneFlow;
+    let at = |frames: f64| {
+        let time_s = frames / 30.0 - capture.time_origin_s;
+        field.view(&cameras[1], time_s, &options).unwrap().image
+    };
+    let [before, after] = [1.75 - 1e-6, 1.75 + 1e-6].map(at);
+    let later = psnr_db(&before, &at(1.95), 8);
+    let db = psnr_db(&before, &after, 8);
+    println!("{db:.1} dB, a fifth of a frame later {later:.1} dB");
+    assert!(db > 45.0, "{db:.1} dB, a fifth of a frame later {later:.1} dB");
+}
+
 #[test]
 fn many_times_are_each_one_time_as_images_and_as_a_video() {
     let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
