@@ -22,8 +22,9 @@ pictures and their ground truth into PICTURES. With `--together`, one process re
 must be evenly spaced; processor seconds are those of a view.
 
 `real` does the same for a capture without ground truth, such as an imported one: it leaves CAMERA out, and compares views
-at the time of its middle frame with this frame. The times of all frames are taken as those of one clock. PSNR is over the
-pixels that the view covers, after each channel of the view is multiplied by the gain that fits best.
+at the time of its middle frame with this frame. The times of all frames are taken as those of one clock. A plane is at the
+point that is nearest to the optical axes of all cameras. PSNR is over the pixels that the view covers, after each channel
+of the view is multiplied by the gain that fits best.
 """
 
 from __future__ import annotations
@@ -40,10 +41,12 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from calibration_errors import rotation_of
 from ground_truth import free_views, psnr_db, read_view, true_picture
 from light import encoded, linear
 
 WAYS = {
+    "nearest frames, plane": ["--sync", "nearest", "--proxy", "plane"],
     "nearest frames, mesh": ["--sync", "nearest", "--proxy", "mesh"],
     "nearest frames, depth": ["--sync", "nearest", "--proxy", "depth"],
     "refined, mesh": ["--sync", "refined", "--proxy", "mesh"],
@@ -252,6 +255,29 @@ def read_frame(
     return np.asarray(image[..., ::-1], np.uint8)
 
 
+def common_depth_m(cameras: list[dict[str, Any]], seen_by: dict[str, Any]) -> float:
+    """The depth, in the camera `seen_by`, of the point whose mean squared distance to all optical axes is least."""
+    matrix, right = np.zeros((3, 3)), np.zeros(3)
+    for camera in cameras:
+        rotation, centre = pose_of(camera)
+        across = np.eye(3) - np.outer(rotation[2], rotation[2])
+        matrix, right = matrix + across, right + across @ centre
+    # Parallel axes have no nearest point; then lstsq returns the one nearest to the origin.
+    point = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    rotation, centre = pose_of(seen_by)
+    depth = float(rotation[2] @ (point - centre))
+    if depth <= 0.0:
+        raise SystemExit(f"{seen_by['id']}: the optical axes don't meet before it")
+    return depth
+
+
+def pose_of(camera: dict[str, Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """The rotation from the world to a camera (3, 3), and the camera's centre in the world, in metres."""
+    pose = camera["cam_from_world"]
+    rotation = rotation_of(pose["rotation_wxyz"])
+    return rotation, -rotation.T @ np.array(pose["translation"])
+
+
 def score_real(
     program: Path, capture: Path, name: str, pictures: Path, ways: list[str]
 ) -> None:
@@ -266,6 +292,7 @@ def score_real(
     lens = ("width", "height", "model", "params", "cam_from_world")
     camera = pictures / "camera.json"
     camera.write_text(json.dumps({key: ours[key] for key in lens}))
+    depth_m = common_depth_m(content["cameras"], ours)
     content["cameras"] = [c for c in content["cameras"] if c["id"] != name]
     for other in content["cameras"]:
         other["clock"]["shared"] = True
@@ -278,6 +305,7 @@ def score_real(
         for way in ways:
             out = pictures / f"{slug(way)}.png"
             where = ["--camera", str(camera), "--time", str(time_s)]
+            where += ["--set", f"proxy.plane_depth_m={depth_m}"]
             cost = render(program, cut, where, way, out)
             if cost is None:
                 continue
