@@ -17,7 +17,7 @@ use std::sync::Arc;
 /// Disk cache of plans. A plan is an automatic choice of methods. It is made by comparing dozens of rendered views;
 /// with a cached plan, later commands need not render them again. If a change of the renderer changes views, the
 /// version must be incremented.
-const PLANS: CacheKind = CacheKind { name: "plans", version: 17 };
+const PLANS: CacheKind = CacheKind { name: "plans", version: 18 };
 
 /// Opens a capture's light field. The offsets of the cameras' clocks are known from the capture, or are read from its
 /// folder, or else are estimated and stored there ([`resolve_offsets`]). Notes on the reporter state which of these

@@ -313,6 +313,20 @@ fn cameras_around_the_scene_need_scene_flow_and_no_comparison() {
     assert_eq!(plan_of(&arc(15.0), &options).0.options.proxy.method, ProxyMethod::Plane);
 }
 
+/// No surface looks alike in two cameras 60 degrees apart: views are blended over a plane through what the cameras look at.
+#[test]
+fn cameras_too_far_apart_to_be_matched_get_a_plane_and_a_reason() {
+    let (plan, field) = plan_of(&arc(60.0), &auto());
+    let proxy = decision(&plan, "proxy");
+    assert_eq!(plan.options.proxy.method, ProxyMethod::Plane);
+    assert!(proxy.because.contains("60.0 degrees apart") && proxy.because.contains("ghosts"));
+    assert_choices(&plan, &[("sync", "refined"), ("blend", "as given")]);
+    let own = &field.capture().cameras[1].camera;
+    let time_s = 2.5 / 30.0 - field.capture().time_origin_s;
+    let seen = field.view(own, time_s, &plan.options).expect("a view");
+    assert!(seen.coverage.iter().filter(|covered| **covered).count() > own.width * own.height / 2);
+}
+
 #[test]
 fn without_a_frame_between_others_the_weights_are_as_given() {
     let scene = Scene { board: Some([-1.5, -0.8]), shared: [true; 3], ..Scene::default() };

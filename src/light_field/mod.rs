@@ -72,4 +72,4 @@ pub use request::{Request, Viewpoint};
 pub use scene_flow::LoadedFrame;
 pub use stages::{GivenImages, Images};
 pub use timeline::check_times_before_offsets;
-pub use wide::MIN_WIDE_ANGLE_RAD;
+pub use wide::{MAX_MATCHED_ANGLE_RAD, MIN_WIDE_ANGLE_RAD};

@@ -100,14 +100,24 @@ impl LightField {
         // If the view shows no features, as for a textureless wall, its proxy is a plane at the median depth of all
         // points in front of the camera.
         let around = || Plane::amid(points, target).map(Proxy::Plane);
+        let looked_at = || self.plane_looked_at(target, options.proxy.method).map(Proxy::Plane);
         let is_seen = |p| target.project(p).is_some_and(|pixel| target.contains(&pixel));
-        proxy.or_else(around).ok_or_else(|| {
+        proxy.or_else(around).or_else(looked_at).ok_or_else(|| {
             if points.is_empty() || points.iter().any(is_seen) {
                 RenderError::NoPoints
             } else {
                 RenderError::NothingSeen
             }
         })
+    }
+
+    /// Returns the plane through the place that all cameras of a wide array look at, parallel to the view's image. `None` if
+    /// the array isn't wide, if the place is behind the view's camera, or if the method needs the scene's depths.
+    fn plane_looked_at(&self, target: &Camera, method: ProxyMethod) -> Option<Plane> {
+        let is_flat = matches!(method, ProxyMethod::Plane | ProxyMethod::Mesh);
+        let place = self.common_place().filter(|_| is_flat)?;
+        let depth_m = (target.cam_from_world * place.at).z;
+        (depth_m > 0.0).then(|| Plane::fronto_parallel(target, depth_m))
     }
 }
 

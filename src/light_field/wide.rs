@@ -10,6 +10,10 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 /// Minimum angle between neighbouring cameras of a wide array, seen from the place that all cameras look at, radians.
 /// It is the largest angle at which features of neighbouring cameras are still matched reliably.
 pub const MIN_WIDE_ANGLE_RAD: f64 = 0.12;
+/// Maximum angle between neighbouring cameras of a wide array with which scene flow still finds surfaces of one camera in
+/// another, radians. It lies between 45 degrees, where views by scene flow are better than by a plane, and 60, where they
+/// aren't.
+pub const MAX_MATCHED_ANGLE_RAD: f64 = 0.9;
 /// Maximum, in a wide array, of the baseline with which scene flow converts inverse depths to disparities. The maximum
 /// is given as an angle in radians: the baseline divided by the distance to the place that all cameras look at.
 const MATCHING_ANGLE_RAD: f64 = 0.2;
@@ -29,6 +33,8 @@ const STEPS: usize = 64;
 /// The place that all cameras of a wide array look at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CommonPlace {
+    /// The place in the world, metres.
+    pub at: Point3<f64>,
     /// Median distance between the cameras' centres and the place, metres.
     pub distance_m: f64,
 }
@@ -44,7 +50,7 @@ impl CommonPlace {
         let distance_m = distances[distances.len() / 2];
         let sees = |c: &&Camera| c.project(&place).is_some_and(|pixel| c.contains(&pixel));
         let is_wide = cameras.iter().all(sees) && spacing_m > MIN_WIDE_ANGLE_RAD * distance_m;
-        is_wide.then_some(Self { distance_m })
+        is_wide.then_some(Self { at: place, distance_m })
     }
 
     /// Returns the minimum and the maximum inverse depth, 1/m, in the camera with index `own`, of the points that at
@@ -159,7 +165,10 @@ mod tests {
     #[test]
     fn cameras_around_a_place_are_wide_and_others_are_not() {
         let found = place(&ring(6, 17.0), 0.59).unwrap();
-        assert!((found.distance_m - 2.0).abs() < 1e-9, "{found:?}");
+        assert!(
+            (found.distance_m - 2.0).abs() < 1e-9 && found.at.coords.norm() < 1e-9,
+            "{found:?}"
+        );
         // The cameras are 2 degrees apart, as in the simulated rig `arc8`.
         assert_eq!(place(&ring(8, 2.0), 0.07), None);
         let mut parallel = ring(3, 17.0);

@@ -4,7 +4,7 @@
 use super::motion::MAX_NOISE;
 use super::{Motion, Shape};
 use crate::interpolation::SyncMethod;
-use crate::light_field::MIN_WIDE_ANGLE_RAD;
+use crate::light_field::{MAX_MATCHED_ANGLE_RAD, MIN_WIDE_ANGLE_RAD};
 use crate::lumigraph::BlendMethod;
 use crate::method::Method;
 use crate::options::ProxyMethod;
@@ -182,15 +182,24 @@ pub fn scene_flow(gain_db: f64, frames: &str, budget_db: f64) -> (ProxyMethod, D
     (method, Decision::new("proxy", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Chooses scene flow as the proxy in a wide array. `angle_rad` is the angle between neighbouring cameras, radians; `None`
-/// if the array isn't wide.
-pub fn wide(angle_rad: Option<f64>) -> Option<Decision> {
-    let [degrees, limit] = [angle_rad?, MIN_WIDE_ANGLE_RAD].map(f64::to_degrees);
+/// Chooses the proxy of a wide array: scene flow, or a plane if hardly any surface looks alike in two cameras. `angle_rad` is
+/// the angle between neighbouring cameras, radians; `None` if the array isn't wide.
+pub fn wide(angle_rad: Option<f64>) -> Option<(ProxyMethod, Decision)> {
+    let [degrees, min, max] =
+        [angle_rad?, MIN_WIDE_ANGLE_RAD, MAX_MATCHED_ANGLE_RAD].map(f64::to_degrees);
+    let (method, limit, what) = if degrees > max {
+        (
+            ProxyMethod::Plane,
+            max,
+            "surfaces of one are hardly found in the other, and views between them show ghosts",
+        )
+    } else {
+        (ProxyMethod::SceneFlow, min, "features of one are hardly found in the other")
+    };
     let because = format!(
-        "Neighbouring cameras are {degrees:.1} degrees apart, seen from what they look at, so that features of one are \
-         hardly found in the other."
+        "Neighbouring cameras are {degrees:.1} degrees apart, seen from what they look at, so that {what}."
     );
-    Some(Decision::new("proxy", ProxyMethod::SceneFlow.name(), because).by(degrees, limit))
+    Some((method, Decision::new("proxy", method.name(), because).by(degrees, limit)))
 }
 
 fn better_or_worse(gain_db: f64) -> String {

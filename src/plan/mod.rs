@@ -80,7 +80,8 @@ pub fn is_undecided(options: &RenderOptions) -> bool {
 /// [`is_undecided`] is true, and scene flow isn't the proxy already. Otherwise, the motion alone decides the sync method, and
 /// the blending method is unchanged. Without a comparison, scene flow is chosen only in a wide array
 /// ([`LightField::wide_angle_rad`]): if no point could be triangulated, or if a plane doesn't suffice and the motion requires
-/// refinement.
+/// refinement. If neighbouring cameras are more than [`MAX_MATCHED_ANGLE_RAD`](crate::light_field::MAX_MATCHED_ANGLE_RAD)
+/// apart, a plane is chosen in its place.
 pub fn plan(
     field: &LightField,
     options: &RenderOptions,
@@ -101,6 +102,7 @@ pub fn plan(
     let shape = Shape::survey(field, &decided)?;
     let (proxy, mut of_proxy) = decide::proxy(shape.as_ref(), budget_px);
     let of_motion = if options.auto.sync { sync } else { options.sync.of_one_camera() };
+    let mut is_compared = true;
     if options.auto.proxy {
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
         // In a wide array, a mesh can't stand for bodies, so that views over it say nothing about refinement.
@@ -109,13 +111,14 @@ pub fn plan(
             Some(_) => of_motion == SyncMethod::Refined,
             None => true,
         };
-        if let Some(decision) = decide::wide(field.wide_angle_rad()).filter(|_| is_needed) {
-            (decided.proxy.method, of_proxy) = (ProxyMethod::SceneFlow, decision);
+        if let Some(wide) = decide::wide(field.wide_angle_rad()).filter(|_| is_needed) {
+            (decided.proxy.method, of_proxy) = wide;
+            is_compared = false;
         }
     }
     let comparison = reporter.phase("comparing methods on held-out frames");
     let ByViews { sync: (sync, of_sync), blend: (blend, of_blend), proxy } =
-        by_views(field, &decided, (sync, of_sync))?;
+        by_views(field, &decided, (sync, of_sync), is_compared)?;
     drop(comparison);
     if let Some((proxy, decision)) = proxy {
         decided.proxy.method = proxy;
@@ -153,16 +156,17 @@ struct ByViews {
 
 /// Chooses the sync method, the blending method and the proxy (depth per pixel or scene flow) by comparing rendered
 /// views. The sync method and the proxy are chosen only if `options.auto` names these stages. `sync` is the sync method
-/// that the motion in the images requires, with its decision. If this method isn't [`SyncMethod::Refined`], or if
-/// scene flow is the proxy already, nothing is rendered, and `sync` is returned unchanged.
+/// that the motion in the images requires, with its decision. If this method isn't [`SyncMethod::Refined`], if scene flow is
+/// the proxy already, or if `is_compared` is false, nothing is rendered, and `sync` is returned unchanged.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,
     mut sync: (SyncMethod, Decision),
+    is_compared: bool,
 ) -> Result<ByViews, RenderError> {
     let AutoOptions { budget_db, .. } = options.auto;
     let has_effect = options.proxy.method != ProxyMethod::SceneFlow && is_undecided(options);
-    let is_probed = sync.0 == SyncMethod::Refined && has_effect;
+    let is_probed = is_compared && sync.0 == SyncMethod::Refined && has_effect;
     let probe = if is_probed { Probe::open(field, &options.registration)? } else { None };
     let Some(probe) = probe else {
         return Ok(ByViews { sync, blend: decide::blend(None, ""), proxy: None });
