@@ -93,7 +93,8 @@ impl LightField {
     /// look at. `None` if the array isn't wide: the angle is at most [`MIN_WIDE_ANGLE_RAD`], or there is no such place.
     pub fn wide_angle_rad(&self) -> Option<f64> {
         // The cameras of a wide array are away from the place, so the distance is positive.
-        self.common_place().map(|place| self.spacing_m() / place.distance_m)
+        let half_chord = |place: CommonPlace| 0.5 * self.spacing_m() / place.distance_m;
+        self.common_place().map(|place| 2.0 * half_chord(place).min(1.0).asin())
     }
 
     /// Returns the baseline, metres, with which scene flow converts inverse depths to disparities in pixels: twice the
