@@ -3,7 +3,8 @@
     .venv/bin/python tests/bench/left_out.py rig RIG CAMERA OUT
     .venv/bin/python tests/bench/left_out.py cut CAPTURE CAMERA OUT
     .venv/bin/python tests/bench/left_out.py expose CAPTURE OUT [--std STD] [--seed SEED]
-    .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--together] [--way NAME ...]
+    .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--together] [--true-clocks]
+        [--way NAME ...]
     .venv/bin/python tests/bench/left_out.py real PROGRAM CAPTURE CAMERA PICTURES [--way NAME ...]
 
 `rig` writes the rig file OUT, in which CAMERA doesn't film. CAMERA is its only new viewpoint, with true depth.
@@ -19,7 +20,7 @@ own. Their logarithms have the standard deviations STD and STD / 5. The gains ar
 `score` renders each of these views with PROGRAM by each combination of methods (`--way`), in a new process with an
 empty cache. It prints the PSNR of all pixels and of the moving part, processor seconds and peak memory. It writes the
 pictures and their ground truth into PICTURES. With `--together`, one process renders the views of all N instants, which
-must be evenly spaced; processor seconds are those of a view.
+must be evenly spaced; processor seconds are those of a view. With `--true-clocks`, offsets are not estimated.
 
 `real` does the same for a capture without ground truth, such as an imported one: it leaves CAMERA out, and compares views
 at the time of its middle frame with this frame. The times of all frames are taken as those of one clock. A plane is at the
@@ -42,13 +43,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from calibration_errors import rotation_of
-from ground_truth import free_views, psnr_db, read_view, true_picture
+from ground_truth import free_views, psnr_db, read_view, true_picture, truth_of
 from light import encoded, linear
 
 WAYS = {
     "nearest frames, plane": ["--sync", "nearest", "--proxy", "plane"],
     "nearest frames, mesh": ["--sync", "nearest", "--proxy", "mesh"],
     "nearest frames, depth": ["--sync", "nearest", "--proxy", "depth"],
+    "refined, plane": ["--sync", "refined", "--proxy", "plane"],
     "refined, mesh": ["--sync", "refined", "--proxy", "mesh"],
     "refined, depth": ["--sync", "refined", "--proxy", "depth"],
     "all-cameras, depth": ["--sync", "all-cameras", "--proxy", "depth"],
@@ -77,10 +79,8 @@ def cut(capture: Path, camera: str, out: Path) -> None:
     shutil.copytree(capture, out, copy_function=os.link, ignore=skipped)
     whole = json.loads((capture / "capture.json").read_text())
     truth = json.loads((capture / "truth" / "truth.json").read_text())
-    times_s = {entry["id"]: entry["times_s"] for entry in truth["shutter"]}
     whole["cameras"] = [c for c in whole["cameras"] if c["id"] != camera]
-    for filmed in whole["cameras"]:
-        filmed["clock"] = {"times_s": times_s[filmed["id"]], "shared": True}
+    set_true_clocks(whole, truth)
     if whole["reference"] == camera:
         whole["reference"] = whole["cameras"][0]["id"]
     ours = [view for view in truth["views"] if view["like"] == camera]
@@ -94,6 +94,24 @@ def cut(capture: Path, camera: str, out: Path) -> None:
         temporary = out / f"{path}.new"
         temporary.write_text(json.dumps(content, indent=2))
         temporary.replace(out / path)  # not through the link, into the original
+
+
+def set_true_clocks(content: dict[str, Any], truth: dict[str, Any]) -> None:
+    """Replace the clocks of all cameras of a capture.json by the true ones."""
+    times_s = {entry["id"]: entry["times_s"] for entry in truth["shutter"]}
+    for filmed in content["cameras"]:
+        filmed["clock"] = {"times_s": times_s[filmed["id"]], "shared": True}
+
+
+def with_true_clocks(capture: Path, folder: Path) -> Path:
+    """Write a copy of a capture with the true clocks into a folder; returns the copy's path."""
+    copy = folder / capture.name
+    skipped = shutil.ignore_patterns(".stlfr", "offsets*", "review", "capture.json")
+    shutil.copytree(capture, copy, copy_function=os.link, ignore=skipped)
+    content = json.loads((capture / "capture.json").read_text())
+    set_true_clocks(content, truth_of(capture))
+    (copy / "capture.json").write_text(json.dumps(content))
+    return copy
 
 
 def expose(capture: Path, out: Path, std: float, seed: int) -> None:
@@ -352,6 +370,7 @@ def main() -> None:
     scoring.add_argument("pictures", type=Path)
     scoring.add_argument("--instants", type=int, default=1)
     scoring.add_argument("--together", action="store_true")
+    scoring.add_argument("--true-clocks", action="store_true")
     scoring.add_argument("--way", action="append", choices=WAYS)
     real = commands.add_parser("real")
     real.add_argument("program", type=Path)
@@ -372,7 +391,11 @@ def main() -> None:
     else:
         a = arguments
         scorer = score_together if a.together else score
-        scorer(a.program, a.capture, a.pictures, a.instants, a.way or list(WAYS))
+        a.pictures.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=a.pictures) as folder:
+            copied = a.true_clocks
+            capture = with_true_clocks(a.capture, Path(folder)) if copied else a.capture
+            scorer(a.program, capture, a.pictures, a.instants, a.way or list(WAYS))
 
 
 if __name__ == "__main__":
