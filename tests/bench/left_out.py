@@ -1,6 +1,7 @@
 """Evaluates the light field at the viewpoint of a held-out camera.
 
     .venv/bin/python tests/bench/left_out.py rig RIG CAMERA OUT
+    .venv/bin/python tests/bench/left_out.py arc RIG DEGREES OUT
     .venv/bin/python tests/bench/left_out.py cut CAPTURE CAMERA OUT
     .venv/bin/python tests/bench/left_out.py expose CAPTURE OUT [--std STD] [--seed SEED]
     .venv/bin/python tests/bench/left_out.py score PROGRAM OUT PICTURES [--instants N] [--together] [--true-clocks]
@@ -8,6 +9,9 @@
     .venv/bin/python tests/bench/left_out.py real PROGRAM CAPTURE CAMERA PICTURES [--way NAME ...]
 
 `rig` writes the rig file OUT, in which CAMERA doesn't film. CAMERA is its only new viewpoint, with true depth.
+
+`arc` writes the rig file OUT, in which the cameras of RIG stand on a circle, DEGREES apart, and look at its centre. The
+centre is 1.8 m before the rig's origin, as in `stlfr rig arc`, but the arc may be longer.
 
 `cut` writes the capture OUT, which lacks CAMERA. The ground truth images of CAMERA become ground truth of new
 viewpoints, named `left-out`; other such viewpoints are removed. The clocks are the true ones. Files are linked, not
@@ -32,6 +36,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shutil
 import sys
@@ -58,6 +63,8 @@ WAYS = {
     "default": [],
 }
 """The compared combinations of methods by name, as options of `stlfr render`."""
+ARC_RADIUS_M = 1.8
+"""Radius of the circle of `arc`, as in `stlfr rig arc`."""
 
 
 def write_rig(rig: Path, camera: str, out: Path) -> None:
@@ -70,6 +77,21 @@ def write_rig(rig: Path, camera: str, out: Path) -> None:
     of_camera = ("rate_hz", "delay_s", "jitter_s")
     view = {name: value for name, value in ours.items() if name not in of_camera}
     content["views"] = [{**view, "id": "left-out"}]
+    out.write_text(json.dumps(content, indent=2))
+
+
+def write_arc(rig: Path, degrees: float, out: Path) -> None:
+    """Write the rig with its cameras on a circle, `degrees` apart. They look at the circle's centre."""
+    content = json.loads(rig.read_text())
+    cameras = content["cameras"]
+    for k, camera in enumerate(cameras):
+        turn = math.radians(degrees) * (k - (len(cameras) - 1) / 2)
+        quaternion = [math.cos(turn / 2), 0.0, math.sin(turn / 2), 0.0]
+        centre = ARC_RADIUS_M * np.array([math.sin(turn), 0.0, 1.0 - math.cos(turn)])
+        camera["cam_from_rig"] = {
+            "rotation_wxyz": quaternion,
+            "translation": (-rotation_of(quaternion) @ centre).tolist(),
+        }
     out.write_text(json.dumps(content, indent=2))
 
 
@@ -355,6 +377,10 @@ def main() -> None:
     leaving.add_argument("rig", type=Path)
     leaving.add_argument("camera")
     leaving.add_argument("out", type=Path)
+    bending = commands.add_parser("arc")
+    bending.add_argument("rig", type=Path)
+    bending.add_argument("degrees", type=float)
+    bending.add_argument("out", type=Path)
     cutting = commands.add_parser("cut")
     cutting.add_argument("capture", type=Path)
     cutting.add_argument("camera")
@@ -381,6 +407,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.command == "rig":
         write_rig(arguments.rig, arguments.camera, arguments.out)
+    elif arguments.command == "arc":
+        write_arc(arguments.rig, arguments.degrees, arguments.out)
     elif arguments.command == "cut":
         cut(arguments.capture, arguments.camera, arguments.out)
     elif arguments.command == "expose":
