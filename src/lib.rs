@@ -284,6 +284,8 @@
 //!   the undistorted image. Cameras must not move. The following assume that all rows of a frame are exposed at the
 //!   same time: `--sync nearest` and `crossfade`, traditional light field rendering, the rough alignment of recordings,
 //!   the estimation of gains, `plan`, and the page of `publish`. `export --frames` writes frames as filmed.
+//! - If neighbouring cameras are more than 52 degrees apart, seen from what they look at, hardly any surface looks alike
+//!   in two of them. `auto` then blends images over a plane, and views between cameras show ghosts.
 //! - Objects that move by more than 60 pixels per frame can't be tracked. They are blurred, and their depths are wrong.
 //!   `--proxy scene-flow` needs no tracks, and shows objects that move by up to 120 pixels per frame.
 //! - A thin object that moves by more than its thickness from one frame to the next, such as a pendulum's rod, vanishes
