@@ -45,15 +45,15 @@ impl Undistorted<'_> {
         let image = gains.corrected(camera, own_s, &image).unwrap_or(image);
         let times_s = field.times_s(camera);
         let time = |k: usize| field.in_frames(times_s[k]);
-        let before = frame.checked_sub(1).map_or(f64::NEG_INFINITY, time);
-        let after = if frame + 1 < times_s.len() { time(frame + 1) } else { f64::INFINITY };
         let row_time = field.in_frames(filmed.row_times().s_per_px());
-        let flow_frame = FlowFrame::new(&filmed.camera, &image, time(frame))
-            .with_neighbors([before, after])
-            .with_row_time(row_time);
+        let flow_frame =
+            FlowFrame::new(&filmed.camera, &image, time(frame)).with_row_time(row_time);
         if field.common_place().is_none() {
-            return Ok(field.insert(self, flow_frame));
+            let before = frame.checked_sub(1).map_or(f64::NEG_INFINITY, time);
+            let after = if frame + 1 < times_s.len() { time(frame + 1) } else { f64::INFINITY };
+            return Ok(field.insert(self, flow_frame.with_neighbors([before, after])));
         }
+        // Frames of a wide array don't fade: hardly any other camera shows what one of them shows.
         let still = StillContent { camera, registration }.get(field)?;
         Ok(field.insert(self, flow_frame.with_still(&still)))
     }
