@@ -313,7 +313,7 @@ fn cameras_around_the_scene_need_scene_flow_and_no_comparison() {
     assert_eq!(plan_of(&arc(15.0), &options).0.options.proxy.method, ProxyMethod::Plane);
 }
 
-/// No surface looks alike in two cameras 60 degrees apart: views are blended over a plane through what the cameras look at.
+/// Hardly any surface looks alike in two cameras 60 degrees apart: their images are blended over a plane.
 #[test]
 fn cameras_too_far_apart_to_be_matched_get_a_plane_and_a_reason() {
     let (plan, field) = plan_of(&arc(60.0), &auto());

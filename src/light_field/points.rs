@@ -73,10 +73,11 @@ impl LightField {
     }
 
     /// Returns the geometry proxy of a view at `time_s`, seconds from the capture's start. For the methods with depth
-    /// per pixel, the proxy is the mesh through the scene's points.
+    /// per pixel, the proxy is the mesh through the scene's points. In a wide array without points, plane and mesh are
+    /// the plane through the place that all cameras look at.
     ///
     /// # Errors
-    /// [`RenderError::NoPoints`] if no points can be triangulated, [`RenderError::NothingSeen`] if all points are
+    /// [`RenderError::NoPoints`] if no points can otherwise be triangulated, [`RenderError::NothingSeen`] if all points are
     /// behind the view's camera, and [`RenderError::Capture`] if a frame can't be read.
     pub fn proxy(
         &self,

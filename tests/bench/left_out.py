@@ -27,9 +27,8 @@ pictures and their ground truth into PICTURES. With `--together`, one process re
 must be evenly spaced; processor seconds are those of a view. With `--true-clocks`, offsets are not estimated.
 
 `real` does the same for a capture without ground truth, such as an imported one: it leaves CAMERA out, and compares views
-at the time of its middle frame with this frame. The times of all frames are taken as those of one clock. A plane is at the
-point that is nearest to the optical axes of all cameras. PSNR is over the pixels that the view covers, after each channel
-of the view is multiplied by the gain that fits best.
+at the time of its middle frame with this frame. The times of all frames are taken as those of one clock. PSNR is over the
+pixels that the view covers, after each channel of the view is multiplied by the gain that fits best.
 """
 
 from __future__ import annotations
@@ -127,11 +126,15 @@ def set_true_clocks(content: dict[str, Any], truth: dict[str, Any]) -> None:
 
 def with_true_clocks(capture: Path, folder: Path) -> Path:
     """Write a copy of a capture with the true clocks into a folder; returns the copy's path."""
-    copy = folder / capture.name
-    skipped = shutil.ignore_patterns(".stlfr", "offsets*", "review", "capture.json")
-    shutil.copytree(capture, copy, copy_function=os.link, ignore=skipped)
     content = json.loads((capture / "capture.json").read_text())
     set_true_clocks(content, truth_of(capture))
+    return with_content(capture, content, folder / capture.name)
+
+
+def with_content(capture: Path, content: dict[str, Any], copy: Path) -> Path:
+    """Write a copy of a capture with another capture.json, without any results; returns the copy's path."""
+    skipped = shutil.ignore_patterns(".stlfr", "offsets*", "review", "capture.json")
+    shutil.copytree(capture, copy, copy_function=os.link, ignore=skipped)
     (copy / "capture.json").write_text(json.dumps(content))
     return copy
 
@@ -201,7 +204,6 @@ def score(
     program: Path, capture: Path, pictures: Path, instants: int, ways: list[str]
 ) -> None:
     """Render the held-out camera's views by each of `ways`, and print a line of results for each."""
-    pictures.mkdir(parents=True, exist_ok=True)
     for view in free_views(capture)[:instants]:
         name = view["id"]
         camera = pictures / f"{name}.json"
@@ -227,7 +229,6 @@ def score_together(
     program: Path, capture: Path, pictures: Path, instants: int, ways: list[str]
 ) -> None:
     """Render the held-out camera's views of all instants in one process by each of `ways`, and print the results."""
-    pictures.mkdir(parents=True, exist_ok=True)
     views = free_views(capture)[:instants]
     if not views:
         raise SystemExit(f"{capture}: there is no ground truth of a new viewpoint")
@@ -295,29 +296,6 @@ def read_frame(
     return np.asarray(image[..., ::-1], np.uint8)
 
 
-def common_depth_m(cameras: list[dict[str, Any]], seen_by: dict[str, Any]) -> float:
-    """The depth, in the camera `seen_by`, of the point whose mean squared distance to all optical axes is least."""
-    matrix, right = np.zeros((3, 3)), np.zeros(3)
-    for camera in cameras:
-        rotation, centre = pose_of(camera)
-        across = np.eye(3) - np.outer(rotation[2], rotation[2])
-        matrix, right = matrix + across, right + across @ centre
-    # Parallel axes have no nearest point; then lstsq returns the one nearest to the origin.
-    point = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    rotation, centre = pose_of(seen_by)
-    depth = float(rotation[2] @ (point - centre))
-    if depth <= 0.0:
-        raise SystemExit(f"{seen_by['id']}: the optical axes don't meet before it")
-    return depth
-
-
-def pose_of(camera: dict[str, Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """The rotation from the world to a camera (3, 3), and the camera's centre in the world, in metres."""
-    pose = camera["cam_from_world"]
-    rotation = rotation_of(pose["rotation_wxyz"])
-    return rotation, -rotation.T @ np.array(pose["translation"])
-
-
 def score_real(
     program: Path, capture: Path, name: str, pictures: Path, ways: list[str]
 ) -> None:
@@ -332,20 +310,15 @@ def score_real(
     lens = ("width", "height", "model", "params", "cam_from_world")
     camera = pictures / "camera.json"
     camera.write_text(json.dumps({key: ours[key] for key in lens}))
-    depth_m = common_depth_m(content["cameras"], ours)
     content["cameras"] = [c for c in content["cameras"] if c["id"] != name]
     for other in content["cameras"]:
         other["clock"]["shared"] = True
     content["reference"] = content["cameras"][0]["id"]
     with tempfile.TemporaryDirectory(dir=pictures) as folder:
-        cut = Path(folder) / "capture"
-        skipped = shutil.ignore_patterns(".stlfr", "offsets*", "review", "capture.json")
-        shutil.copytree(capture, cut, copy_function=os.link, ignore=skipped)
-        (cut / "capture.json").write_text(json.dumps(content))
+        cut = with_content(capture, content, Path(folder) / "capture")
         for way in ways:
             out = pictures / f"{slug(way)}.png"
             where = ["--camera", str(camera), "--time", str(time_s)]
-            where += ["--set", f"proxy.plane_depth_m={depth_m}"]
             cost = render(program, cut, where, way, out)
             if cost is None:
                 continue
@@ -421,9 +394,9 @@ def main() -> None:
         scorer = score_together if a.together else score
         a.pictures.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=a.pictures) as folder:
-            copied = a.true_clocks
-            capture = with_true_clocks(a.capture, Path(folder)) if copied else a.capture
-            scorer(a.program, capture, a.pictures, a.instants, a.way or list(WAYS))
+            if a.true_clocks:
+                a.capture = with_true_clocks(a.capture, Path(folder))
+            scorer(a.program, a.capture, a.pictures, a.instants, a.way or list(WAYS))
 
 
 if __name__ == "__main__":
