@@ -4,8 +4,9 @@
 use super::element::Element;
 use super::map::ElementMap;
 use super::matching::PatchMatcher;
-use super::matching_image::color_difference;
+use super::matching_image::{MatchingSample, UNITS, difference};
 use nalgebra::{Matrix3, Vector3};
+use std::sync::LazyLock;
 
 /// Half-width of the window of the fit, pixels of the pyramid level.
 const RADIUS: i32 = 3;
@@ -15,6 +16,8 @@ const MAX_DISTANCE_PX: f32 = 2.0;
 /// Colour difference between a neighbour and the pixel at which the colour term of the neighbour's weight falls to
 /// 1/e.
 const COLOR: f32 = 0.16;
+/// Number of entries of [`COLOR_TERMS`]. Most pairs of neighbours differ less.
+const DIFFERENCES: usize = 8192;
 /// Constant that is added to the colour term of a neighbour's weight, so that neighbours of any colour have some
 /// weight.
 const MIN_COLOR_WEIGHT: f32 = 0.05;
@@ -26,6 +29,20 @@ const MAX_DISPARITY_GRADIENT: f32 = 1.6;
 /// Maximum magnitude of each component of the velocity's gradient, pixels per frame per pixel.
 const MAX_MOTION_GRADIENT: f32 = 1.0;
 
+/// Colour term of a neighbour's weight by the difference of the colours in units of 1/[`UNITS`].
+static COLOR_TERMS: LazyLock<[f32; DIFFERENCES]> =
+    LazyLock::new(|| std::array::from_fn(|d| color_term(d as f32)));
+
+fn color_term(difference: f32) -> f32 {
+    (-(difference * (1.0 / UNITS)) / COLOR).exp()
+}
+
+#[inline(always)]
+fn color_term_by(table: &[f32; DIFFERENCES], a: &MatchingSample, b: &MatchingSample) -> f32 {
+    let difference = difference(a, b);
+    table.get(difference as usize).copied().unwrap_or_else(|| color_term(difference as f32))
+}
+
 impl PatchMatcher<'_> {
     /// Returns the least-squares fit to the surface elements around pixel `(x, y)` of the scene flow map. `None` if
     /// the normal equations are singular.
@@ -33,6 +50,7 @@ impl PatchMatcher<'_> {
         let (width, height) = (self.own.width as i32, self.own.height as i32);
         let own = map.elements[y * self.own.width + x];
         let center = self.own.pixel(x, y);
+        let color_terms: &[f32; DIFFERENCES] = &COLOR_TERMS;
         let mut normal = Matrix3::<f64>::zeros();
         // The right-hand sides for the inverse depth and for the two components of the velocity.
         let mut right = [Vector3::<f64>::zeros(); 3];
@@ -49,9 +67,8 @@ impl PatchMatcher<'_> {
                 if distance > MAX_DISTANCE_PX {
                     continue;
                 }
-                let difference = color_difference(&self.own.pixel(u, v), &center);
-                let weight =
-                    ((-difference / COLOR).exp() + MIN_COLOR_WEIGHT) / (1.0 + distance * distance);
+                let color_term = color_term_by(color_terms, &self.own.pixel(u, v), &center);
+                let weight = (color_term + MIN_COLOR_WEIGHT) / (1.0 + distance * distance);
                 let place = Vector3::new(1.0, f64::from(fx), f64::from(fy));
                 let weighted = f64::from(weight) * place;
                 normal += weighted * place.transpose();

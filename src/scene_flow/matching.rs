@@ -11,9 +11,9 @@ use crate::simd::{F32x8, I16x16, LANES, PIXELS, multiversion};
 
 /// Brightness residual at which a pixel's weight in a Gauss–Newton step falls to one half.
 const RESIDUAL: f32 = 0.05;
-/// Fraction of the observing frames whose costs are averaged. The frames with the smallest costs are used. In the
-/// others, the surface element may be occluded.
-const BEST_FRACTION: f32 = 0.55;
+/// Fraction of the observing frames whose costs are averaged: numerator and denominator. The frames with the smallest
+/// costs are used. In the others, the surface element may be occluded.
+const BEST_FRACTION: [usize; 2] = [11, 20];
 /// Minimum number of observing frames whose costs are averaged.
 const MIN_BEST: usize = 3;
 /// Matching cost in an observing frame that separates two cases. If the surface element is inside the frame's image,
@@ -84,6 +84,7 @@ pub struct PatchMatcher<'a> {
 /// Matching costs of a surface element in those of `all` observing frames that are evaluated so far, ascending.
 struct SortedCosts {
     all: usize,
+    /// The costs, then infinity.
     sorted: [f32; MAX_OBSERVATIONS],
     count: usize,
     /// Number of observing frames evaluated so far whose image contains the surface element.
@@ -93,19 +94,29 @@ struct SortedCosts {
 impl SortedCosts {
     #[inline(always)]
     fn none_of(all: usize) -> Self {
-        Self { all, sorted: [0.0; MAX_OBSERVATIONS], count: 0, inside: 0 }
+        Self { all, sorted: [f32::INFINITY; MAX_OBSERVATIONS], count: 0, inside: 0 }
     }
 
     #[inline(always)]
     fn add(&mut self, cost: f32) {
-        let mut j = self.count;
-        while j > 0 && self.sorted[j - 1] > cost {
-            self.sorted[j] = self.sorted[j - 1];
-            j -= 1;
+        // Each entry becomes the cost or moves up, if the cost is smaller. A loop that ends at the cost's place is slower,
+        // since its end can't be predicted.
+        let before = self.sorted;
+        self.sorted[0] = if before[0] < cost { before[0] } else { cost };
+        for k in 1..MAX_OBSERVATIONS {
+            let smaller = if before[k] < cost { before[k] } else { cost };
+            self.sorted[k] = if before[k - 1] > smaller { before[k - 1] } else { smaller };
         }
-        self.sorted[j] = cost;
         self.count += 1;
         self.inside += usize::from(cost < OUTSIDE);
+    }
+
+    /// Returns how many of the smallest costs are averaged if the element is inside so many images.
+    #[inline(always)]
+    fn averaged(&self, inside: usize) -> usize {
+        let [numerator, denominator] = BEST_FRACTION;
+        let rounded = (numerator * inside + denominator / 2) / denominator;
+        rounded.max(MIN_BEST).min(self.all)
     }
 
     /// Returns the sum of the smallest costs, their number, and the number of frames with the element outside their image.
@@ -115,15 +126,15 @@ impl SortedCosts {
     fn smallest(&self, is_finest: bool) -> (f32, usize, usize) {
         let free = self.all - self.count;
         let inside = self.inside + free;
-        let best = ((inside as f32 * BEST_FRACTION).round() as usize).max(MIN_BEST).min(self.all);
+        let best = self.averaged(inside);
+        // At the finest level, a mismatch costs at most as much as an element outside the image. At coarser levels it
+        // may cost more, since finer levels may still improve it.
+        let most = if is_finest { OUTSIDE_COST } else { OUTSIDE };
         let mut sum = 0.0;
         let mut k = 0;
         while k + free < best {
             let cost = self.sorted[k];
-            // At the finest level, a mismatch costs at most as much as an element outside the image. At coarser
-            // levels it may cost more, since finer levels may still improve it.
-            let counts = cost < OUTSIDE && !is_finest;
-            sum += if counts { cost } else { cost.min(OUTSIDE_COST) };
+            sum += if cost < most { cost } else { OUTSIDE_COST };
             k += 1;
         }
         (sum, best, self.all - inside)
@@ -399,5 +410,49 @@ impl PatchMatcher<'_> {
             + 0.5 * (a.inverse_depth_rate - b.inverse_depth_rate).abs() * self.disparity_px
             + 0.1 * change(a.acceleration, b.acceleration))
             / self.scale
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Random;
+
+    #[test]
+    fn costs_are_sorted_whatever_their_order() {
+        let mut random = Random::new(3);
+        for count in 0..=MAX_OBSERVATIONS {
+            // A few values, so that some are equal.
+            let costs: Vec<f32> =
+                (0..count).map(|_| (random.unit() * 6.0).floor() as f32).collect();
+            let mut found = SortedCosts::none_of(MAX_OBSERVATIONS);
+            costs.iter().for_each(|cost| found.add(*cost));
+            let mut expected = costs;
+            expected.sort_by(f32::total_cmp);
+            expected.resize(MAX_OBSERVATIONS, f32::INFINITY);
+            assert_eq!(found.sorted.as_slice(), expected);
+        }
+    }
+
+    #[test]
+    fn more_than_half_of_the_costs_are_averaged() {
+        let averaged = |all: usize| SortedCosts::none_of(all).averaged(all);
+        let expected = [0, 1, 2, 3, 3, 3, 3, 4, 4, 5, 6, 6, 7, 7, 8, 8, 9];
+        assert_eq!(std::array::from_fn(averaged), expected);
+    }
+
+    #[test]
+    fn mismatches_cost_as_much_as_what_is_outside_and_only_at_the_finest_level() {
+        let mut costs = SortedCosts::none_of(8);
+        [0.5, 0.01, 2.0 * OUTSIDE, 0.02].into_iter().for_each(|cost| costs.add(cost));
+        // Seven frames may see the element, of whose costs four are averaged; four are assumed to be 0.
+        assert_eq!(costs.smallest(true), (0.0, 4, 1));
+        for _ in 0..4 {
+            costs.add(2.0 * OUTSIDE);
+        }
+        let [finest, coarser] = [true, false].map(|is_finest| costs.smallest(is_finest));
+        assert_eq!((finest.1, finest.2, coarser.1, coarser.2), (3, 5, 3, 5));
+        assert!((finest.0 - (0.03 + OUTSIDE_COST)).abs() < 1e-6);
+        assert!((coarser.0 - 0.53).abs() < 1e-6);
     }
 }

@@ -187,6 +187,12 @@ impl MatchingImage {
             .unwrap_or(u32::MAX)
     }
 
+    /// Returns the samples of a row of pixels; `None` if the image has no such row.
+    #[inline(always)]
+    pub fn row(&self, y: usize) -> Option<&[MatchingSample]> {
+        if y < self.height { self.samples.get(y * self.width..(y + 1) * self.width) } else { None }
+    }
+
     /// Returns the samples of all pixels, row by row.
     #[inline(always)]
     pub fn samples(&self) -> &[MatchingSample] {
@@ -208,7 +214,7 @@ pub fn dequantized(sample: &MatchingSample) -> [f32; 4] {
 /// Returns the sum of the absolute differences of two samples in brightness and in red minus blue, in units of
 /// 1/[`UNITS`].
 #[inline(always)]
-fn difference(a: &MatchingSample, b: &MatchingSample) -> u32 {
+pub fn difference(a: &MatchingSample, b: &MatchingSample) -> u32 {
     [0, 1].map(|c| i32::from(a[c]).abs_diff(i32::from(b[c]))).iter().sum()
 }
 
@@ -221,7 +227,19 @@ pub fn color_difference(a: &MatchingSample, b: &MatchingSample) -> f32 {
 /// Returns how similar the colours of two pixels are: 1 if they are the same, falling exponentially with their difference.
 #[inline(always)]
 pub fn similarity(a: &MatchingSample, b: &MatchingSample) -> f32 {
-    SIMILARITY[(difference(a, b) as usize).min(DIFFERENCES - 1)]
+    similarity_by(&SIMILARITY, a, b)
+}
+
+/// Returns what [`similarity_by`] needs, for loops over many pixels.
+#[inline(always)]
+pub fn similarities() -> &'static [f32; DIFFERENCES] {
+    &SIMILARITY
+}
+
+/// Returns the [`similarity`] of two pixels by the table [`similarities`].
+#[inline(always)]
+pub fn similarity_by(table: &[f32; DIFFERENCES], a: &MatchingSample, b: &MatchingSample) -> f32 {
+    table[(difference(a, b) as usize).min(DIFFERENCES - 1)]
 }
 
 fn brightness(color: &[f32; 3]) -> f32 {

@@ -1,6 +1,8 @@
 //! Patches. A patch is the neighbourhood of a pixel, reduced to the pixels that probably belong to the same surface.
 
-use super::matching_image::{MatchingImage, MatchingSample, WEIGHTS, dequantized, similarity};
+use super::matching_image::{
+    MatchingImage, MatchingSample, WEIGHTS, dequantized, similarities, similarity_by,
+};
 use crate::simd::{LANES, Pixel};
 
 /// Step between the pixels of a patch, pixels: at the finest pyramid level, and at all others.
@@ -76,21 +78,21 @@ impl Patch {
     #[inline]
     pub fn fill(&mut self, image: &MatchingImage, (x, y): (usize, usize), is_finest: bool) {
         let step = STEP_PX[usize::from(!is_finest)];
-        let (width, height) = (image.width as i32, image.height as i32);
+        let table = similarities();
         let center = image.pixel(x, y);
         let (mut count, mut sum) = (0, 0.0);
         for (dy, by_row) in (-REACH..=REACH).map(|n| n * step).zip(FALLOFF) {
+            // A negative row or column becomes a large one, which no image has.
+            let v = (y as i32 + dy) as usize;
+            let Some(row) = image.row(v) else { continue };
             for (dx, by_column) in (-REACH..=REACH).map(|n| n * step).zip(FALLOFF) {
-                let (u, v) = (x as i32 + dx, y as i32 + dy);
-                if u < 0 || v < 0 || u >= width || v >= height {
-                    continue;
-                }
+                let u = (x as i32 + dx) as usize;
+                let Some(&sample) = row.get(u) else { continue };
                 // What was not filmed has no say, but the centre's weight is always 1.
-                if (dx, dy) != (0, 0) && !image.films_pixel(u as usize, v as usize) {
+                if (dx, dy) != (0, 0) && !image.films_pixel(u, v) {
                     continue;
                 }
-                let sample = image.pixel(u as usize, v as usize);
-                let weight = similarity(&sample, &center) * by_row * by_column;
+                let weight = similarity_by(table, &sample, &center) * by_row * by_column;
                 self.weight[count] = weight;
                 (self.offset_x[count], self.offset_y[count]) = (dx as f32, dy as f32);
                 // Adding a half rounds to the nearest, since weights are positive.
@@ -107,5 +109,33 @@ impl Patch {
         self.count = count;
         // The sum is at least 1, the weight of the centre.
         self.normalization = 1.0 / sum;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::Image;
+
+    #[test]
+    fn a_patch_ends_at_the_borders_and_where_nothing_was_filmed() {
+        let (width, height) = (12, 8);
+        let image = Image::filled(width, height, 3, 0.5);
+        let offsets = |at: (usize, usize), filmed: Option<&[bool]>| {
+            let pyramid = MatchingImage::pyramid(&image, 1, None, filmed);
+            let mut patch = Patch::empty();
+            patch.fill(&pyramid[0], at, true);
+            let place = |k: usize| (patch.offset_x[k] as i32, patch.offset_y[k] as i32);
+            (0..patch.count).map(place).collect::<Vec<_>>()
+        };
+        let first = offsets((0, 0), None);
+        assert_eq!(first, [(0, 0), (2, 0), (4, 0), (0, 2), (2, 2), (4, 2), (0, 4), (2, 4), (4, 4)]);
+        let last = offsets((width - 1, height - 1), None);
+        assert!(last.len() == 9 && last.iter().all(|&(dx, dy)| dx <= 0 && dy <= 0));
+        let right: Vec<bool> = (0..width * height).map(|k| k % width > 5).collect();
+        let beside = offsets((5, 4), Some(&right));
+        assert!(
+            beside.contains(&(0, 0)) && beside.iter().all(|&(dx, dy)| dx > 0 || (dx, dy) == (0, 0))
+        );
     }
 }
