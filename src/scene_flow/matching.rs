@@ -99,8 +99,8 @@ impl SortedCosts {
 
     #[inline(always)]
     fn add(&mut self, cost: f32) {
-        // Each entry becomes the cost or moves up, if the cost is smaller. A loop that ends at the cost's place is slower,
-        // since its end can't be predicted.
+        // Larger entries move up by one, and the cost takes the place below them. A loop that ends at this place is
+        // slower, since its end can't be predicted.
         let before = self.sorted;
         self.sorted[0] = if before[0] < cost { before[0] } else { cost };
         for k in 1..MAX_OBSERVATIONS {
@@ -111,7 +111,7 @@ impl SortedCosts {
         self.inside += usize::from(cost < OUTSIDE);
     }
 
-    /// Returns how many of the smallest costs are averaged if the element is inside so many images.
+    /// Returns the number of smallest costs that are averaged, by the number of images with the element inside.
     #[inline(always)]
     fn averaged(&self, inside: usize) -> usize {
         let [numerator, denominator] = BEST_FRACTION;

@@ -230,13 +230,13 @@ pub fn similarity(a: &MatchingSample, b: &MatchingSample) -> f32 {
     similarity_by(&SIMILARITY, a, b)
 }
 
-/// Returns what [`similarity_by`] needs, for loops over many pixels.
+/// Returns the table of similarities, so that a loop over many pixels fetches it once.
 #[inline(always)]
 pub fn similarities() -> &'static [f32; DIFFERENCES] {
     &SIMILARITY
 }
 
-/// Returns the [`similarity`] of two pixels by the table [`similarities`].
+/// Returns the [`similarity`] of two pixels, which it reads from the table [`similarities`].
 #[inline(always)]
 pub fn similarity_by(table: &[f32; DIFFERENCES], a: &MatchingSample, b: &MatchingSample) -> f32 {
     table[(difference(a, b) as usize).min(DIFFERENCES - 1)]
