@@ -5,8 +5,8 @@ mod common;
 use common::bodies::{Recording, World, board_before_wall, pose};
 use common::worlds::line_rig;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use stlfr::capture::Capture;
 use stlfr::host::DiskCache;
 use stlfr::light_field::{LightField, PREPARED, Preparation};
@@ -133,6 +133,40 @@ fn views_by_prepared_maps_are_the_same_bytes() {
     let anew = opened(folder.path()).prepare(&options, |_| ()).unwrap();
     assert_eq!((anew.maps_found, anew.bytes), (11, first.bytes));
     assert_eq!(std::fs::read(&file).unwrap(), before);
+}
+
+/// What is stored on disk of the kind of results `kind`, sorted.
+fn stored(folder: &Path, kind: &str) -> Vec<(PathBuf, Vec<u8>)> {
+    let entries = std::fs::read_dir(folder.join(".stlfr/cache").join(kind)).unwrap();
+    let mut stored: Vec<_> = entries
+        .map(|entry| entry.unwrap().path())
+        .map(|path| (path.clone(), std::fs::read(path).unwrap()))
+        .collect();
+    stored.sort();
+    stored
+}
+
+/// With five threads, the maps of several slots are estimated at a time.
+#[test]
+fn maps_are_the_same_bytes_for_any_number_of_threads() {
+    let folder = filmed();
+    let mut options = RenderOptions::default();
+    options.proxy.method = ProxyMethod::SceneFlow;
+    let [one, five] = [1, 5].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut done = Mutex::new(Vec::new());
+        let report = |steps| done.lock().unwrap().push(steps);
+        let prepared = pool.install(|| opened(folder.path()).prepare(&options, report)).unwrap();
+        assert_eq!((prepared.maps, prepared.maps_found), (12, 0));
+        // Tracks of nine frame pairs come first. Then a slot at a time is reported, in whatever order they finish.
+        let of_maps = done.get_mut().unwrap().split_off(9);
+        assert!(of_maps.is_sorted() && of_maps.last() == Some(&21), "{of_maps:?}");
+        let maps = [PREPARED[2], PREPARED[3]].map(|kind| stored(folder.path(), kind));
+        assert!(delete_prepared(folder.path()).unwrap());
+        maps
+    });
+    assert_eq!(one[0].len(), 12);
+    assert!(one == five);
 }
 
 #[test]

@@ -2,10 +2,10 @@
 
 use super::graph::LightField;
 use super::points::nearest;
-use super::scene_flow::{LoadedFrame, load, store_slot};
+use super::scene_flow::{LoadedFrame, load};
 use super::slots::{FrameId, Slot, Slots};
 use super::stages::{FlowOptions, FrameFlow};
-use super::still_depth::Stills;
+use super::stored_slots::store_slots;
 use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::options::RenderOptions;
@@ -65,20 +65,20 @@ impl LightField {
         &self,
         frames: &[(usize, usize)],
         options: &RenderOptions,
-        progress: impl Fn(usize),
+        progress: impl Fn(usize) + Sync,
     ) -> Result<(), RenderError> {
         let (slots, options) = (Slots::new(self), FlowOptions::new(options));
         let needed: BTreeSet<Slot> = frames.iter().map(|&frame| slots.of(frame)).collect();
-        let (mut done, mut stills) = (0, Stills::default());
-        for slot in needed {
-            let stored = store_slot(&slots, slot, &mut stills, options, &Context::unattended())?;
+        let needed: Vec<Slot> = needed.into_iter().collect();
+        let mut done = 0;
+        store_slots(&slots, &needed, options, |stored| {
             if stored.is_empty() {
                 return Err(RenderError::NoPoints);
             }
             done += stored.len();
             progress(done);
-        }
-        Ok(())
+            Ok(())
+        })
     }
 
     /// Returns the given frames with their depth and motion. Cached results are read from memory or disk, and missing

@@ -32,7 +32,7 @@
 //! | `image_motion.rs` | motion of a view's pixels to the previous and the next picture of a sequence |
 //! | `request.rs` | the request of a view |
 //! | `render.rs`, `trail.rs` | rendering of a view; temporal integration (Fig. 1) |
-//! | `prepare.rs` | tracks and exposure gains, stored on disk for later views |
+//! | `prepare.rs`, `stored_slots.rs` | tracks, exposure gains and scene flow, stored on disk for later views |
 
 mod all_cameras;
 mod camera_image;
@@ -56,6 +56,7 @@ mod slots;
 mod stages;
 mod still_content;
 mod still_depth;
+mod stored_slots;
 mod timeline;
 mod trail;
 mod view;

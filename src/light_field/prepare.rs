@@ -2,13 +2,13 @@
 //! later views. These results are the feature tracks of all pairs of successive frames, and the cameras' exposure
 //! gains. For views by scene flow, they include depth and motion of all frames, and the depth of the static background.
 
+use super::RenderError;
 use super::frame_pair::is_still;
 use super::graph::{LightField, StoredStage};
-use super::scene_flow::store_slot;
 use super::slots::Slots;
 use super::stages::{FlowOptions, FrameFlow, PairTracks, StillDepth};
-use super::still_depth::{Stills, stored_bytes};
-use super::{Context, RenderError};
+use super::still_depth::stored_bytes;
+use super::stored_slots::store_slots;
 use crate::options::{ProxyMethod, RenderOptions};
 use crate::registration::{Gains, Track};
 use crate::scene_flow::FlowMap;
@@ -127,15 +127,13 @@ impl LightField {
         progress: impl Fn(usize) + Sync,
     ) -> Result<(), RenderError> {
         let (slots, options) = (Slots::new(self), FlowOptions::new(options));
-        let mut stills = Stills::default();
-        for slot in slots.all() {
-            for stored in store_slot(&slots, slot, &mut stills, options, &Context::unattended())? {
-                prepared.maps += 1;
-                prepared.maps_found += usize::from(stored.was_there);
-                prepared.bytes += stored.bytes;
-            }
+        store_slots(&slots, &slots.all(), options, |stored| {
+            prepared.maps += stored.len();
+            prepared.maps_found += stored.iter().filter(|stored| stored.was_there).count();
+            prepared.bytes += stored.iter().map(|stored| stored.bytes).sum::<u64>();
             progress(prepared.maps);
-        }
+            Ok(())
+        })?;
         prepared.bytes += stored_bytes(self, options);
         Ok(())
     }

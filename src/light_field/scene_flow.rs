@@ -5,10 +5,9 @@ use super::graph::{LightField, Stage, StoredStage};
 use super::matched_frames::{limits, matched_with};
 use super::slots::{FrameId, Slot, Slots};
 use super::stages::{FlowAgreements, FlowConfidence, FlowOptions, FrameFlow, Undistorted};
-use super::still_depth::{StillCameras, Stills, store_still_cameras};
+use super::still_depth::{StillCameras, Stills};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
-use crate::capture::Stored;
 use crate::host::CacheKind;
 #[cfg(feature = "python")]
 use crate::host::on_workers;
@@ -29,7 +28,7 @@ type SlotMaps = Vec<(FrameId, Arc<FlowMap>)>;
 
 /// Estimates the maps of depth and motion of all frames of a [`Slot`] together. `stills` is the static background of its
 /// cameras. `None` if the range of the scene's depths is unknown.
-fn slot_maps(
+pub(super) fn slot_maps(
     slots: &Slots,
     slot: Slot,
     stills: &StillCameras,
@@ -136,43 +135,6 @@ impl FlowAgreements<'_> {
         let [of, by] = self.mapped;
         field.cached(self).unwrap_or_else(|| field.insert(self, agreements(of, by)))
     }
-}
-
-/// Stores the maps of depth and motion of a [`Slot`]'s frames on disk, unless they are there already. For each frame,
-/// returns the size of its map on disk, and whether the map was there already. The result is empty if the range of the
-/// scene's depths is unknown. `stills` keeps the static background for further slots.
-pub(super) fn store_slot(
-    slots: &Slots,
-    slot: Slot,
-    stills: &mut Stills,
-    options: FlowOptions,
-    context: &Context,
-) -> Result<Vec<Stored>, RenderError> {
-    let (field, frames) = (slots.field, slots.frames(slot));
-    let flow = |frame: FrameId| FrameFlow { frame, options };
-    if !frames.iter().all(|&frame| field.stored(&flow(frame)).is_some()) {
-        // Without a range of depths there are no maps, and views are rendered by other methods.
-        let stills = stills.of(slots, slot, options, context)?;
-        store_still_cameras(field, stills, options)?;
-        let maps = slot_maps(slots, slot, stills, options, context)?;
-        let Some(maps) = maps else { return Ok(Vec::new()) };
-        for (frame, map) in maps {
-            field.insert(&flow(frame), map);
-        }
-    }
-    let store = |frame: FrameId| match field.stored(&flow(frame)) {
-        Some(stored) => Ok(stored),
-        None => {
-            let estimate = || load(field, &[frame], options, context);
-            let map = match field.cached(&flow(frame)) {
-                Some(map) => map,
-                // The map was evicted from memory. All maps of its slot are estimated again.
-                None => estimate()?.and_then(|mut all| all.pop()).ok_or(RenderError::NoPoints)?.map,
-            };
-            field.store(&flow(frame), &map)
-        }
-    };
-    frames.into_par_iter().map(store).collect()
 }
 
 /// A frame of the capture, with its map of depth and motion.

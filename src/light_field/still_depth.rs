@@ -61,6 +61,11 @@ impl Stills {
         })
     }
 
+    /// Returns the static background of the cameras that filmed a slot, if [`Self::of`] has returned it before.
+    pub(super) fn known(&self, slot: Slot) -> Option<&StillCameras> {
+        self.0.get(&slot.group)
+    }
+
     /// Makes the static background of all cameras the most recently used in the cache, for further views. Computing a slot
     /// may have evicted it.
     pub(super) fn keep(&self, field: &LightField, options: FlowOptions) {
