@@ -6,11 +6,11 @@ use super::stages::{FlowOptions, FrameFlow};
 use super::still_depth::{StillCameras, Stills, store_still_cameras};
 use super::{Context, RenderError};
 use crate::capture::Stored;
-use crate::host::memory_bytes;
+use crate::host::{lock, memory_bytes};
 use crate::scene_flow::FlowMap;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Memory that the estimation of a slot takes for each pixel of its frames, bytes, as measured: 190 for eight cameras, 300 for
 /// three.
@@ -43,8 +43,7 @@ pub(super) fn store_slots(
     let at_a_time = slots_at_a_time(slots, list, rayon::current_num_threads());
     for_each_in_order(list, at_a_time, |&slot| {
         let stored = store_slot(slots, slot, stills.known(slot), options)?;
-        let mut each = each.lock().unwrap_or_else(PoisonError::into_inner);
-        each(&stored)
+        lock(&each)(&stored)
     })
 }
 
@@ -73,6 +72,7 @@ fn slots_at_a_time(slots: &Slots, list: &[Slot], threads: usize) -> usize {
     let pixels = cameras.iter().map(|c| c.camera.width * c.camera.height).max().unwrap_or(0);
     let by_memory = memory_bytes()
         .map_or(1, |bytes| bytes / MEMORY_PARTS / (maps * pixels * BYTES_PER_PIXEL).max(1));
+    // One slot more than there would have to be if no map waited.
     let by_threads = if threads > 1 { 1 + threads.div_ceil(maps) } else { 1 };
     by_threads.min(by_memory).min(list.len()).max(1)
 }
