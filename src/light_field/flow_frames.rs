@@ -9,15 +9,15 @@ use super::stored_slots::store_slots;
 use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::options::RenderOptions;
+use crate::scene_flow::FADING;
 use std::collections::BTreeSet;
 
 /// Maximum number of cameras from whose frames a view by scene flow is blended.
 const MAX_CAMERAS: usize = 8;
 
 impl LightField {
-    /// Returns the frames, as (camera index, frame index), from which a view by scene flow is blended. For each of the
-    /// cameras nearest to `target`, the list contains the frame nearest in time to `time_s`, seconds from the capture's
-    /// start.
+    /// Returns the frames nearest to a view, as (camera index, frame index), sorted. For each of the cameras nearest to
+    /// `target`, the list contains the frame nearest in time to `time_s`, seconds from the capture's start.
     pub fn frames_of_view(&self, target: &Camera, time_s: f64) -> Vec<(usize, usize)> {
         let mut cameras = nearest(self.capture(), &self.usable(time_s), target.center());
         cameras.truncate(MAX_CAMERAS);
@@ -28,11 +28,26 @@ impl LightField {
         frames
     }
 
+    /// Returns the frames from which a view by scene flow is blended, sorted: those of [`Self::frames_of_view`], and the frames
+    /// into which some of them fade. Frames of a wide array don't fade.
+    pub(super) fn blended_frames(&self, target: &Camera, time_s: f64) -> Vec<FrameId> {
+        let mut frames = self.frames_of_view(target, time_s);
+        if self.common_place().is_none() {
+            let next = |&(camera, frame): &FrameId| {
+                Some((camera, fades_into(self.times_s(camera), frame, time_s)?))
+            };
+            let next: Vec<FrameId> = frames.iter().filter_map(next).collect();
+            frames.extend(next);
+            frames.sort_unstable();
+        }
+        frames
+    }
+
     /// Returns whether a view by scene flow can be rendered without estimating depth and motion: whether those of all
     /// frames from which it is blended are in memory or on disk.
     pub(crate) fn has_flow(&self, target: &Camera, time_s: f64, options: &RenderOptions) -> bool {
         let options = FlowOptions::new(options);
-        let frames = self.frames_of_view(target, time_s);
+        let frames = self.blended_frames(target, time_s);
         let flow = |&frame: &FrameId| FrameFlow { frame, options };
         let is_there =
             |frame| self.cached(&flow(frame)).is_some() || self.stored(&flow(frame)).is_some();
@@ -94,5 +109,39 @@ impl LightField {
     ) -> Result<Vec<LoadedFrame>, RenderError> {
         let options = FlowOptions::new(options);
         load(self, frames, options, &Context::unattended())?.ok_or(RenderError::NoPoints)
+    }
+}
+
+/// Returns the index of the frame into which frame `nearest` of a camera fades at `time_s`, if it does: around the middle
+/// between both. `times_s` are the times of the camera's frames, ascending; `nearest` is the nearest to `time_s`.
+fn fades_into(times_s: &[f64], nearest: usize, time_s: f64) -> Option<usize> {
+    let own_s = times_s[nearest];
+    let other = if time_s >= own_s { nearest + 1 } else { nearest.checked_sub(1)? };
+    let interval_s = (times_s.get(other)? - own_s).abs();
+    ((time_s - own_s).abs() > (0.5 - 0.5 * FADING) * interval_s).then_some(other)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::fades_into;
+
+    #[test]
+    fn a_frame_fades_into_the_one_on_the_other_side_of_the_instant_around_their_middle() {
+        let times_s = [1.0, 2.0, 4.0];
+        for (nearest, time_s, expected) in [
+            (1, 2.0, None),
+            (1, 1.61, None),
+            (1, 1.59, Some(0)),
+            (0, 1.41, Some(1)),
+            (0, 1.39, None),
+            (1, 2.79, None),
+            (1, 2.81, Some(2)),
+            (2, 3.19, Some(1)),
+            (0, 0.1, None),
+            (2, 9.0, None),
+        ] {
+            assert_eq!(fades_into(&times_s, nearest, time_s), expected, "{time_s}");
+        }
+        assert_eq!(fades_into(&[3.0, 3.0], 0, 3.0), None, "frames of one time");
     }
 }

@@ -194,7 +194,7 @@ struct Blended {
     confidences: Vec<Arc<Vec<u8>>>,
 }
 
-/// Loads the frames of [`LightField::frames_of_view`], and compares their maps as far as the view needs it. `None` if the range of
+/// Loads the frames of [`LightField::blended_frames`], and compares their maps as far as the view needs it. `None` if the range of
 /// the scene's depths is unknown.
 fn blended(
     field: &LightField,
@@ -203,7 +203,7 @@ fn blended(
     options: &RenderOptions,
     context: &Context,
 ) -> Result<Option<Blended>, RenderError> {
-    let ids = field.frames_of_view(target, time_s);
+    let ids = field.blended_frames(target, time_s);
     let options = FlowOptions::new(options);
     let Some(frames) = load(field, &ids, options, context)? else { return Ok(None) };
     context.check()?;
@@ -231,7 +231,7 @@ impl LightField {
         options: &RenderOptions,
     ) -> Result<bool, RenderError> {
         let flow = FlowOptions::new(options);
-        let frames = self.frames_of_view(target, time_s);
+        let frames = self.blended_frames(target, time_s);
         let is_there = |&frame: &FrameId| self.found(&FrameFlow { frame, options: flow }).is_some();
         on_workers(|| {
             if frames.is_empty() || !frames.par_iter().all(is_there) {

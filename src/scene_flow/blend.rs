@@ -249,7 +249,7 @@ pub fn blend<C: AsRef<[u8]> + Sync>(
         pixels.close(width);
     }
     pixels.fill(width, reach);
-    color_holes(mapped, view, &mut pixels);
+    color_holes(mapped, (view, time), &mut pixels);
     let Pixels { colors, inverse_depths: mut depths, motions, .. } = pixels;
     let coverage = depths.iter().map(|q| *q > 0.0).collect();
     // An unknown depth is an inverse depth of 0. Its reciprocal is infinite, which the depth map turns into NaN.
@@ -269,9 +269,9 @@ pub fn blend<C: AsRef<[u8]> + Sync>(
 
 /// Colours the pixels of holes, which already have the depth of the background, by [`Behind`]. Pixels outside all
 /// images become black, with an unknown depth.
-fn color_holes(mapped: &[MappedFrame], view: &Camera, pixels: &mut Pixels) {
+fn color_holes(mapped: &[MappedFrame], (view, time): (&Camera, f64), pixels: &mut Pixels) {
     let width = view.width;
-    let behind = Behind::new(mapped, view);
+    let behind = Behind::new(mapped, (view, time));
     let colors = pixels.colors.par_iter_mut().zip(&mut pixels.inverse_depths);
     let holes = colors.zip(&pixels.shown).enumerate();
     let unmapped = holes.filter(|(_, (_, shown))| matches!(shown, Shown::Nothing | Shown::Filled));
@@ -305,18 +305,21 @@ pub fn quick_maps(mapped: &[MappedFrame], view: &Camera, time: f64) -> Vec<usize
 /// Frames that give the background colours with which holes of the view are filled.
 struct Behind<'a> {
     /// The frames, each with the projection from the view, in order of distance between the frame's camera and the
-    /// view.
+    /// view, and those of a camera in order of distance in time.
     frames: Vec<(MappedFrame<'a>, Projection)>,
 }
 
 impl<'a> Behind<'a> {
-    fn new(mapped: &[MappedFrame<'a>], view: &Camera) -> Self {
+    fn new(mapped: &[MappedFrame<'a>], (view, time): (&Camera, f64)) -> Self {
         let mut frames: Vec<_> = mapped
             .iter()
             .filter_map(|m| Some((*m, Projection::new(view, &m.frame.view)?)))
             .collect();
         let distance = |m: &MappedFrame| (m.frame.view.center() - view.center()).norm();
-        frames.sort_by(|a, b| distance(&a.0).total_cmp(&distance(&b.0)));
+        let dt = |m: &MappedFrame| (m.frame.time - time).abs();
+        frames.sort_by(|(a, _), (b, _)| {
+            distance(a).total_cmp(&distance(b)).then(dt(a).total_cmp(&dt(b)))
+        });
         Self { frames }
     }
 

@@ -36,9 +36,10 @@ const ERROR_BY_CURVATURE: f32 = 0.1;
 /// consists of the parts due to the distance of the cameras and to the time between the frame and the view's instant. A
 /// view at a camera's own position and a frame's own time thus shows this frame.
 const EXACT_PX: f32 = 0.01;
-/// Part of the time between two frames of a camera over which a frame fades. It has faded at the middle, where views change
-/// from one frame to the other, so that they change smoothly. Larger: fewer frames make a view. Smaller: textures jump.
-const FADING: f64 = 0.2;
+/// Part of the time between two frames of a camera over which the weight of one goes over to the other. In the middle of
+/// this time both have half of their weights. Larger: more frames make a view. Smaller: textures jump where one frame takes
+/// over from another.
+pub const FADING: f64 = 0.2;
 /// Factor of the weights of a frame that has faded. It is positive, so that what this frame alone shows is shown.
 const FADED: f64 = 1e-3;
 
@@ -299,15 +300,15 @@ pub fn squared_error(
     place * place + motion * motion
 }
 
-/// Returns the factor of a frame's weights in a view at `time`: 1 near the frame, and [`FADED`] from the middle on between it
-/// and another frame of its camera.
+/// Returns the factor of a frame's weights in a view at `time`: 1 near the frame, then falling to [`FADED`] around the middle
+/// between it and another frame of its camera, whose factor rises there.
 fn fading(frame: &FlowFrame, time: f64) -> f32 {
     let dt = time - frame.time;
     let interval = (frame.neighbors[usize::from(dt >= 0.0)] - frame.time).abs();
     if interval == 0.0 {
         return 1.0; // frames of one time, as those of a static light field, have no middle
     }
-    ((0.5 - dt.abs() / interval) / FADING).clamp(FADED, 1.0) as f32
+    ((0.5 + 0.5 * FADING - dt.abs() / interval) / FADING).clamp(FADED, 1.0) as f32
 }
 
 /// Returns the expected error of the position of a point at a depth of 1 m, due to the distance between a frame's
@@ -319,35 +320,40 @@ fn place_error(frame: &FlowFrame, view: &Camera) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{FADED, FADING, FlowFrame, fading, first_pixel};
+    use super::{FADED, FlowFrame, fading, first_pixel};
     use crate::camera::{Camera, CameraModel};
     use crate::raster::Image;
     use nalgebra::Isometry3;
 
     #[test]
-    fn a_frame_fades_until_the_middle_between_it_and_its_neighbour() {
+    fn a_frame_fades_around_the_middle_while_its_neighbour_appears() {
         let camera = Camera {
             width: 8,
             height: 8,
             model: CameraModel::Pinhole { fx: 8.0, fy: 8.0, cx: 4.0, cy: 4.0 },
             cam_from_world: Isometry3::identity(),
         };
-        let frame = || FlowFrame::new(&camera, &Image::filled(8, 8, 3, 0.5), 5.0);
-        let between = frame().with_neighbors([4.0, 7.0]);
+        let at = |time: f64| FlowFrame::new(&camera, &Image::filled(8, 8, 3, 0.5), time);
+        let (frame, next) =
+            (at(5.0).with_neighbors([4.0, 7.0]), at(7.0).with_neighbors([5.0, 8.0]));
         for (time, expected) in [
             (5.0, 1.0),
-            (4.8, 1.0),
-            (4.6, 0.1 / FADING),
-            (4.5, FADED),
+            (4.7, 1.0),
+            (4.5, 0.5),
+            (4.45, 0.25),
             (4.0, FADED),
-            (5.5, 1.0),
-            (5.9, 0.05 / FADING),
-            (6.0, FADED),
+            (5.7, 1.0),
+            (6.0, 0.5),
+            (6.1, 0.25),
+            (6.3, FADED),
         ] {
-            assert!((fading(&between, time) - expected as f32).abs() < 1e-6, "{time}");
+            assert!((fading(&frame, time) - expected as f32).abs() < 1e-6, "{time}");
         }
-        assert_eq!(fading(&frame(), 90.0), 1.0);
-        assert_eq!(fading(&frame().with_neighbors([5.0, 5.0]), 5.0), 1.0);
+        for time in [5.82, 5.9, 6.0, 6.1, 6.18] {
+            assert!((fading(&frame, time) + fading(&next, time) - 1.0).abs() < 1e-6, "{time}");
+        }
+        assert_eq!(fading(&at(5.0), 90.0), 1.0);
+        assert_eq!(fading(&at(5.0).with_neighbors([5.0, 5.0]), 5.0), 1.0);
     }
 
     #[test]
