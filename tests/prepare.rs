@@ -135,15 +135,12 @@ fn views_by_prepared_maps_are_the_same_bytes() {
     assert_eq!(std::fs::read(&file).unwrap(), before);
 }
 
-/// What is stored on disk of the kind of results `kind`, sorted.
-fn stored(folder: &Path, kind: &str) -> Vec<(PathBuf, Vec<u8>)> {
+/// The files of a kind of results on disk, and what they contain, sorted by path.
+fn stored(folder: &Path, kind: &str) -> Vec<(Vec<u8>, PathBuf)> {
     let entries = std::fs::read_dir(folder.join(".stlfr/cache").join(kind)).unwrap();
-    let mut stored: Vec<_> = entries
-        .map(|entry| entry.unwrap().path())
-        .map(|path| (path.clone(), std::fs::read(path).unwrap()))
-        .collect();
-    stored.sort();
-    stored
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    files.into_iter().map(|file| (std::fs::read(&file).unwrap(), file)).collect()
 }
 
 /// With five threads, the maps of several slots are estimated at a time.
@@ -178,13 +175,7 @@ fn damaged_maps_and_backgrounds_are_estimated_anew() {
     let view = || view_by(&opened(folder.path()), &options);
     prepare();
     let expected = view();
-    let entries = |kind: &str| {
-        let entries = std::fs::read_dir(folder.path().join(".stlfr/cache").join(kind)).unwrap();
-        let mut entries: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
-        entries.sort();
-        entries.into_iter().map(|file| (std::fs::read(&file).unwrap(), file)).collect::<Vec<_>>()
-    };
-    let [maps, backgrounds] = [2, 3].map(|kind| entries(PREPARED[kind]));
+    let [maps, backgrounds] = [2, 3].map(|kind| stored(folder.path(), PREPARED[kind]));
     let flipped = |bytes: &[u8], at: usize| {
         let mut bytes = bytes.to_vec();
         bytes[at] ^= 4;

@@ -9,7 +9,7 @@ use super::stored_slots::store_slots;
 use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::options::RenderOptions;
-use crate::scene_flow::FADING;
+use crate::scene_flow::fading;
 use std::collections::BTreeSet;
 
 /// Maximum number of cameras from whose frames a view by scene flow is blended.
@@ -112,13 +112,12 @@ impl LightField {
     }
 }
 
-/// Returns the index of the frame into which frame `nearest` of a camera fades at `time_s`, if it does: around the middle
-/// between both. `times_s` are the times of the camera's frames, ascending; `nearest` is the nearest to `time_s`.
+/// Returns the index of the frame into which frame `nearest` of a camera fades at `time_s`, if it does. `times_s` are the times
+/// of the camera's frames, ascending; `nearest` is the nearest to `time_s`.
 fn fades_into(times_s: &[f64], nearest: usize, time_s: f64) -> Option<usize> {
     let own_s = times_s[nearest];
     let other = if time_s >= own_s { nearest + 1 } else { nearest.checked_sub(1)? };
-    let interval_s = (times_s.get(other)? - own_s).abs();
-    ((time_s - own_s).abs() > (0.5 - 0.5 * FADING) * interval_s).then_some(other)
+    (fading(time_s - own_s, times_s.get(other)? - own_s) < 1.0).then_some(other)
 }
 
 #[cfg(test)]

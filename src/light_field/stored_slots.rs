@@ -64,17 +64,22 @@ fn for_each_in_order<T: Sync, E: Send>(
     (0..at_a_time).into_par_iter().with_max_len(1).try_for_each(|_| process())
 }
 
-/// Returns how many slots are estimated at a time. The maps of a slot wait for each other after every pass, so that threads
-/// are idle with a single slot, even if it has more maps than there are threads.
+/// Returns how many of the slots are estimated at a time.
 fn slots_at_a_time(slots: &Slots, list: &[Slot], threads: usize) -> usize {
     let cameras = &slots.field.capture().cameras;
-    let maps = list.iter().map(|&slot| slots.cameras(slot).len()).max().unwrap_or(0).max(1);
+    let maps = list.iter().map(|&slot| slots.cameras(slot).len()).max().unwrap_or(0);
     let pixels = cameras.iter().map(|c| c.camera.width * c.camera.height).max().unwrap_or(0);
-    let by_memory = memory_bytes()
-        .map_or(1, |bytes| bytes / MEMORY_PARTS / (maps * pixels * BYTES_PER_PIXEL).max(1));
-    // One slot more than there would have to be if no map waited.
-    let by_threads = if threads > 1 { 1 + threads.div_ceil(maps) } else { 1 };
-    by_threads.min(by_memory).min(list.len()).max(1)
+    at_a_time(maps, pixels, threads, memory_bytes().unwrap_or(0)).min(list.len())
+}
+
+/// Returns how many slots of `maps` maps of `pixels` pixels are estimated at a time, at least 1. The maps of a slot wait for
+/// each other after every pass, so that threads are idle with a single slot, even if it has more maps than there are
+/// threads. So there is one slot more than have a map for each thread, if the memory suffices.
+fn at_a_time(maps: usize, pixels: usize, threads: usize, memory_bytes: usize) -> usize {
+    let slot_bytes = (maps * pixels * BYTES_PER_PIXEL).max(1);
+    let by_memory = memory_bytes / MEMORY_PARTS / slot_bytes;
+    let by_threads = if threads > 1 { 1 + threads.div_ceil(maps.max(1)) } else { 1 };
+    by_threads.min(by_memory).max(1)
 }
 
 fn is_stored(slots: &Slots, slot: Slot, options: FlowOptions) -> bool {
@@ -112,7 +117,8 @@ mod tests {
     use std::time::Duration;
 
     /// Runs with eight threads. Returns how often each of 200 items was begun, the most that ran at a time, and the result.
-    fn run(at_a_time: usize, last: usize) -> (Vec<usize>, usize, Result<(), usize>) {
+    /// The item `failing` fails.
+    fn run(at_a_time: usize, failing: Option<usize>) -> (Vec<usize>, usize, Result<(), usize>) {
         let items: Vec<usize> = (0..200).collect();
         let begun: Vec<AtomicUsize> = items.iter().map(|_| AtomicUsize::new(0)).collect();
         let (running, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
@@ -123,7 +129,7 @@ mod tests {
             // What an item does in parallel is shared among all threads.
             (0..4).into_par_iter().for_each(|_| std::thread::sleep(Duration::from_millis(1)));
             running.fetch_sub(1, Ordering::Relaxed);
-            if item == last { Err(item) } else { Ok(()) }
+            if Some(item) == failing { Err(item) } else { Ok(()) }
         };
         let result = pool.install(|| for_each_in_order(&items, at_a_time, process));
         (begun.into_iter().map(AtomicUsize::into_inner).collect(), most.into_inner(), result)
@@ -132,7 +138,7 @@ mod tests {
     #[test]
     fn all_items_are_processed_once_and_only_a_few_at_a_time() {
         for at_a_time in [1, 3] {
-            let (begun, most, result) = run(at_a_time, usize::MAX);
+            let (begun, most, result) = run(at_a_time, None);
             assert!(result.is_ok() && most <= at_a_time, "{most}");
             assert_eq!(begun, [1; 200]);
         }
@@ -141,11 +147,29 @@ mod tests {
     #[test]
     fn after_an_error_no_further_item_is_begun() {
         for at_a_time in [1, 3] {
-            let (begun, _, result) = run(at_a_time, 10);
+            let (begun, _, result) = run(at_a_time, Some(10));
             assert_eq!(result, Err(10));
             // The others that ran at this time ended, and some may have begun further items meanwhile.
             let begun = begun.iter().sum::<usize>();
             assert!((11..200).contains(&begun), "{begun} items by {at_a_time}");
+        }
+    }
+
+    #[test]
+    fn slots_at_a_time_keep_all_threads_busy_within_a_quarter_of_the_memory() {
+        let (vga, memory) = (640 * 480, 24 << 30);
+        for ((maps, pixels, threads, memory), expected) in [
+            ((8, vga, 1, memory), 1),
+            ((8, vga, 2, memory), 2),
+            ((8, vga, 16, memory), 3),
+            ((3, vga, 2, memory), 2),
+            ((3, vga, 16, memory), 7),
+            ((12, 1920 * 1080, 16, memory), 1),
+            ((8, vga, 16, 6 << 30), 2),
+            ((8, vga, 16, 0), 1),
+            ((0, 0, 2, memory), 3),
+        ] {
+            assert_eq!(at_a_time(maps, pixels, threads, memory), expected);
         }
     }
 }

@@ -110,6 +110,6 @@ pub use matching::MAX_OBSERVATIONS;
 pub use matching_image::MatchingImage;
 pub use motion::MotionMap;
 pub use observing_frame::SIMULTANEOUS;
-pub use placement::FADING;
+pub use placement::fading;
 pub use still::{CompactImage, StillImage};
 pub use sweep::Limits;

@@ -39,7 +39,7 @@ const EXACT_PX: f32 = 0.01;
 /// Part of the time between two frames of a camera over which the weight of one goes over to the other. In the middle of
 /// this time both have half of their weights. Larger: more frames make a view. Smaller: textures jump where one frame takes
 /// over from another.
-pub const FADING: f64 = 0.2;
+const FADING: f64 = 0.2;
 /// Factor of the weights of a frame that has faded. It is positive, so that what this frame alone shows is shown.
 const FADED: f64 = 1e-3;
 
@@ -105,7 +105,7 @@ impl<'a> Placement<'a> {
             row_dt: (0..map.height).map(|y| until(frame, time, y as f32 + 0.5)).collect(),
             zoom: (view.focal_px() / frame.view.focal_px()) as f32,
             place_error: place_error(frame, view),
-            fading: fading(frame, time),
+            fading: fading_of(frame, time),
             tiles: Vec::new(),
         };
         let stretch = stretch(view);
@@ -300,15 +300,20 @@ pub fn squared_error(
     place * place + motion * motion
 }
 
-/// Returns the factor of a frame's weights in a view at `time`: 1 near the frame, then falling to [`FADED`] around the middle
-/// between it and another frame of its camera, whose factor rises there.
-fn fading(frame: &FlowFrame, time: f64) -> f32 {
+/// Returns the factor of a frame's weights in a view at `time`.
+fn fading_of(frame: &FlowFrame, time: f64) -> f32 {
     let dt = time - frame.time;
-    let interval = (frame.neighbors[usize::from(dt >= 0.0)] - frame.time).abs();
+    fading(dt, frame.neighbors[usize::from(dt >= 0.0)] - frame.time) as f32
+}
+
+/// Returns the factor of a frame's weights in a view that is `dt` after it; `interval` is the time from the frame to the
+/// camera's frame on the other side of the view, infinite if there is none. The factor is 1 near the frame, and falls to
+/// [`FADED`] around the middle, where that of the other frame rises.
+pub fn fading(dt: f64, interval: f64) -> f64 {
     if interval == 0.0 {
         return 1.0; // frames of one time, as those of a static light field, have no middle
     }
-    ((0.5 + 0.5 * FADING - dt.abs() / interval) / FADING).clamp(FADED, 1.0) as f32
+    ((0.5 + 0.5 * FADING - (dt / interval).abs()) / FADING).clamp(FADED, 1.0)
 }
 
 /// Returns the expected error of the position of a point at a depth of 1 m, due to the distance between a frame's
@@ -320,7 +325,7 @@ fn place_error(frame: &FlowFrame, view: &Camera) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{FADED, FlowFrame, fading, first_pixel};
+    use super::{FADED, FlowFrame, fading_of, first_pixel};
     use crate::camera::{Camera, CameraModel};
     use crate::raster::Image;
     use nalgebra::Isometry3;
@@ -347,13 +352,16 @@ mod tests {
             (6.1, 0.25),
             (6.3, FADED),
         ] {
-            assert!((fading(&frame, time) - expected as f32).abs() < 1e-6, "{time}");
+            assert!((fading_of(&frame, time) - expected as f32).abs() < 1e-6, "{time}");
         }
         for time in [5.82, 5.9, 6.0, 6.1, 6.18] {
-            assert!((fading(&frame, time) + fading(&next, time) - 1.0).abs() < 1e-6, "{time}");
+            assert!(
+                (fading_of(&frame, time) + fading_of(&next, time) - 1.0).abs() < 1e-6,
+                "{time}"
+            );
         }
-        assert_eq!(fading(&at(5.0), 90.0), 1.0);
-        assert_eq!(fading(&at(5.0).with_neighbors([5.0, 5.0]), 5.0), 1.0);
+        assert_eq!(fading_of(&at(5.0), 90.0), 1.0);
+        assert_eq!(fading_of(&at(5.0).with_neighbors([5.0, 5.0]), 5.0), 1.0);
     }
 
     #[test]
