@@ -308,7 +308,7 @@ fn fading_of(frame: &FlowFrame, time: f64) -> f32 {
 
 /// Returns the factor of a frame's weights in a view that is `dt` after it; `interval` is the time from the frame to the
 /// camera's frame on the other side of the view, infinite if there is none. The factor is 1 near the frame, and falls to
-/// [`FADED`] around the middle, where that of the other frame rises.
+/// nearly 0 around the middle, where that of the other frame rises.
 pub fn fading(dt: f64, interval: f64) -> f64 {
     if interval == 0.0 {
         return 1.0; // frames of one time, as those of a static light field, have no middle
