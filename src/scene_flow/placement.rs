@@ -1,7 +1,7 @@
 //! Placement of surface elements in a view: they are moved to the view's instant and projected.
 
 use super::area::Area;
-use super::element_lanes::{COLUMNS, ElementLanes, eight, length};
+use super::element_lanes::{COLUMNS, ElementLanes, eight};
 use super::flow_pixel::FlowPixel;
 use super::frame::FlowFrame;
 use super::geometry::{Projection, distorted, stretch};
@@ -29,9 +29,6 @@ const ERROR_BY_BASELINE: f32 = 0.005;
 /// number is in pixels per frame period of this time. The second number is a fraction of the distance that the element
 /// moves in this time. The two parts are added.
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
-/// Expected error of a surface element's position as a fraction of acceleration times squared time, since real paths
-/// are not parabolas.
-const ERROR_BY_CURVATURE: f32 = 0.1;
 /// Expected error of a surface element's position below which the frame's weight rises steeply, pixels. Here, the error
 /// consists of the parts due to the distance of the cameras and to the time between the frame and the view's instant. A
 /// view at a camera's own position and a frame's own time thus shows this frame.
@@ -184,8 +181,7 @@ impl<'a> Placement<'a> {
     ) -> V {
         let place = V::splat(self.place_error) * inverse_depth;
         let [constant, by_speed] = V::splats(ERROR_BY_TIME);
-        let motion = V::splat(dt.abs()) * (constant + by_speed * elements.speed())
-            + V::splat(ERROR_BY_CURVATURE * dt * dt) * length(elements.acceleration);
+        let motion = V::splat(dt) * (constant + by_speed * elements.speed());
         let error = (place * place + motion * motion).simd_max(V::splat(f32::EPSILON));
         let exact = V::splat(1.0) + V::splat(EXACT_PX * EXACT_PX) / error;
         let confidence = confidence / V::splat(255.0);
