@@ -36,16 +36,27 @@ impl<'a> Row<'a> {
     }
 }
 
+/// Name of the rows by scene flow.
+const SCENE_FLOW: &str = "scene flow";
+
+/// The options of views by scene flow.
+fn scene_flow() -> RenderOptions {
+    let mut options = RenderOptions::default();
+    options.proxy.method = ProxyMethod::SceneFlow;
+    options
+}
+
 /// Everything of one instant.
 pub struct Scene<'a> {
     field: &'a LightField,
     time_s: f64,
     cameras: Vec<True>,
-    /// Of all cameras: true, from the nearest frames, synchronized, and by the peers that there are.
+    /// Of all cameras: true, from the nearest frames, synchronized, by scene flow, and by the peers that there are.
     filmed: CameraImages,
     nearest: CameraImages,
     refined: CameraImages,
     all_cameras: CameraImages,
+    by_scene_flow: CameraImages,
     peers: Vec<(&'static str, CameraImages)>,
 }
 
@@ -67,6 +78,13 @@ impl<'a> Scene<'a> {
         };
         let (nearest, refined) = (by(SyncMethod::Nearest)?, by(SyncMethod::Refined)?);
         let all_cameras = by(SyncMethod::AllCameras)?;
+        let flow = scene_flow();
+        let by_scene_flow = |camera: usize| -> Result<_, Error> {
+            let request = Request::new(Viewpoint::Like(camera), time_s, &flow);
+            let image = render(field, &request, &Context::unattended())?.image;
+            Ok(Some(Arc::new(Synchronized::filmed(image))))
+        };
+        let by_scene_flow = (0..cameras.len()).map(by_scene_flow).collect::<Result<_, _>>()?;
         let filmed =
             cameras.iter().map(|t| Some(Arc::new(Synchronized::filmed(t.image.clone())))).collect();
         let shared = |images: Vec<Option<Synchronized>>| {
@@ -74,7 +92,17 @@ impl<'a> Scene<'a> {
         };
         let peers = peers.synchronized(field, time_s)?;
         let peers = peers.into_iter().map(|(name, images)| (name, shared(images))).collect();
-        Ok(Self { field, time_s, cameras, filmed, nearest, refined, all_cameras, peers })
+        Ok(Self {
+            field,
+            time_s,
+            cameras,
+            filmed,
+            nearest,
+            refined,
+            all_cameras,
+            by_scene_flow,
+            peers,
+        })
     }
 
     /// Mean PSNR of the synchronized images: whole, and their moving part.
@@ -85,6 +113,7 @@ impl<'a> Scene<'a> {
             ("nearest frame", &self.nearest),
             ("refined", &self.refined),
             ("all-cameras", &self.all_cameras),
+            (SCENE_FLOW, &self.by_scene_flow),
         ];
         for (name, images) in own.into_iter().chain(peers) {
             let (mut whole, mut moving) = (Vec::new(), Vec::new());
@@ -226,16 +255,14 @@ pub fn print_scene_flow(
     out: Option<&Path>,
     summary: &mut Summary,
 ) -> Result<(), Error> {
-    const NAME: &str = "scene flow";
-    let mut options = RenderOptions::default();
-    options.proxy.method = ProxyMethod::SceneFlow;
+    let options = scene_flow();
     let request = Request::new(Viewpoint::View(&t.camera), time_s, &options);
     let depths = field.geometry(&t.camera, &request)?.view;
-    println!("    {NAME:34} {}", depth_errors(&depths, t));
+    println!("    {SCENE_FLOW:34} {}", depth_errors(&depths, t));
     let image = render(field, &request, &Context::unattended())?.image;
     let scores = judge.scores(&image);
-    println!("    {NAME:34} {scores}");
-    summary.add_view(t.name(), NAME, scores);
+    println!("    {SCENE_FLOW:34} {scores}");
+    summary.add_view(t.name(), SCENE_FLOW, scores);
     match out {
         Some(out) => write(&out.join(format!("{}-scene-flow.png", t.id)), &image),
         None => Ok(()),
