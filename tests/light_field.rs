@@ -259,6 +259,18 @@ fn one_frame_a_camera_is_a_static_light_field() {
 }
 
 #[test]
+fn nothing_in_a_static_light_field_moves_by_scene_flow() {
+    let capture = synthetic::capture(&[0.0; 3], 1);
+    let opened = Arc::new(Capture::open(capture.path()).unwrap());
+    let field = LightField::new(opened.clone(), Offsets::known(&opened));
+    let frames = [(0, 0), (1, 0), (2, 0)];
+    for loaded in field.frames_with_flow(&frames, &RenderOptions::default()).unwrap() {
+        let map = &loaded.map;
+        assert!(map.pixels().iter().all(|pixel| map.element(pixel).velocity == [0.0; 2]));
+    }
+}
+
+#[test]
 fn cached_offsets_are_used_until_something_changes() {
     let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
     let folder = capture.path();

@@ -11,7 +11,7 @@ use chromium::Chromium;
 use common::bodies::{Recording, board_before_wall, pose};
 use common::scores::psnr_db;
 use common::worlds::line_rig;
-use common::{assert_refused, run, succeed, text};
+use common::{assert_refused, root, run, succeed, text};
 use serde_json::json;
 use site::{drawn, open, serve};
 use std::collections::BTreeSet;
@@ -56,6 +56,40 @@ fn published() -> &'static Published {
         let output = succeed(&["publish", text(&capture), "-o", text(&site), "-q"]);
         Published { folder, printed: String::from_utf8(output.stdout).unwrap() }
     })
+}
+
+/// Returns the numbers of a constant's value, as they are written in Rust and in GLSL.
+fn numbers(value: &str) -> Vec<f64> {
+    let words = value.split(|c: char| !(c.is_ascii_alphanumeric() || "._-".contains(c)));
+    words.filter_map(|word| word.parse().ok()).collect()
+}
+
+#[test]
+fn constants_of_the_page_are_those_of_scene_flow() {
+    let page = std::fs::read_to_string(root().join("src/publish/page/shaders.js")).unwrap();
+    let (head, code) = page.split_once("\nconst ").unwrap();
+    let names = head.split(|c: char| c.is_whitespace() || c == ',');
+    let files = names.filter(|name| name.ends_with(".rs"));
+    let read = |name| std::fs::read_to_string(root().join("src/scene_flow").join(name)).unwrap();
+    let rust = files.map(read).collect::<String>();
+    let mut compared = 0;
+    for line in code.lines() {
+        let Some((name, value)) = line
+            .strip_prefix("const float ")
+            .or(line.strip_prefix("const vec2 "))
+            .and_then(|constant| constant.split_once(" = "))
+        else {
+            continue;
+        };
+        let start = format!("const {name}: ");
+        let theirs = rust
+            .lines()
+            .filter_map(|line| line.trim_start_matches("pub(super) ").strip_prefix(&start));
+        let mut theirs = theirs.map(|rest| numbers(rest.split_once(" = ").unwrap().1));
+        assert!(theirs.any(|theirs| theirs == numbers(value)), "{name} = {value}");
+        compared += 1;
+    }
+    assert!(compared >= 20, "{compared} constants");
 }
 
 /// Places and instants between cameras and frames: metres to the right of the first camera, and seconds.

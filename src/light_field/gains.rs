@@ -83,7 +83,7 @@ impl Stage for WideGains<'_> {
 }
 
 impl StoredStage for WideGains<'_> {
-    const KIND: CacheKind = CacheKind { name: "wide-gains", version: 1 };
+    const KIND: CacheKind = CacheKind { name: "wide-gains", version: 2 };
 }
 
 impl WideGains<'_> {
@@ -168,7 +168,7 @@ impl ComparedFrames {
         let side =
             list.iter().map(|f| &f.frame.frame.view).flat_map(|v| [v.width, v.height]).max()?;
         let range = field.common_range(place, compared.iter().map(|id| id.0))?;
-        let limits = search_range(range, side);
+        let limits = search_range(field, range, side);
         let baseline_m = field.matching_baseline_m();
         let maps = Estimation { frames: &list, limits, baseline_m }.run(&|| true);
         drop(list);

@@ -14,6 +14,10 @@ use std::sync::Arc;
 
 /// Maximum number of other cameras whose frames are matched with a frame to estimate its depth and motion.
 const MAX_PARTNERS: usize = 7;
+/// Maximum time to the frame of another camera that is preferred to frames of farther cameras, in frame periods of the reference
+/// camera. Larger: cameras that don't film at the time take the places of others that do. Smaller: neighbours of which
+/// frames are lost are left out.
+const NEAR_IN_TIME: f64 = 2.0;
 /// Minimum number of other cameras whose nearest frame is of another time. If there are fewer, more frames of these cameras
 /// are matched.
 const MIN_OTHER_TIMES: usize = 3;
@@ -75,7 +79,7 @@ pub(super) fn limits(
     let side = sizes.flatten().max().unwrap_or(0);
     if let Some(place) = field.common_place() {
         let range = field.common_range(place, cameras.into_iter());
-        return Ok(range.map(|range| search_range(range, side)));
+        return Ok(range.map(|range| search_range(field, range, side)));
     }
     let time_s = field.while_all_film(field.times_s(camera)[frame]);
     if field.spacing_m() == 0.0 {
@@ -87,19 +91,21 @@ pub(super) fn limits(
     let Some(points) = points else { return Ok(None) };
     let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
     let wider = |[min, max]: [f64; 2]| [min / DEPTH_MARGIN, max * DEPTH_MARGIN];
-    Ok(ranges.reduce(union).map(|range| search_range(wider(range), side)))
+    Ok(ranges.reduce(union).map(|range| search_range(field, wider(range), side)))
 }
 
 /// Returns the search range of depth and motion for a range of inverse depths, 1/m, and images whose longer side has
-/// `side` pixels.
-pub(super) fn search_range(inverse_depth: [f64; 2], side: usize) -> Limits {
-    let max_speed = (MAX_SPEED * side as f64) as f32;
+/// `side` pixels. In a static light field nothing moves.
+pub(super) fn search_range(field: &LightField, inverse_depth: [f64; 2], side: usize) -> Limits {
+    let is_static = field.capture().is_static();
+    let max_speed = if is_static { 0.0 } else { (MAX_SPEED * side as f64) as f32 };
     Limits { inverse_depth: inverse_depth.map(|q| q as f32), max_speed }
 }
 
 /// Returns the frames with which a given frame is matched: the previous and the next frame of its own camera, and of
-/// each of the nearest other cameras, the frame nearest in time to the given frame. If nearly all of these are of the same
-/// time, since the cameras are synchronized, also the frames before and after them, of the nearest cameras first.
+/// each of the nearest other cameras, the frame nearest in time to the given frame. Cameras that film within [`NEAR_IN_TIME`]
+/// come before all others. If nearly all of their frames are of the same time, since the cameras are synchronized, also the
+/// frames before and after them are matched, of the nearest cameras first.
 pub(super) fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     let beside = |(camera, frame): FrameId| {
         let count = field.times_s(camera).len();
@@ -107,26 +113,57 @@ pub(super) fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<
         two.into_iter().flatten().map(move |k| (camera, k))
     };
     let time_s = field.times_s(camera)[frame];
-    let partners = partners(field, camera).into_iter();
-    let nearest = partners.filter_map(|c| field.nearest_frame(c, time_s).map(|k| (c, k)));
-    let nearest: Vec<FrameId> = nearest.collect();
-    let is_other_time =
-        |&&(c, k): &&FrameId| field.in_frames((field.times_s(c)[k] - time_s).abs()) >= SIMULTANEOUS;
+    let dt = |&(c, k): &FrameId| field.in_frames((field.times_s(c)[k] - time_s).abs());
+    let others = others_by_distance(field, camera).into_iter();
+    let nearest = others.filter_map(|c| field.nearest_frame(c, time_s).map(|k| (c, k)));
+    let [nearest, far] = chosen(nearest, dt);
+    let is_other_time = |id: &&FrameId| dt(id) >= SIMULTANEOUS;
+    let are_synchronized =
+        nearest.iter().filter(is_other_time).count() < MIN_OTHER_TIMES.min(nearest.len());
     let mut matched: Vec<FrameId> =
-        beside((camera, frame)).chain(nearest.iter().copied()).collect();
-    if nearest.iter().filter(is_other_time).count() < MIN_OTHER_TIMES.min(nearest.len()) {
+        beside((camera, frame)).chain(nearest.iter().copied()).chain(far).collect();
+    if are_synchronized {
         matched.extend(nearest.into_iter().flat_map(beside));
         matched.truncate(MAX_OBSERVATIONS);
     }
     matched
 }
 
-/// Returns the other cameras with whose frames those of a camera are matched: the nearest of them.
+/// Returns the frames of other cameras that are matched, of those in the order of preference: frames near in time, and, if these
+/// are fewer than [`MAX_PARTNERS`], others. `dt` returns the time to a frame, in frame periods of the reference camera.
+fn chosen<T>(frames: impl Iterator<Item = T>, dt: impl Fn(&T) -> f64) -> [Vec<T>; 2] {
+    let (mut near, mut far): (Vec<T>, Vec<T>) = frames.partition(|frame| dt(frame) <= NEAR_IN_TIME);
+    near.truncate(MAX_PARTNERS);
+    far.truncate(MAX_PARTNERS - near.len());
+    [near, far]
+}
+
+/// Returns the other cameras with whose images those of a camera are matched where times don't matter: the nearest of them.
 pub(super) fn partners(field: &LightField, camera: usize) -> Vec<usize> {
+    let mut partners = others_by_distance(field, camera);
+    partners.truncate(MAX_PARTNERS);
+    partners
+}
+
+/// Returns the other cameras that have frames, the nearest first.
+fn others_by_distance(field: &LightField, camera: usize) -> Vec<usize> {
     let filmed = &field.capture().cameras;
     let others: Vec<usize> =
         (0..filmed.len()).filter(|&c| c != camera && !field.times_s(c).is_empty()).collect();
-    let mut partners = nearest(field.capture(), &others, filmed[camera].camera.center());
-    partners.truncate(MAX_PARTNERS);
-    partners
+    nearest(field.capture(), &others, filmed[camera].camera.center())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::chosen;
+
+    #[test]
+    fn cameras_that_do_not_film_at_the_time_take_no_places_of_others() {
+        let times = |dt: &[f64]| chosen(dt.iter().copied(), |dt| *dt);
+        let [near, far] = times(&[0.3, 90.0, 0.1, 0.2, 5.0, 0.4, 0.0, 0.5, 0.25, 0.45]);
+        assert_eq!(near, [0.3, 0.1, 0.2, 0.4, 0.0, 0.5, 0.25]);
+        assert!(far.is_empty());
+        let [near, far] = times(&[90.0, 0.3, 70.0, 80.0]);
+        assert_eq!((near, far), (vec![0.3], vec![90.0, 70.0, 80.0]));
+    }
 }

@@ -88,7 +88,7 @@ impl Stage for FrameFlow<'_> {
 }
 
 impl StoredStage for FrameFlow<'_> {
-    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 20 };
+    const KIND: CacheKind = CacheKind { name: "scene-flow", version: 21 };
 }
 
 impl Stage for FlowConfidence<'_> {

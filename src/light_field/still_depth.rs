@@ -29,7 +29,7 @@ impl Stage for StillDepth<'_> {
 }
 
 impl StoredStage for StillDepth<'_> {
-    const KIND: CacheKind = CacheKind { name: "still-depth", version: 4 };
+    const KIND: CacheKind = CacheKind { name: "still-depth", version: 5 };
 }
 
 /// Static background of a camera, with its depth.

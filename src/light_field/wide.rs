@@ -7,6 +7,9 @@ use super::graph::LightField;
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
+/// Mean squared angle between cameras' optical axes and their common direction below which the axes count as parallel, rad². Far
+/// above rounding errors, and far below that of a wide array.
+const PARALLEL: f64 = 1e-9;
 /// Minimum angle between neighbouring cameras of a wide array, seen from the place that all cameras look at, radians.
 /// It is the largest angle at which features of neighbouring cameras are still matched reliably.
 pub const MIN_WIDE_ANGLE_RAD: f64 = 0.12;
@@ -133,7 +136,10 @@ fn nearest_to_axes(cameras: &[&Camera]) -> Option<Point3<f64>> {
         normal += across;
         right += across * camera.center().coords;
     }
-    Some(Point3::from(normal.try_inverse()? * right)).filter(|p| p.coords.norm().is_finite())
+    // The smallest eigenvalue is the sum of the squared angles' sines.
+    let is_parallel = normal.symmetric_eigenvalues().min() < PARALLEL * cameras.len() as f64;
+    let inverse = normal.try_inverse().filter(|_| !is_parallel)?;
+    Some(Point3::from(inverse * right)).filter(|p| p.coords.norm().is_finite())
 }
 
 #[cfg(test)]
@@ -177,6 +183,19 @@ mod tests {
             camera.cam_from_world = Isometry3::translation(k as f64, 0.0, 0.0);
         }
         assert_eq!(place(&parallel, 1.0), None);
+        // Turned together and away from the world's origin, their axes are parallel up to rounding.
+        for k in 0..2000 {
+            let random = |step: usize| ((k * step) as f64 * 0.618_033_988_749).fract() * 2.0 - 1.0;
+            let turned = Isometry3::new(
+                Vector3::new(random(1), random(2), random(3)),
+                Vector3::new(random(5), random(7), random(11)) * 3.0,
+            );
+            let turned: Vec<Camera> = parallel[..2]
+                .iter()
+                .map(|c| Camera { cam_from_world: c.cam_from_world * turned, ..c.clone() })
+                .collect();
+            assert_eq!(place(&turned, 0.1), None, "{k}");
+        }
         // The cameras look outwards, and their axes meet behind them.
         let mut outward = ring(4, 17.0);
         let turn = Isometry3::rotation(Vector3::y() * std::f64::consts::PI);

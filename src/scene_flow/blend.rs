@@ -8,7 +8,7 @@ use super::geometry::{Projection, undistorted};
 use super::map::MappedFrame;
 use super::motion::{MotionMap, QuantizedMotion, SurfaceMotion};
 use super::pixels::{Band, Pixels, Shown};
-use super::placement::{Placement, squared_error};
+use super::placement::{Placement, fading_of, squared_error};
 use super::robust_mean::WeightedColors;
 use super::splat::Splats;
 use crate::camera::Camera;
@@ -20,9 +20,9 @@ use std::ops::Range;
 /// Half-width in depth of a cluster, pixels of disparity. A cluster is a group of candidates (surface elements of
 /// different scene flow maps) for the same surface at a pixel of the view.
 const CLUSTER_PX: f32 = 1.5;
-/// Maximum number of pixels of a band, the rows of a view that a thread blends at once; but at least one row. With eight
-/// scene flow maps, blending them takes about 6 MB a thread, and antialiasing up to four times as much if all pixels are at
-/// outlines.
+/// Maximum number of pixels of a band, the rows of a view that a thread blends at once; but at least one row. Each eight scene
+/// flow maps take about 6 MB a thread, and antialiasing takes up to four times as much if all pixels are at outlines. A view has
+/// up to two maps of a camera.
 const BAND_PIXELS: usize = 1 << 15;
 /// Minimum number of bands of a view, for as many threads.
 const MIN_BANDS: usize = 8;
@@ -286,14 +286,17 @@ fn color_holes(mapped: &[MappedFrame], (view, time): (&Camera, f64), pixels: &mu
 }
 
 /// Returns the indices of the maps from which a quick view at `time` is blended where they agree: those with the smallest
-/// expected error of a surface element at a typical depth, in typical motion.
+/// expected error of a surface element at a typical depth, in typical motion. Frames that have faded come last.
 pub fn quick_maps(mapped: &[MappedFrame], view: &Camera, time: f64) -> Vec<usize> {
     let error = |&k: &usize| {
         let MappedFrame { frame, map } = mapped[k];
-        let depths = map.pixels().iter().step_by(DEPTH_SAMPLES);
-        let depths: Vec<f32> = depths.map(|pixel| map.element(pixel).inverse_depth).collect();
+        let sampled = (0..map.pixels().len()).step_by(DEPTH_SAMPLES);
+        let filmed = sampled.filter(|&k| frame.is_filmed.as_ref().is_none_or(|filmed| filmed[k]));
+        let depths: Vec<f32> =
+            filmed.map(|k| map.element(&map.pixels()[k]).inverse_depth).collect();
         let mean = depths.iter().sum::<f32>() / depths.len().max(1) as f32;
-        squared_error(frame, (view, time), (mean, TYPICAL_SPEED_PX))
+        // Weights are inversely proportional to squared errors, and proportional to fading, which is positive.
+        squared_error(frame, (view, time), (mean, TYPICAL_SPEED_PX)) / fading_of(frame, time)
     };
     let mut maps: Vec<usize> = (0..mapped.len()).collect();
     // Squares are not negative, so that their bits have the order of the numbers.

@@ -7,16 +7,17 @@ use super::frame::{FlowFrame, PyramidFrame};
 use super::map::{ElementMap, FlowMap, MappedFrame};
 use super::matching::{Observations, PatchMatcher};
 use super::observing_frame::ObservingFrame;
-use super::sweep::{Limits, Pass};
+use super::sweep::{COARSE_LEVEL, Limits, Pass};
 use super::transfer::Proposals;
 use super::variance_factor::{Estimated, scaled_errors};
 use crate::random::Random;
 use rayon::prelude::*;
 
-/// Number of PatchMatch passes at each pyramid level, finest level first. The last entry is for all coarser levels.
+/// Number of PatchMatch passes at each pyramid level, finest level first. The last entry is for all coarser levels. The coarsest
+/// level of a small image, which is finer than [`COARSE_LEVEL`], has the entry of that level.
 const PASSES: [usize; 4] = [2, 2, 3, 4];
-/// Number of random surface elements that are tried per pixel in each pass, by pyramid level, finest level first. The
-/// last entry is for all coarser levels. The last pass at a level tries a third of this number, rounded down.
+/// Number of random surface elements that are tried per pixel in each pass, by pyramid level, as [`PASSES`]. The last pass at a
+/// level tries a third of this number, rounded down.
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
 
 /// Coarsest pyramid level at which the scene flow maps of different frames are compared with each other
@@ -59,12 +60,15 @@ impl Estimation<'_> {
         let mut maps: Vec<ElementMap> = Vec::new();
         for level in (0..levels).rev() {
             maps = (0..frames.len()).map(|f| self.begin(f, level, maps.get(f))).collect();
-            let [passes, chances] = [PASSES, CHANCES].map(|of| of[level.min(of.len() - 1)]);
+            let is_coarsest = level + 1 == levels;
+            // The search begins at the coarsest level, which is a fine one if images are small.
+            let entry = if is_coarsest { level.max(COARSE_LEVEL) } else { level };
+            let [passes, chances] = [PASSES, CHANCES].map(|of| of[entry.min(of.len() - 1)]);
             for turn in 0..passes {
                 if !proceed() {
                     return Vec::new();
                 }
-                let is_first = turn == 0 && level + 1 == levels;
+                let is_first = turn == 0 && is_coarsest;
                 let proposals: Vec<Option<Proposals>> = (0..maps.len())
                     .into_par_iter()
                     .map(|f| (!is_first).then(|| Proposals::new(&frames, &maps, f)))
@@ -80,7 +84,7 @@ impl Estimation<'_> {
                         if is_last {
                             matcher.smooth(map);
                         }
-                        if is_last && level == EXTENDED_LEVEL && map.given.is_empty() {
+                        if is_last && level == EXTENDED_LEVEL && !map.has_given() {
                             matcher.extend_planes(map, self.limits.inverse_depth);
                         }
                         let others = || OtherMaps::new(&frames, &snapshots, f, disparity_px);
@@ -90,6 +94,7 @@ impl Estimation<'_> {
                                 limits: self.limits,
                                 turn,
                                 is_last,
+                                is_coarsest,
                                 chances: if is_last { chances / 3 } else { chances },
                                 proposals: proposals.as_ref(),
                                 others: is_compared.then(others),
@@ -118,7 +123,7 @@ impl Estimation<'_> {
         let matcher = self.matcher(f, 0, observations);
         matcher.smooth(map);
         let errors = matcher.errors(map);
-        if map.given.is_empty() {
+        if !map.has_given() {
             matcher.extend_planes(map, self.limits.inverse_depth);
         }
         let range = self.range_with(background.as_ref());

@@ -134,11 +134,14 @@ impl Depths<'_> {
         TilePlanes::new(sides, self.tolerance(), sample)
     }
 
+    /// Returns the planes of certain depths, and those of all usable ones.
+    fn planes(&self) -> [TilePlanes; 2] {
+        [self.tiles(|k| self.is_certain(k)), self.tiles(|k| self.is_usable(k))]
+    }
+
     /// Returns, for each pixel of the map, the plane on which its depth lies: a plane of certain depths, or of all usable ones in
     /// tiles without such a plane. `None` if it lies on none, or its own depth is less certain than those of its tile's planes.
-    fn planes(&self) -> Vec<Option<Plane>> {
-        let certain = self.tiles(|k| self.is_certain(k));
-        let usable = self.tiles(|k| self.is_usable(k));
+    fn on_planes<'p>(&self, [certain, usable]: &'p [TilePlanes; 2]) -> Vec<Option<&'p Plane>> {
         let plane = |k: usize| {
             let at = self.position(k);
             let of_certain = certain.around(at);
@@ -149,13 +152,13 @@ impl Depths<'_> {
             let off = |plane: &&Plane| (plane.at(at) - self.disparity(k)).abs();
             let nearest =
                 planes.iter().filter(|_| is_used).min_by(|a, b| off(a).total_cmp(&off(b)));
-            nearest.filter(|plane| off(plane) < SAME_PLANE * self.tolerance()).copied()
+            nearest.filter(|plane| off(plane) < SAME_PLANE * self.tolerance())
         };
         (0..self.states.len()).map(plane).collect()
     }
 
     /// Returns the role of pixel `k`. `plane` is the plane on which it lies; `None` if it lies on none.
-    fn role(&self, k: usize, plane: &Option<Plane>) -> Role {
+    fn role(&self, k: usize, plane: Option<&Plane>) -> Role {
         match self.states[k] {
             Knowledge::Uncertain | Knowledge::Unmatched if plane.is_none() => Role::Open,
             Knowledge::Beside => Role::Closed,
@@ -177,8 +180,9 @@ impl PatchMatcher<'_> {
     /// match as well. `inverse_depths` is the search range, 1/m.
     pub fn extend_planes(&self, map: &mut ElementMap, inverse_depths: [f32; 2]) {
         let depths = self.depths(map);
-        let planes = depths.planes();
-        let roles: Vec<Role> = planes.iter().enumerate().map(|(k, p)| depths.role(k, p)).collect();
+        let tiles = depths.planes();
+        let planes = depths.on_planes(&tiles);
+        let roles: Vec<Role> = planes.iter().enumerate().map(|(k, p)| depths.role(k, *p)).collect();
         let step = |k: usize, n: usize| self.step_length(map, k, n);
         let planes = continued(planes, map.width, &roles, step);
         let is_open = |k: usize| roles[k] == Role::Open;
@@ -356,7 +360,7 @@ mod tests {
             let state = |k: usize| if is_corner(k) { corner } else { Knowledge::Uncertain };
             let states = (0..width * height).map(state).collect();
             let depths = Depths { map: &map, states, errors, disparity_px: 100.0 };
-            depths.planes().iter().flatten().count()
+            depths.on_planes(&depths.planes()).iter().flatten().count()
         };
         assert_eq!(on_plane(0.3, Knowledge::Uncertain), width * height);
         assert_eq!(on_plane(0.8, Knowledge::Uncertain), 0);

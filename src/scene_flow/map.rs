@@ -15,7 +15,7 @@ pub struct ElementMap {
     pub elements: Vec<Element>,
     /// Matching cost of each surface element, without the smoothness and consistency costs.
     pub costs: Vec<f32>,
-    /// For each pixel, whether its surface element is given: that of the static background. Empty if none is.
+    /// For each pixel, whether its surface element is given: that of the static background. Empty if no background is known.
     pub given: Vec<bool>,
 }
 
@@ -24,6 +24,11 @@ impl ElementMap {
     #[inline(always)]
     pub fn is_given(&self, k: usize) -> bool {
         self.given.get(k).copied().unwrap_or(false)
+    }
+
+    /// Returns whether any surface element is given.
+    pub fn has_given(&self) -> bool {
+        self.given.contains(&true)
     }
 
     /// Returns the centre of the map's pixel `k`, in pixels of the full-resolution image.
@@ -66,7 +71,8 @@ pub struct FlowMap {
     /// Disparity of a point at a depth of 1 m, pixels, at a baseline of twice the distance between neighbouring
     /// cameras. It is the factor from an inverse depth, 1/m, to a disparity.
     pub disparity_px: f32,
-    /// Search range of inverse depths: minimum and maximum, 1/m.
+    /// Range of inverse depths that can be stored: minimum and maximum, 1/m. It is that of the search, with that of the static
+    /// background. Depths beyond it are stored as its ends.
     pub(super) inverse_depth: [f32; 2],
     pub(super) pixels: Vec<FlowPixel>,
     /// For each tile, row by row, the smallest and the largest values of its surface elements.
@@ -74,9 +80,8 @@ pub struct FlowMap {
 }
 
 impl FlowMap {
-    /// Quantizes an estimated map of the finest pyramid level. `inverse_depth` is the minimum and maximum of the search
-    /// range, 1/m, which contains all inverse depths of the map. `disparity_px` is [`Self::disparity_px`]. All standard
-    /// errors are set to the smallest one that can be stored.
+    /// Quantizes an estimated map of the finest pyramid level. `inverse_depth` and `disparity_px` are the fields of
+    /// these names. All standard errors are set to the smallest one that can be stored.
     pub fn new(map: &ElementMap, inverse_depth: [f32; 2], disparity_px: f32) -> Self {
         let scales = Scales::new(inverse_depth, disparity_px);
         let pixel = |(k, e): (usize, &Element)| {

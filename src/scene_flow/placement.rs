@@ -296,8 +296,8 @@ pub fn squared_error(
     place * place + motion * motion
 }
 
-/// Returns the factor of a frame's weights in a view at `time`.
-fn fading_of(frame: &FlowFrame, time: f64) -> f32 {
+/// Returns the factor of a frame's weights in a view at `time`; positive, at most 1.
+pub fn fading_of(frame: &FlowFrame, time: f64) -> f32 {
     let dt = time - frame.time;
     fading(dt, frame.neighbors[usize::from(dt >= 0.0)] - frame.time) as f32
 }

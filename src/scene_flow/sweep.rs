@@ -43,8 +43,9 @@ const KEEP_DEPTH: f32 = 0.3;
 /// Maximum size of a random change of a surface element's disparity, pixels of the pyramid level. The velocity
 /// changes by up to twice this size.
 const MAX_CHANCE_PX: f32 = 4.0;
-/// Finest pyramid level at which random surface elements are drawn from the whole search range.
-const COARSE_LEVEL: usize = 2;
+/// Finest pyramid level at which random surface elements are drawn from the whole search range. If an image is so small that its
+/// coarsest level is finer, they are drawn so at this one.
+pub const COARSE_LEVEL: usize = 2;
 
 /// Cost per pixel of difference between a surface element and the other frames' scene flow maps
 /// ([`OtherMaps::difference`]).
@@ -92,6 +93,8 @@ pub struct Pass<'a> {
     /// Number of passes already done at this pyramid level.
     pub turn: usize,
     pub is_last: bool,
+    /// Whether the pyramid level is the coarsest one.
+    pub is_coarsest: bool,
     /// Number of random surface elements that are tried per pixel.
     pub chances: usize,
     pub proposals: Option<&'a Proposals>,
@@ -250,7 +253,7 @@ impl Best<'_, '_> {
     fn consider_chances(&mut self, pass: &Pass, random: &mut Random) {
         let chances = if self.matcher.is_matched(self.match_cost) { 0 } else { pass.chances };
         for _ in 0..chances {
-            self.consider(self.matcher.chance(&self.element, pass.limits, random));
+            self.consider(self.matcher.chance(&self.element, pass, random));
         }
     }
 
@@ -395,8 +398,10 @@ impl PatchMatcher<'_> {
         block.iter().filter(|at| inside(at)).all(|&(u, v)| self.own.is_still(u, v) == Some(true))
     }
 
-    fn chance(&self, own: &Element, limits: Limits, random: &mut Random) -> Element {
-        if self.level >= COARSE_LEVEL && (random.unit() as f32) < ANYWHERE {
+    fn chance(&self, own: &Element, pass: &Pass, random: &mut Random) -> Element {
+        let is_coarse = pass.is_coarsest || self.level >= COARSE_LEVEL;
+        if is_coarse && (random.unit() as f32) < ANYWHERE {
+            let limits = pass.limits;
             let speed = limits.max_speed * (random.unit() as f32).sqrt();
             let angle = std::f32::consts::TAU * random.unit() as f32;
             let [min, max] = limits.inverse_depth;

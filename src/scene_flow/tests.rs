@@ -1,6 +1,7 @@
 //! Tests on scenes in closed form: textured walls that move, filmed by cameras that are not synchronized.
 
 mod background;
+mod search;
 mod views;
 
 use super::frame::levels;

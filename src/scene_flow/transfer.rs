@@ -5,6 +5,7 @@ use super::frame::FlowFrame;
 use super::geometry::Projection;
 use super::map::ElementMap;
 use super::timing::TimeBetween;
+use crate::camera::Camera;
 
 /// Maximum time between two frames that propose surface elements to each other, in frame periods of the reference
 /// camera.
@@ -16,9 +17,11 @@ const COST_PER_FRAME: f32 = 0.01;
 /// matching cost, plus [`COST_PER_FRAME`] times the time between the frames.
 const MAX_NEAR_COST: f32 = 0.1;
 
-/// Angle between the optical axes of two cameras above which a surface element's gradients are recomputed for the other
-/// camera, radians. Below this angle, they are copied.
+/// Angle between two cameras, about any axis, above which a surface element's gradients are recomputed for the other camera,
+/// radians. Below this angle, they are copied.
 const TURNED_RAD: f64 = 0.1;
+/// Ratio of the focal lengths of two cameras above which gradients are recomputed too.
+const ZOOMED: f64 = 1.05;
 /// Minimum area that one pixel of a surface element covers in the other frame, pixels. If the area is smaller, the
 /// surface is seen edge-on, and its gradients in the other frame are set to 0.
 const MIN_AREA: f32 = 0.1;
@@ -75,6 +78,16 @@ impl Transfer<'_> {
     }
 }
 
+/// Returns whether an element's gradients in one camera differ from those in another.
+fn have_other_axes(a: &Camera, b: &Camera) -> bool {
+    let [from, to] = [a, b].map(|camera| camera.cam_from_world.rotation);
+    let [short, long] = {
+        let [a, b] = [a, b].map(Camera::focal_px);
+        [a.min(b), a.max(b)]
+    };
+    from.angle_to(&to) > TURNED_RAD || long > ZOOMED * short
+}
+
 impl Proposals {
     pub fn at(&self, k: usize) -> impl Iterator<Item = Element> + '_ {
         self.cheapest[k].map(|(_, e)| e).into_iter().chain(self.nearest[k])
@@ -93,7 +106,7 @@ impl Proposals {
             else {
                 continue;
             };
-            let is_turned = frames[to].view.axis().angle(&frames[from].view.axis()) > TURNED_RAD;
+            let is_turned = have_other_axes(&frames[from].view, &frames[to].view);
             for (k, element) in map.elements.iter().enumerate() {
                 let [x, y] = map.center(k);
                 // Elements that are given aren't proposed: where the background is unknown, they tell nothing. Those

@@ -4,6 +4,7 @@
 use super::element::ElementErrors;
 use super::map::ElementMap;
 use super::matching::PatchMatcher;
+use super::observing_frame::ObservingFrame;
 use super::patch::Patch;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
@@ -14,6 +15,10 @@ const RESIDUAL_BY_COST: f64 = 1.0;
 const MIN_RESIDUAL: f64 = 0.004;
 /// Assumed fraction of the observing frames that see a surface element.
 const VISIBLE_FRACTION: f64 = 0.55;
+/// Maximum time to a frame whose gradients count, in frame periods of the reference camera. An element's motion is constant for
+/// a few frames only: one that is seen at rest minutes later isn't known to have stood still. Larger: standard errors of
+/// velocities are too small if a camera has few frames. Smaller: those of cameras with low rates are too large.
+const MAX_INFORMING_DT: f32 = 3.0;
 /// Standard errors of a surface element without any image gradient: of the disparity, pixels, and of each component
 /// of the velocity, pixels per frame.
 const PRIOR_PX: [f64; 2] = [4.0, 8.0];
@@ -88,7 +93,8 @@ impl PatchMatcher<'_> {
         let scale = f64::from(self.scale);
         let by_depth = scale * f64::from(self.disparity_px);
         let mut information = Matrix3::<f64>::zeros();
-        for o in &self.observations.frames {
+        let is_near = |o: &&ObservingFrame| o.time.frames().abs() <= MAX_INFORMING_DT;
+        for o in self.observations.frames.iter().filter(is_near) {
             let [x, y] = center;
             let dt = o.time.of_element(element, (x, y), &o.projection);
             let [mx, my, q] = element.moved(x, y, dt);

@@ -1,7 +1,7 @@
 "use strict";
 
-// Shaders with the computations of agreements.rs, confidence.rs, placement.rs, splat.rs and blend.rs in src/scene_flow. Constants
-// have the same names as there.
+// Shaders with the computations of agreements.rs, confidence.rs, map.rs, placement.rs, splat.rs, composite.rs, robust_mean.rs and
+// blend.rs in src/scene_flow. Constants have the same names and values as there.
 
 const MAX_SOURCES = 8;
 // Margin around a view in the texture of candidates, pixels. A splat whose centre is outside of the texture is not
@@ -96,6 +96,7 @@ void main() {
     if (here.x < 0.0 || here.y < 0.0 || here.x >= sizes[k].x || here.y >= sizes[k].y) continue;
     vec3 next = projected(a[k], b[k], from + vec3(e.velocity + dt[k] * e.acceleration, e.rate));
     Element there = element(ivec3(ivec2(here.xy / block_px), layers[k]), disparities_px[k]);
+    if (!there.is_filmed) continue;
     float disparity = (there.inverse_depth - here.z) * own_disparity_px;
     vec2 velocity = next.xy - here.xy;
     bool is_like = distance(there.velocity, velocity) < MAX_MOTION_ERROR_PX + MAX_MOTION_ERROR * length(velocity);
@@ -129,11 +130,9 @@ flat out vec3 value;
 const float HALF_WIDTH = 0.55;
 const float HALF_WIDTH_AT_EDGE = 0.5;
 const vec2 SCALES = vec2(0.8, 8.0);
-const float HIDING_PX = 0.5;
 const float ERROR_PX = 0.2;
 const float ERROR_BY_BASELINE = 0.005;
 const vec2 ERROR_BY_TIME = vec2(0.03, 0.009);
-const float ERROR_BY_CURVATURE = 0.1;
 const float EXACT_PX = 0.01;
 
 void main() {
@@ -165,8 +164,7 @@ void main() {
   place = vec4(to.xy + float(MARGIN), pixel);
   float speed = length(e.velocity);
   float error = ERROR_BY_BASELINE * baseline_px * to.z;
-  float motion = abs(dt) * (ERROR_BY_TIME.x + ERROR_BY_TIME.y * speed)
-    + ERROR_BY_CURVATURE * dt * dt * length(e.acceleration);
+  float motion = dt * (ERROR_BY_TIME.x + ERROR_BY_TIME.y * speed);
   float own = max(error * error + motion * motion, 1.1920929e-7);
   float exact = 1.0 + EXACT_PX * EXACT_PX / own;
   float weight = trust.x * trust.x * exact / (ERROR_PX * ERROR_PX + own);
@@ -234,7 +232,7 @@ layout(location = 1) out uint depth;
 const float FRONT = 0.12;
 const float OPAQUE = 0.25;
 const float BEHIND = 0.05;
-const float MIN_SHARE = 0.02;
+const float MIN_FRACTION = 0.02;
 const float COLOR = 0.06;
 
 vec2 sources[MAX_SOURCES];
@@ -279,7 +277,7 @@ ${each("clustered[k] = abs(depths[k] - q) < reach ? weights[k] : 0.0;")}
 ${each("has_color = has_color || (clustered[k] > 0.0 && is_color[k]);")}
 ${each("if (is_color[k] != has_color) clustered[k] = 0.0;")}
 ${each("most = max(most, clustered[k]);")}
-${each("if (clustered[k] < MIN_SHARE * most) clustered[k] = 0.0;")}
+${each("if (clustered[k] < MIN_FRACTION * most) clustered[k] = 0.0;")}
 ${each("colors[k] = vec3(0.0); if (clustered[k] > 0.0) colors[k] = image(sources[k], layers[k], sizes[k]);")}
   vec4 sum = vec4(0.0);
   float near = 0.0;
