@@ -24,7 +24,7 @@ pub struct FlowFrame {
     pub is_color: bool,
     /// Image of the pinhole camera with 3 channels, corrected to the reference camera's exposure.
     pub image: Image,
-    /// For each pixel, whether it lies inside the camera's original image. `None` if all pixels do.
+    /// For each pixel, whether a part of it lies inside the camera's original image. `None` if all pixels do.
     pub is_filmed: Option<Vec<bool>>,
     /// The image as the camera filmed it. `None` if its lens has no distortion, or it isn't known.
     pub original: Option<OriginalImage>,
@@ -214,20 +214,29 @@ pub fn pinhole(camera: &Camera) -> Camera {
     Camera { model, width, height, ..camera.clone() }
 }
 
-/// Resamples a camera's image to a pinhole camera. Returns the resampled image and, for each of its pixels, whether
-/// it lies inside the original image. The other pixels continue the colours at its border, so that there is no edge.
-/// Beyond the range in which the lens model is monotonic, they are black.
+/// Resamples a camera's image to a pinhole camera. Returns the resampled image and, for each of its pixels, whether its centre
+/// or a corner lies inside the original image, so that all that the camera films is in such pixels. The other pixels
+/// continue the colours at its border, so that there is no edge. Beyond the range in which the lens model is monotonic, they
+/// are black.
 fn undistorted(camera: &Camera, pinhole: &Camera, image: &Image) -> (Image, Vec<bool>) {
     let (width, height) = (pinhole.width, pinhole.height);
+    let place = |x: f64, y: f64| camera.project_cam(&pinhole.ray(&Point2::new(x, y))?.into());
+    let is_inside = |place: &Point2<f64>| camera.contains(place);
+    let corner = |k: usize| place((k % (width + 1)) as f64, (k / (width + 1)) as f64);
+    let corners =
+        (0..(width + 1) * (height + 1)).map(|k| corner(k).as_ref().is_some_and(is_inside));
+    let corners: Vec<bool> = corners.collect();
     let mut out = Image::filled(width, height, 3, 0.0);
     let mut is_filmed = vec![false; width * height];
     for (k, (color, is_filmed)) in
         out.data_mut().chunks_exact_mut(3).zip(&mut is_filmed).enumerate()
     {
-        let pixel = Point2::new((k % width) as f64 + 0.5, (k / width) as f64 + 0.5);
-        let Some(ray) = pinhole.ray(&pixel) else { continue };
-        let Some(filmed) = camera.project_cam(&ray.into()) else { continue };
-        *is_filmed = camera.contains(&filmed);
+        let (x, y) = (k % width, k / width);
+        let Some(filmed) = place(x as f64 + 0.5, y as f64 + 0.5) else { continue };
+        let upper = y * (width + 1) + x;
+        let lower = upper + width + 1;
+        *is_filmed =
+            is_inside(&filmed) || [upper, lower].iter().any(|&c| corners[c] || corners[c + 1]);
         image.sample_cubic(filmed.x as f32, filmed.y as f32, color);
     }
     (out, is_filmed)

@@ -437,10 +437,10 @@ fn all_that_a_distorted_camera_films_is_in_its_frame() {
     for k in [-0.15, 0.1] {
         camera.model = CameraModel::SimpleRadial { f: FOCAL_PX, cx: 50.0, cy: 35.0, k };
         let frame = FlowFrame::new(&camera, &filmed(&camera, &[STILL], 0.0), 0.0);
-        // The mask has whole pixels, so that the outermost ones may be outside of it.
-        let inner = (1..SIZE[1] - 1).flat_map(|y| (1..SIZE[0] - 1).map(move |x| (x, y)));
-        for (x, y) in inner {
-            let place = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
+        // All pixels, from the image's border on.
+        let [right, bottom] = SIZE.map(|size| size as f64 - 0.01);
+        for (x, y) in (0..=SIZE[1]).flat_map(|y| (0..=SIZE[0]).map(move |x| (x, y))) {
+            let place = Point2::new((x as f64).clamp(0.01, right), (y as f64).clamp(0.01, bottom));
             let there = frame.view.project_cam(&camera.ray(&place).unwrap().into()).unwrap();
             assert!(frame.films([there.x as f32, there.y as f32]), "{k}: {place}");
         }

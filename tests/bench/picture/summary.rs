@@ -90,8 +90,9 @@ impl Summary {
         }
         let views = distinct(self.views.iter().map(|f| &f.view));
         self.print_views(&views);
-        for row in FINAL.iter().filter(|row| self.views.iter().any(|v| v.row == **row)) {
-            IDEALS.iter().for_each(|ideal| self.print_gap([row, ideal], &views));
+        let is_scored = |row: &&&str| self.views.iter().any(|v| v.row == **row);
+        for row in FINAL.iter().filter(is_scored) {
+            IDEALS.iter().filter(is_scored).for_each(|ideal| self.print_gap([row, ideal], &views));
         }
     }
 
