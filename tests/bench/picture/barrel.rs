@@ -1,4 +1,5 @@
-//! Barrel distortion: resamples a camera's frames to those of a camera with another lens at the same place.
+//! Barrel distortion: resamples a camera's frames to those of a camera with another lens at the same place. Or with the same
+//! lens and longer focal lengths, which shows what the resampling alone costs.
 //!
 //! Known limit: rows of a rolling shutter keep their times, although resampling moves what they show.
 
@@ -30,9 +31,16 @@ impl Barrel {
     ///
     /// `None` if a lens can't be inverted inside of its image.
     pub fn new(original: &Camera) -> Option<Self> {
-        let (fx, fy, cx, cy) = original.model.intrinsics();
-        let zoom = zoom(original)?;
-        let model = opencv([zoom * fx, zoom * fy, cx, cy]);
+        Self::to_model(original, opencv(enlarged(original)?))
+    }
+
+    /// The resampling map to a camera with the same focal lengths, without distortion.
+    pub fn enlarging(original: &Camera) -> Option<Self> {
+        let [fx, fy, cx, cy] = enlarged(original)?;
+        Self::to_model(original, CameraModel::Pinhole { fx, fy, cx, cy })
+    }
+
+    fn to_model(original: &Camera, model: CameraModel) -> Option<Self> {
         let camera = Camera { model, ..original.clone() };
         let source = |k: usize| {
             let (x, y) = (k % original.width, k / original.width);
@@ -54,6 +62,13 @@ impl Barrel {
         }
         out
     }
+}
+
+/// The intrinsics of the camera with barrel distortion: focal lengths and principal point.
+fn enlarged(original: &Camera) -> Option<[f64; 4]> {
+    let (fx, fy, cx, cy) = original.model.intrinsics();
+    let zoom = zoom(original)?;
+    Some([zoom * fx, zoom * fy, cx, cy])
 }
 
 /// The factor of the focal lengths with which no point of the original's border lies inside of the distorted image.

@@ -35,6 +35,8 @@ pub enum Degradation {
     Gains,
     /// Every lens has barrel distortion ([`Barrel`]).
     Distortion,
+    /// Every image is resampled as for barrel distortion, without any.
+    Enlarged,
     /// Every second camera has every second frame only. The reference has all.
     MixedRates,
     /// Frames of every camera are missing at random. The times of the others stay true.
@@ -44,11 +46,12 @@ pub enum Degradation {
 }
 
 impl Degradation {
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::None,
         Self::Noise,
         Self::Gains,
         Self::Distortion,
+        Self::Enlarged,
         Self::MixedRates,
         Self::LostFrames,
         Self::Grey,
@@ -60,6 +63,7 @@ impl Degradation {
             Self::Noise => "noise of 2 %",
             Self::Gains => "gains of ±10 %",
             Self::Distortion => "lens distortion",
+            Self::Enlarged => "resampled as for that",
             Self::MixedRates => "mixed rates",
             Self::LostFrames => "10 % of frames lost",
             Self::Grey => "every second camera grey",
@@ -74,7 +78,7 @@ impl Degradation {
             camera.describe(described);
             camera.write_frames(to)?;
         }
-        if self == Self::Distortion {
+        if matches!(self, Self::Distortion | Self::Enlarged) {
             // It may be of lens parameters that the copy's cameras don't have.
             format.calibration_covariance = None;
         }
@@ -103,9 +107,13 @@ impl<'a> DegradedCamera<'a> {
             Degradation::LostFrames => remaining(all, index),
             _ => (0..all).collect(),
         };
-        let distorts = degradation == Degradation::Distortion;
-        let distorted = || Barrel::new(&whole.cameras[index].camera);
-        let lens = distorts.then(|| distorted().ok_or("a lens can't be inverted")).transpose()?;
+        let original = &whole.cameras[index].camera;
+        let lens = match degradation {
+            Degradation::Distortion => Some(Barrel::new(original)),
+            Degradation::Enlarged => Some(Barrel::enlarging(original)),
+            _ => None,
+        };
+        let lens = lens.map(|lens| lens.ok_or("a lens can't be inverted")).transpose()?;
         let gains =
             (degradation == Degradation::Gains && index != whole.reference).then(|| gains(index));
         let is_noisy = degradation == Degradation::Noise;
