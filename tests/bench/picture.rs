@@ -31,9 +31,9 @@
 //!
 //! `cargo bench --bench picture -- worse CAPTURE… [--instants N] [--only NAME]`: what bad recordings cost views. Each
 //! capture is copied as worse cameras would have filmed it: with noise, gains, lens distortion, without it but
-//! resampled as for it, mixed rates, lost frames or grey cameras. Prints PSNR of all that is seen and of the moving part, by scene flow and over depth per pixel of
-//! synchronized images, and the differences from the recording as filmed. After several captures, their means. `--only`
-//! measures one kind, such as `noise`.
+//! resampled as for it, mixed rates, lost frames or grey cameras. Prints PSNR of all that is seen and of the moving
+//! part, by scene flow and over depth per pixel of synchronized images, and the differences from the recording as
+//! filmed. After several captures, their means. `--only` measures one kind, such as `noise`.
 //!
 //! `--view NAME` measures this view alone, such as `between`.
 
