@@ -21,9 +21,9 @@ const MAX_ROUGHNESS_PX: f32 = 2.0;
 /// Constant that is added to the colour term of the smoothness weight, so that neighbours of any colour have some
 /// smoothness.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Matching cost, beside that of noise, below which a pixel's surface element is good. For such a pixel, no random elements are tried. If the
-/// element is also static and the neighbours have nearly the same element, later passes at the two finest levels skip
-/// the pixel.
+/// Matching cost, beside that of noise, below which a pixel's surface element is good. For such a pixel, no random elements
+/// are tried. If the element is also static and the neighbours have nearly the same element, later passes at the two finest
+/// levels skip the pixel.
 const MATCHED: f32 = 0.012;
 /// Distance ([`PatchMatcher::distance`]) below which two surface elements count as equal, pixels of the pyramid
 /// level.
@@ -43,8 +43,8 @@ const KEEP_DEPTH: f32 = 0.3;
 /// Maximum size of a random change of a surface element's disparity, pixels of the pyramid level. The velocity
 /// changes by up to twice this size.
 const MAX_CHANCE_PX: f32 = 4.0;
-/// Finest pyramid level at which random surface elements are drawn from the whole search range. If an image is so small that its
-/// coarsest level is finer, they are drawn so at this one.
+/// Finest pyramid level at which random surface elements are drawn from the whole search range. If a small image has no such
+/// level, its coarsest one is meant.
 pub const COARSE_LEVEL: usize = 2;
 
 /// Cost per pixel of difference between a surface element and the other frames' scene flow maps
@@ -399,12 +399,10 @@ impl PatchMatcher<'_> {
     }
 
     fn chance(&self, own: &Element, pass: &Pass, random: &mut Random) -> Element {
-        let is_coarse = pass.is_coarsest || self.level >= COARSE_LEVEL;
-        if is_coarse && (random.unit() as f32) < ANYWHERE {
-            let limits = pass.limits;
-            let speed = limits.max_speed * (random.unit() as f32).sqrt();
+        if (pass.is_coarsest || self.level >= COARSE_LEVEL) && (random.unit() as f32) < ANYWHERE {
+            let Limits { inverse_depth: [min, max], max_speed } = pass.limits;
+            let speed = max_speed * (random.unit() as f32).sqrt();
             let angle = std::f32::consts::TAU * random.unit() as f32;
-            let [min, max] = limits.inverse_depth;
             let inverse_depth = min + (max - min) * random.unit() as f32;
             let is_still = (random.unit() as f32) < AT_REST;
             let keeps_depth = (random.unit() as f32) < KEEP_DEPTH;
