@@ -12,6 +12,9 @@ pub(super) const TOLERANCE: u8 = 10;
 /// Minimum tolerance with which frames support a background colour, in steps of 1/255. In frames without noise, a larger
 /// one lets textures of a body pass for background where the body is always in front.
 const MIN_SUPPORT_TOLERANCE: u8 = 3;
+/// Maximum of this tolerance: that of noise of 2.4 %. Smaller: the background of noisier films stays unknown. Larger: bodies count
+/// as background if most of the image moves.
+const MAX_SUPPORT_TOLERANCE: u8 = 24;
 /// Maximum difference between two frames that noise explains, as a multiple of the median difference. With normally
 /// distributed noise, it is 2.7 standard deviations of this difference.
 const MAX_NOISE_BY_MEDIAN: usize = 4;
@@ -31,7 +34,8 @@ pub struct StillImage {
     pub(super) width: usize,
     /// Background colour of each pixel; `None` if too few frames show one colour there.
     pub(super) colors: Vec<Option<Rgb8>>,
-    /// Maximum difference in each channel between the frames' colours of one background, in steps of 1/255.
+    /// Maximum difference in each channel between the background's colour and that of a pixel that certainly shows it, in steps
+    /// of 1/255.
     pub(super) tolerance: u8,
     /// Maximum difference in each channel between two frames that noise explains, in steps of 1/255. If more than half of all
     /// pixels move, it is large, so that no difference proves a body.
@@ -95,9 +99,10 @@ impl StillImage {
         let pixels = frames.first().map_or(0, |f| f.pixels.len());
         let needed = ((min_support * frames.len() as f64).ceil() as usize).max(2);
         let noise = noise(frames);
-        let tolerance = noise.clamp(MIN_SUPPORT_TOLERANCE, TOLERANCE);
+        let between_frames = noise.clamp(MIN_SUPPORT_TOLERANCE, MAX_SUPPORT_TOLERANCE);
+        let tolerance = between_frames.min(TOLERANCE);
         let color = |k: usize| {
-            let is_support = |f: &&CompactImage, of| is_equal(f.pixels[k], of, tolerance);
+            let is_support = |f: &&CompactImage, of| is_equal(f.pixels[k], of, between_frames);
             let support = |of: Rgb8| frames.iter().filter(|f| is_support(f, of)).count();
             let mut best: Option<(usize, Rgb8)> = None;
             for frame in frames {
@@ -189,6 +194,7 @@ impl StillImage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
 
     /// Returns frames of a wall with noise-free stripes, in front of which a bright square moves by 4 pixels per frame.
     fn frames(count: usize) -> Vec<CompactImage> {
@@ -242,6 +248,23 @@ mod tests {
         let with_noise =
             StillImage::new(&plain_frames(&[100, 102, 100, 102, 100, 102], &texture), 1.0 / 3.0);
         assert!(with_noise.colors[0].is_some() && with_noise.colors[1].is_some());
+    }
+
+    #[test]
+    fn background_behind_a_passing_body_is_known_despite_noise() {
+        // A wall of a single colour with noise of 2 %, before which a body passes in two of nine frames.
+        let mut random = Random::new(3);
+        let mut frame = |k: usize| {
+            let grey = if (3..5).contains(&k) { 200.0 } else { 100.0 };
+            let mut noisy = |_| (grey + 0.02 * 255.0 * random.gaussian()).round() as u8;
+            let pixels = (0..40 * 40).map(|_| [0; 3].map(&mut noisy)).collect();
+            CompactImage { width: 40, pixels }
+        };
+        let frames: Vec<CompactImage> = (0..9).map(&mut frame).collect();
+        let still = StillImage::new(&frames, 0.6);
+        let known: Vec<Rgb8> = still.colors.iter().flatten().copied().collect();
+        assert!(known.len() > 1550, "{} of 1600", known.len());
+        assert!(known.iter().all(|[red, ..]| red.abs_diff(100) < 12));
     }
 
     #[test]
