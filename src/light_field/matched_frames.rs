@@ -129,8 +129,9 @@ pub(super) fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<
     matched
 }
 
-/// Returns the frames of other cameras that are matched, of those in the order of preference: frames near in time, and, if these
-/// are fewer than [`MAX_PARTNERS`], others. `dt` returns the time to a frame, in frame periods of the reference camera.
+/// Returns which frames of other cameras are matched: those near in time, and those far away in time, together at most
+/// [`MAX_PARTNERS`]. Those near in time come first. Of each kind, the first of `frames` are taken. `dt` returns the time to a
+/// frame, in frame periods of the reference camera.
 fn chosen<T>(frames: impl Iterator<Item = T>, dt: impl Fn(&T) -> f64) -> [Vec<T>; 2] {
     let (mut near, mut far): (Vec<T>, Vec<T>) = frames.partition(|frame| dt(frame) <= NEAR_IN_TIME);
     near.truncate(MAX_PARTNERS);

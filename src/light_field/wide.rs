@@ -136,7 +136,7 @@ fn nearest_to_axes(cameras: &[&Camera]) -> Option<Point3<f64>> {
         normal += across;
         right += across * camera.center().coords;
     }
-    // The smallest eigenvalue is the sum of the squared angles' sines.
+    // The smallest eigenvalue is the sum of the squared sines of the angles between the axes and their common direction.
     let is_parallel = normal.symmetric_eigenvalues().min() < PARALLEL * cameras.len() as f64;
     let inverse = normal.try_inverse().filter(|_| !is_parallel)?;
     Some(Point3::from(inverse * right)).filter(|p| p.coords.norm().is_finite())

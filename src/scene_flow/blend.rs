@@ -286,14 +286,15 @@ fn color_holes(mapped: &[MappedFrame], (view, time): (&Camera, f64), pixels: &mu
 }
 
 /// Returns the indices of the maps from which a quick view at `time` is blended where they agree: those with the smallest
-/// expected error of a surface element at a typical depth, in typical motion. Frames that have faded come last.
+/// expected error of a surface element at a typical depth, in typical motion. Frames that have faded count less.
 pub fn quick_maps(mapped: &[MappedFrame], view: &Camera, time: f64) -> Vec<usize> {
     let error = |&k: &usize| {
         let MappedFrame { frame, map } = mapped[k];
         let sampled = (0..map.pixels().len()).step_by(DEPTH_SAMPLES);
-        let filmed = sampled.filter(|&k| frame.is_filmed.as_ref().is_none_or(|filmed| filmed[k]));
+        let is_filmed = |&pixel: &usize| frame.is_filmed.as_ref().is_none_or(|mask| mask[pixel]);
+        let filmed = sampled.filter(is_filmed);
         let depths: Vec<f32> =
-            filmed.map(|k| map.element(&map.pixels()[k]).inverse_depth).collect();
+            filmed.map(|pixel| map.element(&map.pixels()[pixel]).inverse_depth).collect();
         let mean = depths.iter().sum::<f32>() / depths.len().max(1) as f32;
         // Weights are inversely proportional to squared errors, and proportional to fading, which is positive.
         squared_error(frame, (view, time), (mean, TYPICAL_SPEED_PX)) / fading_of(frame, time)

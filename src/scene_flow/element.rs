@@ -74,7 +74,7 @@ impl Element {
 
     /// Transfers the element at pixel `(x, y)` to another frame, `dt` frame periods later. Returns its position in the
     /// other frame, pixels, and the element in the other frame. Gradients and acceleration are copied, which is
-    /// right if the cameras have about the same direction and focal length.
+    /// right if the cameras have about the same orientation and focal length.
     #[inline(always)]
     pub fn transferred(
         &self,

@@ -12,7 +12,7 @@ pub(super) const TOLERANCE: u8 = 10;
 /// Minimum tolerance with which frames support a background colour, in steps of 1/255. In frames without noise, a larger
 /// one lets textures of a body pass for background where the body is always in front.
 const MIN_SUPPORT_TOLERANCE: u8 = 3;
-/// Maximum of this tolerance: that of noise of 2.4 %. Smaller: the background of noisier films stays unknown. Larger: bodies count
+/// Maximum tolerance with which frames support a background colour, in steps of 1/255: that of noise of 2.4 %. Smaller: the background of noisier films stays unknown. Larger: bodies count
 /// as background if most of the image moves.
 const MAX_SUPPORT_TOLERANCE: u8 = 24;
 /// Maximum difference between two frames that noise explains, as a multiple of the median difference. With normally
@@ -99,10 +99,10 @@ impl StillImage {
         let pixels = frames.first().map_or(0, |f| f.pixels.len());
         let needed = ((min_support * frames.len() as f64).ceil() as usize).max(2);
         let noise = noise(frames);
-        let between_frames = noise.clamp(MIN_SUPPORT_TOLERANCE, MAX_SUPPORT_TOLERANCE);
-        let tolerance = between_frames.min(TOLERANCE);
+        let support_tolerance = noise.clamp(MIN_SUPPORT_TOLERANCE, MAX_SUPPORT_TOLERANCE);
+        let tolerance = support_tolerance.min(TOLERANCE);
         let color = |k: usize| {
-            let is_support = |f: &&CompactImage, of| is_equal(f.pixels[k], of, between_frames);
+            let is_support = |f: &&CompactImage, of| is_equal(f.pixels[k], of, support_tolerance);
             let support = |of: Rgb8| frames.iter().filter(|f| is_support(f, of)).count();
             let mut best: Option<(usize, Rgb8)> = None;
             for frame in frames {

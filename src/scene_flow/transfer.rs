@@ -78,14 +78,11 @@ impl Transfer<'_> {
     }
 }
 
-/// Returns whether an element's gradients in one camera differ from those in another.
+/// Returns whether two cameras differ so much in orientation or focal length that an element's gradients are recomputed.
 fn have_other_axes(a: &Camera, b: &Camera) -> bool {
-    let [from, to] = [a, b].map(|camera| camera.cam_from_world.rotation);
-    let [short, long] = {
-        let [a, b] = [a, b].map(Camera::focal_px);
-        [a.min(b), a.max(b)]
-    };
-    from.angle_to(&to) > TURNED_RAD || long > ZOOMED * short
+    let angle_rad = a.cam_from_world.rotation.angle_to(&b.cam_from_world.rotation);
+    let zoom = a.focal_px() / b.focal_px(); // focal lengths are positive
+    angle_rad > TURNED_RAD || zoom.max(1.0 / zoom) > ZOOMED
 }
 
 impl Proposals {
@@ -106,7 +103,7 @@ impl Proposals {
             else {
                 continue;
             };
-            let is_turned = have_other_axes(&frames[from].view, &frames[to].view);
+            let needs_gradients = have_other_axes(&frames[from].view, &frames[to].view);
             for (k, element) in map.elements.iter().enumerate() {
                 let [x, y] = map.center(k);
                 // Elements that are given aren't proposed: where the background is unknown, they tell nothing. Those
@@ -118,7 +115,7 @@ impl Proposals {
                 let dt = time.of_element(element, (x, y), &projection);
                 let (pixel, mut there) = element.transferred(x, y, dt, &projection);
                 let Some(t) = target.index(pixel) else { continue };
-                if is_turned {
+                if needs_gradients {
                     let place = Transfer { element, x, y, dt, projection: &projection };
                     there = place.with_gradients(pixel, there);
                 }
