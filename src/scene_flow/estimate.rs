@@ -13,12 +13,14 @@ use super::variance_factor::{Estimated, scaled_errors};
 use crate::random::Random;
 use rayon::prelude::*;
 
-/// Number of PatchMatch passes at each pyramid level, finest level first. The last entry is for all coarser levels. The coarsest
-/// level of a small image, which is finer than [`COARSE_LEVEL`], has the entry of that level.
+/// Number of PatchMatch passes at each pyramid level, finest level first. The last entry is for all coarser levels.
 const PASSES: [usize; 4] = [2, 2, 3, 4];
-/// Number of random surface elements that are tried per pixel in each pass, by pyramid level, as [`PASSES`]. The last pass at a
-/// level tries a third of this number, rounded down.
+/// Number of random surface elements that are tried per pixel in each pass, by pyramid level, finest level first. The
+/// last entry is for all coarser levels. The last pass at a level tries a third of this number, rounded down.
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
+/// The same two numbers for the coarsest level of an image that is so small that this level is finer than [`COARSE_LEVEL`].
+/// The search begins there.
+const OF_SMALL_IMAGES: [usize; 2] = [4, 10];
 
 /// Coarsest pyramid level at which the scene flow maps of different frames are compared with each other
 /// ([`OtherMaps`]); level 0 is the finest. The comparison is part of the last pass at a level.
@@ -61,9 +63,11 @@ impl Estimation<'_> {
         for level in (0..levels).rev() {
             maps = (0..frames.len()).map(|f| self.begin(f, level, maps.get(f))).collect();
             let is_coarsest = level + 1 == levels;
-            // The search begins at the coarsest level, which is a fine one if images are small.
-            let entry = if is_coarsest { level.max(COARSE_LEVEL) } else { level };
-            let [passes, chances] = [PASSES, CHANCES].map(|of| of[entry.min(of.len() - 1)]);
+            let [passes, chances] = if is_coarsest && level < COARSE_LEVEL {
+                OF_SMALL_IMAGES
+            } else {
+                [PASSES, CHANCES].map(|of| of[level.min(of.len() - 1)])
+            };
             for turn in 0..passes {
                 if !proceed() {
                     return Vec::new();
