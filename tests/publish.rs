@@ -66,19 +66,23 @@ fn numbers(value: &str) -> Vec<f64> {
 
 #[test]
 fn constants_of_the_page_are_those_of_scene_flow() {
-    let page = std::fs::read_to_string(root().join("src/publish/page/shaders.js")).unwrap();
-    let (head, code) = page.split_once("\nconst ").unwrap();
+    // In JavaScript, other constants are the page's own. In GLSL, there are no others.
+    const SHARED: [&str; 4] = ["CLUSTER_PX", "FADING", "HIDING_PX", "MAX_CONFIRMING_DT"];
+    let page = |name| std::fs::read_to_string(root().join("src/publish/page").join(name)).unwrap();
+    let shaders = page("shaders.js");
+    let (head, _) = shaders.split_once("\nconst ").unwrap();
     let names = head.split(|c: char| c.is_whitespace() || c == ',');
     let files = names.filter(|name| name.ends_with(".rs"));
     let read = |name| std::fs::read_to_string(root().join("src/scene_flow").join(name)).unwrap();
     let rust = files.map(read).collect::<String>();
-    let mut compared = 0;
-    for line in code.lines() {
-        let Some((name, value)) = line
-            .strip_prefix("const float ")
-            .or(line.strip_prefix("const vec2 "))
-            .and_then(|constant| constant.split_once(" = "))
+    let mut compared = BTreeSet::new();
+    for line in ["frames.js", "renderer.js"].map(page).join("\n").lines().chain(shaders.lines()) {
+        let Some((name, value)) = line.strip_prefix("const ").and_then(|c| c.split_once(" = "))
         else {
+            continue;
+        };
+        let glsl = name.strip_prefix("float ").or(name.strip_prefix("vec2 "));
+        let Some(name) = glsl.or(Some(name).filter(|name| SHARED.contains(name))) else {
             continue;
         };
         let start = format!("const {name}: ");
@@ -87,9 +91,10 @@ fn constants_of_the_page_are_those_of_scene_flow() {
             .filter_map(|line| line.trim_start_matches("pub(super) ").strip_prefix(&start));
         let mut theirs = theirs.map(|rest| numbers(rest.split_once(" = ").unwrap().1));
         assert!(theirs.any(|theirs| theirs == numbers(value)), "{name} = {value}");
-        compared += 1;
+        compared.insert(name.to_owned());
     }
-    assert!(compared >= 20, "{compared} constants");
+    assert!(SHARED.iter().all(|name| compared.contains(*name)), "{compared:?}");
+    assert!(compared.len() >= 20, "{compared:?}");
 }
 
 /// Places and instants between cameras and frames: metres to the right of the first camera, and seconds.
@@ -127,6 +132,22 @@ fn the_page_draws_what_render_renders_and_asks_for_nothing_else() {
     let asked: BTreeSet<String> = asked.lock().unwrap().iter().cloned().collect();
     let is_there = |path: &String| published.site().join(&path[1..]).is_file();
     assert!(asked.iter().all(is_there), "{asked:?}");
+}
+
+#[test]
+fn pictures_do_not_jump_where_the_frame_of_a_camera_changes() {
+    let (port, _) = serve(&published().site());
+    let mut browser = Chromium::start_drawing();
+    let mut tab = open(&mut browser, &format!("http://127.0.0.1:{port}/index.html"), (640, 480));
+    let camera = line_rig(3, 128)[0].shifted([0.01, 0.0, 0.0].into());
+    let mut picture = |frames: f64| drawn(&mut tab, &camera, frames / 30.0);
+    // Frames 1 and 2 of the first camera are blended from 1.4 to 1.6. There, confidences change a little.
+    let jumps = [1.4, 1.5, 1.6].map(|frames| {
+        let [before, after] = [frames - 1e-4, frames + 1e-4].map(&mut picture);
+        let differences = before.data().iter().zip(after.data()).map(|(a, b)| (a - b).abs());
+        255.0 * differences.sum::<f32>() / before.data().len() as f32
+    });
+    assert!(jumps.iter().all(|jump| *jump < 0.25), "{jumps:?}");
 }
 
 #[test]

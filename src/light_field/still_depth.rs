@@ -61,11 +61,6 @@ impl Stills {
         })
     }
 
-    /// Returns the static background of the cameras that filmed a slot, if [`Self::of`] has returned it before.
-    pub(super) fn known(&self, slot: Slot) -> Option<&StillCameras> {
-        self.0.get(&slot.group)
-    }
-
     /// Makes the static background of all cameras the most recently used in the cache, for further views. Computing a slot
     /// may have evicted it.
     pub(super) fn keep(&self, field: &LightField, options: FlowOptions) {
@@ -88,7 +83,7 @@ impl Stills {
 
 /// Returns the static background of the cameras that filmed a slot. The result is empty if it isn't known: because nothing
 /// is known to be static, or because the range of the scene's depths isn't known.
-fn still_cameras(
+pub(super) fn still_cameras(
     slots: &Slots,
     slot: Slot,
     options: FlowOptions,

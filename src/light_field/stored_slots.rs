@@ -3,12 +3,13 @@
 use super::scene_flow::slot_maps;
 use super::slots::{FrameId, Slot, Slots};
 use super::stages::{FlowOptions, FrameFlow};
-use super::still_depth::{StillCameras, Stills, store_still_cameras};
+use super::still_depth::{StillCameras, still_cameras, store_still_cameras};
 use super::{Context, RenderError};
 use crate::capture::Stored;
 use crate::host::{lock, memory_bytes};
 use crate::scene_flow::FlowMap;
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -32,19 +33,32 @@ pub(super) fn store_slots(
     options: FlowOptions,
     each: impl FnMut(&[Stored]) -> Result<(), RenderError> + Send,
 ) -> Result<(), RenderError> {
-    let mut stills = Stills::default();
-    for &slot in list.iter().filter(|slot| !is_stored(slots, **slot, options)) {
-        // Gains and background are computed once here, before threads request them in parallel.
-        slots.field.gains(options.registration);
-        let of_group = stills.of(slots, slot, options, &Context::unattended())?;
-        store_still_cameras(slots.field, of_group, options)?;
-    }
     let each = Mutex::new(each);
     let at_a_time = slots_at_a_time(slots, list, rayon::current_num_threads());
-    for_each_in_order(list, at_a_time, |&slot| {
-        let stored = store_slot(slots, slot, stills.known(slot), options)?;
-        lock(&each)(&stored)
+    let groups: BTreeSet<usize> = list.iter().map(|slot| slot.group).collect();
+    // One group after the other, so that the background of a single group takes memory.
+    groups.into_iter().try_for_each(|group| {
+        let list: Vec<Slot> = list.iter().copied().filter(|slot| slot.group == group).collect();
+        let missing = list.iter().find(|slot| !is_stored(slots, **slot, options));
+        let stills = missing.map(|&slot| stored_still_cameras(slots, slot, options)).transpose()?;
+        for_each_in_order(&list, at_a_time, |&slot| {
+            let stored = store_slot(slots, slot, stills.as_ref(), options)?;
+            lock(&each)(&stored)
+        })
     })
+}
+
+/// Returns the static background of the cameras that filmed a slot, and stores its depth on disk. It and the cameras' gains are
+/// computed once here, before threads request them in parallel.
+fn stored_still_cameras(
+    slots: &Slots,
+    slot: Slot,
+    options: FlowOptions,
+) -> Result<StillCameras, RenderError> {
+    slots.field.gains(options.registration);
+    let stills = still_cameras(slots, slot, options, &Context::unattended())?;
+    store_still_cameras(slots.field, &stills, options)?;
+    Ok(stills)
 }
 
 /// Calls `f` for all items, for up to `at_a_time` of them at a time. An item is begun when those before it are begun. After

@@ -113,6 +113,14 @@ function cells(flow, width, height, steps) {
   return new Uint32Array(points);
 }
 
+// Returns the factor of the weights of a frame of a camera that is `dt` before the view; `interval` is the time from it to
+// the camera's frame on the other side of the view. The factors of the two frames add up to 1. As in placement.rs.
+function fading(dt, interval) {
+  if (interval === 0) return 1;
+  return Math.min(Math.max((0.5 + 0.5 * FADING - Math.abs(dt / interval)) / FADING, 0), 1);
+}
+const FADING = 0.2;
+
 // All frames of the site: their files, and the frames that are in the graphics card's memory, as layers of array
 // textures.
 class Frames {
@@ -128,7 +136,8 @@ class Frames {
         offset += image + flow;
       }
     });
-    this.cameras = scene.cameras.map((camera) => ({ ...camera, frames: this.all.filter((f) => f.camera === camera.camera) }));
+    const framesOf = (camera) => this.all.filter((f) => f.camera === camera.camera).sort((f, g) => f.time - g.time);
+    this.cameras = scene.cameras.map((camera) => ({ ...camera, frames: framesOf(camera) }));
     this.files = new Map();
     this.decoding = 0;
     this.failure = null;
@@ -147,16 +156,26 @@ class Frames {
     this.trusts = texture(gl.RG8, this.blocks, gl.NEAREST);
   }
 
-  // Returns the frames from which the view at `center` and `time` is blended. They belong to the `most` nearest cameras
-  // that film at this time, the nearest camera first. From each camera, the frame nearest in time is taken.
+  // Returns the frames from which the view at `center` and `time` is blended, and the factors of their weights. They
+  // belong to the `most` nearest cameras that film at this time, the nearest camera first. From each camera, the frame
+  // nearest in time is taken. Around the middle between two frames of a camera, both are taken, as far as MAX_SOURCES
+  // allows.
   of(center, time, most) {
     const films = (c) => !c.filmed || (time >= c.filmed[0] && time <= c.filmed[1]);
     const away = (c) => Math.hypot(...c.center.map((v, k) => v - center[k]));
-    const near = this.cameras.filter(films).map((camera) => ({ camera, away: away(camera) }));
-    near.sort((p, q) => p.away - q.away);
-    return near.slice(0, most).map(({ camera, away: distance }) => {
-      const nearest = camera.frames.reduce((best, f) => (Math.abs(f.time - time) < Math.abs(best.time - time) ? f : best));
-      return { camera, frame: nearest, distance };
+    const near = this.cameras.filter(films).map((camera) => ({ camera, distance: away(camera) }));
+    const cameras = near.sort((p, q) => p.distance - q.distance).slice(0, most);
+    let left = MAX_SOURCES - cameras.length;
+    return cameras.flatMap(({ camera, distance }) => {
+      const { frames } = camera;
+      const k = frames.reduce((best, f, n) => (Math.abs(f.time - time) < Math.abs(frames[best].time - time) ? n : best), 0);
+      const source = (frame, factor) => ({ camera, frame, distance, fading: factor });
+      const dt = time - frames[k].time;
+      const other = frames[dt >= 0 ? k + 1 : k - 1];
+      const own = other && left > 0 ? fading(dt, other.time - frames[k].time) : 1;
+      if (own === 1) return [source(frames[k], 1)];
+      left -= 1;
+      return [source(frames[k], own), source(other, 1 - own)];
     });
   }
 

@@ -11,7 +11,7 @@ const LEVELS = [
   { cameras: 4, hasCells: true, scale: 0.5, isCubic: false },
   { cameras: 3, hasCells: true, scale: 0.4, isCubic: false },
 ].map((level) => ({ ...level, anyTrust: true }));
-const AT_REST = { cameras: MAX_SOURCES, hasCells: false, scale: 1, isCubic: true, anyTrust: false };
+const AT_REST = { cameras: 8, hasCells: false, scale: 1, isCubic: true, anyTrust: false };
 // Index of the quality level of the very first picture, and of the pictures after it.
 const FIRST_PICTURE_LEVEL = 4;
 const FIRST_LEVEL = 2;
@@ -94,7 +94,7 @@ class Viewer {
     stlfr.picture = async (view, seconds) => {
       const target = viewOf(view);
       const time = (seconds - this.scene.origin_s) / (this.scene.frame_s || 1);
-      const sources = this.renderer.frames.of(target.center, time, MAX_SOURCES);
+      const sources = this.renderer.frames.of(target.center, time, AT_REST.cameras);
       this.asked = sources.map((s) => s.frame);
       while (this.asked.some((f) => f.layer < 0)) {
         if (this.renderer.frames.failure) throw this.renderer.frames.failure;

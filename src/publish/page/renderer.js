@@ -237,7 +237,7 @@ class Renderer {
     const focal = mean(view.lens.slice(0, 2));
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LESS);
-    sources.forEach(({ camera, frame, distance }, index) => {
+    sources.forEach(({ camera, frame, distance, fading }, index) => {
       this.into(() => {
         this.layer(candidates, index)();
         gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.RENDERBUFFER, hidden);
@@ -254,6 +254,7 @@ class Renderer {
         a,
         b,
         dt: time - frame.time,
+        fading,
         size: view.size,
         zoom: focal / mean(camera.lens.slice(0, 2)),
         baseline_px: focal * distance,

@@ -3,7 +3,9 @@
 // Shaders with the computations of agreements.rs, confidence.rs, map.rs, placement.rs, splat.rs, composite.rs, robust_mean.rs and
 // blend.rs in src/scene_flow. Constants have the same names and values as there.
 
-const MAX_SOURCES = 8;
+// Maximum number of frames from which a view is blended: those of 8 cameras, and the second frames of cameras of which
+// two frames are blended.
+const MAX_SOURCES = 12;
 // Margin around a view in the texture of candidates, pixels. A splat whose centre is outside of the texture is not
 // drawn at all, even if the splat extends into the view.
 const MARGIN = 8;
@@ -118,6 +120,7 @@ uniform float disparity_px;
 uniform mat3 a;
 uniform vec3 b;
 uniform float dt;
+uniform float fading;
 uniform vec2 size;
 uniform float zoom;
 uniform float baseline_px;
@@ -167,7 +170,7 @@ void main() {
   float motion = dt * (ERROR_BY_TIME.x + ERROR_BY_TIME.y * speed);
   float own = max(error * error + motion * motion, 1.1920929e-7);
   float exact = 1.0 + EXACT_PX * EXACT_PX / own;
-  float weight = trust.x * trust.x * exact / (ERROR_PX * ERROR_PX + own);
+  float weight = fading * trust.x * trust.x * exact / (ERROR_PX * ERROR_PX + own);
   value = vec3(scale, to.z / max_inverse_depth, (log2(weight) + 32.0) / 64.0);
 }`;
 
