@@ -5,7 +5,7 @@
 //! - sizes, and views from what is published beside `render`'s, for each bound of the folder's size
 //! - the page's pictures beside `render`'s and beside the truth, at the true views, for the first bound
 //! - the page in windows of 1280×720 and 390×844: milliseconds to the first picture, in a browser that was just started
-//!   and in one that runs, median of several; and pictures a second while it plays
+//!   and in one that runs, median of several; pictures a second while it plays, and the level of quality that it ended at
 
 #[path = "../view/chromium.rs"]
 mod chromium;
@@ -66,7 +66,7 @@ fn bench(capture: &Path, bounds_mb: &[u64], played: Duration) -> Result<(), Erro
     let address = format!("http://127.0.0.1:{port}/index.html");
     pictures(capture, &field, &options, &address)?;
     println!(
-        "| window | first picture, ms | in a browser just started, ms | pictures a second |\n|---|---|---|---|"
+        "| window | first picture, ms | in a browser just started, ms | pictures a second | level |\n|---|---|---|---|---|"
     );
     for window in WINDOWS {
         let [running_ms, started_ms] =
@@ -78,8 +78,9 @@ fn bench(capture: &Path, bounds_mb: &[u64], played: Duration) -> Result<(), Erro
         std::thread::sleep(played);
         let after = tab.value("stlfr.statistics.pictures").as_f64().unwrap_or(f64::NAN);
         let rate = (after - before) / played.as_secs_f64();
+        let level = tab.value("stlfr.statistics.level");
         let (width, height) = window;
-        println!("| {width}×{height} | {running_ms:.0} | {started_ms:.0} | {rate:.1} |");
+        println!("| {width}×{height} | {running_ms:.0} | {started_ms:.0} | {rate:.1} | {level} |");
     }
     Ok(())
 }

@@ -157,15 +157,15 @@ class Frames {
   }
 
   // Returns the frames from which the view at `center` and `time` is blended, and the factors of their weights. They
-  // belong to the `most` nearest cameras that film at this time, the nearest camera first. From each camera, the frame
-  // nearest in time is taken. Around the middle between two frames of a camera, both are taken, as far as MAX_SOURCES
-  // allows.
-  of(center, time, most) {
+  // belong to the nearest cameras that film at this time, the nearest camera first. From each camera, the frame nearest
+  // in time is taken. If the quality level `fades`, both frames are taken around the middle between two frames of a
+  // camera, as far as MAX_SOURCES allows.
+  of(center, time, { cameras: most, fades }) {
     const films = (c) => !c.filmed || (time >= c.filmed[0] && time <= c.filmed[1]);
     const away = (c) => Math.hypot(...c.center.map((v, k) => v - center[k]));
     const near = this.cameras.filter(films).map((camera) => ({ camera, distance: away(camera) }));
     const cameras = near.sort((p, q) => p.distance - q.distance).slice(0, most);
-    let left = MAX_SOURCES - cameras.length;
+    let left = fades ? MAX_SOURCES - cameras.length : 0;
     return cameras.flatMap(({ camera, distance }) => {
       const { frames } = camera;
       const k = frames.reduce((best, f, n) => (Math.abs(f.time - time) < Math.abs(frames[best].time - time) ? n : best), 0);

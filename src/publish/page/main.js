@@ -1,17 +1,17 @@
 "use strict";
 
-// Quality levels of views while something moves, best first: number of cameras, whether a cell of blocks is drawn as
-// one point, scale of the picture, and whether images are sampled by cubic interpolation. `anyTrust` allows confidences
-// that were computed together with other frames.
+// Quality levels of views while something moves, best first: number of cameras, whether two frames of a camera are
+// blended around their middle, whether a cell of blocks is drawn as one point, scale of the picture, and whether images are
+// sampled by cubic interpolation. `anyTrust` allows confidences that were computed together with other frames.
 const LEVELS = [
-  { cameras: 8, hasCells: false, scale: 1, isCubic: true },
-  { cameras: 8, hasCells: true, scale: 1, isCubic: true },
-  { cameras: 6, hasCells: true, scale: 1, isCubic: false },
-  { cameras: 4, hasCells: true, scale: 0.75, isCubic: false },
-  { cameras: 4, hasCells: true, scale: 0.5, isCubic: false },
-  { cameras: 3, hasCells: true, scale: 0.4, isCubic: false },
+  { cameras: 8, fades: true, hasCells: false, scale: 1, isCubic: true },
+  { cameras: 8, fades: true, hasCells: true, scale: 1, isCubic: true },
+  { cameras: 6, fades: true, hasCells: true, scale: 1, isCubic: false },
+  { cameras: 4, fades: false, hasCells: true, scale: 0.75, isCubic: false },
+  { cameras: 4, fades: false, hasCells: true, scale: 0.5, isCubic: false },
+  { cameras: 3, fades: false, hasCells: true, scale: 0.4, isCubic: false },
 ].map((level) => ({ ...level, anyTrust: true }));
-const AT_REST = { cameras: 8, hasCells: false, scale: 1, isCubic: true, anyTrust: false };
+const AT_REST = { cameras: 8, fades: true, hasCells: false, scale: 1, isCubic: true, anyTrust: false };
 // Index of the quality level of the very first picture, and of the pictures after it.
 const FIRST_PICTURE_LEVEL = 4;
 const FIRST_LEVEL = 2;
@@ -94,7 +94,7 @@ class Viewer {
     stlfr.picture = async (view, seconds) => {
       const target = viewOf(view);
       const time = (seconds - this.scene.origin_s) / (this.scene.frame_s || 1);
-      const sources = this.renderer.frames.of(target.center, time, AT_REST.cameras);
+      const sources = this.renderer.frames.of(target.center, time, AT_REST);
       this.asked = sources.map((s) => s.frame);
       while (this.asked.some((f) => f.layer < 0)) {
         if (this.renderer.frames.failure) throw this.renderer.frames.failure;
@@ -159,7 +159,7 @@ class Viewer {
     const whole = this.rig.view(motion.place, size);
     const scale = quality.scale * Math.min(1, MAX_ENLARGEMENT / whole.scale);
     const view = this.rig.view(motion.place, size.map((v) => Math.max(1, Math.round(v * scale))));
-    const sources = renderer.frames.of(view.center, motion.time, quality.cameras);
+    const sources = renderer.frames.of(view.center, motion.time, quality);
     renderer.frames.want(sources.map((s) => s.frame), motion.time, this.isShown);
     const ready = sources.filter((s) => s.frame.layer >= 0);
     this.isReady = ready.length === sources.length;

@@ -5,7 +5,7 @@
 
 // Maximum number of frames from which a view is blended: those of 8 cameras, and the second frames of cameras of which
 // two frames are blended.
-const MAX_SOURCES = 12;
+const MAX_SOURCES = 10;
 // Margin around a view in the texture of candidates, pixels. A splat whose centre is outside of the texture is not
 // drawn at all, even if the splat extends into the view.
 const MARGIN = 8;
@@ -218,8 +218,17 @@ vec3 image(vec2 at, int layer, vec2 size) { return bilinear(clamp(at, vec2(0.5),
 `;
 
 // Repeats a statement for each source k. Array indices in the shader are thus constant. Without a graphics card,
-// constant indices are several times as fast as variable indices.
-const each = (statement) => Array.from({ length: MAX_SOURCES }, (_, k) => `  ${statement.replaceAll("[k]", `[${k}]`)}`).join("\n");
+// constant indices are several times as fast as variable indices. Groups of GROUP sources that a view doesn't have are
+// skipped.
+const each = (statement) => {
+  const groups = Array.from({ length: Math.ceil(MAX_SOURCES / GROUP) }, (_, group) => {
+    const sources = Array.from({ length: Math.min(GROUP, MAX_SOURCES - GROUP * group) }, (_, k) => GROUP * group + k);
+    const statements = sources.map((k) => `  ${statement.replaceAll("[k]", `[${k}]`)}`).join("\n");
+    return group === 0 ? statements : `  if (count > ${GROUP * group}) {\n${statements}\n  }`;
+  });
+  return groups.join("\n");
+};
+const GROUP = 4;
 
 // Blends the candidates of a pixel: it shows the nearest cluster with enough weight, and what is visible through it.
 const BLEND = `${SAMPLING}
