@@ -36,7 +36,7 @@ pub(super) fn store_slots(
     let each = Mutex::new(each);
     let at_a_time = slots_at_a_time(slots, list, rayon::current_num_threads());
     let groups: BTreeSet<usize> = list.iter().map(|slot| slot.group).collect();
-    // One group after the other, so that the background of a single group takes memory.
+    // One group after the other, so that the background of only one group is in memory.
     groups.into_iter().try_for_each(|group| {
         let list: Vec<Slot> = list.iter().copied().filter(|slot| slot.group == group).collect();
         let missing = list.iter().find(|slot| !is_stored(slots, **slot, options));

@@ -12,8 +12,8 @@ pub(super) const TOLERANCE: u8 = 10;
 /// Minimum tolerance with which frames support a background colour, in steps of 1/255. In frames without noise, a larger
 /// one lets textures of a body pass for background where the body is always in front.
 const MIN_SUPPORT_TOLERANCE: u8 = 3;
-/// Maximum tolerance with which frames support a background colour, in steps of 1/255: that of noise of 2.4 %. Smaller: the background of noisier films stays unknown. Larger: bodies count
-/// as background if most of the image moves.
+/// Maximum tolerance with which frames support a background colour, in steps of 1/255: that of noise of 2.4 %. Smaller: the
+/// background of noisier films stays unknown. Larger: bodies count as background if most of the image moves.
 const MAX_SUPPORT_TOLERANCE: u8 = 24;
 /// Maximum difference between two frames that noise explains, as a multiple of the median difference. With normally
 /// distributed noise, it is 2.7 standard deviations of this difference.

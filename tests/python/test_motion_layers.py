@@ -27,9 +27,8 @@ SPACING_M = 0.06
 
 BORDER = 12
 """Width of the border whose motion isn't checked, because its surfaces aren't visible in all frames."""
-TOLERANCE_PX = 0.03
-MAX_ERROR_PX = 0.15
-"""Bounds for the median error and for all pixels. Nine frames' medians were 0.01 px, and their largest errors 0.12 px."""
+MAX_ERRORS_PX = {50: 0.03, 99: 0.1, 100: 0.15}
+"""Bounds of the errors, by percentile. Nine frames had at most 0.013, 0.091 and 0.116 px."""
 
 
 def wall(center_m: float, frame: float) -> npt.NDArray[np.uint16]:
@@ -137,11 +136,12 @@ def vector(channels: dict[str, npt.NDArray[np.float32]], name: str) -> Array:
 
 
 def must_be(found: Array, right_down_px: Array) -> None:
-    """Assert the motion of all pixels: its median to a small tolerance, and all pixels to scene flow's error."""
+    """Assert the motion of all pixels, to scene flow's errors."""
     wanted = right_down_px * [1.0, -1.0]
     error_px = np.abs(found - wanted).max(axis=2)
-    assert np.median(error_px) <= TOLERANCE_PX, (np.median(error_px), wanted)
-    assert error_px.max() <= MAX_ERROR_PX, (error_px.max(), wanted)
+    for percentile, bound_px in MAX_ERRORS_PX.items():
+        largest_px = np.percentile(error_px, percentile)
+        assert largest_px <= bound_px, (percentile, largest_px, wanted)
 
 
 def test_a_still_has_the_motion_of_a_frame_of_the_recording(

@@ -113,13 +113,15 @@ function cells(flow, width, height, steps) {
   return new Uint32Array(points);
 }
 
-// Returns the factor of the weights of a frame of a camera that is `dt` before the view; `interval` is the time from it to
-// the camera's frame on the other side of the view. The factors of the two frames add up to 1. As in placement.rs.
+// Part of the interval between two frames of a camera during which both are blended, around the middle.
+const FADING = 0.2;
+
+// Returns the factor of a frame's weights in a view that is `dt` after it, as in placement.rs. `interval` is the time from
+// the frame to the camera's frame on the other side of the view. The factors of these two frames add up to 1.
 function fading(dt, interval) {
-  if (interval === 0) return 1;
+  if (interval === 0) return 1; // frames of one time have no middle
   return Math.min(Math.max((0.5 + 0.5 * FADING - Math.abs(dt / interval)) / FADING, 0), 1);
 }
-const FADING = 0.2;
 
 // All frames of the site: their files, and the frames that are in the graphics card's memory, as layers of array
 // textures.

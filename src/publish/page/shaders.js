@@ -218,8 +218,8 @@ vec3 image(vec2 at, int layer, vec2 size) { return bilinear(clamp(at, vec2(0.5),
 `;
 
 // Repeats a statement for each source k. Array indices in the shader are thus constant. Without a graphics card,
-// constant indices are several times as fast as variable indices. Groups of GROUP sources that a view doesn't have are
-// skipped.
+// constant indices are several times as fast as variable indices. Groups of sources that a view doesn't have are skipped.
+const GROUP = 4;
 const each = (statement) => {
   const groups = Array.from({ length: Math.ceil(MAX_SOURCES / GROUP) }, (_, group) => {
     const sources = Array.from({ length: Math.min(GROUP, MAX_SOURCES - GROUP * group) }, (_, k) => GROUP * group + k);
@@ -228,7 +228,6 @@ const each = (statement) => {
   });
   return groups.join("\n");
 };
-const GROUP = 4;
 
 // Blends the candidates of a pixel: it shows the nearest cluster with enough weight, and what is visible through it.
 const BLEND = `${SAMPLING}
